@@ -1,0 +1,60 @@
+"""What the core itself offers, declared by the same hooks as every plugin's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from gem_core.hookspecs import hookimpl
+from gem_core.specs import AgentSpec, VectorBackendSpec, WrapperSpec
+
+
+@hookimpl
+def gem_register_wrappers() -> Iterable[WrapperSpec]:
+    """Observation views, statistics and limits."""
+    views = "gem_core.wrappers.views"
+    return [
+        WrapperSpec(name="latest", entry_point=f"{views}:Latest", summary="Show only the newest output."),
+        WrapperSpec(name="concat", entry_point=f"{views}:Concat", summary="Show all outputs so far."),
+        WrapperSpec(
+            name="concat_with_action",
+            entry_point=f"{views}:ConcatWithAction",
+            summary="Show all outputs and actions so far.",
+        ),
+        WrapperSpec(
+            name="episode_stats",
+            entry_point="gem_core.wrappers.episode_stats:EpisodeStats",
+            summary="Report return, length and duration in info['episode'] at the end.",
+        ),
+        WrapperSpec(
+            name="turn_limit",
+            entry_point="gem_core.wrappers.turn_limit:TurnLimit",
+            summary="Truncate an episode after max_turns turns.",
+        ),
+        WrapperSpec(
+            name="tools", entry_point="gem_core.tools:ToolEnv", summary="Offer several tools, with rewards and limits."
+        ),
+    ]
+
+
+@hookimpl
+def gem_register_vector_backends() -> Iterable[VectorBackendSpec]:
+    """The backends that need nothing but the core."""
+    return [
+        VectorBackendSpec(
+            name="sync",
+            entry_point="gem_core.vector.sync:SyncVectorEnv",
+            summary="Steps one environment after another, in this thread.",
+        )
+    ]
+
+
+@hookimpl
+def gem_register_agents() -> Iterable[AgentSpec]:
+    """Agents that need no model."""
+    return [
+        AgentSpec(
+            name="random",
+            entry_point="gem_core.agents.random:RandomAgent",
+            summary="Draws a valid action in every state.",
+        )
+    ]

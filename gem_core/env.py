@@ -1,0 +1,286 @@
+"""``Env``: the base class of every environment, and what it promises."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, Self, SupportsIndex, cast
+
+import gymnasium
+import numpy as np
+
+from gem_core.background import in_thread, run_sync
+from gem_core.errors import ArgumentError, SamplingNotSupported, StateError, StateNotSupported
+from gem_core.seeding import (
+    checked_seed,
+    fresh_seed,
+    generator_state,
+    next_seed,
+    restore_generator,
+    stable_hash,
+    start_generator,
+)
+from gem_core.spaces import Text
+from gem_core.types import Concurrency, Observation, ResetResult, StepResult
+
+if TYPE_CHECKING:
+    from gymnasium import spaces
+
+    from gem_core.making import MadeSpec
+
+
+class Env(gymnasium.Env[Any, str]):
+    r"""A task: what is asked, how its state moves, and what is rewarded.
+
+    A subclass overrides ``reset`` and ``step``, as in Gymnasium, and draws all its randomness from ``np_random``::
+
+        class Reverse(Env):
+            def reset(self, seed=None, options=None):
+                super().reset(seed=seed)
+                self.word = "".join(self.np_random.permutation(list("stressed")))
+                return f"Write {self.word!r} backwards inside \\boxed{{}}.", {}
+
+            def step(self, action):
+                right = extract_last_boxed_answer(action) == self.word[::-1]
+                return TERMINAL_STATE, float(right), True, False, {"correct": right}
+
+    It may override ``sample_random_action``, ``render`` and ``close``, and ``_get_state`` with ``_set_state``.
+    ``gem_core.testing.check_env`` tries whether it keeps what this class promises.
+
+    A response is untrusted text of a model: any string gives an observation and a reward, in bounded time.
+
+    Source: the interface is that of ``gymnasium.Env``, https://gymnasium.farama.org/api/env/.
+    """
+
+    concurrency: ClassVar[Concurrency] = "inline"
+    """How vector environments run it beside others.
+
+    ``"inline"``: microseconds of pure Python. ``"thread"``: blocks on input and output or a subprocess. ``"process"``:
+    computes for long, or uses fenced global state. ``"async"``: derive from ``AsyncEnv``.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium declares it as an instance attribute
+    spec: MadeSpec | None = None
+
+    _init_args: tuple[tuple[Any, ...], dict[str, Any]] = ((), {})
+    _action_generator: np.random.Generator | None = None
+    _action_seed: int | None = None
+    _action_started: bool = False
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+        """Remember the arguments of the constructor, from which ``spawn`` makes a sibling."""
+        self = super().__new__(cls)
+        self._init_args = (args, kwargs)
+        return self
+
+    @cached_property
+    def action_space(self) -> spaces.Space[Any]:  # type: ignore[override]
+        """Any text."""
+        return Text()
+
+    @cached_property
+    def observation_space(self) -> spaces.Space[Any]:  # type: ignore[override]
+        """Text, unless a subclass says otherwise."""
+        return Text()
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """Begin an episode. Subclasses call ``super().reset(seed=seed)`` first.
+
+        Args:
+            seed: Start the stream of this seed. None draws the next episode of the stream that was started last, or of
+                a fresh one; its own seed is then reported in ``info["seed"]``, and starts the same episode again.
+            options: What the environment lets a caller choose, as ``{"index": 3}`` in a data set.
+
+        Returns:
+            The first observation and an info dictionary of plain JSON.
+        """
+        if seed is None:
+            previous = self._np_random_seed
+            seed = fresh_seed() if previous is None or previous < 0 else next_seed(previous)
+        elif type(seed) is not int or seed < 0:
+            seed = checked_seed(cast("SupportsIndex", seed))
+        self._np_random_seed = seed
+        self._np_random = start_generator(self._np_random, seed)
+        self._action_started = False
+        self._action_seed = None
+        return "", {}
+
+    def step(self, action: str) -> StepResult:
+        """Answer one whole response of the agent.
+
+        Returns:
+            ``(observation, reward, terminated, truncated, info)``. ``terminated``: the task is over, by success,
+            failure or a turn budget that it announces itself. ``truncated``: cut off from outside.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must define step(self, action)")
+
+    def sample_random_action(self) -> str:
+        """Return a valid response in the present state, drawn from ``action_random``.
+
+        Raises:
+            SamplingNotSupported: The environment does not say what is valid.
+        """
+        raise SamplingNotSupported(
+            f"{type(self).__name__} does not say what a valid action is; override sample_random_action"
+        )
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """The only source of randomness of the task; started anew by every ``reset``."""
+        if self._np_random is None:
+            self._np_random_seed = fresh_seed()
+            self._np_random = start_generator(None, self._np_random_seed)
+        return self._np_random
+
+    @np_random.setter
+    def np_random(self, value: np.random.Generator) -> None:
+        self._np_random = value
+        self._np_random_seed = -1
+
+    @property
+    def action_random(self) -> np.random.Generator:
+        """The generator of ``sample_random_action``, apart from the task's: sampling never changes an episode."""
+        if not self._action_started or self._action_generator is None:
+            seed = self._action_seed
+            if seed is None:
+                seed = stable_hash(self.np_random_seed, "actions")
+            self._action_generator = start_generator(self._action_generator, seed)
+            self._action_started = True
+        return self._action_generator
+
+    def seed_actions(self, seed: int) -> None:
+        """Start ``action_random`` from ``seed`` for the rest of this episode."""
+        self._action_seed = seed
+        self._action_started = False
+
+    @property
+    def env_id(self) -> str | None:
+        """The id that it was made by, or None."""
+        return None if self.spec is None else self.spec.id
+
+    def get_state(self) -> dict[str, Any]:
+        """Return all that decides how the episode goes on, as plain data that JSON keeps exactly.
+
+        Raises:
+            StateNotSupported: The environment cannot, as with a live container.
+        """
+        task = self._get_state()
+        return {
+            "id": self.env_id or type(self).__name__,
+            "version": None if self.spec is None else self.spec.version,
+            "seed": self._np_random_seed,
+            "generator": generator_state(self._np_random),
+            "actions": generator_state(self._action_generator) if self._action_started else None,
+            "action_seed": self._action_seed,
+            "task": task,
+        }
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Go on where another instance of this environment was when ``get_state`` gave ``state``.
+
+        Raises:
+            StateError: It belongs to another environment, or is damaged.
+            StateNotSupported: The environment cannot.
+        """
+        identity = self.env_id or type(self).__name__
+        if not isinstance(state, Mapping) or state.get("id") != identity:
+            found = state.get("id") if isinstance(state, Mapping) else type(state).__name__
+            raise StateError(f"this is a state of {found!r}, and the environment is {identity!r}")
+        try:
+            self._np_random = restore_generator(self._np_random, state["generator"])
+            self._np_random_seed = state["seed"]
+            self._action_seed = state["action_seed"]
+            self._action_started = state["actions"] is not None
+            if self._action_started:
+                self._action_generator = restore_generator(self._action_generator, state["actions"])
+            self._set_state(state["task"])
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+            raise StateError(
+                f"the state of {identity!r} is damaged ({type(error).__name__}: {error}); "
+                "call reset(), or give a state that get_state() returned"
+            ) from error
+
+    def _get_state(self) -> dict[str, Any]:
+        """Return the state of the task as plain data; override together with ``_set_state``."""
+        raise StateNotSupported(f"{type(self).__name__} cannot save its state; override _get_state and _set_state")
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        """Take back what ``_get_state`` returned; override together with it."""
+        raise StateNotSupported(f"{type(self).__name__} cannot restore a state; override _get_state and _set_state")
+
+    def spawn(self, same_state: bool = False, **overrides: Any) -> Env:
+        """Return a sibling: the same environment with arguments of its own.
+
+        Args:
+            same_state: Also put it into the present state.
+            **overrides: Keyword arguments of the constructor to change.
+
+        Raises:
+            StateNotSupported: ``same_state`` was asked for and the environment cannot save its state.
+        """
+        args, kwargs = self._init_args
+        try:
+            sibling = type(self)(*args, **{**kwargs, **overrides})
+        except TypeError as error:
+            raise ArgumentError(f"cannot spawn {type(self).__name__} with {overrides}: {error}") from error
+        if self.spec is not None:
+            sibling.spec = self.spec.with_kwargs(overrides)
+        sibling.render_mode = self.render_mode
+        if same_state:
+            sibling.set_state(self.get_state())
+        return sibling
+
+    async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """``reset`` for code that runs in an event loop, without blocking it."""
+        arguments = (seed, options) if options else (seed,)
+        if self.concurrency == "inline":
+            return self.reset(*arguments)
+        return await in_thread(self.reset, *arguments)
+
+    async def step_async(self, action: str) -> StepResult:
+        """``step`` for code that runs in an event loop, without blocking it."""
+        if self.concurrency == "inline":
+            return self.step(action)
+        return await in_thread(self.step, action)
+
+
+class AsyncEnv(Env):
+    """An environment written as coroutines: a subclass overrides ``reset_async`` and ``step_async``.
+
+    They always run on the library's own event loop; ``reset`` and ``step`` wait for them there.
+    """
+
+    concurrency: ClassVar[Concurrency] = "async"
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """Wait for ``reset_async``."""
+        return run_sync(self.reset_async(seed, options) if options else self.reset_async(seed))
+
+    async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """Begin an episode. Subclasses await ``super().reset_async(seed)`` first."""
+        return Env.reset(self, seed, options)
+
+    def step(self, action: str) -> StepResult:
+        """Wait for ``step_async``."""
+        return run_sync(self.step_async(action))
+
+    async def step_async(self, action: str) -> StepResult:
+        """Answer one whole response of the agent."""
+        raise NotImplementedError(f"{type(self).__name__} must define step_async(self, action)")
+
+
+def observation_from(feedback: Observation, suffix: Observation) -> Observation:
+    """Join what happened and how things stand now into one observation.
+
+    Text is joined as it is; once one of the two is a list of content parts, both become parts.
+    """
+    if isinstance(feedback, str) and isinstance(suffix, str):
+        return feedback + suffix
+    return as_parts(feedback) + as_parts(suffix)
+
+
+def as_parts(observation: Observation) -> list[dict[str, Any]]:
+    """Return an observation as a list of content parts; empty text gives no part."""
+    if isinstance(observation, str):
+        return [{"type": "text", "text": observation}] if observation else []
+    return list(observation)

@@ -1,0 +1,146 @@
+"""Every error that the library raises on purpose, in one hierarchy.
+
+::
+
+    GemError
+    ├── UsageError                 what was asked for cannot be right (exit code 2)
+    │   ├── UnknownNameError       no such name; the nearest ones are given
+    │   │   ├── UnknownEnvError
+    │   │   ├── UnknownToolError
+    │   │   ├── UnknownWrapperError
+    │   │   ├── UnknownBackendError
+    │   │   ├── UnknownAgentError
+    │   │   └── UnknownPluginError
+    │   └── ArgumentError          a keyword, value or option that is not accepted
+    ├── RegistrationError          a record that cannot be taken, or a name taken twice
+    ├── PluginError                a plugin failed and GEM_PLUGINS_STRICT is set
+    ├── EntryPointError            what a record points to cannot be imported
+    ├── MissingRequirementError    something has to be installed, started or set first
+    ├── ResetNeededError           step before the first reset, or after the end
+    ├── NotSupportedError          an optional ability that this environment does not have
+    │   ├── StateNotSupported      get_state / set_state / spawn(same_state=True)
+    │   └── SamplingNotSupported   sample_random_action
+    ├── StateError                 a saved state that does not fit
+    ├── BridgeError                synchronous call from the library's own event loop
+    ├── EnvFaultError              an environment failed and on_error="raise"
+    ├── FaultBudgetError           replacements fail again and again
+    ├── AgentError                 an agent that cannot be called, or did not return text
+    ├── GradingError               a verdict could not be reached; never a reward of 0
+    ├── DatasetError               rows that are missing, empty or without a needed column
+    └── EpisodeFileError           a file of episodes that cannot be read at all
+
+``gem_core.testing.ContractError`` is an ``AssertionError`` as well, so that it stays with the checks.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+
+class GemError(Exception):
+    """Base of all errors that the library raises on purpose."""
+
+    exit_code: ClassVar[int] = 1
+    """Exit code of the ``gem`` command when this error ends it."""
+
+
+class UsageError(GemError):
+    """What was asked for cannot be right; ask differently."""
+
+    exit_code = 2
+
+
+class UnknownNameError(UsageError, LookupError):
+    """No record has this name; the message gives the nearest ones."""
+
+
+class UnknownEnvError(UnknownNameError):
+    """No environment has this id."""
+
+
+class UnknownToolError(UnknownNameError):
+    """No tool has this name."""
+
+
+class UnknownWrapperError(UnknownNameError):
+    """No wrapper and no tool has this name."""
+
+
+class UnknownBackendError(UnknownNameError):
+    """No vector backend has this name."""
+
+
+class UnknownAgentError(UnknownNameError):
+    """No agent and no importable module has this name."""
+
+
+class UnknownPluginError(UnknownNameError):
+    """No installed plugin has this name."""
+
+
+class ArgumentError(UsageError, TypeError):
+    """A keyword, a value or an option that is not accepted."""
+
+
+class RegistrationError(GemError, ValueError):
+    """A record that cannot be taken, or a name that is taken already."""
+
+
+class PluginError(GemError):
+    """A plugin failed while ``GEM_PLUGINS_STRICT`` is set."""
+
+
+class EntryPointError(GemError, ImportError):
+    """What a record points to cannot be imported."""
+
+
+class MissingRequirementError(GemError):
+    """Something has to be installed, started or set before this can run."""
+
+
+class ResetNeededError(GemError):
+    """``step`` was called before the first ``reset``, or after the episode had ended."""
+
+
+class NotSupportedError(GemError):
+    """An optional ability that this environment does not have."""
+
+
+class StateNotSupported(NotSupportedError):
+    """The environment cannot give its state as data, or take it back."""
+
+
+class SamplingNotSupported(NotSupportedError):
+    """The environment cannot draw a valid random action."""
+
+
+class StateError(GemError, ValueError):
+    """A saved state belongs to something else, or is damaged."""
+
+
+class BridgeError(GemError, RuntimeError):
+    """A synchronous call was made on the library's own event loop, where it could never finish."""
+
+
+class EnvFaultError(GemError):
+    """An environment failed, and the vector environment was made with ``on_error="raise"``."""
+
+
+class FaultBudgetError(GemError):
+    """Environments fail again and again without finishing an episode."""
+
+
+class AgentError(GemError, TypeError):
+    """An agent that cannot be called, or that did not return text."""
+
+
+class GradingError(GemError):
+    """A verdict could not be reached, whatever the answer was. It is never a reward of 0."""
+
+
+class DatasetError(GemError, ValueError):
+    """Rows that are missing, empty, or without a needed column."""
+
+
+class EpisodeFileError(GemError):
+    """A file of episodes that cannot be read at all."""

@@ -1,0 +1,233 @@
+"""From a record to a living environment: requirements, entry points, arguments, guard and wrappers."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, cast
+
+import gymnasium
+from gymnasium.envs.registration import EnvSpec as GymnasiumSpec
+
+from gem_core.errors import ArgumentError, EntryPointError, RegistrationError
+from gem_core.requirements import check_requirements
+from gem_core.specs import EntryPoint, EnvSpec, NamedSpec, ToolSpec
+from gem_core.suggestions import did_you_mean
+from gem_core.wrapper import AnyEnv, Guard, Wrapper
+
+WrapperChoice = str | tuple[str | Callable[..., Any], Mapping[str, Any]] | Callable[..., Any]
+"""A name, a name or callable with its options, or a callable that takes an environment."""
+
+Wrappers = str | Sequence[WrapperChoice]
+"""Innermost first: ``"python,concat"`` or ``["python", ("concat", {"max_turns": 4})]``."""
+
+LookUp = Callable[[str], NamedSpec]
+"""Finds the record of a wrapper or tool by name."""
+
+
+@dataclasses.dataclass
+class MadeSpec(GymnasiumSpec):
+    """What an environment was made from; ``make`` goes through GEM, so wrappers and arguments come back the same.
+
+    ``kwargs`` holds the arguments in force, ``record`` our own record, ``wrappers`` what was put around the task.
+    Copies share the values of ``kwargs``: data sets are referenced, never copied.
+    """
+
+    record: EnvSpec | None = None
+    wrappers: tuple[tuple[str, dict[str, Any]], ...] = ()
+
+    def __post_init__(self) -> None:
+        # Gymnasium's own would parse the id in its syntax, which has no variants.
+        record = cast("EnvSpec", self.record)
+        self.namespace, self.name, self.version = record.namespace, record.name, record.version
+
+    def make(self, **kwargs: Any) -> AnyEnv:
+        """Make the same environment again, with some arguments changed."""
+        from gem_core.registry import registry
+
+        return make_from(cast("EnvSpec", self.record), {**self.kwargs, **kwargs}, self.wrappers, registry().wrapper)
+
+    def with_kwargs(self, overrides: Mapping[str, Any]) -> MadeSpec:
+        """Return a copy whose keyword arguments are changed."""
+        return dataclasses.replace(self, kwargs={**self.kwargs, **overrides}) if overrides else self
+
+    def with_wrapper(self, name: str, options: Mapping[str, Any]) -> MadeSpec:
+        """Return a copy with one more wrapper outside."""
+        return dataclasses.replace(self, wrappers=(*self.wrappers, (name, dict(options))))
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> MadeSpec:
+        return dataclasses.replace(self)
+
+
+def make_from(record: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers, look_up: LookUp) -> AnyEnv:
+    """Make the environment of a record.
+
+    Args:
+        record: What is made.
+        kwargs: Keyword arguments over those of the record; ``render_mode`` is handled here.
+        wrappers: What is put around it, innermost first.
+        look_up: Finds wrappers and tools by name.
+
+    Raises:
+        MissingRequirementError: Something has to be installed, started or set first.
+        EntryPointError: What the record points to cannot be imported.
+        ArgumentError: A keyword that the environment, or an option that a wrapper, does not have.
+    """
+    check_requirements(record)
+    arguments = {**record.kwargs, **kwargs}
+    render_mode = arguments.pop("render_mode", None)
+    entry_point = load_entry_point(record.entry_point, f"environment {record.id!r}")
+    env = _construct(entry_point, (), arguments, f"environment {record.id!r}")
+    if not isinstance(env, gymnasium.Env):
+        raise RegistrationError(f"{record.id}: the entry point returned {type(env).__name__}, not an environment")
+    task = env.unwrapped
+    task.spec = MadeSpec(
+        id=record.id,
+        entry_point=record.entry_point,
+        nondeterministic=not record.deterministic,
+        kwargs=arguments,
+        record=record,
+    )
+    if render_mode is not None:
+        _set_render_mode(task, render_mode, record.id)
+    guarded: AnyEnv = Guard(env)
+    if record.max_turns is not None:
+        from gem_core.wrappers.turn_limit import TurnLimit
+
+        guarded = TurnLimit(guarded, max_turns=record.max_turns)
+        guarded.implicit = True
+    return wrap(guarded, wrappers, look_up)
+
+
+def wrap(env: AnyEnv, wrappers: Wrappers, look_up: LookUp) -> AnyEnv:
+    """Put wrappers and tools around an environment, innermost first. Tools that stand side by side share one."""
+    choices = [_choice(choice) for choice in _split(wrappers)]
+    position = 0
+    while position < len(choices):
+        maker, options = choices[position]
+        position += 1
+        record = look_up(maker) if isinstance(maker, str) and ":" not in maker else None
+        if isinstance(record, ToolSpec):
+            tools = [(record.name, options)]
+            while position < len(choices) and _is_tool(choices[position][0], look_up):
+                tools.append(cast("tuple[str, dict[str, Any]]", choices[position]))
+                position += 1
+            env = _with_tools(env, tools)
+        else:
+            env = _with_wrapper(env, maker, options, record)
+    return env
+
+
+def load_entry_point(entry_point: EntryPoint, owner: str) -> Callable[..., Any]:
+    """Import what ``"package.module:Name"`` points to.
+
+    Raises:
+        EntryPointError: The module is not there, fails while it is imported, or has no such name.
+    """
+    if not isinstance(entry_point, str):
+        return entry_point
+    module_name, _, path = entry_point.partition(":")
+    try:
+        target: Any = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name and (module_name == error.name or module_name.startswith(f"{error.name}.")):
+            raise EntryPointError(
+                f"{owner}: there is no module {error.name!r} (entry point {entry_point!r}); "
+                "correct the entry point, or install the distribution that has it"
+            ) from error
+        raise EntryPointError(
+            f"{owner}: {module_name!r} needs the module {error.name!r}, which is not installed; "
+            f"try 'pip install {(error.name or '').partition('.')[0].replace('_', '-')}'"
+        ) from error
+    except ImportError as error:
+        raise EntryPointError(f"{owner}: importing {module_name!r} failed: {error}") from error
+    for part in path.split("."):
+        try:
+            target = getattr(target, part)
+        except AttributeError:
+            names = [name for name in vars(target) if not name.startswith("_")]
+            raise EntryPointError(
+                f"{owner}: {module_name!r} has no {part!r}.{did_you_mean(part, names)} (entry point {entry_point!r})"
+            ) from None
+    if not callable(target):
+        raise EntryPointError(f"{owner}: {entry_point!r} is a {type(target).__name__}, which cannot be called")
+    return cast("Callable[..., Any]", target)
+
+
+def construct(record: NamedSpec, *args: Any, **options: Any) -> Any:
+    """Call the entry point of a named record with arguments that are checked first."""
+    owner = f"{record.kind} {record.name!r}"
+    return _construct(load_entry_point(record.entry_point, owner), args, options, owner)
+
+
+def _construct(maker: Callable[..., Any], args: tuple[Any, ...], options: Mapping[str, Any], owner: str) -> Any:
+    try:
+        signature = inspect.signature(maker)
+    except (TypeError, ValueError):  # a callable of C code may not tell its signature
+        return maker(*args, **options)
+    try:
+        signature.bind(*args, **options)
+    except TypeError as error:
+        names = [
+            name
+            for name, parameter in list(signature.parameters.items())[len(args) :]
+            if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
+        ]
+        wrong = [name for name in options if name not in names]
+        hint = did_you_mean(wrong[0], names) if wrong else ""
+        raise ArgumentError(f"{owner}: {error}.{hint} It accepts: {', '.join(names) or 'no arguments'}") from None
+    return maker(*args, **options)
+
+
+def _set_render_mode(task: AnyEnv, render_mode: str, env_id: str) -> None:
+    modes = task.metadata.get("render_modes", [])
+    if render_mode not in modes:
+        raise ArgumentError(
+            f"{env_id}: no render mode {render_mode!r}; it offers {', '.join(map(repr, modes)) or 'none'}"
+        )
+    task.render_mode = render_mode
+
+
+def _split(wrappers: Wrappers) -> list[WrapperChoice]:
+    if isinstance(wrappers, str):
+        return [name.strip() for name in wrappers.split(",") if name.strip()]
+    if isinstance(wrappers, Iterable):
+        return list(wrappers)
+    raise ArgumentError(f"wrappers must be names joined by commas or a list, not {wrappers!r}")
+
+
+def _choice(choice: WrapperChoice) -> tuple[str | Callable[..., Any], dict[str, Any]]:
+    if isinstance(choice, str) or callable(choice):
+        return choice, {}
+    if isinstance(choice, Sequence) and len(choice) == 2 and isinstance(choice[1], Mapping):
+        return choice[0], dict(choice[1])
+    raise ArgumentError(f"a wrapper is a name, a callable, or (name, {{options}}), not {choice!r}")
+
+
+def _with_wrapper(
+    env: AnyEnv, maker: str | Callable[..., Any], options: dict[str, Any], record: NamedSpec | None
+) -> AnyEnv:
+    if record is not None:
+        wrapped, name = construct(record, env, **options), record.name
+    else:
+        name = maker if isinstance(maker, str) else getattr(maker, "__qualname__", repr(maker))
+        wrapped = _construct(load_entry_point(maker, f"wrapper {name!r}"), (env,), options, f"wrapper {name!r}")
+    if not isinstance(wrapped, gymnasium.Env):
+        raise ArgumentError(f"wrapper {name!r} returned {type(wrapped).__name__}, not an environment")
+    if record is not None and isinstance(wrapped, Wrapper):
+        wrapped._made_as = (record.name, options)
+    return wrapped
+
+
+def _is_tool(maker: str | Callable[..., Any], look_up: LookUp) -> bool:
+    return isinstance(maker, str) and ":" not in maker and isinstance(look_up(maker), ToolSpec)
+
+
+def _with_tools(env: AnyEnv, tools: list[tuple[str, dict[str, Any]]]) -> AnyEnv:
+    from gem_core.tools import ToolEnv
+
+    wrapped = ToolEnv(env, tools)
+    wrapped._made_as = ("tools", {"tools": tools})
+    return wrapped

@@ -1,0 +1,209 @@
+"""The plugin loader: every installed plugin is found, loaded and asked, and a broken one breaks nothing else.
+
+pluggy's own ``load_setuptools_entrypoints`` stops at the first plugin that fails, ignores a hook with a misspelt name,
+and loses everyone's results when one hook raises. Here each plugin is loaded and called behind its own guard, and its
+records are taken all or none.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+import traceback
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+import pluggy
+
+from gem_core import hookspecs
+from gem_core.errors import PluginError, RegistrationError
+from gem_core.specs import AgentSpec, CommandSpec, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+from gem_core.suggestions import did_you_mean
+
+logger = logging.getLogger("gem_core")
+
+BUILTIN = "gem_core._plugin"
+"""The core's own records come by the same hooks."""
+
+RECORD_TYPES: dict[str, type[EnvSpec | NamedSpec]] = {
+    "gem_register_envs": EnvSpec,
+    "gem_register_tools": ToolSpec,
+    "gem_register_wrappers": WrapperSpec,
+    "gem_register_vector_backends": VectorBackendSpec,
+    "gem_register_agents": AgentSpec,
+    "gem_add_commands": CommandSpec,
+}
+
+Record = EnvSpec | NamedSpec
+
+
+@dataclass(frozen=True)
+class PluginFailure:
+    """What went wrong with a plugin, and where.
+
+    Args:
+        stage: ``"find"``, ``"load"``, ``"hooks"``, ``"call"`` or ``"register"``.
+        error: The error in one line.
+        traceback: The whole traceback.
+    """
+
+    stage: str
+    error: str
+    traceback: str
+
+
+@dataclass
+class Plugin:
+    """One entry point of the group ``gem.plugins``, and what became of it.
+
+    Args:
+        name: Name of the entry point.
+        distribution: Name of the installed distribution.
+        version: Its version.
+        load_time_s: Seconds from the start of the import to the last record.
+        records: What it offers; empty after a failure.
+        failure: Why it offers nothing, or None.
+        disabled: Whether ``GEM_PLUGINS_DISABLE`` names it.
+    """
+
+    name: str
+    distribution: str
+    version: str
+    load_time_s: float = 0.0
+    records: list[Record] = field(default_factory=list)
+    failure: PluginFailure | None = None
+    disabled: bool = False
+
+    def __str__(self) -> str:
+        return f"plugin {self.name!r} ({self.distribution} {self.version})"
+
+
+def load_plugins() -> list[Plugin]:
+    """Load every installed plugin, the core's own records first, the others by name.
+
+    Environment variables: ``GEM_PLUGINS_DISABLE=a,b`` skips plugins by name; ``GEM_PLUGINS_STRICT=1`` raises at the
+    first failure.
+
+    Raises:
+        PluginError: A plugin failed and ``GEM_PLUGINS_STRICT`` is set.
+    """
+    manager = pluggy.PluginManager(hookspecs.PROJECT)
+    manager.add_hookspecs(hookspecs)
+    found = sorted(entry_points(group=hookspecs.ENTRY_POINT_GROUP), key=lambda point: (point.name, point.value))
+    disabled = _disabled_names()
+    unknown = disabled - {point.name for point in found}
+    for name in sorted(unknown):
+        hint = did_you_mean(name, (point.name for point in found))
+        logger.warning("gem: GEM_PLUGINS_DISABLE names %r, and no such plugin is installed.%s", name, hint)
+
+    plugins = [_load(EntryPoint("core", BUILTIN, hookspecs.ENTRY_POINT_GROUP), manager)]
+    seen: dict[str, Plugin] = {}
+    for point in _without_copies(found):
+        if point.name in disabled:
+            plugin = _describe(point)
+            plugin.disabled = True
+        elif point.name in seen:
+            plugin = _describe(point)
+            message = f"its name {point.name!r} is taken by {seen[point.name]}; uninstall one of the two"
+            plugin.failure = PluginFailure("find", message, message)
+            report_failure(plugin)
+        else:
+            plugin = _load(point, manager)
+            seen[point.name] = plugin
+        plugins.append(plugin)
+    return plugins
+
+
+def report_failure(plugin: Plugin) -> None:
+    """Say in one line that a plugin failed, or raise when ``GEM_PLUGINS_STRICT`` is set."""
+    failure = plugin.failure
+    if failure is None:
+        return
+    line = f"{plugin} failed at stage '{failure.stage}': {failure.error}"
+    if os.environ.get("GEM_PLUGINS_STRICT", "") not in ("", "0"):
+        raise PluginError(f"{line} (GEM_PLUGINS_STRICT is set)")
+    logger.warning("gem: %s. Everything else works; run 'gem plugins --check' for the whole.", line)
+
+
+def _load(point: EntryPoint, manager: pluggy.PluginManager) -> Plugin:
+    plugin = _describe(point)
+    started = time.perf_counter()
+    stage = "load"
+    module: Any = None
+    try:
+        module = point.load()
+        stage = "hooks"
+        _check_hooks(module)
+        manager.register(module, name=f"{plugin.distribution}:{plugin.name}")
+        manager.check_pending()
+        stage = "call"
+        plugin.records = _call_hooks(module, manager)
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a plugin does must not break the others
+        if module is not None and manager.is_registered(module):
+            manager.unregister(module)
+        plugin.failure = PluginFailure(stage, _one_line(error), traceback.format_exc())
+    plugin.load_time_s = time.perf_counter() - started
+    report_failure(plugin)
+    return plugin
+
+
+def _describe(point: EntryPoint) -> Plugin:
+    distribution = point.dist
+    if distribution is not None:
+        return Plugin(point.name, distribution.name, distribution.version)
+    from gem_core import __version__
+
+    return Plugin(point.name, "gem-core", __version__)
+
+
+def _without_copies(points: Iterable[EntryPoint]) -> list[EntryPoint]:
+    # An editable install can show the same distribution twice on one path.
+    unique: dict[tuple[str, str, str], EntryPoint] = {}
+    for point in points:
+        unique.setdefault((point.name, point.value, point.dist.name if point.dist else ""), point)
+    return list(unique.values())
+
+
+def _check_hooks(module: Any) -> None:
+    """Reject what pluggy would silently ignore: unknown hook names, and hooks that lack their mark."""
+    marked = f"{hookspecs.PROJECT}_impl"
+    for name in dir(module):
+        function = getattr(module, name, None)
+        if getattr(function, marked, None) is not None:
+            if name not in RECORD_TYPES:
+                raise RegistrationError(
+                    f"no hook is called {name!r}.{did_you_mean(name, RECORD_TYPES)} See gem_core/hookspecs.py"
+                )
+        elif name in RECORD_TYPES and callable(function):
+            raise RegistrationError(f"{name!r} is not marked; put '@gem_core.hookimpl' above it")
+
+
+def _call_hooks(module: Any, manager: pluggy.PluginManager) -> list[Record]:
+    others = [other for other in manager.get_plugins() if other is not module]
+    records: list[Record] = []
+    for hook, record_type in RECORD_TYPES.items():
+        for offered in manager.subset_hook_caller(hook, others)():
+            records.extend(_checked(hook, record_type, offered))
+    return records
+
+
+def _checked(hook: str, record_type: type[Record], offered: Any) -> list[Record]:
+    if isinstance(offered, str | bytes) or not isinstance(offered, Iterable):
+        raise RegistrationError(f"{hook} must return a list of {record_type.__name__}, not {offered!r}")
+    records = list(offered)
+    for record in records:
+        if not isinstance(record, record_type):
+            raise RegistrationError(f"{hook} must return records of type {record_type.__name__}, not {record!r}")
+    return records
+
+
+def _disabled_names() -> set[str]:
+    return {name.strip() for name in os.environ.get("GEM_PLUGINS_DISABLE", "").split(",") if name.strip()}
+
+
+def _one_line(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

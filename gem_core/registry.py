@@ -1,0 +1,373 @@
+"""Where names are resolved: ids to environments, names to wrappers, tools, backends and agents."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterable, Sequence
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from gem_core.errors import (
+    ArgumentError,
+    RegistrationError,
+    UnknownAgentError,
+    UnknownBackendError,
+    UnknownEnvError,
+    UnknownNameError,
+    UnknownPluginError,
+    UnknownToolError,
+    UnknownWrapperError,
+)
+from gem_core.plugins import Plugin, PluginFailure, Record, load_plugins, report_failure
+from gem_core.specs import AgentSpec, EntryPoint, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec
+from gem_core.suggestions import did_you_mean
+
+if TYPE_CHECKING:
+    from gem_core.making import Wrappers
+    from gem_core.plans import PlanItem
+    from gem_core.vector.base import VectorEnv
+    from gem_core.wrapper import AnyEnv
+
+N = TypeVar("N", bound=NamedSpec)
+
+PUBLISHED_NAMESPACES = {
+    "game": "gem-games",
+    "ta": "gem-games",
+    "math": "gem-math",
+    "rg": "gem-math",
+    "code": "gem-code",
+    "qa": "gem-qa",
+    "logic": "gem-qa",
+    "terminal": "gem-terminal",
+    "eval": "gem-math gem-code gem-qa",
+}
+"""Which distributions of this project offer a namespace, for the advice in an error message."""
+
+_SPEC_KEYWORDS = ("summary", "tags", "requires", "deterministic")
+
+
+class Registry:
+    """All records of one process; the first look-up loads the installed plugins."""
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._loaded = False
+        self._plugins: list[Plugin] = []
+        self._envs: dict[str, EnvSpec] = {}
+        # One space of names each for wrappers together with tools, and for every other kind.
+        self._named: dict[str, dict[str, NamedSpec]] = {}
+        self._owners: dict[tuple[str, str], str] = {}
+        self._contested: dict[tuple[str, str], str] = {}
+
+    # Looking up.
+
+    def env(self, env_id: str) -> EnvSpec:
+        """Return the record of an environment.
+
+        Raises:
+            UnknownEnvError: There is none; the message names the nearest, or the plugin to install.
+            RegistrationError: Two plugins claim the id.
+        """
+        self.load()
+        self._refuse_contested("env", env_id)
+        try:
+            return self._envs[env_id]
+        except (KeyError, TypeError):
+            raise UnknownEnvError(self._unknown_env(str(env_id))) from None
+
+    def wrapper(self, name: str) -> NamedSpec:
+        """Return the record of a wrapper or tool."""
+        return self._find("wrapper", name, UnknownWrapperError)
+
+    def tool(self, name: str) -> ToolSpec:
+        """Return the record of a tool."""
+        self.load()
+        record = self._named.get("wrapper", {}).get(name)
+        if not isinstance(record, ToolSpec):
+            names = [tool.name for tool in self.named(ToolSpec)]
+            listed = f" There are: {', '.join(names)}." if names else " None is installed: try 'pip install gem-tools'."
+            raise UnknownToolError(f"no tool {name!r}.{did_you_mean(name, names)}{listed}")
+        self._refuse_contested("wrapper", name)
+        return record
+
+    def backend(self, name: str) -> VectorBackendSpec:
+        """Return the record of a vector backend."""
+        return self._find("vector backend", name, UnknownBackendError)  # type: ignore[return-value]
+
+    def agent(self, name: str) -> AgentSpec:
+        """Return the record of an agent."""
+        return self._find("agent", name, UnknownAgentError)  # type: ignore[return-value]
+
+    def plugin(self, name: str) -> Plugin:
+        """Return a plugin by the name of its entry point, or of its distribution."""
+        for plugin in self.plugins():
+            if name in (plugin.name, plugin.distribution):
+                return plugin
+        names = [plugin.name for plugin in self.plugins()]
+        raise UnknownPluginError(
+            f"no plugin {name!r}.{did_you_mean(name, names)} Installed: {', '.join(names)}. Run 'gem plugins'"
+        )
+
+    def envs(self, pattern: str | None = None) -> list[EnvSpec]:
+        """Return the records of environments in order of id.
+
+        Args:
+            pattern: A namespace, part of an id, or a glob such as ``game:*-easy``; None for all.
+        """
+        self.load()
+        return [self._envs[env_id] for env_id in sorted(self._envs) if pattern is None or _matches(pattern, env_id)]
+
+    def named(self, kind: type[N]) -> list[N]:
+        """Return the records of one kind in order of name."""
+        self.load()
+        records = self._named.get(_space(kind.kind), {})
+        return [record for name in sorted(records) if isinstance(record := records[name], kind)]
+
+    def plugins(self) -> list[Plugin]:
+        """Return what was found installed, failures included."""
+        self.load()
+        return list(self._plugins)
+
+    # Taking in.
+
+    def load(self) -> None:
+        """Load the installed plugins, once."""
+        if self._loaded:
+            return
+        with self._lock:
+            if self._loaded:
+                return
+            plugins = load_plugins()
+            for plugin in plugins:
+                self._take(plugin)
+            self._plugins = plugins
+            self._loaded = True
+
+    def add(self, record: EnvSpec) -> None:
+        """Take in an environment that the program itself registers.
+
+        Raises:
+            RegistrationError: The id is taken. The same class may be registered again, as a notebook cell does.
+        """
+        self.load()
+        with self._lock:
+            present = self._envs.get(record.id)
+            owner = self._owners.get(("env", record.id), "")
+            if present is not None and not (owner == "register()" and _same_entry_point(present, record)):
+                raise RegistrationError(
+                    f"environment {record.id!r} is registered already, by {owner}; choose another id or version"
+                )
+            self._envs[record.id] = record
+            self._owners["env", record.id] = "register()"
+
+    def _take(self, plugin: Plugin) -> None:
+        if plugin.failure is not None or plugin.disabled:
+            return
+        claims: dict[tuple[str, str], Record] = {}
+        conflicts: list[str] = []
+        for record in plugin.records:
+            key = ("env", record.id) if isinstance(record, EnvSpec) else (_space(record.kind), record.name)
+            if key in claims:
+                conflicts.append(f"it offers {key[0]} {key[1]!r} twice")
+            elif key in self._owners:
+                message = f"{key[0]} {key[1]!r} is offered by both {self._owners[key]} and {plugin}"
+                self._contested[key] = message
+                conflicts.append(message)
+            claims[key] = record
+        if conflicts:
+            more = f" (and {len(conflicts) - 1} more)" if len(conflicts) > 1 else ""
+            plugin.failure = PluginFailure("register", conflicts[0] + more, "\n".join(conflicts))
+            plugin.records = []
+            report_failure(plugin)
+            return
+        for (space, name), record in claims.items():
+            self._owners[space, name] = str(plugin)
+            if isinstance(record, EnvSpec):
+                self._envs[name] = record
+            else:
+                self._named.setdefault(space, {})[name] = record
+
+    # Saying what is wrong.
+
+    def _find(self, space: str, name: str, error: type[UnknownNameError]) -> NamedSpec:
+        self.load()
+        self._refuse_contested(space, name)
+        records = self._named.get(space, {})
+        if name in records:
+            return records[name]
+        what = "wrapper or tool" if space == "wrapper" else space
+        raise error(
+            f"no {what} {name!r}.{did_you_mean(name, records)} There are: {', '.join(sorted(records))}."
+            f"{self._failed_plugins()}"
+        )
+
+    def _refuse_contested(self, space: str, name: str) -> None:
+        message = self._contested.get((space, name))
+        if message:
+            raise RegistrationError(f"{message}; uninstall one of them, or disable it with GEM_PLUGINS_DISABLE")
+
+    def _unknown_env(self, env_id: str) -> str:
+        namespace, colon, _ = env_id.partition(":")
+        namespaces = sorted({record.namespace for record in self._envs.values()})
+        failed = self._failed_plugins()
+        if colon and namespace not in namespaces:
+            publisher = PUBLISHED_NAMESPACES.get(namespace)
+            advice = (
+                f" The namespace {namespace!r} comes with a plugin: try 'pip install {publisher}'."
+                if publisher
+                else did_you_mean(namespace, namespaces) or f" Namespaces: {', '.join(namespaces) or 'none'}."
+            )
+            return f"no environment {env_id!r}.{failed or advice} Run 'gem list'"
+        candidates = [name for name in self._envs if not colon or name.startswith(f"{namespace}:")]
+        hint = did_you_mean(env_id, candidates) or did_you_mean(env_id, self._envs)
+        if not hint:
+            variants = sorted(name for name in self._envs if name.startswith(f"{env_id}-"))[:3]
+            hint = f" Did you mean {' or '.join(map(repr, variants))}?" if variants else ""
+        return f"no environment {env_id!r}.{hint}{failed} Run 'gem list{f' {namespace}' if colon else ''}'"
+
+    def _failed_plugins(self) -> str:
+        failed = [plugin for plugin in self._plugins if plugin.failure is not None]
+        causes = "; ".join(f"{plugin}: {plugin.failure.error}" for plugin in failed if plugin.failure)
+        return f" It may belong to a plugin that failed: {causes}." if failed else ""
+
+
+_registry = Registry()
+
+
+def registry() -> Registry:
+    """Return the registry of this process."""
+    return _registry
+
+
+def register(id: str, entry_point: EntryPoint, **kwargs: Any) -> None:
+    """Register an environment under an id.
+
+    Args:
+        id: ``namespace:Name[-vN][-variant]``.
+        entry_point: ``"package.module:Class"``, or a callable that returns an environment.
+        **kwargs: ``summary``, ``tags``, ``requires`` and ``deterministic`` describe it (see ``EnvSpec``); every other
+            keyword goes to the environment when it is made.
+
+    Raises:
+        RegistrationError: The id is malformed or taken.
+    """
+    described = {name: kwargs.pop(name) for name in _SPEC_KEYWORDS if name in kwargs}
+    if isinstance(described.get("tags"), list):
+        described["tags"] = tuple(described["tags"])
+    _registry.add(EnvSpec(id=id, entry_point=entry_point, kwargs=kwargs, **described))
+
+
+def make(id: str | EnvSpec, *, wrappers: Wrappers = (), **kwargs: Any) -> AnyEnv:
+    """Make an environment by id.
+
+    Args:
+        id: Id of a registered environment, or its record.
+        wrappers: Names of wrappers and tools, innermost first: ``"python,concat"``, or with options
+            ``["python", ("concat", {"max_turns": 4})]``.
+        **kwargs: Keyword arguments over the registered ones; ``render_mode`` works for every environment.
+
+    Raises:
+        UnknownEnvError: No such id; the message names the nearest, or the plugin to install.
+        UnknownWrapperError: No such wrapper or tool.
+        ArgumentError: A keyword argument that the environment does not have; the message names those it has.
+        MissingRequirementError: Something has to be installed, started or set first.
+        EntryPointError: The environment's module cannot be imported.
+    """
+    record = id if isinstance(id, EnvSpec) else _registry.env(id)
+    from gem_core.making import make_from
+
+    return make_from(record, kwargs, wrappers, _registry.wrapper)
+
+
+def make_vec(
+    ids: str | Sequence[str],
+    num_envs: int | None = None,
+    *,
+    backend: str = "auto",
+    wrappers: Wrappers = (),
+    seed: int | None = None,
+    plan: Iterable[PlanItem] | None = None,
+    on_error: str = "truncate",
+    **kwargs: Any,
+) -> VectorEnv:
+    """Make several environments that are reset and stepped together.
+
+    Args:
+        ids: One id, or several for a mixed batch; the slots take them in turn.
+        num_envs: Number of slots; by default one for each id.
+        backend: ``"auto"``, or the name of a backend.
+        wrappers: Put around each environment; see ``make``.
+        seed: Seed of the run, from which every episode's own is made; None draws one, found as ``vec.seed``.
+        plan: What episodes start from, drawn by all slots; see ``gem_core.plans``.
+        on_error: ``"truncate"`` ends the episode of an environment that fails and replaces it; ``"raise"`` raises.
+        **kwargs: Keyword arguments for every environment.
+
+    Raises:
+        UnknownEnvError: No such id.
+        UnknownBackendError: No such backend.
+        ArgumentError: A value that is not accepted.
+    """
+    from gem_core.making import construct
+
+    id_list = [ids] if isinstance(ids, str) else list(ids)
+    if not id_list:
+        raise ArgumentError("make_vec needs at least one environment id")
+    for env_id in id_list:
+        _registry.env(env_id)
+    count = len(id_list) if num_envs is None else num_envs
+    if not isinstance(count, int) or count < 1:
+        raise ArgumentError(f"num_envs must be a positive whole number, not {count!r}")
+    record = _registry.backend("sync" if backend == "auto" else backend)
+    vector: VectorEnv = construct(
+        record,
+        [id_list[slot % len(id_list)] for slot in range(count)],
+        wrappers=wrappers,
+        seed=seed,
+        plan=plan,
+        on_error=on_error,
+        env_kwargs=kwargs,
+    )
+    return vector
+
+
+def spec(id: str) -> EnvSpec:
+    """Return the record of an environment.
+
+    Raises:
+        UnknownEnvError: No such id; the message names the nearest.
+    """
+    return _registry.env(id)
+
+
+def list_envs(namespace: str | None = None) -> list[str]:
+    """Return the ids of all environments, in order, or those of one namespace (or a glob such as ``game:*-easy``)."""
+    return [record.id for record in _registry.envs(namespace)]
+
+
+def print_envs(namespace: str | None = None) -> None:
+    """Write the ids of all environments to standard output, each with its summary."""
+    records = _registry.envs(namespace)
+    width = max((len(record.id) for record in records), default=0)
+    for record in records:
+        sys.stdout.write(f"{record.id:<{width}}  {record.summary}".rstrip() + "\n")
+
+
+def _space(kind: str) -> str:
+    return "wrapper" if kind == "tool" else kind
+
+
+def _matches(pattern: str, env_id: str) -> bool:
+    pattern, folded = pattern.casefold(), env_id.casefold()
+    if any(character in pattern for character in "*?["):
+        return fnmatchcase(folded, pattern)
+    return folded.startswith(f"{pattern}:") or (pattern in folded)
+
+
+def _same_entry_point(first: EnvSpec, second: EnvSpec) -> bool:
+    def name(entry_point: EntryPoint) -> object:
+        if isinstance(entry_point, str):
+            return entry_point
+        return getattr(entry_point, "__module__", None), getattr(entry_point, "__qualname__", entry_point)
+
+    return name(first.entry_point) == name(second.entry_point)

@@ -1,0 +1,182 @@
+"""The records that plugins hand over: what exists, and where to find it.
+
+They are plain data, frozen, and checked on arrival, so that listing a thousand of them imports nothing.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+from gem_core.errors import RegistrationError
+
+EntryPoint = str | Callable[..., Any]
+"""``"package.module:Name"``, or the callable itself."""
+
+_ENV_ID = re.compile(r"(?P<namespace>[A-Za-z0-9][\w.-]*):(?P<name>[A-Za-z0-9][\w.-]*)", re.ASCII)
+_NAME = re.compile(r"[a-z0-9][a-z0-9_.-]*", re.ASCII)
+_VERSION = re.compile(r"-v(\d+)(?=-|$)", re.ASCII)
+_ENTRY_POINT = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", re.ASCII)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvSpec:
+    """An environment that can be made by id.
+
+    Args:
+        id: ``namespace:Name[-vN][-variant]``, as in ``game:Mastermind-v0-easy``. The version goes up whenever
+            rewards, prompts or data change in a way that changes scores.
+        entry_point: ``"package.module:Class"``, or a callable that returns an environment.
+        kwargs: Keyword arguments for the entry point; ``make`` may override each.
+        summary: One line for listings.
+        tags: Words to search by.
+        max_turns: Turns after which ``make`` truncates an episode, on top of what the task itself announces.
+            A task that announces its own limit takes it as a keyword instead, in ``kwargs``.
+        requires: What must be there to run it, as in ``"docker"``, ``"network"``, ``"hub"``, ``"key:NAME"``,
+            ``"package:NAME"``, ``"command:NAME"``, or ``"never:REASON"`` where it cannot run at all.
+        deterministic: Whether a seed and the actions fix the whole episode.
+
+    Raises:
+        RegistrationError: A field has a wrong form; the message says which and what was expected.
+    """
+
+    id: str
+    entry_point: EntryPoint
+    kwargs: Mapping[str, Any] = field(default_factory=dict)
+    summary: str = ""
+    tags: tuple[str, ...] = ()
+    max_turns: int | None = None
+    requires: tuple[str, ...] = ()
+    deterministic: bool = True
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.id, str) or not _ENV_ID.fullmatch(self.id):
+            raise RegistrationError(
+                f"environment id {self.id!r} must look like 'namespace:Name-v0', with ASCII letters, digits and '._-'"
+            )
+        _check_entry_point(self.id, self.entry_point)
+        if not isinstance(self.kwargs, Mapping) or not all(isinstance(key, str) for key in self.kwargs):
+            raise RegistrationError(f"{self.id}: kwargs must map keyword names to values, not {self.kwargs!r}")
+        if self.max_turns is not None and (not isinstance(self.max_turns, int) or self.max_turns < 1):
+            raise RegistrationError(f"{self.id}: max_turns must be a positive whole number, not {self.max_turns!r}")
+        object.__setattr__(self, "kwargs", MappingProxyType(dict(self.kwargs)))
+        object.__setattr__(self, "tags", _check_words(self.id, "tags", self.tags))
+        object.__setattr__(self, "requires", _check_words(self.id, "requires", self.requires))
+        object.__setattr__(self, "summary", _check_summary(self.id, self.summary))
+
+    @property
+    def namespace(self) -> str:
+        """The part before the colon."""
+        return self.id.partition(":")[0]
+
+    @property
+    def name(self) -> str:
+        """The part after the colon."""
+        return self.id.partition(":")[2]
+
+    @property
+    def version(self) -> int | None:
+        """The number after ``-v``, or None where the id has none."""
+        match = _VERSION.search(self.id)
+        return int(match.group(1)) if match else None
+
+    @property
+    def turn_limit(self) -> int | None:
+        """Turns after which an episode is over, by the task's own keyword or by ``max_turns``; None if unlimited."""
+        own = self.kwargs.get("max_turns")
+        limits = [limit for limit in (own, self.max_turns) if isinstance(limit, int)]
+        return min(limits, default=None)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # A mapping proxy cannot be pickled; the constructor wraps it again.
+        return _rebuild_env_spec, ({**self.__dict__, "kwargs": dict(self.kwargs)},)
+
+
+def _rebuild_env_spec(fields: dict[str, Any]) -> EnvSpec:
+    return EnvSpec(**fields)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedSpec:
+    """A record with a short name: what all kinds but environments share.
+
+    Args:
+        name: Lower case letters, digits and ``_.-``.
+        entry_point: ``"package.module:Name"``, or a callable.
+        summary: One line for listings.
+    """
+
+    kind: ClassVar[str] = "record"
+
+    name: str
+    entry_point: EntryPoint
+    summary: str = ""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not _NAME.fullmatch(self.name):
+            raise RegistrationError(
+                f"{self.kind} name {self.name!r} must be lower case ASCII letters, digits and '_.-', as in 'python'"
+            )
+        _check_entry_point(f"{self.kind} {self.name}", self.entry_point)
+        object.__setattr__(self, "summary", _check_summary(self.name, self.summary))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToolSpec(NamedSpec):
+    """A tool: the entry point returns a ``Tool`` when it is called with the tool's options."""
+
+    kind: ClassVar[str] = "tool"
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrapperSpec(NamedSpec):
+    """A wrapper: the entry point is called with an environment and the wrapper's options."""
+
+    kind: ClassVar[str] = "wrapper"
+
+
+@dataclass(frozen=True, kw_only=True)
+class VectorBackendSpec(NamedSpec):
+    """A vector backend: the entry point is a subclass of ``VectorEnv``."""
+
+    kind: ClassVar[str] = "vector backend"
+
+
+@dataclass(frozen=True, kw_only=True)
+class AgentSpec(NamedSpec):
+    """A built-in agent: the entry point returns an agent when it is called.
+
+    It gets what stands after the colon of ``--agent name:argument`` as its one argument, where there is any.
+    """
+
+    kind: ClassVar[str] = "agent"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandSpec(NamedSpec):
+    """A subcommand of ``gem``: the entry point is a ``click.Command``."""
+
+    kind: ClassVar[str] = "command"
+
+
+def _check_entry_point(owner: str, entry_point: object) -> None:
+    if callable(entry_point) or (isinstance(entry_point, str) and _ENTRY_POINT.fullmatch(entry_point)):
+        return
+    raise RegistrationError(
+        f"{owner}: entry_point must be 'package.module:Name' or a callable, not {entry_point!r}",
+    )
+
+
+def _check_words(owner: str, what: str, words: object) -> tuple[str, ...]:
+    if isinstance(words, str) or not isinstance(words, (tuple, list)) or not all(isinstance(w, str) for w in words):
+        raise RegistrationError(f"{owner}: {what} must be a tuple of strings, not {words!r}")
+    return tuple(words)
+
+
+def _check_summary(owner: str, summary: object) -> str:
+    if not isinstance(summary, str) or "\n" in summary:
+        raise RegistrationError(f"{owner}: summary must be one line of text, not {summary!r}")
+    return summary

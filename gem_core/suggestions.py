@@ -1,0 +1,24 @@
+"""The part of an error message that names the nearest right answers."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+def nearest(wrong: str, names: Iterable[str], limit: int = 3) -> list[str]:
+    """Return the names most like a wrong one, best first, whatever their case."""
+    by_folded: dict[str, str] = {}
+    for name in names:
+        by_folded.setdefault(name.casefold(), name)
+    found = difflib.get_close_matches(wrong[:200].casefold(), by_folded, n=limit, cutoff=0.6)
+    return [by_folded[folded] for folded in found]
+
+
+def did_you_mean(wrong: str, names: Iterable[str]) -> str:
+    """Return " Did you mean 'a' or 'b'?" with a leading space, or nothing when no name is near."""
+    found = [repr(name) for name in nearest(wrong, names)]
+    if not found:
+        return ""
+    listed = found[0] if len(found) == 1 else f"{', '.join(found[:-1])} or {found[-1]}"
+    return f" Did you mean {listed}?"

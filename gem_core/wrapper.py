@@ -1,0 +1,270 @@
+"""``Wrapper``: what changes an environment from outside, written once for plain and asynchronous code."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Awaitable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
+
+import gymnasium
+
+from gem_core.background import in_thread, run_sync
+from gem_core.env import Env
+from gem_core.errors import ResetNeededError, StateError, StateNotSupported
+from gem_core.types import Concurrency, ResetResult, StepResult
+
+if TYPE_CHECKING:
+    from gem_core.making import MadeSpec
+
+AnyEnv = gymnasium.Env[Any, str]
+"""An ``Env``, a ``Wrapper``, or a wrapper of Gymnasium's around either."""
+
+_RANK: dict[Concurrency, int] = {"inline": 0, "thread": 1, "async": 2, "process": 3}
+
+
+class Wrapper(gymnasium.Wrapper[Any, str, Any, str]):
+    """Changes an environment by hooks before and after its methods.
+
+    A subclass overrides the hooks that it needs; ``reset``, ``step``, ``reset_async`` and ``step_async`` are made from
+    them. A hook may be a coroutine function: plain code then waits for it on the library's event loop.
+
+    Public attributes that a wrapper does not have are read from the environment inside, so they are never stale.
+    """
+
+    needs: ClassVar[Concurrency] = "inline"
+    """What the hooks themselves need; ``"thread"`` when they block. See ``Env.concurrency``."""
+
+    implicit = False
+    """Whether ``make`` puts it there by itself, so that ``spec`` does not list it."""
+
+    env: AnyEnv
+    _init_args: tuple[tuple[Any, ...], dict[str, Any]] = ((), {})
+    _made_as: tuple[str, dict[str, Any]] | None = None
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+        """Remember the arguments of the constructor, from which ``spawn`` makes a sibling."""
+        self = super().__new__(cls)
+        self._init_args = (args, kwargs)
+        return self
+
+    # The hooks.
+
+    def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> Awaitable[None] | None:
+        """Run before the environment is reset; release what belongs to the episode that is over."""
+        return None
+
+    def after_reset(self, result: ResetResult) -> ResetResult | Awaitable[ResetResult]:
+        """Return the observation and info of a reset, changed as wanted."""
+        return result
+
+    def before_step(self, action: str) -> str | StepResult | Awaitable[str | StepResult]:
+        """Return the action for the environment, or a whole result in its stead."""
+        return action
+
+    def after_step(self, action: str, result: StepResult) -> StepResult | Awaitable[StepResult]:
+        """Return the environment's result, changed as wanted; ``action`` is what the agent gave, to the letter."""
+        return result
+
+    # What is made from them.
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """Begin an episode; see ``Env.reset``."""
+        waited = self.before_reset(seed, options)
+        if waited is not None:
+            run_sync(waited)
+        inner = self.env.reset(seed=seed, options=options) if options else self.env.reset(seed=seed)
+        after = self.after_reset(inner)
+        return after if isinstance(after, tuple) else run_sync(after)
+
+    def step(self, action: str) -> StepResult:
+        """Answer one response of the agent; see ``Env.step``."""
+        before = self.before_step(action)
+        if not isinstance(before, str | tuple):
+            before = run_sync(before)
+        if isinstance(before, tuple):
+            return before
+        after = self.after_step(action, cast("StepResult", self.env.step(before)))
+        return after if isinstance(after, tuple) else run_sync(after)
+
+    async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """``reset`` for code that runs in an event loop, without blocking it."""
+        waited = await self._hook(self.before_reset, seed, options)
+        if waited is not None:
+            await waited
+        after = await self._hook(self.after_reset, await reset_async(self.env, seed, options))
+        return after if isinstance(after, tuple) else await after
+
+    async def step_async(self, action: str) -> StepResult:
+        """``step`` for code that runs in an event loop, without blocking it."""
+        before = await self._hook(self.before_step, action)
+        if not isinstance(before, str | tuple):
+            before = await before
+        if isinstance(before, tuple):
+            return before
+        after = await self._hook(self.after_step, action, await step_async(self.env, before))
+        return after if isinstance(after, tuple) else await after
+
+    async def _hook(self, hook: Any, *args: Any) -> Any:
+        if self.needs == "inline" or inspect.iscoroutinefunction(hook):
+            return hook(*args)
+        return await in_thread(hook, *args)
+
+    # What is passed on.
+
+    @property
+    def concurrency(self) -> Concurrency:
+        """What the whole stack needs, this wrapper and all inside it."""
+        return max(self.needs, concurrency_of(self.env), key=_RANK.__getitem__)
+
+    @property
+    def unwrapped(self) -> Env:
+        """The task itself, without any wrapper."""
+        return cast("Env", self.env.unwrapped)
+
+    @property
+    def env_id(self) -> str | None:
+        """The id that the environment was made by, or None."""
+        return self.unwrapped.env_id
+
+    @property
+    def spec(self) -> MadeSpec | None:  # type: ignore[override]  # Gymnasium has a property too, typed as its EnvSpec
+        """What the environment was made from, this wrapper included; None for one that ``make`` did not make."""
+        inner = cast("MadeSpec | None", self.env.spec)
+        if inner is None or self.implicit:
+            return inner
+        return inner.with_wrapper(*(self._made_as or self._own_record()))
+
+    def _own_record(self) -> tuple[str, dict[str, Any]]:
+        args, kwargs = self._init_args
+        names = list(inspect.signature(type(self)).parameters)[1:]
+        positional = dict(zip(names, args[1:], strict=False))
+        return f"{type(self).__module__}:{type(self).__qualname__}", {
+            **positional,
+            **{key: value for key, value in kwargs.items() if key != "env"},
+        }
+
+    def sample_random_action(self) -> str:
+        """Return a valid response in the present state; see ``Env.sample_random_action``."""
+        return cast("str", self.env.get_wrapper_attr("sample_random_action")())
+
+    def get_state(self) -> dict[str, Any]:
+        """Return the state of this wrapper and of all inside it; see ``Env.get_state``."""
+        return {"wrapper": type(self).__name__, "own": self._get_state(), "env": _inner(self.env).get_state()}
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Take back what ``get_state`` returned; see ``Env.set_state``."""
+        name = type(self).__name__
+        if not isinstance(state, Mapping) or state.get("wrapper") != name:
+            found = (state.get("wrapper") or state.get("id")) if isinstance(state, Mapping) else type(state).__name__
+            raise StateError(f"this is a state of {found!r}, and the wrapper is {name!r}")
+        try:
+            self._set_state(state["own"])
+            inner = state["env"]
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+            raise StateError(f"the state of wrapper {name!r} is damaged ({type(error).__name__}: {error})") from error
+        _inner(self.env).set_state(inner)
+
+    def _get_state(self) -> dict[str, Any]:
+        """Return what this wrapper remembers of the episode; override together with ``_set_state``."""
+        return {}
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        """Take back what ``_get_state`` returned; override together with it."""
+
+    def spawn(self, same_state: bool = False, **overrides: Any) -> Self:
+        """Return a sibling of the whole stack; see ``Env.spawn``."""
+        args, kwargs = self._init_args
+        inner = _inner(self.env).spawn(**overrides)
+        sibling = type(self)(inner, *args[1:], **kwargs) if args else type(self)(**{**kwargs, "env": inner})
+        sibling._made_as, sibling.implicit = self._made_as, self.implicit
+        if same_state:
+            sibling.set_state(self.get_state())
+        return sibling
+
+    def __getattr__(self, name: str) -> Any:
+        # Only names that the wrapper does not have come here. Private ones are never passed on, so that copying and
+        # pickling a half-made wrapper cannot recurse.
+        if name.startswith("_") or name == "env":
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        return getattr(self.env, name)
+
+
+class Guard(Wrapper):
+    """Refuses a step outside an episode and reports the seed of each; ``make`` puts it right around the task."""
+
+    implicit = True
+    _live = False
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """Begin an episode and write its seed to ``info``."""
+        self._live = False
+        return self.after_reset(self.env.reset(seed=seed, options=options) if options else self.env.reset(seed=seed))
+
+    def after_reset(self, result: ResetResult) -> ResetResult:
+        """Write the episode's seed to ``info``."""
+        result[1]["seed"] = self.env.np_random_seed
+        self._live = True
+        return result
+
+    def step(self, action: str) -> StepResult:
+        """Step, if the episode is under way."""
+        if not self._live:
+            raise self._refusal()
+        result = self.env.step(action)
+        if result[2] or result[3]:
+            self._live = False
+        return cast("StepResult", result)
+
+    def before_step(self, action: str) -> str:
+        """Refuse a step outside an episode."""
+        if not self._live:
+            raise self._refusal()
+        return action
+
+    def after_step(self, action: str, result: StepResult) -> StepResult:
+        """Note the end of the episode."""
+        if result[2] or result[3]:
+            self._live = False
+        return result
+
+    def _refusal(self) -> ResetNeededError:
+        return ResetNeededError(
+            f"{self.env_id or type(self.unwrapped).__name__}: the episode is over or has not begun; "
+            "call reset() before the next step()"
+        )
+
+    def _get_state(self) -> dict[str, Any]:
+        return {"live": self._live}
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self._live = bool(state["live"])
+
+
+def concurrency_of(env: AnyEnv) -> Concurrency:
+    """Return what an environment and all its wrappers need, those of Gymnasium included."""
+    return cast("Concurrency", env.get_wrapper_attr("concurrency"))
+
+
+async def reset_async(env: AnyEnv, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+    """Reset any environment from a coroutine without blocking its loop."""
+    if isinstance(env, Env | Wrapper):
+        return await (env.reset_async(seed, options) if options else env.reset_async(seed))
+    return await in_thread(lambda: env.reset(seed=seed, options=options))
+
+
+async def step_async(env: AnyEnv, action: str) -> StepResult:
+    """Step any environment from a coroutine without blocking its loop."""
+    if isinstance(env, Env | Wrapper):
+        return await env.step_async(action)
+    if concurrency_of(env) == "inline":
+        return cast("StepResult", env.step(action))
+    return cast("StepResult", await in_thread(env.step, action))
+
+
+def _inner(env: AnyEnv) -> Any:
+    if isinstance(env, Env | Wrapper):
+        return env
+    raise StateNotSupported(
+        f"{type(env).__name__} is a wrapper of Gymnasium's, which cannot save its state or spawn; "
+        "put it outermost, or call the method on env.unwrapped"
+    )
