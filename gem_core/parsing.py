@@ -1,0 +1,125 @@
+r"""What agents write their answers in: ``\boxed{}``, ``<answer>`` tags and fenced code.
+
+Every function here takes any text at all and needs time in proportion to its length.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+_BOXED = "\\boxed"
+# A backslash takes the character behind it out of play, so that LaTeX's \{ and \} do not count as braces.
+_BRACE_OR_BOX = re.compile(r"\\boxed[ \t]*\{|\\.|[{}]", re.DOTALL)
+_FENCE = re.compile(r"^[ ]{0,3}(`{3,}|~{3,})[ \t]*([^\s`]*)[^\n`]*$", re.MULTILINE)
+
+
+class CodeBlock(NamedTuple):
+    """A fenced block of code.
+
+    Args:
+        language: First word behind the opening fence, in lower case; ``""`` where there is none.
+        code: What stands between the fences, without the last line break.
+        start: Index of the opening fence in the text.
+        end: Index behind the closing fence.
+    """
+
+    language: str
+    code: str
+    start: int
+    end: int
+
+
+def extract_last_boxed_answer(text: str) -> str | None:
+    r"""Return the content of the last complete ``\boxed{}``, without white space around it; None without one.
+
+    Braces may be nested; escaped ones (``\{``) are LaTeX's visible braces and do not count.
+
+    Source: the boxed-answer convention of MATH, arXiv:2103.03874.
+    """
+    last = text.rfind(_BOXED)
+    if last < 0:
+        return None
+    # Nearly always the last box is complete and short, so it is tried before the text is read from its beginning.
+    content = _box_at(text, last)
+    return content if content is not None else _last_complete_box(text)
+
+
+def extract_last_tagged_answer(text: str, tag: str = "answer") -> str | None:
+    """Return the content of the last complete ``<tag>…</tag>``, without white space around it; None without one."""
+    end = text.rfind(f"</{tag}>")
+    while end >= 0:
+        opening = f"<{tag}>"
+        start = text.rfind(opening, 0, end)
+        if start < 0:
+            return None
+        previous_end = text.rfind(f"</{tag}>", start, end)
+        if previous_end < 0:
+            return text[start + len(opening) : end].strip()
+        # A closing tag without an opening one of its own: the element ends at the closing tag before it.
+        end = text.find(f"</{tag}>", start)
+    return None
+
+
+def extract_code_blocks(text: str, *languages: str) -> list[CodeBlock]:
+    """Return the complete fenced blocks of a text in order, as CommonMark finds them.
+
+    Args:
+        text: Markdown.
+        *languages: Keep only these languages, whatever their case; ``""`` stands for blocks that name none.
+
+    Source: fenced code blocks of CommonMark 0.31, section 4.5.
+    """
+    wanted = {language.casefold() for language in languages}
+    blocks: list[CodeBlock] = []
+    opening: re.Match[str] | None = None
+    for fence in _FENCE.finditer(text):
+        if opening is None:
+            opening = fence
+        elif _closes(fence, opening):
+            language = opening[2].casefold()
+            code = text[opening.end() + 1 : max(fence.start() - 1, opening.end() + 1)]
+            if not wanted or language in wanted:
+                blocks.append(CodeBlock(language, code, opening.start(), fence.end()))
+            opening = None
+    return blocks
+
+
+def _closes(fence: re.Match[str], opening: re.Match[str]) -> bool:
+    mark, first = fence[1], opening[1]
+    return mark[0] == first[0] and len(mark) >= len(first) and not fence[0].strip().strip(mark[0])
+
+
+def _box_at(text: str, start: int) -> str | None:
+    position = start + len(_BOXED)
+    while position < len(text) and text[position] in " \t":
+        position += 1
+    if position >= len(text) or text[position] != "{":
+        return None
+    depth, content_start = 1, position + 1
+    for match in _BRACE_OR_BOX.finditer(text, content_start):
+        token = match[0]
+        if token[-1] == "{" and (token == "{" or len(token) > 2):
+            depth += 1
+        elif token == "}":
+            depth -= 1
+            if depth == 0:
+                return text[content_start : match.start()].strip()
+    return None
+
+
+def _last_complete_box(text: str) -> str | None:
+    """Match all braces in one pass and return the complete box that begins last."""
+    open_braces: list[int | None] = []
+    best_start, best_end = -1, -1
+    for match in _BRACE_OR_BOX.finditer(text):
+        token = match[0]
+        if token == "{":
+            open_braces.append(None)
+        elif len(token) > 2:
+            open_braces.append(match.end())
+        elif token == "}" and open_braces:
+            content_start = open_braces.pop()
+            if content_start is not None and content_start > best_start:
+                best_start, best_end = content_start, match.start()
+    return None if best_start < 0 else text[best_start:best_end].strip()
