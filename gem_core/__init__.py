@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from gem_core.registry import list_envs, make, make_vec, print_envs, register, spec
     from gem_core.rollouts import rollout
     from gem_core.specs import AgentSpec, CommandSpec, EnvSpec, ToolSpec, VectorBackendSpec, WrapperSpec
-    from gem_core.tools import Tool, ToolCall, ToolEnv, ToolResult
+    from gem_core.tool_env import ToolEnv
+    from gem_core.tools import Tool, ToolCall, ToolResult
     from gem_core.types import TERMINAL_STATE, Observation, Response
     from gem_core.vector.base import VectorEnv
     from gem_core.wrapper import Wrapper
@@ -45,7 +46,8 @@ _HOME = {
     "registry": ("list_envs", "make", "make_vec", "print_envs", "register", "spec"),
     "rollouts": ("rollout",),
     "specs": ("AgentSpec", "CommandSpec", "EnvSpec", "ToolSpec", "VectorBackendSpec", "WrapperSpec"),
-    "tools": ("Tool", "ToolCall", "ToolEnv", "ToolResult"),
+    "tool_env": ("ToolEnv",),
+    "tools": ("Tool", "ToolCall", "ToolResult"),
     "types": ("TERMINAL_STATE", "Observation", "Response"),
     "vector.base": ("VectorEnv",),
     "wrapper": ("Wrapper",),

@@ -31,7 +31,9 @@ def gem_register_wrappers() -> Iterable[WrapperSpec]:
             summary="Truncate an episode after max_turns turns.",
         ),
         WrapperSpec(
-            name="tools", entry_point="gem_core.tools:ToolEnv", summary="Offer several tools, with rewards and limits."
+            name="tools",
+            entry_point="gem_core.tool_env:ToolEnv",
+            summary="Offer several tools, with rewards and limits.",
         ),
     ]
 

@@ -59,6 +59,9 @@ class Env(gymnasium.Env[Any, str]):
     computes for long, or uses fenced global state. ``"async"``: derive from ``AsyncEnv``.
     """
 
+    answer_fences: ClassVar[tuple[str, ...]] = ()
+    """Languages of fenced blocks that are answers of this task, so that tools leave them alone."""
+
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium declares it as an instance attribute
     spec: MadeSpec | None = None
 

@@ -218,7 +218,7 @@ def _with_wrapper(
         raise ArgumentError(f"wrapper {name!r} returned {type(wrapped).__name__}, not an environment")
     if record is not None and isinstance(wrapped, Wrapper):
         wrapped._made_as = (record.name, options)
-    return wrapped
+    return cast("AnyEnv", wrapped)
 
 
 def _is_tool(maker: str | Callable[..., Any], look_up: LookUp) -> bool:
@@ -226,7 +226,7 @@ def _is_tool(maker: str | Callable[..., Any], look_up: LookUp) -> bool:
 
 
 def _with_tools(env: AnyEnv, tools: list[tuple[str, dict[str, Any]]]) -> AnyEnv:
-    from gem_core.tools import ToolEnv
+    from gem_core.tool_env import ToolEnv
 
     wrapped = ToolEnv(env, tools)
     wrapped._made_as = ("tools", {"tools": tools})

@@ -6,6 +6,7 @@ Every function here takes any text at all and needs time in proportion to its le
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from typing import NamedTuple
 
 _BOXED = "\\boxed"
@@ -71,18 +72,34 @@ def extract_code_blocks(text: str, *languages: str) -> list[CodeBlock]:
     Source: fenced code blocks of CommonMark 0.31, section 4.5.
     """
     wanted = {language.casefold() for language in languages}
-    blocks: list[CodeBlock] = []
+    return [block for block in _fenced(text) if block.end >= 0 and (not wanted or block.language in wanted)]
+
+
+def unclosed_code_block(text: str, *languages: str) -> CodeBlock | None:
+    """Return the fenced block that is opened and never closed, its ``end`` being -1; None without one.
+
+    Args:
+        text: Markdown.
+        *languages: Return it only if it is in one of these; see ``extract_code_blocks``.
+    """
+    wanted = {language.casefold() for language in languages}
+    for block in _fenced(text):
+        if block.end < 0 and (not wanted or block.language in wanted):
+            return block
+    return None
+
+
+def _fenced(text: str) -> Iterator[CodeBlock]:
     opening: re.Match[str] | None = None
     for fence in _FENCE.finditer(text):
         if opening is None:
             opening = fence
         elif _closes(fence, opening):
-            language = opening[2].casefold()
             code = text[opening.end() + 1 : max(fence.start() - 1, opening.end() + 1)]
-            if not wanted or language in wanted:
-                blocks.append(CodeBlock(language, code, opening.start(), fence.end()))
+            yield CodeBlock(opening[2].casefold(), code, opening.start(), fence.end())
             opening = None
-    return blocks
+    if opening is not None:
+        yield CodeBlock(opening[2].casefold(), text[opening.end() + 1 :], opening.start(), -1)
 
 
 def _closes(fence: re.Match[str], opening: re.Match[str]) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Awaitable, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import gymnasium
 
@@ -31,7 +31,7 @@ class Wrapper(gymnasium.Wrapper[Any, str, Any, str]):
     Public attributes that a wrapper does not have are read from the environment inside, so they are never stale.
     """
 
-    needs: ClassVar[Concurrency] = "inline"
+    needs: Concurrency = "inline"
     """What the hooks themselves need; ``"thread"`` when they block. See ``Env.concurrency``."""
 
     implicit = False
@@ -105,7 +105,7 @@ class Wrapper(gymnasium.Wrapper[Any, str, Any, str]):
         return after if isinstance(after, tuple) else await after
 
     async def _hook(self, hook: Any, *args: Any) -> Any:
-        if self.needs == "inline" or inspect.iscoroutinefunction(hook):
+        if self.needs in ("inline", "async") or inspect.iscoroutinefunction(hook):
             return hook(*args)
         return await in_thread(hook, *args)
 

@@ -1,0 +1,323 @@
+"""``ToolEnv``: puts tools around any task."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import logging
+import weakref
+from collections.abc import Awaitable, Coroutine, Mapping, Sequence
+from typing import Any, TypeVar, cast
+
+import pydantic
+
+from gem_core.background import in_thread, run_sync
+from gem_core.env import observation_from
+from gem_core.errors import ArgumentError, StateNotSupported
+from gem_core.suggestions import did_you_mean
+from gem_core.tools import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, ToolResult, first_call
+from gem_core.types import Concurrency, Observation, ResetResult, StepResult
+from gem_core.wrapper import AnyEnv, Wrapper
+from gem_core.wrappers.views import joined, told_apart
+
+T = TypeVar("T")
+
+logger = logging.getLogger("gem_core")
+
+
+class ToolEnv(Wrapper):
+    """Lets an agent use tools in a task.
+
+    A response that calls a tool is answered by the tool; any other goes to the task. Calls are read as tags and fenced
+    blocks (see ``Tool``) and as ``<tool_call>{"name": …, "arguments": …}</tool_call>``. The first complete call of a
+    response is executed; what follows it is left out of ``info["parsed_action"]``. A call that fails or cannot be read
+    is told to the agent, and never reaches the task as an answer.
+
+    ``info["tool"]`` says what a tool step did: ``name``, ``arguments``, ``failed``, ``error``, and the counters
+    ``uses``, ``successes`` and ``failures`` of the episode. ``info["tools"]`` holds the schemas at reset.
+
+    Args:
+        env: The task.
+        tools: Tools, or names of registered ones, or names with their options.
+        tool_reward: Added for each call that could be read.
+        tool_success_reward: Added for each call that succeeded.
+        tool_error_reward: Added for each call that failed or could not be read.
+        max_tool_uses: Calls in an episode, those that could not be read included; after that every response goes to the
+            task. None for no limit.
+        instructions: Whether the first observation ends by explaining the tools; or the text to do so.
+    """
+
+    def __init__(
+        self,
+        env: AnyEnv,
+        tools: Sequence[Tool | str | tuple[str, Mapping[str, Any]]],
+        *,
+        tool_reward: float = 0.0,
+        tool_success_reward: float = 0.0,
+        tool_error_reward: float = 0.0,
+        max_tool_uses: int | None = 5,
+        instructions: bool | str = True,
+    ) -> None:
+        super().__init__(env)
+        self.tools = {tool.name: tool for tool in map(_resolved, [tools] if isinstance(tools, str) else tools)}
+        if len(self.tools) != len([tools] if isinstance(tools, str) else tools):
+            raise ArgumentError(f"two tools have one name among {list(self.tools)}")
+        if max_tool_uses is not None and (not isinstance(max_tool_uses, int) or max_tool_uses < 0):
+            raise ArgumentError(f"max_tool_uses must be a whole number from 0 up or None, not {max_tool_uses!r}")
+        self.tool_reward = tool_reward
+        self.tool_success_reward = tool_success_reward
+        self.tool_error_reward = tool_error_reward
+        self.max_tool_uses = max_tool_uses
+        self.instructions = instructions
+        self.needs = _needs(self.tools.values())
+        self._answer_fences = {language.casefold() for language in getattr(env.unwrapped, "answer_fences", ())}
+        self._suffix: Observation | None = None
+        self._uses = self._successes = self._failures = 0
+        self._sessions: dict[str, Any] = {}
+        # Also runs when the wrapper is collected and when the interpreter exits.
+        self._finalizer = weakref.finalize(self, _close_sessions, self.tools, self._sessions)
+
+    # The hooks.
+
+    def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> Awaitable[None] | None:
+        """Close the sessions of the episode that is over."""
+        self._uses = self._successes = self._failures = 0
+        if not self._sessions:
+            return None
+        closing = _close_all(self.tools, self._take_sessions())
+        return closing if self.needs == "async" else _finish_now(closing)
+
+    def after_reset(self, result: ResetResult) -> ResetResult:
+        """Explain the tools."""
+        observation, info = result
+        feedback, suffix = told_apart(observation, info)
+        self._suffix = suffix if "suffix" in info else None
+        info["tools"] = [tool.schema() for tool in self.tools.values()]
+        text = self.instructions if isinstance(self.instructions, str) else self._instructions()
+        if self.instructions and text:
+            feedback = joined([feedback, text if text.endswith("\n") else f"{text}\n"])
+            observation = observation_from(feedback, suffix)
+            if self._suffix is not None:
+                info["feedback"] = feedback
+        return observation, info
+
+    def before_step(self, action: str) -> str | StepResult | Awaitable[str | StepResult]:
+        """Answer a response that calls a tool."""
+        if self.max_tool_uses is not None and self._uses >= self.max_tool_uses:
+            return action
+        call = self.find_call(action)
+        if call is None:
+            return action
+        self._uses += 1
+        if call.error is not None:
+            return self._answered(action, call, ToolResult(f"The call could not be read: {call.error}", failed=True))
+        answering = self._answer(action, call)
+        return answering if self.needs == "async" else _finish_now(answering)
+
+    def after_step(self, action: str, result: StepResult) -> StepResult:
+        """Remember how things stand, for the tool steps that follow."""
+        info = result[4]
+        self._suffix = info["suffix"] if "feedback" in info and "suffix" in info else None
+        return result
+
+    def close(self) -> None:
+        """Close the sessions, then the task."""
+        _close_sessions(self.tools, self._take_sessions())
+        super().close()
+
+    # Reading and executing calls.
+
+    def find_call(self, action: str) -> ToolCall | None:
+        """Return the first complete call in a response, or the first that is begun; None for an answer to the task."""
+        found = [self._json_call(action)]
+        for tool in self.tools.values():
+            fences = not any(language.casefold() in self._answer_fences for language in tool.fences)
+            found.append(tool.parse(action, fences=fences))
+        return first_call(found)
+
+    def _json_call(self, action: str) -> ToolCall | None:
+        start = action.find(CALL_OPEN)
+        if start < 0:
+            return None
+        end = action.find(CALL_CLOSE, start)
+        if end < 0:
+            return ToolCall("", start=start, error=f"{CALL_OPEN} is never closed by {CALL_CLOSE}")
+        stop = end + len(CALL_CLOSE)
+        try:
+            content = json.loads(action[start + len(CALL_OPEN) : end])
+        except (ValueError, RecursionError) as error:
+            reason = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)[:200]
+            return ToolCall(
+                "", start=start, end=stop, error=f"between {CALL_OPEN} and {CALL_CLOSE} is no valid JSON: {reason}"
+            )
+        if not isinstance(content, dict) or not isinstance(content.get("name"), str):
+            form = '{"name": "…", "arguments": {…}}'
+            return ToolCall("", start=start, end=stop, error=f"a call must be an object of the form {form}")
+        name, arguments = content["name"], content.get("arguments", {})
+        if name not in self.tools:
+            known = ", ".join(self.tools)
+            hint = did_you_mean(name, self.tools)
+            return ToolCall(
+                name[:100], start=start, end=stop, error=f"no tool {name[:100]!r}.{hint} There are: {known}"
+            )
+        if not isinstance(arguments, dict):
+            return ToolCall(name, start=start, end=stop, error="its arguments must be an object of names and values")
+        return ToolCall(name, arguments, start, stop)
+
+    async def _answer(self, action: str, call: ToolCall) -> StepResult:
+        tool = self.tools[call.name]
+        try:
+            arguments = tool.Parameters.model_validate(dict(call.arguments))
+        except (pydantic.ValidationError, RecursionError) as error:
+            return self._answered(action, call, ToolResult(_validation_message(error), failed=True))
+        try:
+            if call.name not in self._sessions:
+                self._sessions[call.name] = await _settled(tool.open())
+            result = await self._call(tool, arguments)
+        except Exception as error:  # noqa: BLE001 - a failing tool is an observation for the agent
+            message = f"{type(error).__name__}: {error}".strip()[:2000]
+            result = ToolResult(f"The tool failed: {message}", failed=True)
+        return self._answered(action, call, result)
+
+    async def _call(self, tool: Tool, arguments: Any) -> ToolResult:
+        session = self._sessions[tool.name]
+        if self.needs == "async" and not inspect.iscoroutinefunction(tool.call) and tool.concurrency != "inline":
+            outcome: Any = await in_thread(tool.call, arguments, session)
+        else:
+            outcome = await _settled(tool.call(arguments, session))
+        if isinstance(outcome, ToolResult):
+            return outcome
+        if isinstance(outcome, str | list):
+            return ToolResult(outcome)
+        raise TypeError(f"{tool.name} returned {type(outcome).__name__}, not text, content parts or a ToolResult")
+
+    def _answered(self, action: str, call: ToolCall, result: ToolResult) -> StepResult:
+        readable = call.error is None
+        if result.failed:
+            self._failures += 1
+        else:
+            self._successes += 1
+        reward = (self.tool_reward if readable else 0.0) + (
+            self.tool_error_reward if result.failed else self.tool_success_reward
+        )
+        title = f"{'Error from' if result.failed else 'Output of'} {call.name or 'the tool call'}:"
+        feedback = joined([title, result.content, f"{self._uses_left()}\n"])
+        suffix: Observation = "" if self._suffix is None else self._suffix
+        info: dict[str, Any] = {
+            "feedback": feedback,
+            "suffix": suffix,
+            "parsed_action": str(action)[: call.end] if call.end else None,
+            "tool": {
+                **result.info,
+                "name": call.name or None,
+                "arguments": dict(call.arguments),
+                "failed": result.failed,
+                "error": call.error,
+                "uses": self._uses,
+                "successes": self._successes,
+                "failures": self._failures,
+            },
+        }
+        return observation_from(feedback, suffix), float(reward), False, False, info
+
+    def _uses_left(self) -> str:
+        if self.max_tool_uses is None:
+            return "You may call a tool again, or give your answer."
+        left = self.max_tool_uses - self._uses
+        if left <= 0:
+            return "No tool calls are left. Give your answer to the task now."
+        return f"Tool calls left: {left}. Call a tool again, or give your answer."
+
+    def _instructions(self) -> str:
+        if self.max_tool_uses == 0:
+            return ""
+        limit = "" if self.max_tool_uses is None else f" You have {self.max_tool_uses} tool calls."
+        lines = [
+            "You may use tools before you answer. Make one call in a response: the result comes back to you, and "
+            f"nothing that you write behind the call is read.{limit}",
+            *(tool.instructions() for tool in self.tools.values()),
+            f'Any tool can also be called as {CALL_OPEN}{{"name": …, "arguments": {{…}}}}{CALL_CLOSE}.',
+        ]
+        return "\n".join(lines)
+
+    def _take_sessions(self) -> dict[str, Any]:
+        taken = dict(self._sessions)
+        self._sessions.clear()
+        return taken
+
+    def _get_state(self) -> dict[str, Any]:
+        if self._suffix is not None and not isinstance(self._suffix, str):
+            raise StateNotSupported("the task's suffix holds content parts, whose images are not plain data")
+        return {
+            "counters": [self._uses, self._successes, self._failures],
+            "suffix": self._suffix,
+            "sessions": {name: self.tools[name].get_session_state(s) for name, s in self._sessions.items()},
+        }
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        _close_sessions(self.tools, self._take_sessions())
+        self._uses, self._successes, self._failures = state["counters"]
+        self._suffix = state["suffix"]
+        for name, session in state["sessions"].items():
+            self._sessions[name] = self.tools[name].set_session_state(session)
+
+
+def _resolved(tool: Tool | str | tuple[str, Mapping[str, Any]]) -> Tool:
+    if isinstance(tool, Tool):
+        return tool
+    from gem_core.making import construct
+    from gem_core.registry import registry
+
+    name, options = (tool, {}) if isinstance(tool, str) else tool
+    made = construct(registry().tool(name), **dict(options))
+    if not isinstance(made, Tool):
+        raise ArgumentError(f"the entry point of tool {name!r} returned {type(made).__name__}, not a Tool")
+    return made
+
+
+def _needs(tools: Any) -> Concurrency:
+    wanted = {"async" if inspect.iscoroutinefunction(tool.call) else tool.concurrency for tool in tools}
+    for need in ("process", "async", "thread"):
+        if need in wanted:
+            return need
+    return "inline"
+
+
+async def _settled(value: Any) -> Any:
+    return await value if inspect.isawaitable(value) else value
+
+
+def _finish_now(coroutine: Coroutine[Any, Any, T]) -> T:
+    """Run a coroutine in which nothing waits; one that does wait goes on the library's loop instead."""
+    try:
+        coroutine.send(None)
+    except StopIteration as finished:
+        return cast("T", finished.value)
+    coroutine.close()
+    raise ArgumentError("a plain tool waited for something; make its call() a coroutine function")
+
+
+async def _close_all(tools: Mapping[str, Tool], sessions: Mapping[str, Any]) -> None:
+    for name, session in sessions.items():
+        try:
+            await _settled(tools[name].close(session))
+        except Exception:
+            logger.warning("gem: closing the session of tool %r failed", name, exc_info=True)
+
+
+def _close_sessions(tools: Mapping[str, Tool], sessions: dict[str, Any]) -> None:
+    taken = dict(sessions)
+    sessions.clear()
+    if taken:
+        closing = _close_all(tools, taken)
+        if _needs(tools.values()) == "async":
+            run_sync(closing)
+        else:
+            _finish_now(closing)
+
+
+def _validation_message(error: Exception) -> str:
+    if not isinstance(error, pydantic.ValidationError):
+        return "The arguments are nested too deeply."
+    lines = [f"{'.'.join(map(str, item['loc'])) or 'arguments'}: {item['msg']}"[:300] for item in error.errors()[:10]]
+    return "The arguments are not valid. " + "; ".join(lines)

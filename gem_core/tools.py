@@ -1,0 +1,187 @@
+"""Tools: what an agent may call before it answers. ``gem_core.tool_env`` puts them around a task."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Awaitable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import pydantic
+
+from gem_core.errors import StateNotSupported
+from gem_core.parsing import extract_code_blocks, unclosed_code_block
+from gem_core.types import Concurrency, Observation
+
+CALL_OPEN, CALL_CLOSE = "<tool_call>", "</tool_call>"
+
+
+@dataclass(frozen=True)
+class ToolCall:
+    """A call that was found in a response.
+
+    Args:
+        name: Name of the tool.
+        arguments: By name, not yet validated.
+        start: Index in the response where the call begins.
+        end: Index behind its last character.
+        error: Why it cannot be read; None for a complete call.
+    """
+
+    name: str
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    start: int = 0
+    end: int = 0
+    error: str | None = None
+
+
+@dataclass(frozen=True)
+class ToolResult:
+    """What a tool gives back to the agent.
+
+    Args:
+        content: Text or content parts.
+        failed: Whether the call did not do what was asked; the agent reads why in ``content``.
+        info: More for ``info["tool"]``, plain JSON.
+    """
+
+    content: Observation
+    failed: bool = False
+    info: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Tool:
+    """Something that an agent may call.
+
+    A subclass sets the class attributes and overrides ``call``, plain or ``async``::
+
+        class Multiply(Tool):
+            name = "multiply"
+            description = "Multiplies two numbers."
+
+            class Parameters(pydantic.BaseModel):
+                left: float
+                right: float
+
+            def call(self, arguments, session):
+                return str(arguments.left * arguments.right)
+
+    A tool with one text parameter is also called by a tag, ``<name>…</name>``, or by a fenced block in one of
+    ``fences``. State that belongs to an episode is a *session*: override ``open`` and ``close``.
+    """
+
+    name: ClassVar[str]
+    description: ClassVar[str] = ""
+    fences: ClassVar[tuple[str, ...]] = ()
+    """Languages of fenced blocks that are calls of this tool."""
+
+    concurrency: Concurrency = "thread"
+    """What a call needs: ``"inline"`` for microseconds of pure Python, ``"thread"`` when it blocks."""
+
+    class Parameters(pydantic.BaseModel):
+        """The arguments of a call; every subclass defines its own."""
+
+    def call(self, arguments: Any, session: Any) -> ToolResult | Observation | Awaitable[ToolResult | Observation]:
+        """Do what was asked.
+
+        Args:
+            arguments: A valid instance of ``Parameters``.
+            session: What ``open`` returned for this episode.
+
+        Returns:
+            A result, or just its content. An exception is shown to the agent as a failed call.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must define call(self, arguments, session)")
+
+    def open(self) -> Any:
+        """Return a new session; called before the first call of an episode. May be a coroutine."""
+        return None
+
+    def close(self, session: Any) -> Any:
+        """Release a session. May be a coroutine."""
+        return None
+
+    def get_session_state(self, session: Any) -> Any:
+        """Return a session as plain data; a tool without sessions has none to save."""
+        if session is None:
+            return None
+        raise StateNotSupported(f"the tool {self.name!r} cannot save its session")
+
+    def set_session_state(self, state: Any) -> Any:
+        """Return a session from what ``get_session_state`` returned."""
+        return None
+
+    @property
+    def text_parameter(self) -> str | None:
+        """The parameter that a tag or a fenced block fills; None where the tool has not exactly one of text."""
+        fields = self.Parameters.model_fields
+        required = [name for name, info in fields.items() if info.is_required()]
+        names = required or list(fields)
+        return names[0] if len(names) == 1 and fields[names[0]].annotation is str else None
+
+    def parse(self, action: str, *, fences: bool = True) -> ToolCall | None:
+        """Find the first call of this tool in its text forms.
+
+        Args:
+            action: The response.
+            fences: Whether fenced blocks are calls; not where they are the task's answers.
+
+        Returns:
+            The first complete call; else the first that is begun and not complete, with its ``error``; else None.
+        """
+        parameter = self.text_parameter
+        if parameter is None:
+            return None
+        found = [self._tagged(action, parameter)]
+        if fences and self.fences:
+            found.append(self._fenced(action, parameter))
+        return first_call(found)
+
+    def schema(self) -> dict[str, Any]:
+        """Return the tool as the OpenAI chat API describes functions."""
+        parameters = self.Parameters.model_json_schema()
+        parameters.pop("title", None)
+        parameters.pop("description", None)
+        function = {"name": self.name, "description": self.description, "parameters": parameters}
+        return {"type": "function", "function": function}
+
+    def instructions(self) -> str:
+        """Return a line that tells an agent how to call this tool in its text."""
+        if self.text_parameter is not None:
+            forms = [f"<{self.name}>{self.text_parameter}</{self.name}>"]
+            forms += [f"a fenced block marked {language}" for language in self.fences[:1]]
+            how = " or ".join(forms)
+        else:
+            example = {name: _placeholder(info) for name, info in self.Parameters.model_fields.items()}
+            how = f"{CALL_OPEN}{json.dumps({'name': self.name, 'arguments': example})}{CALL_CLOSE}"
+        return f"- {self.name}: {self.description} Call it with {how}".replace(": . ", ": ")
+
+    def _tagged(self, action: str, parameter: str) -> ToolCall | None:
+        opening, closing = f"<{self.name}>", f"</{self.name}>"
+        start = action.find(opening)
+        if start < 0:
+            return None
+        content = start + len(opening)
+        end = action.find(closing, content)
+        if end < 0:
+            return ToolCall(self.name, start=start, error=f"{opening} is never closed by {closing}")
+        return ToolCall(self.name, {parameter: action[content:end].strip("\r\n")}, start, end + len(closing))
+
+    def _fenced(self, action: str, parameter: str) -> ToolCall | None:
+        for block in extract_code_blocks(action, *self.fences):
+            return ToolCall(self.name, {parameter: block.code}, block.start, block.end)
+        block_or_none = unclosed_code_block(action, *self.fences)
+        if block_or_none is None:
+            return None
+        return ToolCall(self.name, start=block_or_none.start, error="the fenced block is never closed")
+
+
+def first_call(calls: Sequence[ToolCall | None]) -> ToolCall | None:
+    """Return the complete call that begins first; without a complete one, the incomplete one that does."""
+    found = [call for call in calls if call is not None]
+    complete = [call for call in found if call.error is None]
+    return min(complete or found, key=lambda call: call.start, default=None)
+
+
+def _placeholder(info: pydantic.fields.FieldInfo) -> str:
+    return "…" if info.description is None else info.description
