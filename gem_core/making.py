@@ -26,6 +26,8 @@ Wrappers = str | Sequence[WrapperChoice]
 LookUp = Callable[[str], NamedSpec]
 """Finds the record of a wrapper or tool by name."""
 
+_ABSENT = object()
+
 
 @dataclasses.dataclass
 class MadeSpec(GymnasiumSpec):
@@ -48,6 +50,11 @@ class MadeSpec(GymnasiumSpec):
         from gem_core.registry import registry
 
         return make_from(cast("EnvSpec", self.record), {**self.kwargs, **kwargs}, self.wrappers, registry().wrapper)
+
+    def overrides(self) -> dict[str, Any]:
+        """Return the keyword arguments that differ from the registered ones."""
+        registered = cast("EnvSpec", self.record).kwargs
+        return {name: value for name, value in self.kwargs.items() if registered.get(name, _ABSENT) is not value}
 
     def with_kwargs(self, overrides: Mapping[str, Any]) -> MadeSpec:
         """Return a copy whose keyword arguments are changed."""

@@ -58,6 +58,7 @@ class Registry:
         # One space of names each for wrappers together with tools, and for every other kind.
         self._named: dict[str, dict[str, NamedSpec]] = {}
         self._owners: dict[tuple[str, str], str] = {}
+        self._providers: dict[str, Plugin] = {}
         self._contested: dict[tuple[str, str], str] = {}
 
     # Looking up.
@@ -98,6 +99,11 @@ class Registry:
     def agent(self, name: str) -> AgentSpec:
         """Return the record of an agent."""
         return self._find("agent", name, UnknownAgentError)  # type: ignore[return-value]
+
+    def provider(self, env_id: str) -> Plugin | None:
+        """Return the plugin that offers an environment; None for one that the program registered itself."""
+        self.load()
+        return self._providers.get(env_id)
 
     def plugin(self, name: str) -> Plugin:
         """Return a plugin by the name of its entry point, or of its distribution."""
@@ -185,6 +191,7 @@ class Registry:
             self._owners[space, name] = str(plugin)
             if isinstance(record, EnvSpec):
                 self._envs[name] = record
+                self._providers[name] = plugin
             else:
                 self._named.setdefault(space, {})[name] = record
 

@@ -1,0 +1,128 @@
+"""What an agent is given, and how any callable becomes one."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import sys
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gem_core.episodes import Transition
+from gem_core.errors import AgentError, UnknownAgentError
+from gem_core.specs import AgentSpec
+from gem_core.suggestions import did_you_mean
+from gem_core.types import Info, Observation, Response
+
+
+@dataclass
+class Context:
+    """What an agent may know besides the observation.
+
+    Args:
+        episode: Id of the episode in its run: the item's place in the plan and the repeat, as ``"12.0"``.
+        env_id: Id of the environment.
+        group: Name that episodes with one start share; None outside groups.
+        turn: Number of turns taken so far.
+        info: What came with the observation.
+        tools: Schemas of the tools, as the OpenAI chat API takes them.
+        transitions: The turns so far, oldest first.
+        deadline: Time on ``time.monotonic()`` by which the answer is wanted; None for none.
+    """
+
+    episode: str
+    env_id: str
+    group: str | None
+    turn: int
+    info: Info
+    tools: list[dict[str, Any]]
+    transitions: list[Transition]
+    deadline: float | None = None
+    _sample: Callable[[], str] = field(default=lambda: "", repr=False)
+
+    @property
+    def responses(self) -> list[Response]:
+        """The earlier responses as they were sampled, so that their tokens are never made anew from text."""
+        return [transition.action for transition in self.transitions]
+
+    def sample_random_action(self) -> str:
+        """Return a valid action, drawn by the environment from a generator of the episode's own."""
+        return self._sample()
+
+
+Answer = str | Awaitable[str]
+Agent = Callable[[Observation, Context], Answer]
+"""Returns a response; plain or a coroutine function. One agent serves many episodes at once."""
+
+
+def as_agent(agent: Any) -> Agent:
+    """Return a callable of (observation, context) for any callable of one or two arguments.
+
+    Raises:
+        AgentError: It cannot be called so.
+    """
+    if isinstance(agent, type):
+        agent = agent()
+    if not callable(agent):
+        raise AgentError(f"an agent is a callable of (observation, context), not {agent!r:.100}")
+    try:
+        signature = inspect.signature(agent)
+    except (TypeError, ValueError):  # a callable of C code may not tell its signature
+        return lambda observation, context: agent(observation)
+    for count in (2, 1):
+        try:
+            signature.bind(*[None] * count)
+        except TypeError:
+            continue
+        return agent if count == 2 else (lambda observation, context: agent(observation))
+    raise AgentError(f"an agent takes (observation, context) or (observation), and {agent!r:.100} takes {signature}")
+
+
+def load_agent(name: str) -> Agent:
+    """Return the agent of a name: a registered one, or ``MODULE:CALLABLE``.
+
+    What stands behind the colon is the argument of a registered agent; modules are also looked for in the current
+    folder.
+
+    Raises:
+        UnknownAgentError: There is no such agent, module or callable.
+    """
+    from gem_core.making import construct
+    from gem_core.registry import registry
+
+    head, colon, rest = name.partition(":")
+    registered = [record.name for record in registry().named(AgentSpec)]
+    if head in registered:
+        return as_agent(construct(registry().agent(head), *([rest] if colon else [])))
+    if not colon:
+        listed = ", ".join(registered)
+        raise UnknownAgentError(
+            f"no agent {name!r}.{did_you_mean(name, registered)} There are: {listed}; or name one as MODULE:CALLABLE"
+        )
+    return as_agent(_imported(name, head, rest, registered))
+
+
+def _imported(name: str, module_name: str, path: str, registered: list[str]) -> Any:
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.insert(0, here)
+    try:
+        target: Any = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name and (module_name == error.name or module_name.startswith(f"{error.name}.")):
+            hint = did_you_mean(module_name, registered)
+            raise UnknownAgentError(
+                f"no agent {name!r}: there is no agent and no module {module_name!r}.{hint} "
+                f"Agents: {', '.join(registered)}"
+            ) from None
+        raise AgentError(f"the module {module_name!r} needs {error.name!r}, which is not installed") from error
+    except (ImportError, SyntaxError, ValueError) as error:
+        raise AgentError(f"importing the module {module_name!r} failed: {type(error).__name__}: {error}") from error
+    for part in path.split("."):
+        if not hasattr(target, part):
+            names = [found for found in vars(target) if not found.startswith("_")]
+            raise UnknownAgentError(f"no agent {name!r}: {module_name!r} has no {part!r}.{did_you_mean(part, names)}")
+        target = getattr(target, part)
+    return target

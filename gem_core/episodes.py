@@ -1,0 +1,306 @@
+"""Records of what happened: transitions, episodes, and the files that hold them.
+
+A file has one JSON object on each line. Images are side files in a folder beside it, named by the hash of what they
+show.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, cast
+
+from gem_core.errors import EpisodeFileError
+from gem_core.jsonable import ImageFolder, from_plain, to_plain
+from gem_core.types import Info, Observation, Response
+
+SCHEMA_VERSION = 1
+
+_LONG_ARGUMENT = 2000
+
+
+class EpisodeFileWarning(UserWarning):
+    """A line of a file of episodes was passed over; the message says which and why."""
+
+
+@dataclass
+class Transition:
+    """One turn.
+
+    Args:
+        observation: What was answered.
+        action: The response, to the letter.
+        reward: Reward of this turn.
+        terminated: Whether the task was over with it.
+        truncated: Whether the episode was cut off after it.
+        info: What ``step`` returned.
+    """
+
+    observation: Observation
+    action: Response
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: Info
+
+
+@dataclass(eq=False)
+class Episode:
+    """All of one episode, and what it started from: enough to replay it.
+
+    Args:
+        id: Id of the environment, or the name of its class.
+        seed: Seed of the episode.
+        observation: The first observation.
+        info: What ``reset`` returned.
+        transitions: The turns in order; none where the reset failed.
+        final_observation: What the last step returned.
+        kwargs: Keyword arguments of the environment over the registered ones. In a file, those that are long, as the
+            rows of a data set, are left out.
+        wrappers: Names and options of its wrappers, innermost first.
+        tools: Names of its tools.
+        options: What was passed to ``reset``.
+        group: Shared by episodes that started alike.
+        key: The item's place in the plan.
+        repeat: Which of the item's episodes it is, from 0.
+        versions: Version of each distribution that took part.
+        schema_version: Version of this record's form.
+    """
+
+    id: str
+    seed: int | None
+    observation: Observation
+    info: Info
+    transitions: list[Transition] = field(default_factory=list)
+    final_observation: Observation = ""
+    kwargs: Mapping[str, Any] = field(default_factory=dict)
+    wrappers: list[Any] = field(default_factory=list)
+    tools: list[str] = field(default_factory=list)
+    options: Mapping[str, Any] | None = None
+    group: str | None = None
+    key: str = "0"
+    repeat: int = 0
+    versions: dict[str, str] = field(default_factory=dict)
+    schema_version: int = SCHEMA_VERSION
+
+    @property
+    def final_info(self) -> Info:
+        """The info of the last step, or of the reset where there was none."""
+        return self.transitions[-1].info if self.transitions else self.info
+
+    @property
+    def turns(self) -> int:
+        """Number of turns."""
+        return len(self.transitions)
+
+    @property
+    def episode_return(self) -> float:
+        """Sum of the rewards, undiscounted."""
+        return sum(transition.reward for transition in self.transitions)
+
+    @property
+    def success(self) -> bool | None:
+        """Whether the task was solved, as ``info["correct"]`` says at the end; None where it does not say."""
+        correct = self.final_info.get("correct")
+        return None if correct is None or self.error is not None else bool(correct)
+
+    @property
+    def error(self) -> dict[str, Any] | None:
+        """What failed in the machinery, whatever the agent did; None for an episode that counts."""
+        error = self.final_info.get("error")
+        return error if error is None or isinstance(error, dict) else {"kind": "unknown", "message": str(error)}
+
+    def to_dict(self, images: ImageFolder | None = None) -> dict[str, Any]:
+        """Return the episode as plain JSON.
+
+        Args:
+            images: Where images are written; None leaves their content out.
+        """
+        record = {name: to_plain(value, images) for name, value in vars(self).items() if name != "transitions"}
+        record["kwargs"] = {
+            name: value for name, value in record["kwargs"].items() if len(str(value)) <= _LONG_ARGUMENT
+        }
+        record["transitions"] = [
+            {
+                "observation": to_plain(turn.observation, images),
+                "action": {"text": turn.action.text, **to_plain(turn.action.reported(), images)},
+                "reward": turn.reward,
+                "terminated": turn.terminated,
+                "truncated": turn.truncated,
+                "info": to_plain(turn.info, images),
+            }
+            for turn in self.transitions
+        ]
+        return record
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any], images: ImageFolder | None = None) -> Episode:
+        """Return the episode that ``to_dict`` wrote.
+
+        Raises:
+            EpisodeFileError: It is no record of an episode, or of a later form than this version reads.
+        """
+        version = record.get("schema_version") if isinstance(record, Mapping) else None
+        if not isinstance(version, int) or version < 1:
+            raise EpisodeFileError("it is no record of an episode: there is no schema_version")
+        if version > SCHEMA_VERSION:
+            raise EpisodeFileError(f"it has form {version}, and this version reads {SCHEMA_VERSION}; upgrade gem-core")
+        try:
+            turns = [_transition(turn, images) for turn in record["transitions"]]
+            fields = {name: from_plain(record[name], images) for name in _FIELDS if name in record}
+            episode = cls(**fields, transitions=turns)
+        except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+            raise EpisodeFileError(f"the record of an episode is damaged ({type(error).__name__}: {error})") from error
+        episode._check()
+        return episode
+
+    def _check(self) -> None:
+        for name, types in (("id", str), ("info", dict), ("observation", (str, list)), ("kwargs", dict)):
+            if not isinstance(getattr(self, name), cast("type", types)):
+                raise EpisodeFileError(f"the record of an episode is damaged: {name} is {getattr(self, name)!r:.100}")
+
+    def __eq__(self, other: object) -> bool:
+        """Compare all but durations (``info["episode"]["t"]``)."""
+        if not isinstance(other, Episode):
+            return NotImplemented
+        return bool(_without_durations(self.to_dict()) == _without_durations(other.to_dict()))
+
+    __hash__ = None  # type: ignore[assignment]  # records are mutable
+
+
+_FIELDS = tuple(name for name in Episode.__dataclass_fields__ if name != "transitions")
+
+
+class EpisodeWriter:
+    """Writes episodes to a file as they finish, each line at once.
+
+    Args:
+        path: The file; folders above it are made.
+        append: Go on behind what is there, instead of writing the file anew.
+
+    Raises:
+        EpisodeFileError: The file cannot be written.
+    """
+
+    def __init__(self, path: str | Path, *, append: bool = False) -> None:
+        self.path = Path(path)
+        self.count = 0
+        self._images = ImageFolder.beside(self.path)
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            torn = append and _is_torn(self.path)
+            # Without a buffer: a line is one system call, which Ctrl-C cannot cut in two.
+            self._file = self.path.open("ab" if append else "wb", buffering=0)
+        except OSError as error:
+            raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
+        if torn:
+            self._write(b"\n")
+
+    def write(self, episode: Episode) -> None:
+        """Write one episode."""
+        # ASCII only: text of a model may hold lone surrogates, which UTF-8 cannot.
+        try:
+            record = episode.to_dict(self._images)
+        except OSError as error:
+            raise EpisodeFileError(f"cannot write the images of {self.path}: {error.strerror or error}") from error
+        line = json.dumps(record, ensure_ascii=True, allow_nan=False)
+        self._write(line.encode("ascii") + b"\n")
+        self.count += 1
+
+    def _write(self, data: bytes) -> None:
+        try:
+            while data:
+                data = data[self._file.write(data) :]
+        except OSError as error:
+            raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
+
+    def close(self) -> None:
+        """Close the file; calling it again does nothing."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def write_episodes(path: str | Path, episodes: Iterable[Episode], *, append: bool = False) -> int:
+    """Write episodes to a file and return their number; see ``EpisodeWriter``."""
+    with EpisodeWriter(path, append=append) as writer:
+        for episode in episodes:
+            writer.write(episode)
+        return writer.count
+
+
+def read_episodes(path: str | Path) -> Iterator[Episode]:
+    """Yield the whole episodes of a file, one at a time.
+
+    A line that is cut off or damaged is passed over, with an ``EpisodeFileWarning`` that names it.
+
+    Raises:
+        EpisodeFileError: The file cannot be read.
+    """
+    path = Path(path)
+    images = ImageFolder.beside(path)
+    try:
+        file = path.open("rb")
+    except OSError as error:
+        raise EpisodeFileError(f"cannot read {path}: {error.strerror or error}") from error
+    with file:
+        for number, line in enumerate(file, start=1):
+            if not line.strip():
+                continue
+            try:
+                yield Episode.from_dict(_parsed(line), images)
+            except EpisodeFileError as error:
+                cut = "" if line.endswith(b"\n") else " The line is cut off: the writer was interrupted."
+                warnings.warn(
+                    f"{path}, line {number}: passed over, because {error}.{cut}", EpisodeFileWarning, stacklevel=2
+                )
+
+
+def _parsed(line: bytes) -> Any:
+    try:
+        return json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise EpisodeFileError(f"it is no valid JSON ({error})") from error
+
+
+def _transition(record: Mapping[str, Any], images: ImageFolder | None) -> Transition:
+    action = dict(record["action"])
+    return Transition(
+        observation=from_plain(record["observation"], images),
+        action=Response(action.pop("text"), **action),
+        reward=float(record["reward"]),
+        terminated=bool(record["terminated"]),
+        truncated=bool(record["truncated"]),
+        info=from_plain(record["info"], images),
+    )
+
+
+def _is_torn(path: Path) -> bool:
+    if not path.exists() or path.stat().st_size == 0:
+        return False
+    with path.open("rb") as file:
+        file.seek(-1, 2)
+        return file.read(1) != b"\n"
+
+
+def _without_durations(record: Any) -> Any:
+    if isinstance(record, dict):
+        return {
+            key: {name: part for name, part in value.items() if name != "t"}
+            if key == "episode" and isinstance(value, dict)
+            else _without_durations(value)
+            for key, value in record.items()
+        }
+    if isinstance(record, list):
+        return [_without_durations(value) for value in record]
+    return record

@@ -1,0 +1,119 @@
+"""Any value as plain JSON, with images as side files, so that writing a record never fails in the middle of a run."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from gem_core.errors import EpisodeFileError
+
+_IMAGE_KEY = "__image__"
+_IMAGE_NAME = re.compile(r"[0-9a-f]{64}\.(png|tiff)", re.ASCII)
+_PNG_MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I;16")
+_MAX_DEPTH = 100
+
+
+class ImageFolder:
+    """A folder of images, each in a file named by the hash of what it shows.
+
+    Args:
+        path: The folder; it is made when the first image is written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @classmethod
+    def beside(cls, file: Path) -> Self:
+        """Return the folder that belongs to a file of episodes: ``run.images`` for ``run.jsonl``."""
+        return cls(file.with_suffix(".images"))
+
+    def write(self, image: Any) -> str:
+        """Write a PIL image, unless it is there already, and return its file name. Nothing is lost."""
+        name = image_name(image)
+        target = self.path / name
+        if not target.exists():
+            buffer = io.BytesIO()
+            image.save(buffer, format="PNG" if name.endswith(".png") else "TIFF")
+            self.path.mkdir(parents=True, exist_ok=True)
+            partial = target.with_suffix(".partial")
+            partial.write_bytes(buffer.getvalue())
+            partial.replace(target)
+        return name
+
+    def read(self, name: object) -> Any:
+        """Return the PIL image of that name.
+
+        Raises:
+            EpisodeFileError: The name is none of ours, the file is missing or damaged, or Pillow is not installed.
+        """
+        if not isinstance(name, str) or not _IMAGE_NAME.fullmatch(name):
+            raise EpisodeFileError(f"{name!r:.100} is not the name of an image file")
+        try:
+            from PIL import Image
+        except ModuleNotFoundError as error:
+            raise EpisodeFileError("reading images needs Pillow: 'pip install gem-core[images]'") from error
+        try:
+            with Image.open(self.path / name, formats=("PNG", "TIFF")) as image:
+                image.load()
+                return image.copy()
+        except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+            raise EpisodeFileError(f"image {name} cannot be read: {error}") from error
+
+
+def image_name(image: Any) -> str:
+    """Return the file name of a PIL image: the SHA-256 of mode, size, palette and pixels."""
+    digest = hashlib.sha256(f"{image.mode} {image.size}".encode())
+    palette = image.getpalette() if image.mode == "P" else None
+    digest.update(repr(palette).encode())
+    digest.update(image.tobytes())
+    return f"{digest.hexdigest()}.{'png' if image.mode in _PNG_MODES else 'tiff'}"
+
+
+def to_plain(value: Any, images: ImageFolder | None = None, depth: int = 0) -> Any:
+    """Return a value as plain JSON.
+
+    Tuples and arrays become lists, numbers that are not finite their names, and what JSON does not know its ``repr``.
+
+    Args:
+        value: Anything.
+        images: Where images go; None keeps only their hash.
+        depth: How deep inside the value it stands.
+    """
+    if value is None or isinstance(value, bool | int):
+        return value
+    if isinstance(value, str):
+        return str.__str__(value)
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else repr(float(value))
+    if depth > _MAX_DEPTH:
+        return f"<nested over {_MAX_DEPTH} deep>"
+    if isinstance(value, Mapping):
+        return {str(key): to_plain(part, images, depth + 1) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [to_plain(part, images, depth + 1) for part in value]
+    if isinstance(value, set | frozenset):
+        return sorted((to_plain(part, images, depth + 1) for part in value), key=repr)
+    if isinstance(value, np.ndarray | np.generic):
+        return to_plain(value.tolist(), images, depth + 1)
+    if hasattr(value, "tobytes") and hasattr(value, "mode") and hasattr(value, "size"):
+        return {_IMAGE_KEY: image_name(value) if images is None else images.write(value)}
+    return repr(value)[:1000]
+
+
+def from_plain(value: Any, images: ImageFolder | None = None) -> Any:
+    """Return what ``to_plain`` was given, images read from their files."""
+    if isinstance(value, dict):
+        if images is not None and set(value) == {_IMAGE_KEY}:
+            return images.read(value[_IMAGE_KEY])
+        return {key: from_plain(part, images) for key, part in value.items()}
+    if isinstance(value, list):
+        return [from_plain(part, images) for part in value]
+    return value

@@ -1,0 +1,156 @@
+"""Plans: what episodes start from, fixed before the first of them begins.
+
+All slots of a vector environment draw from one plan. So a data set is covered exactly, a mixture has exact
+proportions, a group of episodes shares one start, and a run gives the same episodes whatever the number of slots.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+from gem_core.errors import ArgumentError
+from gem_core.seeding import fresh_seed, stable_hash
+
+
+@dataclass(frozen=True)
+class PlanItem:
+    """What one episode starts from, or a group of them.
+
+    Args:
+        id: Id of the environment; None for the slot's own.
+        seed: Seed of the episode; None makes it from the run's seed and the item's place in the plan.
+        options: Passed to ``reset``, as ``{"index": 3}`` for a row of a data set.
+        kwargs: Keyword arguments of the environment, over those of the run.
+        group: Name that the episodes of a group share in ``info["group"]``; by default the item's place in the plan
+            where ``repeat`` is over 1.
+        repeat: Number of episodes that start alike.
+    """
+
+    id: str | None = None
+    seed: int | None = None
+    options: Mapping[str, Any] | None = None
+    kwargs: Mapping[str, Any] = field(default_factory=dict)
+    group: str | None = None
+    repeat: int = 1
+
+
+class Draw(NamedTuple):
+    """One episode of a plan, as a slot draws it.
+
+    Args:
+        item: What it starts from, with the group filled in.
+        key: The item's place in the plan; without a plan, ``"slot.count"``.
+        repeat: Which of the item's episodes it is, from 0.
+        seed: Seed of the episode, shared by the item's repeats.
+        action_seed: Seed of ``sample_random_action``, different for each repeat.
+    """
+
+    item: PlanItem
+    key: str
+    repeat: int
+    seed: int
+    action_seed: int
+
+
+class DrawSource:
+    """Hands out draws to slots; safe to call from several threads.
+
+    Args:
+        plan: Items in order, finite or not; None for an endless one in which every slot goes on by itself.
+        seed: Seed of the run; None draws one.
+    """
+
+    def __init__(self, plan: Iterable[PlanItem] | None, seed: int | None) -> None:
+        self.seed = fresh_seed() if seed is None else seed
+        self.planned = plan is not None
+        self._lock = threading.Lock()
+        self._draws = iter(()) if plan is None else self._expanded(plan)
+        self._counts: dict[int, int] = {}
+
+    def draw(self, slot: int) -> Draw | None:
+        """Return what the next episode of a slot starts from; None when the plan is exhausted."""
+        with self._lock:
+            if self.planned:
+                return next(self._draws, None)
+            count = self._counts.get(slot, 0)
+            self._counts[slot] = count + 1
+            return self._made(PlanItem(), f"{slot}.{count}", 0, (slot, count))
+
+    def _expanded(self, plan: Iterable[PlanItem]) -> Iterator[Draw]:
+        for index, item in enumerate(plan):
+            if not isinstance(item, PlanItem):
+                raise ArgumentError(f"a plan yields PlanItem records, and item {index} is {item!r}")
+            if item.repeat < 1:
+                raise ArgumentError(f"repeat must be a positive whole number, not {item.repeat!r} (plan item {index})")
+            if item.repeat > 1 and item.group is None:
+                item = replace(item, group=str(index))
+            for repeat in range(item.repeat):
+                yield self._made(item, str(index), repeat, (index,))
+
+    def _made(self, item: PlanItem, key: str, repeat: int, parts: tuple[int, ...]) -> Draw:
+        seed = stable_hash(self.seed, "episode", *parts) if item.seed is None else item.seed
+        return Draw(item, key, repeat, seed, stable_hash(self.seed, "actions", *parts, repeat))
+
+
+def count_plan(ids: Iterable[str | None], episodes: int) -> list[PlanItem]:
+    """Return a plan of so many episodes for each id, taking the ids in turn.
+
+    Args:
+        ids: Environments; None for the slot's own.
+        episodes: Number of episodes for each.
+    """
+    if episodes < 0:
+        raise ArgumentError(f"episodes must be a whole number from 0 up, not {episodes!r}")
+    ids = list(ids)
+    return [PlanItem(id=env_id) for _ in range(episodes) for env_id in ids]
+
+
+def cover_plan(env_id: str | None, num_tasks: int, *, episodes: int | None = None) -> list[PlanItem]:
+    """Return a plan that takes the rows of a data set in order.
+
+    Args:
+        env_id: The environment; None for the slot's own.
+        num_tasks: Number of rows.
+        episodes: Number of episodes: the first rows, or the rows over again; None for each row once.
+    """
+    count = num_tasks if episodes is None else episodes
+    return [PlanItem(id=env_id, options={"index": index % num_tasks}) for index in range(count)]
+
+
+def mixture_plan(weights: Mapping[str, float], episodes: int) -> list[PlanItem]:
+    """Return a plan in which environments have exact proportions, evenly spread.
+
+    After any number of episodes, each environment's count is within one of its share of them.
+
+    Args:
+        weights: A positive weight for each id.
+        episodes: Number of episodes in all.
+
+    Source: the quota of the Balinski-Young apportionment keeps counts within one of their share.
+    """
+    total = sum(weights.values())
+    if not weights or any(not weight > 0 for weight in weights.values()):
+        raise ArgumentError(f"a mixture needs positive weights, not {dict(weights)!r}")
+    counts = dict.fromkeys(weights, 0)
+    plan: list[PlanItem] = []
+    for number in range(1, episodes + 1):
+        # Among those that stay within their share rounded up, the one whose next episode is due first.
+        allowed = [env_id for env_id in weights if counts[env_id] < number * weights[env_id] / total]
+        chosen = min(allowed, key=lambda env_id: (counts[env_id] + 1) * total / weights[env_id])
+        counts[chosen] += 1
+        plan.append(PlanItem(id=chosen))
+    return plan
+
+
+def group_plan(plan: Iterable[PlanItem], size: int) -> Iterator[PlanItem]:
+    """Yield each item of a plan as a group of ``size`` episodes that start alike, as GRPO needs them.
+
+    Source: group-relative advantages, arXiv:2402.03300.
+    """
+    if size < 1:
+        raise ArgumentError(f"a group has a positive number of episodes, not {size!r}")
+    for item in plan:
+        yield replace(item, repeat=size)
