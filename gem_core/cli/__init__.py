@@ -1,0 +1,132 @@
+"""The command ``gem``: one file for each subcommand, loaded only when it is called."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+import click
+
+from gem_core import __version__
+from gem_core.errors import GemError
+from gem_core.suggestions import did_you_mean
+
+# Name, module and help of each subcommand, so that `gem --help` imports none of them.
+_COMMANDS = {
+    "list": ("gem_core.cli.list", "List the environments that can be made."),
+    "info": ("gem_core.cli.info", "Describe one environment."),
+    "run": ("gem_core.cli.run", "Let an agent act in environments and record its episodes."),
+    "plugins": ("gem_core.cli.plugins", "List the installed plugins, and what is wrong with them."),
+}
+
+_EPILOG = """\b
+Examples:
+  gem list 'game:*-easy'
+  gem info game:Mastermind-v0-hard
+  gem run game:GuessTheNumber-v0 --agent bisect --episodes 50
+  gem run 'game:*' --agent my_module:my_agent --num-envs 16 --out runs/mine.jsonl
+"""
+
+INTERRUPTED = 130
+
+
+class _Commands(click.Group):
+    """Finds subcommands by name, the core's first, then those of plugins."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return [*_COMMANDS, *(name for name in _plugin_commands() if name not in _COMMANDS)]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name in _COMMANDS:
+            command: click.Command = importlib.import_module(_COMMANDS[cmd_name][0]).command
+            return command
+        record = _plugin_commands().get(cmd_name)
+        if record is None:
+            return None
+        from gem_core.making import load_entry_point
+
+        loaded = load_entry_point(record.entry_point, f"command {cmd_name!r}")
+        if not isinstance(loaded, click.Command):
+            raise click.ClickException(f"the command {cmd_name!r} of a plugin is a {type(loaded).__name__}")
+        return loaded
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
+            names = self.list_commands(ctx)
+            raise click.UsageError(
+                f"no command {args[0]!r}.{did_you_mean(args[0], names)} There are: {', '.join(names)}"
+            )
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        rows = [(name, summary) for name, (_, summary) in _COMMANDS.items()]
+        rows += [(name, record.summary) for name, record in _plugin_commands().items() if name not in _COMMANDS]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+
+@click.command(
+    cls=_Commands,
+    epilog=_EPILOG,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+@click.version_option(__version__, prog_name="gem-core", message="%(prog)s %(version)s")
+@click.option("--traceback", is_flag=True, help="Show the whole traceback of an error. Stands before the command.")
+def cli(traceback: bool) -> None:
+    """GEM: a gym for language-model agents."""
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run the command and exit: 0 on success, 2 for what was asked wrongly, 130 after Ctrl-C, 1 for the rest."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    with_traceback = "--traceback" in arguments
+    arguments = [argument for argument in arguments if argument != "--traceback"]
+    try:
+        code = cli.main(list(arguments), prog_name="gem", standalone_mode=False)
+        sys.stdout.flush()
+    except click.ClickException as error:
+        _complain(_click_message(error))
+        code = error.exit_code
+    except (KeyboardInterrupt, click.Abort):
+        _complain("interrupted")
+        code = INTERRUPTED
+    except BrokenPipeError:
+        # The reader has seen enough, as with `gem list | head`; what is buffered must not be written at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    except GemError as error:
+        if with_traceback:
+            raise
+        _complain(str(error))
+        code = error.exit_code
+    except Exception as error:
+        if with_traceback:
+            raise
+        _complain(f"{type(error).__name__}: {error}. Run 'gem --traceback …' for the whole")
+        code = 1
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _complain(message: str) -> None:
+    line = " ".join(message.split())
+    click.echo(f"gem: {line}", err=True)
+
+
+def _click_message(error: click.ClickException) -> str:
+    message = error.format_message()
+    context = getattr(error, "ctx", None)
+    if isinstance(error, click.UsageError) and context is not None:
+        message = f"{message.rstrip('.')}. Run '{context.command_path} --help'"
+    return message
+
+
+def _plugin_commands() -> dict[str, Any]:
+    from gem_core.registry import registry
+    from gem_core.specs import CommandSpec
+
+    return {record.name: record for record in registry().named(CommandSpec)}

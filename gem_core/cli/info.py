@@ -1,0 +1,73 @@
+"""``gem info``: one environment described."""
+
+from __future__ import annotations
+
+import inspect
+import json
+
+import click
+
+from gem_core.cli.list import described
+from gem_core.registry import registry
+from gem_core.requirements import unmet
+from gem_core.specs import EnvSpec
+
+
+@click.command(
+    "info",
+    epilog="""\b
+Examples:
+  gem info game:GuessTheNumber-v0
+  gem info game:Mastermind-v0-hard --json
+""",
+)
+@click.argument("env_id", metavar="ID")
+@click.option("--json", "as_json", is_flag=True, help="Write one JSON object.")
+def command(env_id: str, as_json: bool) -> None:
+    """Describe one environment: its task, its arguments, what it needs, and what an agent sees first."""
+    record = registry().env(env_id)
+    facts = described(record)
+    missing = unmet(record.requires)
+    if as_json:
+        click.echo(json.dumps({**facts, "unmet": missing}, indent=1))
+        return
+    click.echo(click.style(record.id, bold=True) + (f" · {record.summary}" if record.summary else ""))
+    for label, value in _lines(record, facts):
+        click.echo(f"  {label + ':':<14}{value}")
+    for advice in missing.values():
+        click.echo(f"  {'missing:':<14}{advice}")
+    if not missing:
+        _print_class(record)
+
+
+def _lines(record: EnvSpec, facts: dict[str, object]) -> list[tuple[str, str]]:
+    arguments = ", ".join(f"{key}={value!r}" for key, value in record.kwargs.items())
+    lines = [
+        ("turn limit", "none" if record.turn_limit is None else str(record.turn_limit)),
+        ("arguments", arguments or "none"),
+        ("tags", ", ".join(record.tags)),
+        ("requires", ", ".join(record.requires) or "nothing more"),
+        ("repeatable", "yes, by seed and actions" if record.deterministic else "no"),
+        ("offered by", str(facts["distribution"] or "this program")),
+        ("entry point", str(facts["entry_point"])),
+    ]
+    return [(label, value) for label, value in lines if value]
+
+
+def _print_class(record: EnvSpec) -> None:
+    from gem_core.making import load_entry_point
+    from gem_core.registry import make
+
+    maker = load_entry_point(record.entry_point, f"environment {record.id!r}")
+    accepted = [str(parameter) for parameter in inspect.signature(maker).parameters.values()]
+    click.echo(f"  {'accepts:':<14}{', '.join(accepted) or 'no arguments'}")
+    documented = inspect.getdoc(maker)
+    if documented:
+        click.echo("\n" + documented)
+    env = make(record)
+    try:
+        observation, _ = env.reset(seed=0)
+    finally:
+        env.close()
+    click.echo(click.style("\nThe first observation, with seed 0:", bold=True))
+    click.echo(observation if isinstance(observation, str) else json.dumps(observation, default=repr, indent=1))

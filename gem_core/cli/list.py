@@ -1,0 +1,79 @@
+"""``gem list``: the environments that can be made."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+
+import click
+
+from gem_core.errors import UnknownEnvError
+from gem_core.registry import registry
+from gem_core.specs import EnvSpec
+from gem_core.suggestions import did_you_mean
+
+
+@click.command(
+    "list",
+    epilog="""\b
+Examples:
+  gem list
+  gem list game
+  gem list '*-easy'
+  gem list --json | python -m json.tool
+""",
+)
+@click.argument("pattern", required=False)
+@click.option("--json", "as_json", is_flag=True, help="Write one JSON list, with all that is known of each.")
+def command(pattern: str | None, as_json: bool) -> None:
+    """List the environments that can be made.
+
+    PATTERN is a namespace, a part of an id, or a glob in quotes.
+    """
+    records = registry().envs(pattern)
+    if pattern is not None and not records:
+        names = [record.id for record in registry().envs()]
+        namespaces = sorted({record.namespace for record in registry().envs()})
+        raise UnknownEnvError(
+            f"no environment matches {pattern!r}.{did_you_mean(pattern, [*namespaces, *names])} "
+            f"Namespaces: {', '.join(namespaces) or 'none'}. Run 'gem list'"
+        )
+    if as_json:
+        click.echo(json.dumps([described(record) for record in records], indent=1))
+    elif not records:
+        click.echo("No environments are installed. Try 'pip install gem-games'.")
+    else:
+        _print_columns(records)
+
+
+def described(record: EnvSpec) -> dict[str, object]:
+    """Return what is known of an environment without importing it."""
+    provider = registry().provider(record.id)
+    return {
+        "id": record.id,
+        "summary": record.summary,
+        "kwargs": {key: value if _is_plain(value) else repr(value) for key, value in record.kwargs.items()},
+        "max_turns": record.turn_limit,
+        "tags": list(record.tags),
+        "requires": list(record.requires),
+        "deterministic": record.deterministic,
+        "entry_point": record.entry_point if isinstance(record.entry_point, str) else repr(record.entry_point),
+        "distribution": None if provider is None else provider.distribution,
+    }
+
+
+def _print_columns(records: list[EnvSpec]) -> None:
+    # Plain lines, made without rich: importing it would take longer than all the rest.
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    id_width = max(len(record.id) for record in records)
+    for record in records:
+        needs = f" [needs {', '.join(record.requires)}]" if record.requires else ""
+        rest = f"  {record.summary}{needs}"
+        if width is not None and id_width + len(rest) > width:
+            rest = rest[: max(width - id_width - 1, 0)] + "…"
+        click.echo(f"{click.style(record.id.ljust(id_width), fg='cyan')}{rest}".rstrip())
+
+
+def _is_plain(value: object) -> bool:
+    return value is None or isinstance(value, bool | int | float | str)

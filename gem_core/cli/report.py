@@ -1,0 +1,125 @@
+"""What ``gem run`` shows: progress while it runs, and a table at the end."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+import click
+
+from gem_core.summary import EnvSummary, RunSummary
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as RichProgress
+    from rich.progress import TaskID
+
+_HEADERS = ("environment", "episodes", "success", "mean return", "mean turns", "turns/s", "errors")
+
+_PLAIN_EVERY_S = 10.0
+
+
+class Progress:
+    """Shows how far a run is: a bar in a terminal, else a line now and then, on standard error.
+
+    Args:
+        total: Number of episodes.
+        title: Shown before the bar.
+    """
+
+    def __init__(self, total: int, title: str) -> None:
+        self._total = total
+        self._title = title
+        self._bar: RichProgress | None = None
+        self._task: TaskID | None = None
+        self._last = time.monotonic()
+
+    def __enter__(self) -> Self:
+        if sys.stderr.isatty():
+            self._start_bar()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def advance(self, total: EnvSummary) -> None:
+        """Note that an episode finished; ``total`` is the summary so far."""
+        done = total.episodes + total.errors
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, completed=done, status=_status(total))
+        elif time.monotonic() - self._last > _PLAIN_EVERY_S:
+            self._last = time.monotonic()
+            click.echo(f"gem: {done} of {self._total} episodes, {_status(total)}", err=True)
+
+    def say(self, line: str) -> None:
+        """Write a line above the bar."""
+        click.echo(line, err=True)
+
+    def _start_bar(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as RichProgress
+
+        self._bar = RichProgress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[status]}"),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+        )
+        self._task = self._bar.add_task(self._title, total=self._total, status="")
+        self._bar.start()
+
+
+def print_table(summary: RunSummary, seconds: float) -> None:
+    """Write the table of a run to standard output: drawn in a terminal, in plain columns otherwise."""
+    rows = [_cells(row, seconds) for row in summary.rows()]
+    if sys.stdout.isatty():
+        _print_drawn(rows)
+        return
+    widths = [max(map(len, column)) for column in zip(_HEADERS, *rows, strict=True)]
+    for row in (_HEADERS, *rows):
+        cells = [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
+        click.echo("  ".join(cells))
+
+
+def _print_drawn(rows: list[tuple[str, ...]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table()
+    for header in _HEADERS:
+        table.add_column(header, justify="left" if header == "environment" else "right", no_wrap=True)
+    for row in rows:
+        style = "bold" if row[0] == "all" and len(rows) > 1 else None
+        errors = row[-1] if row[-1] == "0" else f"[red]{row[-1]}[/red]"
+        table.add_row(*row[:-1], errors, style=style)
+    Console().print(table)
+
+
+def _cells(row: EnvSummary, seconds: float) -> tuple[str, ...]:
+    return (
+        row.id,
+        str(row.episodes),
+        _shown(row.success_rate, ".1%"),
+        _shown(row.mean_return, ".3f"),
+        _shown(row.mean_turns, ".1f"),
+        _shown(row.turns / seconds if seconds > 0 else None, ",.0f"),
+        str(row.errors),
+    )
+
+
+def _status(total: EnvSummary) -> str:
+    parts = [f"success {_shown(total.success_rate, '.0%')}", f"return {_shown(total.mean_return, '.2f')}"]
+    if total.errors:
+        parts.append(f"{total.errors} errors")
+    return ", ".join(parts)
+
+
+def _shown(number: float | None, form: str) -> str:
+    return "-" if number is None else format(number, form)

@@ -1,0 +1,138 @@
+"""``gem run``: an agent acts in environments, and its episodes are recorded."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gem_core.agents.base import load_agent
+from gem_core.cli import INTERRUPTED
+from gem_core.cli.report import Progress, print_table
+from gem_core.episodes import Episode, EpisodeWriter
+from gem_core.errors import ArgumentError, FaultBudgetError, UnknownEnvError
+from gem_core.registry import make_vec, registry
+from gem_core.rollouts import default_plan, rollout
+from gem_core.summary import RunSummary
+
+
+@click.command(
+    "run",
+    epilog="""\b
+Examples:
+  gem run game:GuessTheNumber-v0 --agent bisect --episodes 100
+  gem run 'game:*-easy' --agent random --num-envs 16 --seed 7
+  gem run game:Mastermind-v0-easy --agent my_module:my_agent --wrappers concat_with_action
+\b
+An agent is a callable of (observation, context), or of the observation alone, plain or async,
+that returns text:
+  # my_module.py
+  def my_agent(observation, context):
+      return context.sample_random_action()
+\b
+Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument, 130 after Ctrl-C.
+""",
+)
+@click.argument("ids", nargs=-1, required=True, metavar="ID...")
+@click.option("-a", "--agent", default="random", show_default=True, help="A built-in agent, or MODULE:CALLABLE.")
+@click.option(
+    "-n",
+    "--episodes",
+    type=click.IntRange(min=1),
+    help="Episodes of each environment.  [default: each row of a data set once, else 10]",
+)
+@click.option("-k", "--num-envs", type=click.IntRange(min=1), help="Environments at once.  [default: 8, or one per ID]")
+@click.option("-s", "--seed", type=click.IntRange(min=0), help="Seed of the run: the same seed, the same episodes.")
+@click.option("-t", "--max-turns", type=click.IntRange(min=1), help="Truncate an episode after so many turns.")
+@click.option(
+    "-w", "--wrappers", default="", help="Wrappers and tools by name, innermost first: 'concat,episode_stats'."
+)
+@click.option("-o", "--out", type=click.Path(dir_okay=False), help="File of episodes.  [default: runs/TIME-SEED.jsonl]")
+@click.option("--overwrite", is_flag=True, help="Write the file anew if it is there.")
+@click.option("--json", "as_json", is_flag=True, help="Write the table as JSON.")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    ids: tuple[str, ...],
+    agent: str,
+    episodes: int | None,
+    num_envs: int | None,
+    seed: int | None,
+    max_turns: int | None,
+    wrappers: str,
+    out: str | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Let an agent act in environments, and record its episodes.
+
+    Each ID is an environment, or a glob in quotes such as 'game:*'. Prints a table; episodes with an error are counted
+    apart, and are in no mean.
+    """
+    env_ids = _expanded(ids)
+    acting = load_agent(agent)
+    stack: list[Any] = [name.strip() for name in wrappers.split(",") if name.strip()]
+    if max_turns is not None:
+        stack.insert(0, ("turn_limit", {"max_turns": max_turns}))
+    slots = max(num_envs or 8, 1) if num_envs else max(8, len(env_ids))
+    with closing(make_vec(env_ids, slots, wrappers=stack, seed=seed)) as vector:
+        plan = default_plan(vector, episodes)
+        path = _out_path(out, vector.seed, overwrite)
+        summary = RunSummary(env_ids)
+        started = time.perf_counter()
+        code = 0
+        with EpisodeWriter(path) as writer, Progress(len(plan), f"seed {vector.seed}") as progress:
+            finished = rollout(vector, acting, plan=plan)
+            try:
+                _record(finished, writer, summary, progress)
+            except KeyboardInterrupt:
+                code = INTERRUPTED
+            except FaultBudgetError as error:
+                progress.say(f"gem: {error}")
+                code = 1
+        seconds = time.perf_counter() - started
+    if as_json:
+        click.echo(json.dumps({**summary.to_dict(seconds), "seed": vector.seed, "out": str(path)}, indent=1))
+    else:
+        print_table(summary, seconds)
+        click.echo(f"{writer.count} episodes in {seconds:.1f} s (seed {vector.seed}), written to {path}")
+    if summary.first_error is not None:
+        click.echo(f"gem: {summary.total.errors} episodes had an error; the first: {summary.first_error}", err=True)
+        code = code or 1
+    if code == INTERRUPTED:
+        click.echo(f"gem: interrupted after {writer.count} of {len(plan)} episodes", err=True)
+    ctx.exit(code)
+
+
+def _record(finished: Iterator[Episode], writer: EpisodeWriter, summary: RunSummary, progress: Progress) -> None:
+    for episode in finished:
+        writer.write(episode)
+        summary.add(episode)
+        progress.advance(summary.total)
+
+
+def _expanded(ids: tuple[str, ...]) -> list[str]:
+    expanded: dict[str, None] = {}
+    for env_id in ids:
+        if any(character in env_id for character in "*?["):
+            found = [record.id for record in registry().envs(env_id)]
+            if not found:
+                raise UnknownEnvError(f"no environment matches {env_id!r}. Run 'gem list'")
+            expanded.update(dict.fromkeys(found))
+        else:
+            expanded[registry().env(env_id).id] = None
+    return list(expanded)
+
+
+def _out_path(out: str | None, seed: int, overwrite: bool) -> Path:
+    if out is None:
+        return Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{seed}.jsonl"
+    path = Path(out)
+    if path.is_file() and path.stat().st_size and not overwrite:
+        raise ArgumentError(f"{path} is there already; choose another file, or add --overwrite")
+    return path

@@ -1,0 +1,99 @@
+"""What a run amounts to, for each environment and in all."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from gem_core.episodes import Episode
+
+
+@dataclass
+class EnvSummary:
+    """Counts and sums over the episodes of one environment. Episodes with an error count apart, and in nothing else.
+
+    Args:
+        id: The environment; ``"all"`` for the sum of several.
+        episodes: Number of episodes without an error.
+        errors: Number of episodes with one.
+        judged: Number of episodes of which it is known whether they succeeded.
+        successes: Number of those that did.
+        total_return: Sum of their returns.
+        turns: Sum of their turns.
+    """
+
+    id: str
+    episodes: int = 0
+    errors: int = 0
+    judged: int = 0
+    successes: int = 0
+    total_return: float = 0.0
+    turns: int = 0
+
+    def add(self, episode: Episode) -> None:
+        """Count an episode."""
+        if episode.error is not None:
+            self.errors += 1
+            return
+        self.episodes += 1
+        self.total_return += episode.episode_return
+        self.turns += episode.turns
+        if episode.success is not None:
+            self.judged += 1
+            self.successes += episode.success
+
+    @property
+    def success_rate(self) -> float | None:
+        """Share of judged episodes that succeeded; None where none was judged."""
+        return self.successes / self.judged if self.judged else None
+
+    @property
+    def mean_return(self) -> float | None:
+        """Mean return; None without episodes."""
+        return self.total_return / self.episodes if self.episodes else None
+
+    @property
+    def mean_turns(self) -> float | None:
+        """Mean number of turns; None without episodes."""
+        return self.turns / self.episodes if self.episodes else None
+
+
+class RunSummary:
+    """The summaries of a run's environments, in the order in which they are named."""
+
+    def __init__(self, ids: list[str]) -> None:
+        self.total = EnvSummary("all")
+        self.by_env = {env_id: EnvSummary(env_id) for env_id in ids}
+        self.first_error: str | None = None
+
+    def add(self, episode: Episode) -> None:
+        """Count an episode."""
+        self.by_env.setdefault(episode.id, EnvSummary(episode.id)).add(episode)
+        self.total.add(episode)
+        if episode.error is not None and self.first_error is None:
+            self.first_error = f"{episode.id}, seed {episode.seed}: {episode.error.get('message', episode.error)}"
+
+    def rows(self) -> list[EnvSummary]:
+        """Return a summary for each environment, and one for all where there are several."""
+        rows = list(self.by_env.values())
+        return [*rows, self.total] if len(rows) > 1 else rows
+
+    def to_dict(self, seconds: float) -> dict[str, Any]:
+        """Return all rows as plain JSON.
+
+        Args:
+            seconds: Duration of the run, for turns per second.
+        """
+        return {
+            "seconds": round(seconds, 6),
+            "environments": [
+                {
+                    **asdict(row),
+                    "success_rate": row.success_rate,
+                    "mean_return": row.mean_return,
+                    "mean_turns": row.mean_turns,
+                    "turns_per_second": row.turns / seconds if seconds > 0 else None,
+                }
+                for row in self.rows()
+            ],
+        }
