@@ -12,7 +12,7 @@ from typing import NamedTuple
 _BOXED = "\\boxed"
 # A backslash takes the character behind it out of play, so that LaTeX's \{ and \} do not count as braces.
 _BRACE_OR_BOX = re.compile(r"\\boxed[ \t]*\{|\\.|[{}]", re.DOTALL)
-_FENCE = re.compile(r"^[ ]{0,3}(`{3,}|~{3,})[ \t]*([^\s`]*)[^\n`]*$", re.MULTILINE)
+_FENCE = re.compile(r"^[ \t]*(`{3,}|~{3,})[ \t]*([^\s`]*)[^\n`]*$", re.MULTILINE)
 
 
 class CodeBlock(NamedTuple):
@@ -65,6 +65,8 @@ def extract_last_tagged_answer(text: str, tag: str = "answer") -> str | None:
 def extract_code_blocks(text: str, *languages: str) -> list[CodeBlock]:
     """Return the complete fenced blocks of a text in order, as CommonMark finds them.
 
+    A fence may be indented by any white space, as inside a list; its indentation is taken off the lines of the block.
+
     Args:
         text: Markdown.
         *languages: Keep only these languages, whatever their case; ``""`` stands for blocks that name none.
@@ -96,10 +98,18 @@ def _fenced(text: str) -> Iterator[CodeBlock]:
             opening = fence
         elif _closes(fence, opening):
             code = text[opening.end() + 1 : max(fence.start() - 1, opening.end() + 1)]
-            yield CodeBlock(opening[2].casefold(), code, opening.start(), fence.end())
+            yield CodeBlock(opening[2].casefold(), _unindented(code, opening), opening.start(1), fence.end())
             opening = None
     if opening is not None:
-        yield CodeBlock(opening[2].casefold(), text[opening.end() + 1 :], opening.start(), -1)
+        yield CodeBlock(opening[2].casefold(), text[opening.end() + 1 :], opening.start(1), -1)
+
+
+def _unindented(code: str, opening: re.Match[str]) -> str:
+    """Take as much white space off each line as stands before the opening fence."""
+    width = opening.start(1) - opening.start()
+    if width == 0:
+        return code
+    return "\n".join(line[min(width, len(line) - len(line.lstrip(" \t"))) :] for line in code.split("\n"))
 
 
 def _closes(fence: re.Match[str], opening: re.Match[str]) -> bool:

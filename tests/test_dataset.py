@@ -1,0 +1,120 @@
+"""``DatasetEnv``: rows in, single-turn task out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import gem_core as gem
+from gem_core.errors import ArgumentError, DatasetError, GradingError
+
+ROWS = [{"question": f"{number}+1?", "answer": str(number + 1), "name": f"row-{number}"} for number in range(5)]
+
+
+def test_row_is_chosen_by_index() -> None:
+    """``options={"index": i}`` asks row i and names it."""
+    env = gem.DatasetEnv(ROWS, id_key="name")
+    observation, info = env.reset(options={"index": 3})
+    assert (observation, info) == ("3+1?", {"task_id": "row-3", "index": 3})
+
+
+def test_row_is_drawn_by_seed_without_options() -> None:
+    """The same seed asks the same row, and every row is asked in time."""
+    env = gem.DatasetEnv(ROWS)
+    assert env.reset(seed=7) == env.reset(seed=7)
+    assert {env.reset(seed=seed)[1]["index"] for seed in range(100)} == set(range(5))
+
+
+@pytest.mark.parametrize(
+    ("action", "reward"),
+    [
+        ("\\boxed{4}", 1.0),
+        ("so \\boxed{ 4 }", 1.0),
+        ("<answer>4</answer>", 1.0),
+        ("\\boxed{5}", 0.0),
+        ("4", 0.0),
+        ("", 0.0),
+    ],
+)
+def test_default_grade_compares_the_boxed_or_tagged_answer(action: str, reward: float) -> None:
+    """Letter for letter, white space around it apart."""
+    env = gem.DatasetEnv(ROWS)
+    env.reset(options={"index": 3})
+    observation, got, terminated, truncated, info = env.step(action)
+    assert (observation, got, terminated, truncated) == (gem.TERMINAL_STATE, reward, True, False)
+    assert info["correct"] is (reward == 1.0)
+
+
+def test_own_grade_and_template() -> None:
+    """A callable decides, and a template asks."""
+
+    def grade(action: str, row: Any) -> gem.Grade:
+        return gem.Grade(0.5, action == row["answer"], action, {"why": "partial"})
+
+    env = gem.DatasetEnv(ROWS, prompt_template="Q: {question} {x}", grade=grade)
+    assert env.reset(options={"index": 0})[0] == "Q: 0+1? {x}"
+    info = env.step("1")[4]
+    assert info == {"task_id": "0", "index": 0, "why": "partial", "correct": True, "parsed_action": "1"}
+
+
+def test_a_grader_that_fails_is_an_error_and_no_reward() -> None:
+    """The episode is truncated and left out of scores."""
+
+    def grade(action: str, row: Any) -> gem.Grade:
+        raise GradingError("the gold answer cannot be parsed")
+
+    env = gem.DatasetEnv(ROWS, grade=grade)
+    env.reset(seed=0)
+    _, reward, terminated, truncated, info = env.step("1")
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert info["error"] == {"kind": "grading", "message": "the gold answer cannot be parsed"}
+    assert "correct" not in info
+
+
+@pytest.mark.parametrize("index", [-1, 5, 1.0, "1", True, None])
+def test_index_out_of_range_is_refused(index: object) -> None:
+    """The error names the range."""
+    with pytest.raises(ArgumentError, match=r"options\['index'\] must be from 0 to 4"):
+        gem.DatasetEnv(ROWS).reset(options={"index": index})
+
+
+def test_unknown_option_is_refused() -> None:
+    """The error names the nearest."""
+    with pytest.raises(ArgumentError, match=r"no option 'indx'\. Did you mean 'index'\?"):
+        gem.DatasetEnv(ROWS).reset(options={"indx": 1})
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([], "the data set is empty; check its name, its split and any filter"),
+        ([{"q": "a", "answer": "b"}], "no column 'question' in the data set. Columns: 'q', 'answer'"),
+        ([{"question": "a", "answers": "b"}], "no column 'answer' in the data set. Did you mean 'answers'?"),
+        ([3], "a row must map columns to values, and the first is a int"),
+        (3, "rows must be a sequence of mappings, not int"),
+        ({}, "the data set is empty"),
+        ({"a": 1}, "rows must be a sequence of mappings, not dict"),
+    ],
+)
+def test_rows_that_cannot_be_asked_are_refused(rows: Any, message: str) -> None:
+    """The error names what is there."""
+    with pytest.raises(DatasetError) as caught:
+        gem.DatasetEnv(rows)
+    assert message in str(caught.value)
+
+
+def test_rows_are_shared_not_copied() -> None:
+    """Siblings and remade environments hold the same rows."""
+    env = gem.make("toy:Sums-v0")
+    rows = env.unwrapped.rows
+    assert env.unwrapped.spawn().rows is rows
+    assert env.spec is not None
+    assert env.spec.make().unwrapped.rows is rows
+
+
+def test_sampled_action_has_the_right_form() -> None:
+    """It is the boxed answer of some row."""
+    env = gem.DatasetEnv(ROWS)
+    env.reset(seed=0)
+    assert gem.extract_last_boxed_answer(env.sample_random_action()) in {row["answer"] for row in ROWS}

@@ -1,0 +1,277 @@
+"""Tools: how calls are read, what is answered, and what never happens."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import json
+from typing import Any
+
+import pydantic
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from toys import AsyncNotebook, Calculator, CountdownEnv, EchoEnv, Notebook
+
+import gem_core as gem
+from gem_core.errors import ArgumentError, UnknownToolError
+from gem_core.testing.hostile import hostile_actions
+from gem_core.tool_env import ToolEnv
+from gem_core.wrapper import Guard
+
+
+def tool_env(*tools: gem.Tool, **options: Any) -> ToolEnv:
+    env = ToolEnv(Guard(CountdownEnv()), list(tools) or [Calculator(), Notebook()], **options)
+    env.reset(seed=1, options={"left": 9})
+    return env
+
+
+def json_call(name: str, **arguments: Any) -> str:
+    return f"<tool_call>{json.dumps({'name': name, 'arguments': arguments})}</tool_call>"
+
+
+def test_json_call_is_executed() -> None:
+    """The result comes back, with how things stand in the task, and the task does not move."""
+    env = tool_env()
+    observation, reward, terminated, truncated, info = env.step(json_call("calculator", left=2, right=3))
+    assert observation == (
+        "Output of calculator:\n5.0\nTool calls left: 4. Call a tool again, or give your answer.\nLeft: 9."
+    )
+    assert (reward, terminated, truncated) == (0.0, False, False)
+    assert info["tool"] == {
+        "name": "calculator",
+        "arguments": {"left": 2, "right": 3},
+        "failed": False,
+        "error": None,
+        "uses": 1,
+        "successes": 1,
+        "failures": 0,
+    }
+    assert observation == info["feedback"] + info["suffix"]
+
+
+@pytest.mark.parametrize("call", ["<note>a line</note>", "\n   ```note\n   a line\n   ```\n", json_call("note", line="a line")])
+def test_the_three_text_forms_mean_the_same(call: str) -> None:
+    """A tag, a fenced block and a JSON call are one call."""
+    info = tool_env().step(f"I write: {call} and so on")[4]
+    assert info["tool"]["arguments"] == {"line": "a line"}
+    assert info["tool"]["lines"] == 1
+
+
+def test_what_follows_the_first_call_is_left_out_of_the_parsed_action() -> None:
+    """One call of a response is executed; the rest was never read."""
+    env = tool_env()
+    info = env.step("first <note>a</note> then <note>b</note> \\boxed{7}")[4]
+    assert info["parsed_action"] == "first <note>a</note>"
+    assert info["tool"]["uses"] == 1
+
+
+def test_the_first_complete_call_wins_over_an_incomplete_one() -> None:
+    """A tag that is never closed does not hide a whole call behind it."""
+    info = tool_env().step(f"<note> {json_call('calculator', left=1, right=1)}")[4]
+    assert info["tool"]["name"] == "calculator"
+
+
+def test_a_response_without_a_call_goes_to_the_task() -> None:
+    """The task gets it to the letter."""
+    observation, reward, *_ = tool_env().step("25")
+    assert observation == "You said '25'.\nLeft: 8."
+    assert reward == 1.0
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        ("<note>never closed", "The call could not be read: <note> is never closed by </note>"),
+        ("```note\nnever closed", "The call could not be read: the fenced block is never closed"),
+        ("<tool_call>{", "The call could not be read: <tool_call> is never closed by </tool_call>"),
+        ("<tool_call>{]</tool_call>", "is no valid JSON"),
+        ("<tool_call>[]</tool_call>", "a call must be an object of the form"),
+        (json_call("calculater"), "no tool 'calculater'. Did you mean 'calculator'? There are: calculator, note"),
+        ('<tool_call>{"name": "note", "arguments": 3}</tool_call>', "its arguments must be an object"),
+        ("<tool_call>" + "[" * 100_000 + "</tool_call>", "is no valid JSON: it is nested too deeply"),
+        (json_call("calculator", left=1), "The arguments are not valid. right: Field required"),
+        (json_call("calculator", left="x", right=1), "left: Input should be a valid number"),
+        (json_call("calculator", left=1, right=0, operation="divide"), "The tool failed: ZeroDivisionError"),
+    ],
+)
+def test_a_call_that_cannot_be_read_or_fails_is_told_to_the_agent(action: str, message: str) -> None:
+    """It counts as a use, says what is wrong, and never reaches the task."""
+    env = tool_env(tool_error_reward=-0.25)
+    observation, reward, terminated, truncated, info = env.step(action)
+    assert message in str(observation)
+    assert (reward, terminated, truncated) == (-0.25, False, False)
+    assert (info["tool"]["uses"], info["tool"]["failures"], info["tool"]["failed"]) == (1, 1, True)
+    assert "Left: 9." in str(observation)
+
+
+def test_rewards_of_tool_steps() -> None:
+    """A readable call, its success and its failure are paid apart."""
+    env = tool_env(tool_reward=0.05, tool_success_reward=0.25, tool_error_reward=-0.5)
+    assert env.step("<note>a</note>")[1] == pytest.approx(0.3)
+    assert env.step(json_call("calculator", left=1, right=0, operation="divide"))[1] == pytest.approx(-0.45)
+    assert env.step("<note>")[1] == pytest.approx(-0.5)
+
+
+def test_when_the_uses_are_spent_the_next_response_goes_to_the_task() -> None:
+    """The last tool observation says so."""
+    env = tool_env(max_tool_uses=2)
+    env.step("<note>")
+    assert "No tool calls are left. Give your answer to the task now." in str(env.step("<note>a</note>")[0])
+    assert env.step("<note>a</note>")[0] == "You said '<note>a</note>'.\nLeft: 8."
+
+
+def test_first_observation_explains_the_tools_and_info_has_their_schemas() -> None:
+    """An agent learns how to call, and a server gets schemas."""
+    env = ToolEnv(CountdownEnv(), [Calculator(), Notebook()])
+    observation, info = env.reset(seed=1, options={"left": 2})
+    assert "- note: Writes a line into the notebook and shows it all. Call it with <note>line</note>" in observation
+    assert "You have 5 tool calls." in observation
+    assert observation == info["feedback"] + info["suffix"]
+    assert [tool["function"]["name"] for tool in info["tools"]] == ["calculator", "note"]
+    assert info["tools"][1]["function"]["parameters"]["required"] == ["line"]
+
+
+def test_instructions_can_be_replaced_or_left_out() -> None:
+    """Own words, or none."""
+    assert ToolEnv(EchoEnv(), [Notebook()], instructions="Use <note>.").reset()[0] == "Say something.\nUse <note>.\n"
+    assert ToolEnv(EchoEnv(), [Notebook()], instructions=False).reset()[0] == "Say something."
+
+
+def test_fences_that_are_answers_are_left_to_the_task() -> None:
+    """A task that answers in fenced blocks keeps them, and tags still work."""
+
+    class TextTool(Notebook):
+        fences = ("text",)
+
+    env = ToolEnv(EchoEnv(), [TextTool()])
+    env.reset()
+    assert env.step("```text\nmine\n```")[0] == "Heard: ```text\nmine\n```"
+    assert "Output of note" in str(env.step("<note>x</note>")[0])
+
+
+def test_sessions_are_opened_lazily_and_closed_at_reset_and_close() -> None:
+    """A session belongs to one episode."""
+    notebook = Notebook()
+    env = tool_env(notebook)
+    assert notebook.opened == 0
+    env.step("<note>a</note>")
+    assert "a\nb" in str(env.step("<note>b</note>")[0])
+    env.reset(seed=2)
+    assert (notebook.opened, notebook.closed) == (1, 1)
+    env.step("<note>c</note>")
+    env.close()
+    env.close()
+    assert (notebook.opened, notebook.closed) == (2, 2)
+
+
+def test_sessions_are_closed_when_the_wrapper_is_dropped() -> None:
+    """A forgotten environment leaves no session open."""
+    notebook = Notebook()
+    env = tool_env(notebook)
+    env.step("<note>a</note>")
+    del env
+    gc.collect()
+    assert notebook.closed == 1
+
+
+def test_asynchronous_tools_work_in_plain_code_and_in_coroutines() -> None:
+    """Written once, run anywhere, with the same results."""
+    plain, other = tool_env(AsyncNotebook()), tool_env(AsyncNotebook())
+    assert plain.concurrency == "async"
+    assert plain.step("<note>a</note>") == asyncio.run(other.step_async("<note>a</note>"))
+    plain.close()
+    other.close()
+
+
+def test_mixed_tools_run_blocking_calls_in_threads() -> None:
+    """A blocking tool beside an asynchronous one does not hold up the loop."""
+
+    class Blocking(Calculator):
+        concurrency = "thread"
+
+    env = tool_env(Blocking(), AsyncNotebook())
+    assert "5.0" in str(asyncio.run(env.step_async(json_call("calculator", left=2, right=3)))[0])
+
+
+def test_state_holds_counters_and_sessions() -> None:
+    """Another instance goes on with the same notebook and the same number of calls left."""
+    env, other = tool_env(), tool_env()
+    env.step("<note>a</note>")
+    other.set_state(json.loads(json.dumps(env.get_state())))
+    assert other.step("<note>b</note>") == env.step("<note>b</note>")
+
+
+def test_tools_by_name_need_a_registered_tool() -> None:
+    """The error says what there is, and what to install."""
+    with pytest.raises(UnknownToolError, match="no tool 'calculatr'"):
+        ToolEnv(EchoEnv(), ["calculatr"])
+
+
+def test_two_tools_of_one_name_are_refused() -> None:
+    """Calls could not be told apart."""
+    with pytest.raises(ArgumentError, match="two tools have one name"):
+        ToolEnv(EchoEnv(), [Notebook(), Notebook()])
+
+
+def test_a_tool_that_returns_nonsense_is_an_observation() -> None:
+    """Even a broken tool raises nothing for the trainer."""
+
+    class Broken(Calculator):
+        def call(self, arguments: Any, session: Any) -> Any:
+            return 3
+
+    observation = tool_env(Broken()).step(json_call("calculator", left=1, right=1))[0]
+    assert "The tool failed: TypeError: calculator returned int" in str(observation)
+
+
+def test_a_tool_whose_session_cannot_be_opened_is_an_observation() -> None:
+    """The session is tried again at the next call."""
+
+    class Locked(Notebook):
+        def open(self) -> list[str]:
+            raise OSError("locked")
+
+    assert "The tool failed: OSError: locked" in str(tool_env(Locked()).step("<note>a</note>")[0])
+
+
+@pytest.mark.parametrize("action", hostile_actions(), ids=lambda action: repr(action[:12]))
+def test_hostile_responses_never_raise(action: str) -> None:
+    """Whatever a model writes is answered."""
+    env = tool_env(max_tool_uses=None)
+    observation, reward, *_ = env.step(action)
+    assert isinstance(observation, str)
+    assert reward == reward
+
+
+@given(st.text(alphabet="<>/`{}\"notel_cal \n:[]"))
+def test_a_found_call_lies_within_the_response(action: str) -> None:
+    """Start and end are places in the text; a complete call is not empty."""
+    call = tool_env().find_call(action)
+    if call is not None:
+        assert 0 <= call.start <= len(action)
+        assert call.error is not None or call.start < call.end <= len(action)
+
+
+def test_schema_is_the_openai_form() -> None:
+    """As a chat server wants it."""
+    schema = Calculator().schema()
+    assert schema["type"] == "function"
+    assert set(schema["function"]) == {"name", "description", "parameters"}
+    assert schema["function"]["parameters"]["properties"]["operation"]["default"] == "add"
+
+
+def test_parameters_without_exactly_one_text_have_no_text_form() -> None:
+    """A tag could not say which parameter it fills."""
+
+    class Two(Calculator):
+        name = "two"
+
+        class Parameters(pydantic.BaseModel):
+            """Two texts."""
+
+            first: str
+            second: str
+
+    assert Two().text_parameter is None
+    assert Two().parse("<two>x</two>") is None

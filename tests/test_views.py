@@ -1,0 +1,159 @@
+"""Observation views: what they show, and what they leave alone."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from toys import CountdownEnv, EchoEnv
+
+import gem_core as gem
+from gem_core.errors import ArgumentError, StateNotSupported
+from gem_core.wrapper import Guard
+from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView, joined, without_thinking
+
+VIEWS = [Latest, Concat, ConcatWithAction]
+
+
+def played(view: ObservationView, actions: list[str]) -> list[gem.Observation]:
+    observations = [view.reset(seed=1, options={"left": 100})[0]]
+    return observations + [view.step(action)[0] for action in actions]
+
+
+def test_latest_shows_the_newest_feedback_and_the_suffix() -> None:
+    """A view of the latest output is the task's own observation."""
+    assert played(Latest(CountdownEnv()), ["a", "b"])[-1] == "You said 'b'.\nLeft: 98."
+
+
+def test_concat_repeats_feedback_and_shows_the_suffix_once() -> None:
+    """The board is shown once, at the end."""
+    assert played(Concat(CountdownEnv()), ["a", "b"])[-1] == "Count down.\nYou said 'a'.\nYou said 'b'.\nLeft: 98."
+
+
+def test_concat_with_action_shows_actions_on_lines_of_their_own() -> None:
+    """Each action stands between what it answered and what it caused."""
+    observation = played(ConcatWithAction(CountdownEnv()), ["a", "b"])[-1]
+    assert observation == "Count down.\na\nYou said 'a'.\nb\nYou said 'b'.\nLeft: 98."
+
+
+def test_without_feedback_and_suffix_the_whole_observation_is_feedback() -> None:
+    """A task that does not tell the two apart is shown whole."""
+    view = Concat(EchoEnv())
+    view.reset(seed=1)
+    assert view.step("hi")[0] == "Say something.\nHeard: hi"
+
+
+@pytest.mark.parametrize("view_class", VIEWS)
+def test_views_leave_feedback_and_suffix_untouched(view_class: type[ObservationView]) -> None:
+    """``info`` still holds what the task wrote."""
+    view = view_class(CountdownEnv())
+    view.reset(seed=1, options={"left": 9})
+    view.step("a")
+    info = view.step("b")[4]
+    assert (info["feedback"], info["suffix"]) == ("You said 'b'.\n", "Left: 7.")
+
+
+def test_max_turns_keeps_the_task_and_the_newest_turns() -> None:
+    """The limit drops turns from the middle, never the task."""
+    observation = played(ConcatWithAction(CountdownEnv(), max_turns=1), ["a", "b", "c"])[-1]
+    assert observation == "Count down.\nc\nYou said 'c'.\nLeft: 97."
+
+
+def test_drop_thinking_leaves_out_thinking_of_earlier_turns() -> None:
+    """Thinking goes from the view; the action that the task gets is whole."""
+    view = ConcatWithAction(EchoEnv(), drop_thinking=True)
+    view.reset(seed=1)
+    observation = view.step("<think>long</think>hi")[0]
+    assert observation == "Say something.\nhi\nHeard: <think>long</think>hi"
+
+
+@pytest.mark.parametrize(
+    ("action", "left"),
+    [
+        ("<think>a</think>b", "b"),
+        ("a</think> b", "b"),
+        ("x<think>a</think>b<think>c</think>d", "xd"),
+        ("x<think>never closed", "x"),
+        ("<think>a</think>b<think>open", "b"),
+        ("plain", "plain"),
+        ("", ""),
+        ("</think>", ""),
+    ],
+)
+def test_without_thinking(action: str, left: str) -> None:
+    """Blocks that are whole, only closed or never closed all go."""
+    assert without_thinking(action) == left
+
+
+@given(st.text(alphabet="<>/thinkab "))
+def test_no_thinking_is_left(action: str) -> None:
+    """Whatever the response, no tag of thinking remains."""
+    rest = without_thinking(action)
+    assert "<think>" not in rest
+
+
+def test_hostile_thinking_is_read_in_linear_time() -> None:
+    """Megabytes of tags are no trouble."""
+    assert without_thinking("<think>" * 500_000 + "</think>" * 500_000) == ""
+
+
+def test_content_parts_are_joined_as_parts() -> None:
+    """Once there is an image, everything becomes parts, and texts stay on lines of their own."""
+    image = {"type": "image", "image": object()}
+    pieces: list[gem.Observation] = ["Look:", [image, {"type": "text", "text": "a"}], "b"]
+    assert joined(pieces) == [
+        {"type": "text", "text": "Look:\n"},
+        image,
+        {"type": "text", "text": "a\n"},
+        {"type": "text", "text": "b"},
+    ]
+
+
+@pytest.mark.parametrize("view_class", VIEWS)
+def test_state_of_a_view_goes_on_in_another_instance(view_class: type[ObservationView]) -> None:
+    """After a JSON round trip the other instance shows the same history."""
+    view, other = view_class(Guard(CountdownEnv())), view_class(Guard(CountdownEnv()))
+    played(view, ["a", "b"])
+    other.set_state(json.loads(json.dumps(view.get_state())))
+    assert other.step("c") == view.step("c")
+
+
+def test_state_with_images_is_refused() -> None:
+    """Images are no plain data, and the error says so."""
+    view = Concat(EchoEnv())
+    view.reset()
+    view._turns.append(("a", [{"type": "image", "image": object()}]))
+    with pytest.raises(StateNotSupported, match="content parts"):
+        view._get_state()
+
+
+@pytest.mark.parametrize("limit", [0, -1, 1.5, "3"])
+def test_max_turns_must_be_a_positive_number(limit: object) -> None:
+    """A limit that means nothing is refused at once."""
+    with pytest.raises(ArgumentError, match="max_turns must be a positive whole number or None"):
+        Concat(EchoEnv(), max_turns=limit)  # type: ignore[arg-type]  # that is the point
+
+
+@pytest.mark.parametrize("view_class", VIEWS)
+@given(actions=st.lists(st.text(max_size=10), max_size=5))
+def test_append_only_is_kept(view_class: type[ObservationView], actions: list[str]) -> None:
+    """A view that declares it extends the previous observation and the raw response; the others show why they do not."""
+    observations = played(view_class(CountdownEnv()), actions)
+    extends = all(
+        str(later).startswith(str(earlier) + action)
+        for earlier, action, later in zip(observations, actions, observations[1:], strict=False)
+    )
+    if view_class.append_only:
+        assert extends
+    elif actions:
+        assert not extends
+
+
+def test_views_are_made_by_name_with_arguments() -> None:
+    """``make`` puts them around a task, and the spec records how."""
+    env = gem.make("toy:Countdown-v0", wrappers=["episode_stats", ("concat", {"max_turns": 2})])
+    env.reset(seed=3)
+    assert env.spec is not None
+    assert env.spec.wrappers == (("episode_stats", {}), ("concat", {"max_turns": 2}))
