@@ -1,0 +1,44 @@
+"""The environment contract as a check that anyone can run.
+
+::
+
+    from gem_core.testing import check_env
+
+    def test_my_env_keeps_the_contract():
+        check_env("mine:MyEnv-v0")
+
+Neither pytest nor hypothesis is needed. Every promise is one small function: see ``promises_*.py``.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gem_core.testing.conformance import check_env
+    from gem_core.testing.contract import ContractError, Report
+    from gem_core.testing.hostile import hostile_actions
+
+_MODULE_OF = {
+    "check_env": "conformance",
+    "ContractError": "contract",
+    "Report": "contract",
+    "hostile_actions": "hostile",
+}
+
+__all__ = ["ContractError", "Report", "check_env", "hostile_actions"]
+
+
+def __getattr__(name: str) -> Any:
+    # Lazy, so that `python -m gem_core.testing.other_process` does not find its own module imported already.
+    module = _MODULE_OF.get(name)
+    if module is None:
+        raise AttributeError(f"module 'gem_core.testing' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"gem_core.testing.{module}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

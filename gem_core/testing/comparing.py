@@ -1,0 +1,162 @@
+"""Results of an environment as plain data: what is compared between runs, and what JSON would lose."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+_LONGEST_SHOWN = 80
+
+
+def play(
+    reset: Callable[[], Any] | None, step: Callable[[str], Any], actions: Sequence[str]
+) -> Iterator[dict[str, Any]]:
+    """Play one episode and give what came back as plain data, call by call, until its end or the last action."""
+    if reset is not None:
+        yield record_of(reset())
+    for action in actions:
+        result = step(action)
+        yield record_of(result)
+        if result[2] or result[3]:
+            return
+
+
+def record_of(result: Any) -> dict[str, Any]:
+    """Return the result of a reset or a step as plain data, without what a clock decides."""
+    observation, *middle, info = result
+    record = {"observation": plain(observation), "info": plain(info)}
+    record.update(zip(("reward", "terminated", "truncated"), map(plain, middle), strict=False))
+    episode = record["info"].get("episode") if isinstance(record["info"], dict) else None
+    if isinstance(episode, dict):
+        episode.pop("t", None)  # seconds of wall-clock time, as in Gymnasium
+    return record
+
+
+def plain(value: Any) -> Any:
+    """Copy a value into what JSON keeps exactly, so that equal values stay equal and different ones different."""
+    if value is None or isinstance(value, bool | int | str):
+        return str(value) if isinstance(value, str) else value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else {"float": repr(float(value))}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic | np.ndarray):
+        return {"array": plain(value.tolist()), "dtype": str(value.dtype)}
+    if isinstance(value, set | frozenset):
+        return {"set": sorted(map(repr, value))}
+    if is_image(value):
+        return {"image": [value.mode, *value.size], "sha256": hashlib.sha256(value.tobytes()).hexdigest()}
+    return {"object": f"{type(value).__module__}.{type(value).__qualname__}"}
+
+
+def is_image(value: Any) -> bool:
+    """Tell whether a value is a PIL image, without importing PIL."""
+    pil = sys.modules.get("PIL.Image")
+    return pil is not None and isinstance(value, pil.Image)
+
+
+def first_difference(expected: Sequence[Any], found: Sequence[Any], first_step: int = 0) -> str | None:
+    """Tell where two recorded episodes begin to differ, or None.
+
+    Args:
+        expected: One recording.
+        found: The other.
+        first_step: Number of the step that the first record belongs to; 0 is the reset.
+    """
+    for index, (left, right) in enumerate(zip(expected, found, strict=False), first_step):
+        where = _difference(left, right, "")
+        if where is not None:
+            return f"at {f'step {index}' if index else 'reset'}{where}"
+    if len(expected) != len(found):
+        return f"one has {len(expected) + first_step - 1} steps and the other {len(found) + first_step - 1}"
+    return None
+
+
+def shown(value: object) -> str:
+    """Return a short representation on one line, safe to print."""
+    if isinstance(value, str) and len(value) > _LONGEST_SHOWN:
+        return f"{value[:_LONGEST_SHOWN]!a}... ({len(value):,} characters)"
+    text = ascii(value)
+    return text if len(text) <= 2 * _LONGEST_SHOWN else f"{text[: 2 * _LONGEST_SHOWN]}..."
+
+
+def json_loss(value: Any) -> str | None:
+    """Tell what JSON cannot keep of a value, images apart, or None."""
+    value = _without_images(value)
+    try:
+        kept = json.loads(json.dumps(value, allow_nan=False)) == value
+    except (TypeError, ValueError, RecursionError) as error:
+        return _culprit(value, "") or f"{type(error).__name__}: {error}"
+    return None if kept else _culprit(value, "") or "it is not equal to itself after a round trip"
+
+
+def mutable_parts(value: Any) -> Iterator[Any]:
+    """Give every dictionary, list and array within a value."""
+    if isinstance(value, Mapping):
+        yield value
+        for item in value.values():
+            yield from mutable_parts(item)
+    elif isinstance(value, list | tuple):
+        if isinstance(value, list):
+            yield value
+        for item in value:
+            yield from mutable_parts(item)
+    elif isinstance(value, np.ndarray):
+        yield value
+
+
+def _difference(left: Any, right: Any, path: str) -> str | None:
+    if isinstance(left, dict) and isinstance(right, dict):
+        for key in [*left, *(key for key in right if key not in left)]:
+            if key not in left or key not in right:
+                return f"{path} {key!r} is there only once"
+            found = _difference(left[key], right[key], f"{path} {key}")
+            if found is not None:
+                return found
+        return None
+    if left == right and isinstance(left, bool) == isinstance(right, bool):
+        return None
+    return f"{path}: {shown(left)}, then {shown(right)}"
+
+
+def _without_images(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_images(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_without_images(item) for item in value]
+    return "<image>" if is_image(value) else value
+
+
+def _culprit(value: Any, path: str) -> str | None:
+    where = path or "the whole"
+    if isinstance(value, dict):
+        for key, item in value.items():
+            if not isinstance(key, str):
+                return f"{where} has the key {shown(key)}, which is not a string"
+            found = _culprit(item, f"{path}[{key!r}]")
+            if found is not None:
+                return found
+        return None
+    if isinstance(value, list):
+        return next((found for i, item in enumerate(value) if (found := _culprit(item, f"{path}[{i}]"))), None)
+    if isinstance(value, float) and not math.isfinite(value):
+        return f"{where} is {value!r}"
+    if value is None or isinstance(value, str | float) or (isinstance(value, int) and _is_writable(value)):
+        return None
+    return f"{where} is {'an int of too many digits' if isinstance(value, int) else f'a {type(value).__name__}'}"
+
+
+def _is_writable(number: int) -> bool:
+    try:
+        json.dumps(number)
+    except ValueError:  # Python writes no more than 4,300 digits
+        return False
+    return True

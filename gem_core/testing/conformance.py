@@ -1,0 +1,149 @@
+"""``check_env``: tries every promise of the environment contract and names all that are broken."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping
+from itertools import islice
+
+from gem_core.env import Env
+from gem_core.errors import ArgumentError, GemError
+from gem_core.specs import EnvSpec
+from gem_core.suggestions import did_you_mean
+from gem_core.testing import promises_actions, promises_interface, promises_randomness, promises_state
+from gem_core.testing.comparing import shown
+from gem_core.testing.contract import PROMISES, ContractError, NotTriedError, Promise, Report
+from gem_core.testing.global_random import preserved
+from gem_core.testing.subject import Limits, Subject
+from gem_core.testing.watch import TookTooLongError
+from gem_core.wrapper import AnyEnv
+
+__all__ = ["PROMISE_MODULES", "check_env"]
+
+PROMISE_MODULES = (promises_interface, promises_randomness, promises_actions, promises_state)
+"""Where the contract is written down, promise by promise, in the order in which they are tried."""
+
+_SIGHTINGS = 20
+"""After so many sightings, a promise counts as broken often enough."""
+
+
+def check_env(
+    env_or_id: str | EnvSpec | AnyEnv | type[Env],
+    *,
+    skip: Mapping[str, str] | None = None,
+    seed: int = 0,
+    episodes: int = 3,
+    max_turns: int = 40,
+    step_timeout_s: float = 30.0,
+    reset_timeout_s: float = 300.0,
+) -> Report:
+    """Try everything that the environment contract promises.
+
+    New instances are made for it, from the id, the class, or the arguments of the given instance, which itself is left
+    alone. They are used in threads other than the caller's, as vector environments do.
+
+    Args:
+        env_or_id: An id, a record, an environment with or without wrappers, or a class that needs no arguments.
+        skip: Promises that are not to be tried, each by its slug, with the reason.
+        seed: Decides the seeds and the generated actions.
+        episodes: Episodes that are played with sampled actions; one more is played with fixed ones.
+        max_turns: Turns after which the check stops playing an episode.
+        step_timeout_s: Limit of one step. A step that exceeds it is named, and its thread left behind.
+        reset_timeout_s: Limit of any other call.
+
+    Returns:
+        What was tried and kept, what could not be tried and why, and notes.
+
+    Raises:
+        ContractError: Promises are broken; the message names each, with what was seen and how to mend it.
+        GemError: The environment cannot be made, as with an unknown id or a missing requirement.
+    """
+    skip = skip or {}
+    for slug in skip:
+        if slug not in PROMISES:
+            raise ArgumentError(f"no promise {slug!r}.{did_you_mean(slug, PROMISES)} There are: {', '.join(PROMISES)}")
+    if episodes < 1 or max_turns < 1:
+        raise ArgumentError(f"episodes and max_turns must be at least 1, not {episodes} and {max_turns}")
+    subject = Subject(env_or_id, Limits(seed, episodes, max_turns, step_timeout_s, reset_timeout_s))
+    _make_once(subject)
+    kept: list[str] = []
+    skipped: dict[str, str] = {}
+    broken: dict[str, str] = {}
+    for promise in _in_order():
+        if promise.slug in skip:
+            skipped[promise.slug] = skip[promise.slug]
+            continue
+        if "construct" in broken:
+            skipped[promise.slug] = "it cannot be made; see 'construct'"
+            continue
+        try:
+            seen = _tried(promise, subject)
+        except NotTriedError as error:
+            skipped[promise.slug] = str(error)
+            continue
+        if seen:
+            broken[promise.slug] = seen
+        else:
+            kept.append(promise.slug)
+    report = Report(subject.name, tuple(kept), skipped, broken, tuple(dict.fromkeys(subject.notes)))
+    if broken:
+        raise ContractError(report)
+    return report
+
+
+def _in_order() -> list[Promise]:
+    # Later promises build on what earlier ones found, and the order of imports is the formatter's.
+    homes = [module.__name__ for module in PROMISE_MODULES]
+    return sorted(PROMISES.values(), key=lambda promise: homes.index(promise.check.__module__))
+
+
+def _make_once(subject: Subject) -> None:
+    """Let what only the caller can mend reach him as it is; all else ``construct`` finds and names."""
+    try:
+        with preserved():
+            subject.watch.run(subject.new)
+            subject.watch.run(subject.close_all)
+    except GemError:
+        raise
+    except (Exception, SystemExit):  # noqa: BLE001, S110 - a promise of its own tries and names it
+        pass
+
+
+def _tried(promise: Promise, subject: Subject) -> str:
+    """Try one promise and return what was seen to break it, or nothing.
+
+    Raises:
+        NotTriedError: It cannot be tried.
+    """
+    seen: list[str] = []
+
+    def body() -> None:
+        try:
+            seen.extend(islice(_sightings(promise, subject), _SIGHTINGS))
+        finally:
+            # A thread that was left behind must not close what a later promise has made.
+            if subject.watch.is_live:
+                subject.close_all()
+
+    # The filters of warnings are put back here too, in case a thread that changed them is left behind.
+    with preserved(), warnings.catch_warnings():
+        try:
+            subject.watch.run(body)
+        except TookTooLongError as error:
+            subject.forget_all()
+            seen.append(str(error))
+    more = f" (and {len(seen) - 1} more)" if len(seen) > 1 else ""
+    return " ".join(f"{seen[0]}{more}".split()) if seen else ""
+
+
+def _sightings(promise: Promise, subject: Subject) -> Iterator[str]:
+    found = False
+    try:
+        for sighting in promise.check(subject):
+            found = True
+            yield sighting
+    except NotTriedError:
+        if not found:
+            raise
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - foreign code: whatever it raises breaks the promise
+        yield f"{subject.watch.last_call} raised {type(error).__name__}: {shown(str(error))}"

@@ -1,0 +1,94 @@
+"""What a promise is, the table of all of them, and how the outcome of a check is reported."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from gem_core.errors import GemError
+
+if TYPE_CHECKING:
+    from gem_core.testing.subject import Subject
+
+PromiseCheck = Callable[["Subject"], Iterator[str]]
+"""Tries one promise and yields what was seen to break it; raises ``NotTriedError`` where it cannot be tried."""
+
+
+@dataclass(frozen=True)
+class Promise:
+    """One sentence of the environment contract.
+
+    Args:
+        slug: Its short, stable name.
+        sentence: What is promised.
+        mend: What an author whose environment breaks it should do.
+        check: The function that tries it.
+    """
+
+    slug: str
+    sentence: str
+    mend: str
+    check: PromiseCheck
+
+
+PROMISES: dict[str, Promise] = {}
+"""Every promise by its slug."""
+
+
+class NotTriedError(Exception):
+    """A promise cannot be tried on this environment; the message is the reason."""
+
+
+def promise(mend: str) -> Callable[[PromiseCheck], PromiseCheck]:
+    """Put a check into the table: its name gives the slug, the first line of its docstring the sentence."""
+
+    def enter(check: PromiseCheck) -> PromiseCheck:
+        slug = check.__name__.rstrip("_").replace("_", "-")
+        sentence = (check.__doc__ or "").partition("\n")[0]
+        PROMISES[slug] = Promise(slug, sentence, mend, check)
+        return check
+
+    return enter
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a check found.
+
+    Args:
+        name: The environment that was checked.
+        kept: Slugs of the promises that were tried and kept.
+        skipped: Slug and reason of each that could not be tried.
+        broken: Slug of each broken promise, and what was seen.
+        notes: What is no breach and still worth knowing.
+    """
+
+    name: str
+    kept: tuple[str, ...]
+    skipped: Mapping[str, str]
+    broken: Mapping[str, str]
+    notes: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        tried = len(self.kept) + len(self.broken)
+        if self.broken:
+            lines = [f"{self.name} breaks {len(self.broken)} of {tried} promises:"]
+        else:
+            lines = [f"{self.name} keeps all {tried} promises that were tried"]
+        for slug, seen in self.broken.items():
+            lines.append(f"  {slug}: {PROMISES[slug].sentence} Seen: {seen}. To mend it: {PROMISES[slug].mend}")
+        lines += [f"  not tried, {slug}: {reason}" for slug, reason in self.skipped.items()]
+        lines += [f"  note: {note}" for note in self.notes]
+        return "\n".join(lines)
+
+
+class ContractError(GemError, AssertionError):
+    """An environment breaks promises; the message has one line for each, ``report`` the same as data."""
+
+    def __init__(self, report: Report) -> None:
+        super().__init__(str(report))
+        self.report = report
+
+    def __reduce__(self) -> tuple[type[ContractError], tuple[Report]]:
+        return type(self), (self.report,)

@@ -1,0 +1,76 @@
+"""Promises about actions: sampled ones are valid, and hostile ones do no harm."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gem_core.errors import SamplingNotSupported
+from gem_core.testing.comparing import first_difference, json_loss, shown
+from gem_core.testing.contract import promise
+from gem_core.testing.hostile import hostile_actions
+from gem_core.testing.promises_interface import problems_of
+from gem_core.testing.subject import Subject
+from gem_core.types import Response
+
+
+@promise("override sample_random_action, and return text that the task understands in its present state.")
+def valid_sample(subject: Subject) -> Iterator[str]:
+    """A random action can be sampled at every turn, and is a valid one."""
+    env = subject.new()
+    for seed in subject.seeds[:-1]:
+        subject.reset(env, seed)
+        for _ in range(subject.limits.max_turns):
+            try:
+                action = subject.sample(env)
+            except SamplingNotSupported as error:
+                yield f"SamplingNotSupported: {error}"
+                return
+            if not isinstance(action, str) or not env.action_space.contains(action):
+                yield f"sample_random_action() returned {shown(action)}, which is no action"
+                return
+            result = subject.step(env, action)
+            if result[-1].get("parsed_action", "") is None:
+                yield f"the sampled {shown(action)} was not understood: info['parsed_action'] is None"
+            if result[2] or result[3]:
+                break
+
+
+@promise("read the action as a str, with isinstance where its type is asked for.")
+def response(subject: Subject) -> Iterator[str]:
+    """A Response and a plain str of the same text do the same."""
+    for script, expected in subject.references:
+        actions = tuple(
+            Response(action, finish_reason="stop", model="none", token_ids=[1, 2], logprobs=[-0.1, -0.2])
+            for action in script.actions
+        )
+        difference = first_difference(expected, list(subject.play_from(subject.new(), script.seed, actions)))
+        if difference is not None:
+            yield f"with seed {script.seed}, answers of type Response differ {difference}"
+
+
+@promise("treat what cannot be read as a wrong answer: an observation, a reward, no exception, in bounded time.")
+def hostile_actions_(subject: Subject) -> Iterator[str]:
+    """Any string at all gives an observation and a reward in bounded time, and the episode goes on."""
+    env = subject.new()
+    subject.reset(env, subject.limits.seed)
+    for number, action in enumerate(hostile_actions(seed=subject.limits.seed)):
+        try:
+            result = subject.step(env, action)
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - foreign code, and no error is allowed
+            yield f"step({shown(action)}) raised {type(error).__name__}: {shown(str(error))}"
+            env = subject.new()
+            subject.reset(env, number)
+            continue
+        for problem in problems_of(env, result):
+            yield f"step({shown(action)}) gave {problem}"
+        info = result[-1]
+        loss = json_loss(info)
+        if loss is not None:
+            yield f"step({shown(action)}) gave an info that JSON cannot keep: {loss}"
+        elif info.get("error") is not None:
+            yield f"step({shown(action)}) gave the error {shown(info['error'])}; what an action causes is the agent's"
+        if result[2] or result[3]:
+            subject.reset(env, number)
+    script = subject.scripts[0]
+    for _ in subject.play(env, script):
+        pass

@@ -1,0 +1,275 @@
+"""Promises about the interface: what calls accept and return, and how an episode ends."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from gem_core.env import observation_from
+from gem_core.errors import ResetNeededError
+from gem_core.testing.comparing import json_loss, mutable_parts, plain, shown
+from gem_core.testing.contract import promise
+from gem_core.testing.subject import Subject
+
+_CONCURRENCY = ("inline", "thread", "process", "async")
+
+_IRRELEVANT_WARNINGS = (
+    "Not able to test alternative render modes",  # an environment that was not made by id has no record
+)
+
+
+@promise("let the constructor take the arguments that it is given, and leave what can fail to reset.")
+def construct(subject: Subject) -> Iterator[str]:
+    """The environment can be made, as often as wanted."""
+    subject.new()
+    subject.new()
+    yield from ()
+
+
+@promise("return (observation, info) from reset and (observation, reward, terminated, truncated, info) from step.")
+def episode(subject: Subject) -> Iterator[str]:
+    """An episode can be played: reset gives two values and each step gives five."""
+    task = subject.new().unwrapped
+    calls = {
+        "reset()": (2, partial(subject.reset, task, subject.seeds[0])),
+        "step('')": (5, partial(subject.step, task, "")),
+    }
+    for what, (expected, call) in calls.items():
+        result = call()
+        if not isinstance(result, tuple) or len(result) != expected:
+            yield f"{what} returned {shown(result)}, not a tuple of {expected}"
+            return
+        if not isinstance(result[-1], dict):
+            yield f"{what} returned the info {shown(result[-1])}, not a dictionary"
+            return
+    subject.record_scripts()
+
+
+@promise("return an observation of the observation space, a finite float, two bools and a dictionary.")
+def types(subject: Subject) -> Iterator[str]:
+    """Observations lie in the observation space, rewards are finite numbers, flags are bools and info is a dict."""
+    for where, env, result in _results(subject):
+        for problem in problems_of(env, result):
+            yield f"{where} gave {problem}"
+
+
+@promise("define reset(self, seed=None, options=None), with both by position or by name.")
+def reset_signature(subject: Subject) -> Iterator[str]:
+    """Reset takes a seed and options, both by position and by name."""
+    task = subject.new().unwrapped
+    try:
+        inspect.signature(task.reset).bind(0, {})
+        inspect.signature(task.reset).bind(seed=0, options={})
+    except TypeError as error:
+        yield f"reset{inspect.signature(task.reset)} does not accept (seed, options): {error}"
+        return
+    subject.called("reset(0)", task.reset, 0)
+    subject.called("reset(0, {})", task.reset, 0, {})
+    subject.called("reset(seed=0, options={})", task.reset, seed=0, options={})
+
+
+@promise("give every instance spaces that are equal by value, such as gem_core.spaces.Text().")
+def spaces(subject: Subject) -> Iterator[str]:
+    """Two instances have equal spaces, and every string is an action."""
+    one, other = subject.new(), subject.new()
+    for name in ("observation_space", "action_space"):
+        first, second = getattr(one, name), getattr(other, name)
+        if first != second:
+            yield f"{name} is {shown(first)} and, of another instance, {shown(second)}, which are not equal"
+    refused = [text for text in ("", "hello", "é\n🙂\x00\ud800") if not one.action_space.contains(text)]
+    if refused:
+        yield f"the action space {shown(one.action_space)} does not contain {shown(refused[0])}"
+
+
+@promise("set terminated when the task itself is over, and truncated only when it is cut off from outside.")
+def end_flags(subject: Subject) -> Iterator[str]:
+    """An episode ends either because the task is over or because it was cut off, never both at once."""
+    for where, _, result in _results(subject):
+        if len(result) == 5 and result[2] and result[3]:
+            yield f"{where} gave terminated and truncated, both True"
+
+
+@promise("put only strings, finite numbers, bools, None, lists and dictionaries with string keys into info.")
+def info_json(subject: Subject) -> Iterator[str]:
+    """Info is plain JSON, images apart: writing and reading it gives an equal object."""
+    for where, _, result in _results(subject):
+        loss = json_loss(result[-1])
+        if loss is not None:
+            yield f"info of {where}: {loss}"
+
+
+@promise("give the keys with one meaning everywhere the form that DESIGN.md names, section 3.")
+def info_keys(subject: Subject) -> Iterator[str]:
+    """The keys of info that mean the same everywhere have their form, and an error ends the episode as truncated."""
+    for where, _, result in _results(subject):
+        info = result[-1]
+        if not isinstance(info, Mapping):
+            continue
+        for key, accepted in _FORMS.items():
+            if key in info and not accepted(info[key]):
+                yield f"info[{key!r}] of {where} is {shown(info[key])}"
+        if info.get("error") is not None and len(result) == 5 and not result[3]:
+            yield f"{where} has info['error'] and is not truncated"
+
+
+@promise("return feedback + suffix as the observation, or leave both keys out.")
+def suffix(subject: Subject) -> Iterator[str]:
+    """Where info holds feedback and suffix, the observation is the first followed by the second."""
+    # The task alone: a view of the history changes observations and leaves the keys.
+    for where, _, result in _results(subject, wrapped=False):
+        observation, info = result[0], result[-1]
+        if "feedback" not in info and "suffix" not in info:
+            continue
+        missing = [key for key in ("feedback", "suffix") if key not in info]
+        if missing:
+            yield f"info of {where} has no {missing[0]!r} beside the other"
+        elif plain(observation_from(info["feedback"], info["suffix"])) != plain(observation):
+            yield (
+                f"{where}: the observation is {shown(observation)}, "
+                f"feedback {shown(info['feedback'])} and suffix {shown(info['suffix'])}"
+            )
+
+
+@promise("build a new dictionary and a new list for every result, also for what never changes.")
+def fresh_objects(subject: Subject) -> Iterator[str]:
+    """Every call returns objects of its own, so that what a caller keeps is not changed by later calls."""
+    seen: dict[int, tuple[str, Any]] = {}
+    for where, _, result in _results(subject):
+        own: dict[int, tuple[str, Any]] = {}
+        for part in (*mutable_parts(result[0]), *mutable_parts(result[-1])):
+            if id(part) in seen:
+                yield f"{where} returned the same object as {seen[id(part)][0]}: {shown(part)}"
+            own[id(part)] = where, part
+        seen |= own
+
+
+@promise("let gem_core.make put its guard around the task, and no wrapper catch ResetNeededError.")
+def step_after_end(subject: Subject) -> Iterator[str]:
+    """A step before the first reset or after the end raises ResetNeededError, and reset begins anew."""
+    env = subject.new()
+    yield from _stepping(subject, env, "before the first reset")
+    script = next((script for script in subject.scripts if script.ended), None)
+    if script is None:
+        subject.notes.append(f"step-after-end: no episode ended within {subject.limits.max_turns} turns")
+        return
+    for _ in subject.play(env, script):
+        pass
+    yield from _stepping(subject, env, "after the end")
+    yield from _stepping(subject, env, "once more after the end")
+    subject.reset(env, script.seed)
+    subject.step(env, script.actions[0])
+
+
+@promise("make close() do nothing when there is nothing left to free.")
+def close_twice(subject: Subject) -> Iterator[str]:
+    """Close works right after construction, in the midst of an episode, and a second time."""
+    env = subject.new()
+    subject.close(env)
+    subject.close(env)
+    env = subject.new()
+    subject.reset(env, subject.scripts[0].seed)
+    subject.step(env, subject.scripts[0].actions[0])
+    subject.close(env)
+    subject.close(env)
+    yield from ()
+
+
+@promise("set the class attribute concurrency to one of these.")
+def concurrency(subject: Subject) -> Iterator[str]:
+    """Concurrency is "inline", "thread", "process" or "async"."""
+    declared = getattr(subject.new().unwrapped, "concurrency", None)
+    if declared not in _CONCURRENCY:
+        yield f"concurrency is {shown(declared)}"
+
+
+@promise("see https://gymnasium.farama.org/api/env/ for what Gymnasium expects.")
+def gymnasium(subject: Subject) -> Iterator[str]:
+    """Gymnasium's own checker passes on the task without wrappers."""
+    from gymnasium.utils.env_checker import check_env as gymnasium_check
+
+    task = subject.new().unwrapped
+    task.action_space.seed(subject.limits.seed)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            subject.called("gymnasium's check_env", gymnasium_check, task)
+        except Exception as error:  # noqa: BLE001 - whatever it raises is its verdict
+            yield f"{type(error).__name__}: {shown(str(error))}"
+    for warning in caught:
+        text = str(warning.message).replace("\x1b[33m", "").replace("\x1b[0m", "").removeprefix("WARN: ")
+        if not text.startswith(_IRRELEVANT_WARNINGS):
+            subject.notes.append(f"gymnasium: {text}")
+
+
+def problems_of(env: Any, result: Any) -> Iterator[str]:
+    """Tell what is wrong with the types of the result of a reset or a step."""
+    observation, *middle, info = result
+    if not env.observation_space.contains(observation):
+        yield f"the observation {shown(observation)}, which is not in {shown(env.observation_space)}"
+    if not isinstance(info, dict):
+        yield f"the info {shown(info)}, which is not a dictionary"
+    if not middle:
+        return
+    reward, terminated, truncated = middle
+    is_number = isinstance(reward, int | float | np.integer | np.floating) and not isinstance(reward, bool)
+    if not is_number or not math.isfinite(reward):
+        yield f"the reward {shown(reward)}, which is not a finite number"
+    for name, flag in (("terminated", terminated), ("truncated", truncated)):
+        if not isinstance(flag, bool):
+            yield f"{name} = {shown(flag)}, which is a {type(flag).__name__} and not a bool"
+
+
+def _results(subject: Subject, *, wrapped: bool = True) -> Iterator[tuple[str, Any, Any]]:
+    """Play all scripts and give each result with its place and the environment."""
+    env: Any = subject.new()
+    if not wrapped:
+        env = env.unwrapped
+    for script in subject.scripts:
+        yield f"reset(seed={script.seed})", env, subject.reset(env, script.seed)
+        for action in script.actions:
+            result = subject.step(env, action)
+            yield f"step({shown(action)})", env, result
+            if result[2] or result[3]:
+                break
+
+
+def _stepping(subject: Subject, env: Any, when: str) -> Iterator[str]:
+    try:
+        result = subject.step(env, "hello")
+    except ResetNeededError:
+        return
+    yield f"step('hello') {when} returned {shown(result)}"
+
+
+def _is_observation(value: object) -> bool:
+    return isinstance(value, str | list)
+
+
+def _is_list_of_mappings(value: object) -> bool:
+    return isinstance(value, list) and all(isinstance(item, Mapping) for item in value)
+
+
+def _is_error(value: object) -> bool:
+    return value is None or (
+        isinstance(value, Mapping) and isinstance(value.get("kind"), str) and isinstance(value.get("message"), str)
+    )
+
+
+_FORMS: dict[str, Callable[[Any], bool]] = {
+    "seed": lambda value: isinstance(value, int) and not isinstance(value, bool),
+    "task_id": lambda value: isinstance(value, str | int) and not isinstance(value, bool),
+    "feedback": _is_observation,
+    "suffix": _is_observation,
+    "correct": lambda value: value is None or isinstance(value, bool),
+    "tools": _is_list_of_mappings,
+    "messages": lambda value: _is_list_of_mappings(value) and all("role" in message for message in value),
+    "system": lambda value: isinstance(value, str),
+    "episode": lambda value: isinstance(value, Mapping) and {"r", "l"} <= set(value),
+    "error": _is_error,
+}

@@ -1,0 +1,177 @@
+"""Promises about randomness: the same seed and actions give the same episode, whatever happens around it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import partial
+from itertools import zip_longest
+from typing import Any
+
+from gem_core.background import run_sync
+from gem_core.errors import NotSupportedError
+from gem_core.testing.comparing import first_difference, play, shown
+from gem_core.testing.contract import NotTriedError, promise
+from gem_core.testing.global_random import changed, global_state, scramble
+from gem_core.testing.helper import HelperError
+from gem_core.testing.subject import Record, Script, Subject
+from gem_core.wrapper import AnyEnv, reset_async, step_async
+
+_FROM_NP_RANDOM = "draw only from self.np_random, and make everything of an episode anew in reset."
+
+
+@promise(_FROM_NP_RANDOM)
+def determinism(subject: Subject) -> Iterator[str]:
+    """The same seed and actions give the same episode, in a new and in a used instance, whatever the global state."""
+    subject.expect_determinism()
+    references = []
+    used = subject.new()
+    for script in subject.scripts:
+        scramble(1)
+        expected = list(subject.play(subject.new(), script))
+        for number, kind in enumerate(("a new", "a used"), 2):
+            scramble(number)
+            env = subject.new() if kind == "a new" else used
+            difference = first_difference(expected, list(subject.play(env, script)))
+            if difference is not None:
+                yield f"with seed {script.seed}, {kind} instance differs {difference}"
+        references.append(expected)
+    # The used one has now played other episodes before this one.
+    difference = first_difference(references[0], list(subject.play(used, subject.scripts[0])))
+    if difference is not None:
+        yield f"with seed {subject.scripts[0].seed}, an instance that played other episodes differs {difference}"
+        return
+    subject.keep_references(references)
+
+
+@promise("keep the state of an episode in self, never in the class or the module.")
+def interleaving(subject: Subject) -> Iterator[str]:
+    """Other instances that play at the same time change nothing."""
+    references = subject.references
+    players = [subject.play(subject.new(), script) for script, _ in references]
+    rounds = list(zip_longest(*players))
+    for (script, expected), found in zip(references, zip(*rounds, strict=True), strict=True):
+        difference = first_difference(expected, [record for record in found if record is not None])
+        if difference is not None:
+            yield f"with seed {script.seed}, beside {len(players) - 1} others, it differs {difference}"
+
+
+@promise("derive from AsyncEnv to write coroutines, and otherwise leave reset_async and step_async alone.")
+def coroutines(subject: Subject) -> Iterator[str]:
+    """Coroutines give what plain calls give."""
+    env = subject.new()
+
+    def reset_in_loop(seed: int) -> Any:
+        return subject.called("reset_async()", run_sync, reset_async(env, seed))
+
+    def step_in_loop(action: str) -> Any:
+        return subject.called(f"step_async({shown(action)})", run_sync, step_async(env, action))
+
+    for script, expected in subject.references:
+        found = list(play(partial(reset_in_loop, script.seed), step_in_loop, script.actions))
+        difference = first_difference(expected, found)
+        if difference is not None:
+            yield f"with seed {script.seed}, reset_async and step_async differ {difference}"
+
+
+@promise("do not depend on hash(), the order of a set, the process id or the environment's variables.")
+def process_determinism(subject: Subject) -> Iterator[str]:
+    """Another process, in which strings hash differently, plays the same episode."""
+    for script, expected in subject.references:
+        try:
+            found = subject.elsewhere(script.actions, seed=script.seed)
+        except HelperError as error:
+            yield f"with seed {script.seed}, {error}"
+            continue
+        difference = first_difference(expected, found)
+        if difference is not None:
+            yield f"with seed {script.seed}, the other process differs {difference}"
+
+
+@promise("draw from self.np_random; fence in a library that insists on global state, and put its state back.")
+def global_random(subject: Subject) -> Iterator[str]:
+    """The global random state is left untouched by every call."""
+    made: list[AnyEnv] = []
+    yield from _touching("the constructor", lambda: made.append(subject.new()))
+    env = made[0]
+    for script in (subject.scripts[0], subject.scripts[-1]):
+        yield from _touching("reset()", partial(subject.reset, env, script.seed))
+        for action in script.actions:
+            yield from _touching("sample_random_action()", partial(_sampled, subject, env))
+            yield from _touching("get_state()", partial(_saved, subject, env))
+            yield from _touching(f"step({shown(action)})", partial(subject.step, env, action))
+    yield from _touching("close()", partial(subject.close, env))
+
+
+@promise("call super().reset(seed=seed) first, and decide each episode only by what it then draws from self.np_random.")
+def seed_stream(subject: Subject) -> Iterator[str]:
+    """reset(seed) starts a stream, reset() draws its next episode, and info["seed"] replays each alone."""
+    script, later = subject.scripts[0], subject.scripts[-1].actions
+    env = subject.new()
+    streams = [_stream(subject, env, script, later), _stream(subject, env, script, later)]
+    seeds, again = ([episode[0]["info"].get("seed") for episode in stream] for stream in streams)
+    if seeds[0] != script.seed:
+        yield f"info['seed'] after reset(seed={script.seed}) is {shown(seeds[0])}"
+        return
+    if seeds != again or len(set(map(str, seeds))) < len(seeds):
+        yield f"the stream of seed {script.seed} has the episodes {seeds}, and a second time {again}"
+        return
+    unseeded = [subject.reset(subject.new())[1].get("seed") for _ in range(2)]
+    if unseeded[0] == unseeded[1]:
+        yield f"two new instances that were reset without a seed both began with {unseeded[0]}"
+    if not subject.references:
+        return
+    for number, (seed, first, second) in enumerate(zip(seeds, *streams, strict=True), 1):
+        difference = first_difference(first, second)
+        if difference is not None:
+            yield f"episode {number} of the stream differs from itself {difference}"
+        actions = script.actions if number == 1 else later
+        difference = first_difference(first, list(subject.play_from(subject.new(), seed, actions)))
+        if difference is not None:
+            yield f"reset(seed={seed}) does not replay episode {number} of the stream: it differs {difference}"
+
+
+@promise("draw sampled actions from self.action_random, and change nothing else.")
+def action_sampling(subject: Subject) -> Iterator[str]:
+    """Sampling actions changes nothing of the episode, and the same seed samples the same actions."""
+    if not subject.can_sample():
+        raise NotTriedError("it gives no random actions; see 'valid-sample'")
+    samples: list[list[str]] = []
+    for script, expected in [subject.references[0], *subject.references]:
+        env = subject.new()
+        found: list[Record] = []
+        drawn: list[str] = []
+        for index, record in enumerate(subject.play(env, script)):
+            found.append(record)
+            if index < len(script.actions):
+                drawn += [subject.sample(env) for _ in range(index % 3 + 1)]
+        difference = first_difference(expected, found)
+        if difference is not None:
+            yield f"with seed {script.seed}, the episode in which actions are sampled differs {difference}"
+        samples.append(drawn)
+    if samples[0] != samples[1]:
+        seed = subject.scripts[0].seed
+        yield f"seed {seed} sampled {shown(samples[0][:5])}, and a second time {shown(samples[1][:5])}"
+
+
+def _stream(subject: Subject, env: AnyEnv, script: Script, later: tuple[str, ...]) -> list[list[Record]]:
+    """Play an episode from a seed and the two that follow it in its stream."""
+    return [list(subject.play(env, script)), *(list(subject.play_from(env, None, later)) for _ in range(2))]
+
+
+def _touching(label: str, call: Callable[[], object]) -> Iterator[str]:
+    before = global_state()
+    call()
+    names = changed(before, global_state())
+    if names is not None:
+        yield f"{label} changed the state of {names}"
+
+
+def _sampled(subject: Subject, env: AnyEnv) -> None:
+    with suppress(NotSupportedError):
+        subject.sample(env)
+
+
+def _saved(subject: Subject, env: AnyEnv) -> None:
+    with suppress(NotTriedError):
+        subject.saved(env)

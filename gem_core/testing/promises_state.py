@@ -1,0 +1,122 @@
+"""Promises about state: what is saved restores the episode elsewhere, and siblings are independent."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any, cast
+
+from gem_core.env import Env
+from gem_core.errors import StateNotSupported
+from gem_core.testing.comparing import first_difference, json_loss, plain, shown
+from gem_core.testing.contract import promise
+from gem_core.testing.helper import HelperError
+from gem_core.testing.subject import Record, Script, Subject
+from gem_core.wrapper import AnyEnv
+
+
+@promise("return copies of strings, numbers, lists and dictionaries with string keys from _get_state.")
+def state_json(subject: Subject) -> Iterator[str]:
+    """A state is plain data that JSON keeps exactly, and that later steps leave as it is."""
+    for script in subject.scripts:
+        env = subject.new()
+        kept: list[tuple[Mapping[str, Any], object]] = []
+        for _ in subject.play(env, script):
+            state = subject.saved(env)
+            loss = json_loss(state)
+            if loss is not None:
+                yield f"in the state after {len(kept)} steps, {loss}"
+            kept.append((state, copy.deepcopy(plain(state))))
+        for steps, (state, before) in enumerate(kept):
+            if plain(state) != before:
+                yield f"the state after {steps} steps was changed by later ones: {shown(before)}, then {shown(state)}"
+
+
+@promise("put all that decides the rest of the episode into _get_state, and copy it in _set_state.")
+def state_instance(subject: Subject) -> Iterator[str]:
+    """Another instance goes on from a saved state as the first one does, as often as wanted."""
+    for script, expected in subject.references:
+        for steps in subject.cuts(script):
+            original = subject.new()
+            _advance(subject, original, script, steps)
+            state = _carried(subject.saved(original))
+            mine = _continued(subject, original, script, steps)
+            busy = subject.new()
+            subject.reset(busy, script.seed + 1)
+            for kind, other in (("new", subject.new()), ("busy", busy), ("third", subject.new())):
+                subject.called("set_state(state)", cast("Env", other).set_state, state)
+                theirs = _continued(subject, other, script, steps)
+                difference = first_difference(mine, theirs, steps + 1) or first_difference(
+                    expected[steps + 1 :], theirs[: len(expected) - steps - 1], steps + 1
+                )
+                if difference is not None:
+                    yield f"with seed {script.seed}, restored after {steps} steps, a {kind} one differs {difference}"
+
+
+@promise("save values rather than objects, and depend on nothing that only this process has.")
+def state_process(subject: Subject) -> Iterator[str]:
+    """Another process goes on from a saved state as the first one does."""
+    for script, expected in subject.references:
+        for steps in subject.cuts(script):
+            original = subject.new()
+            _advance(subject, original, script, steps)
+            state = _carried(subject.saved(original))
+            try:
+                found = subject.elsewhere(script.actions[steps:], state=state)
+            except HelperError as error:
+                yield f"with seed {script.seed}, restored after {steps} steps, {error}"
+                continue
+            difference = first_difference(expected[steps + 1 :], found, steps + 1)
+            if difference is not None:
+                yield f"with seed {script.seed}, restored after {steps} steps, it differs {difference}"
+
+
+@promise("let spawn call the constructor with the same arguments, and share nothing that changes.")
+def spawn(subject: Subject) -> Iterator[str]:
+    """Spawn gives an independent sibling that plays the same episodes, and with same_state goes on from here."""
+    script, expected = subject.references[0]
+    steps = len(script.actions) // 2
+    env = subject.new()
+    before = _advance(subject, env, script, steps)
+    sibling = _spawned(subject, env)
+    if sibling is env or type(sibling) is not type(env):
+        yield f"spawn() gave {shown(sibling)} for a {type(env).__name__}"
+        return
+    if cast("Env", sibling).env_id != cast("Env", env).env_id:
+        yield f"the sibling's env_id is {shown(cast('Env', sibling).env_id)}, not {shown(cast('Env', env).env_id)}"
+    try:
+        twin = _spawned(subject, env, same_state=True)
+    except StateNotSupported:
+        twin = None
+    difference = first_difference(expected, list(subject.play(sibling, script)))
+    if difference is not None:
+        yield f"with seed {script.seed}, the sibling differs {difference}"
+    after = list(subject.play_on(env, script, steps))
+    difference = first_difference(expected, before + after)
+    if difference is not None:
+        yield f"what the sibling played changed the first one: it differs {difference}"
+    if twin is not None:
+        difference = first_difference(expected[steps + 1 :], list(subject.play_on(twin, script, steps)), steps + 1)
+        if difference is not None:
+            yield f"spawn(same_state=True) after {steps} steps differs {difference}"
+
+
+def _advance(subject: Subject, env: AnyEnv, script: Script, steps: int) -> list[Record]:
+    """Play the first ``steps`` actions of a script."""
+    return list(subject.play_from(env, script.seed, script.actions[:steps]))
+
+
+def _continued(subject: Subject, env: AnyEnv, script: Script, steps: int) -> list[Record]:
+    """Play the rest of a script, and begin the next episode of the stream."""
+    rest = list(subject.play_on(env, script, steps))
+    return [*rest, *subject.play_from(env, None, ())]
+
+
+def _carried(state: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Send a state through JSON; one that JSON cannot keep is copied, since ``state-json`` names that."""
+    return copy.deepcopy(state) if json_loss(state) else cast("Mapping[str, Any]", json.loads(json.dumps(state)))
+
+
+def _spawned(subject: Subject, env: AnyEnv, **options: bool) -> AnyEnv:
+    return subject.own(subject.called("spawn()", cast("Env", env).spawn, **options))

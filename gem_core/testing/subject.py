@@ -1,0 +1,257 @@
+"""The environment under check: new instances of it, calls under a time limit, and episodes to repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, cast
+
+import gymnasium
+
+from gem_core.env import Env
+from gem_core.errors import ArgumentError, StateNotSupported
+from gem_core.registry import make
+from gem_core.seeding import stable_hash
+from gem_core.specs import EnvSpec
+from gem_core.testing.comparing import play, shown
+from gem_core.testing.contract import NotTriedError
+from gem_core.testing.handing_over import guarded, layers_of, recipe_of, remade
+from gem_core.testing.helper import other_process
+from gem_core.testing.watch import Watch
+from gem_core.wrapper import AnyEnv, Wrapper
+
+Record = dict[str, Any]
+"""What one reset or step gave, as plain data."""
+
+CLUMSY_ACTIONS = (
+    "",
+    "hello",
+    "\\boxed{1}",
+    "<answer>A</answer>",
+    "I do not know.",
+    "\\boxed{A B}",
+    "```python\nprint(1)\n```",
+    "\\boxed{[0 0]}",
+)
+"""What an agent might say that does not know the task: the actions where sampling gives none."""
+
+
+@dataclass(frozen=True)
+class Script:
+    """An episode that can be played again.
+
+    Args:
+        seed: What it is reset with.
+        actions: What is answered, up to the end of the episode or the limit of turns.
+        ended: Whether the last action ended it.
+    """
+
+    seed: int
+    actions: tuple[str, ...]
+    ended: bool
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How much is tried, and how long a call may take.
+
+    Args:
+        seed: Decides all seeds and generated actions.
+        episodes: Episodes played with sampled actions.
+        max_turns: Turns after which a check stops playing an episode.
+        step_timeout_s: Limit of one step, in seconds.
+        reset_timeout_s: Limit of every other call, in seconds.
+    """
+
+    seed: int = 0
+    episodes: int = 3
+    max_turns: int = 40
+    step_timeout_s: float = 30.0
+    reset_timeout_s: float = 300.0
+
+
+class Subject:
+    """What the promises see of the environment under check."""
+
+    def __init__(self, target: object, limits: Limits) -> None:
+        self.limits = limits
+        self.watch = Watch()
+        self.notes: list[str] = []
+        self.name, self._make = self._maker(target)
+        self._instances: list[AnyEnv] = []
+        self._scripts: list[Script] | None = None
+        self._references: list[list[Record]] | None = None
+
+    # Instances.
+
+    def new(self) -> AnyEnv:
+        """Return another instance with the same arguments; it is closed when the promise has been tried."""
+        env = self._limited(lambda: f"making {self.name}", self.limits.reset_timeout_s, self._make)
+        if not isinstance(env, Env | Wrapper):
+            raise ArgumentError(f"{self.name} is a {type(env).__name__}, which does not derive from gem_core.Env")
+        return self.own(guarded(env))
+
+    def own(self, env: AnyEnv) -> AnyEnv:
+        """Close an environment once the promise has been tried."""
+        self._instances.append(env)
+        return env
+
+    def close_all(self) -> None:
+        """Close what the last promise made; what goes wrong is named by ``close-twice``."""
+        instances, self._instances = self._instances, []
+        for env in instances:
+            with suppress(Exception, SystemExit):  # a promise of its own tries and names it
+                self.close(env)
+
+    def forget_all(self) -> None:
+        """Leave the instances of a promise to the thread that hangs in one of them."""
+        self._instances = []
+
+    # Calls.
+
+    def reset(self, env: AnyEnv, seed: int | None = None) -> Any:
+        """Reset under the time limit."""
+        return self.called(f"reset(seed={seed})" if seed is not None else "reset()", env.reset, seed=seed)
+
+    def step(self, env: AnyEnv, action: str) -> Any:
+        """Step under the time limit."""
+        return self._limited(lambda: f"step({shown(action)})", self.limits.step_timeout_s, env.step, action)
+
+    def sample(self, env: AnyEnv) -> str:
+        """Sample an action under the time limit."""
+        return cast("str", self.called("sample_random_action()", env.get_wrapper_attr("sample_random_action")))
+
+    def close(self, env: AnyEnv) -> None:
+        """Close under the time limit."""
+        self.called("close()", env.close)
+
+    def called(self, label: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+        """Call anything else under the time limit."""
+        return self._limited(lambda: label, self.limits.reset_timeout_s, function, *args, **kwargs)
+
+    def _limited(self, label: Callable[[], str], limit_s: float, function: Any, *args: Any, **kwargs: Any) -> Any:
+        return self.watch.call(label, limit_s, function, *args, **kwargs)
+
+    # Episodes.
+
+    @property
+    def seeds(self) -> list[int]:
+        """The seeds of the episodes that are played."""
+        return [stable_hash(self.limits.seed, "check", number) for number in range(self.limits.episodes + 1)]
+
+    @property
+    def scripts(self) -> list[Script]:
+        """Episodes to repeat: sampled actions, and in the last one what an agent says that does not know the task."""
+        if self._scripts is None:
+            raise NotTriedError("no episode could be played; see 'episode'")
+        return self._scripts
+
+    def record_scripts(self) -> None:
+        """Play the episodes that the other promises repeat."""
+        *sampled, clumsy = self.seeds
+        env = self.new()
+        scripts = [self._recorded(env, seed, self.can_sample()) for seed in sampled]
+        self._scripts = [*scripts, self._recorded(env, clumsy, False)]
+
+    def can_sample(self) -> bool:
+        """Tell whether the environment gives random actions; ``valid-sample`` says what is wrong where it does not."""
+        env = self.new()
+        self.reset(env, self.seeds[0])
+        try:
+            return isinstance(self.sample(env), str)
+        except Exception:  # noqa: BLE001 - a promise of its own tries and names it
+            return False
+
+    def _recorded(self, env: AnyEnv, seed: int, sampled: bool) -> Script:
+        self.reset(env, seed)
+        actions: list[str] = []
+        ended = False
+        while not ended and len(actions) < self.limits.max_turns:
+            actions.append(self.sample(env) if sampled else CLUMSY_ACTIONS[len(actions) % len(CLUMSY_ACTIONS)])
+            result = self.step(env, actions[-1])
+            ended = bool(result[2] or result[3])
+        return Script(seed, tuple(actions), ended)
+
+    def play(self, env: AnyEnv, script: Script) -> Iterator[Record]:
+        """Play a script from its reset."""
+        return self.play_from(env, script.seed, script.actions)
+
+    def play_from(self, env: AnyEnv, seed: int | None, actions: tuple[str, ...]) -> Iterator[Record]:
+        """Reset and play some actions; without a seed, the next episode of the stream."""
+        return play(lambda: self.reset(env, seed), lambda action: self.step(env, action), actions)
+
+    def play_on(self, env: AnyEnv, script: Script, first: int) -> Iterator[Record]:
+        """Play what is left of a script, from the action with index ``first``."""
+        return play(None, lambda action: self.step(env, action), script.actions[first:])
+
+    # What is known to repeat.
+
+    def expect_determinism(self) -> None:
+        """Refuse what the environment's record says cannot be repeated."""
+        spec = self.new().unwrapped.spec
+        if spec is not None and spec.nondeterministic:
+            raise NotTriedError("its record says deterministic=False")
+
+    @property
+    def references(self) -> list[tuple[Script, list[Record]]]:
+        """Every script with what it gives, known to be the same each time."""
+        self.expect_determinism()
+        if self._references is None:
+            raise NotTriedError("the same seed and actions do not repeat; see 'determinism'")
+        return list(zip(self.scripts, self._references, strict=True))
+
+    def keep_references(self, references: list[list[Record]]) -> None:
+        """Note what each script gives, once it is known to repeat."""
+        self._references = references
+
+    def cuts(self, script: Script) -> list[int]:
+        """Return the numbers of actions after which states are saved: none, half, and all but the last."""
+        last = len(script.actions) - 1
+        return sorted({0, last // 2, max(last, 0)})
+
+    def saved(self, env: AnyEnv) -> Mapping[str, Any]:
+        """Return the state of an environment, where it has one to give."""
+        try:
+            return cast("Mapping[str, Any]", self.called("get_state()", cast("Env", env).get_state))
+        except StateNotSupported as error:
+            raise NotTriedError(str(error)) from error
+
+    def elsewhere(
+        self, actions: tuple[str, ...], *, seed: int | None = None, state: Mapping[str, Any] | None = None
+    ) -> list[Record]:
+        """Play in another process, from a seed or a state.
+
+        Raises:
+            NotTriedError: This environment cannot be made there.
+            HelperError: It was made there, and did not get to the end.
+        """
+        recipe = recipe_of(self.new())
+        request = {"recipe": recipe, "seed": seed, "state": state, "actions": list(actions)}
+        # The helper has a time limit of its own for every call; this one is for all of them.
+        records: list[Record] = self._limited(
+            lambda: "the other process",
+            (len(actions) + 2) * self.limits.reset_timeout_s,
+            other_process().play,
+            request,
+            step_timeout_s=self.limits.step_timeout_s,
+            reset_timeout_s=self.limits.reset_timeout_s,
+        )
+        return records
+
+    def _maker(self, target: object) -> tuple[str, Callable[[], Any]]:
+        if isinstance(target, str | EnvSpec):
+            return target if isinstance(target, str) else target.id, lambda: make(target)
+        if isinstance(target, gymnasium.Env):
+            env = self._without_outer_gymnasium_wrappers(target)
+            names = [type(layer).__name__ for layer in layers_of(env)]
+            return getattr(env, "env_id", None) or " around ".join(names), lambda: remade(env)
+        if callable(target):
+            return getattr(target, "__name__", repr(target)), target
+        raise ArgumentError(f"check_env takes an id, an environment, or a class, not {target!r}")
+
+    def _without_outer_gymnasium_wrappers(self, env: AnyEnv) -> AnyEnv:
+        while isinstance(env, gymnasium.Wrapper) and not isinstance(env, Wrapper):
+            self.notes.append(f"checked inside Gymnasium's {type(env).__name__}, which has none of GEM's methods")
+            env = env.env
+        return env

@@ -1,0 +1,120 @@
+"""A small environment that keeps every promise, and the listing of the paper, which does not."""
+
+from __future__ import annotations
+
+import random
+import re
+import string
+from typing import Any
+
+from gem_core import TERMINAL_STATE, Env, extract_last_boxed_answer
+from gem_core.env import AsyncEnv
+
+
+class GoodEnv(Env):
+    """Guess a whole number in a few turns, with state, a board at the end of each observation, and sampling."""
+
+    def __init__(self, limit: int = 10, max_turns: int = 4) -> None:
+        self.limit = limit
+        self.max_turns = max_turns
+        self.secret = 0
+        self.guesses: list[int] = []
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        super().reset(seed=seed)
+        self.secret = int(self.np_random.integers(1, self.limit + 1))
+        self.guesses = []
+        return self.answer(f"Guess a number from 1 to {self.limit}, as \\boxed{{7}}.\n")
+
+    def step(self, action: str) -> Any:
+        guess = self.parse(action)
+        self.guesses.append(0 if guess is None else guess)
+        won = guess == self.secret
+        over = won or len(self.guesses) >= self.max_turns
+        # A little noise that comes from the task's own generator, so that state without generators is seen.
+        feedback = f"{self.hint(guess)} Omen: {int(self.np_random.integers(1000))}.\n"
+        observation, info = self.answer(feedback)
+        info["parsed_action"] = guess
+        if over:
+            info["correct"] = won
+        return observation, float(won), over, False, info
+
+    def answer(self, feedback: str) -> tuple[str, dict[str, Any]]:
+        suffix = f"Guesses so far: {self.guesses}."
+        return feedback + suffix, {"feedback": feedback, "suffix": suffix}
+
+    def hint(self, guess: int | None) -> str:
+        if guess is None:
+            return "That was no number in range."
+        return "Right." if guess == self.secret else f"It is {'higher' if guess < self.secret else 'lower'}."
+
+    def parse(self, action: str) -> int | None:
+        content = extract_last_boxed_answer(action)
+        if content is None or not re.fullmatch("[0-9]{1,9}", content):
+            return None
+        return int(content) if 1 <= int(content) <= self.limit else None
+
+    def sample_random_action(self) -> str:
+        return f"\\boxed{{{int(self.action_random.integers(1, self.limit + 1))}}}"
+
+    def _get_state(self) -> dict[str, Any]:
+        return {"secret": self.secret, "guesses": list(self.guesses)}
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self.secret = state["secret"]
+        self.guesses = list(state["guesses"])
+
+
+class GoodAsyncEnv(AsyncEnv):
+    """The same game, written as coroutines."""
+
+    def __init__(self) -> None:
+        self.game = GoodEnv()
+
+    async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        await super().reset_async(seed)
+        self.game._np_random = self.np_random
+        self.game.secret = int(self.np_random.integers(1, self.game.limit + 1))
+        self.game.guesses = []
+        return self.game.answer("Guess.\n")
+
+    async def step_async(self, action: str) -> Any:
+        return self.game.step(action)
+
+    def sample_random_action(self) -> str:
+        return f"\\boxed{{{int(self.action_random.integers(1, self.game.limit + 1))}}}"
+
+    def _get_state(self) -> dict[str, Any]:
+        return self.game._get_state()
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self.game._np_random = self.np_random
+        self.game._set_state(state)
+
+
+class ReverseStringEnv(Env):
+    """The second listing of the GEM paper, with only its imports changed.
+
+    Source: Liu et al., GEM: A Gym for Agentic LLMs, arXiv:2510.01051.
+    """
+
+    def __init__(self, str_len: int = 5):
+        super().__init__()
+        self.str_len = str_len
+
+    def _get_instructions(self):
+        return f"You are tasked to reverse the string {self.gt_str!r}. Put your answer in \\boxed{{}}."
+
+    def reset(self, seed=None):
+        super().reset(seed)
+        characters = string.ascii_letters + string.digits
+        self.gt_str = "".join(random.choices(characters, k=self.str_len))
+        return self._get_instructions(), {}
+
+    def step(self, action):
+        clean_action = extract_last_boxed_answer(action)
+        if clean_action is None:  # noqa: SIM108 - the listing is kept as it is printed
+            reward = 0
+        else:
+            reward = float(clean_action[::-1] == self.gt_str)
+        return TERMINAL_STATE, reward, True, True, {}
