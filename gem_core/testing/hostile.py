@@ -2,6 +2,7 @@ r"""Actions that no environment expects and every environment survives."""
 
 from __future__ import annotations
 
+import json
 import random
 
 _LONG = 5_000_000
@@ -187,12 +188,14 @@ def hostile_actions(count: int = 240, seed: int = 0) -> list[str]:
     actions = dict.fromkeys(fixed)
     generator = random.Random(seed)
     while len(actions) < max(count, 200):
-        actions[_mixed(generator) if generator.random() < 0.7 else _random_text(generator)] = None
+        text = _mixed(generator) if generator.random() < 0.7 else _random_text(generator)
+        # JSON makes one character of a pair of surrogates that happen to meet: lone ones stay, pairs become that.
+        actions[json.loads(json.dumps(text))] = None
     return list(actions)
 
 
 def _boxed_numbers() -> list[str]:
-    digits = [text for text in _DIGITS_OF_OTHER_SCRIPTS.values()]
+    digits = list(_DIGITS_OF_OTHER_SCRIPTS.values())
     return [*digits, *(f"\\boxed{{{text[1:3]}}}" for text in digits), *(f"\\boxed{{{text}}}" for text in _NUMBERS)]
 
 

@@ -51,6 +51,7 @@ def response(subject: Subject) -> Iterator[str]:
 @promise("treat what cannot be read as a wrong answer: an observation, a reward, no exception, in bounded time.")
 def hostile_actions_(subject: Subject) -> Iterator[str]:
     """Any string at all gives an observation and a reward in bounded time, and the episode goes on."""
+    script = subject.scripts[0]
     env = subject.new()
     subject.reset(env, subject.limits.seed)
     for number, action in enumerate(hostile_actions(seed=subject.limits.seed)):
@@ -71,6 +72,9 @@ def hostile_actions_(subject: Subject) -> Iterator[str]:
             yield f"step({shown(action)}) gave the error {shown(info['error'])}; what an action causes is the agent's"
         if result[2] or result[3]:
             subject.reset(env, number)
-    script = subject.scripts[0]
-    for _ in subject.play(env, script):
-        pass
+    # Whatever was said before, the next episode is the usual one.
+    expected = subject.references[0][1] if subject.repeats else None
+    after = list(subject.play(env, script))
+    difference = None if expected is None else first_difference(expected, after)
+    if difference is not None:
+        yield f"with seed {script.seed}, the episode after all of them differs {difference}"

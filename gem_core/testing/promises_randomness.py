@@ -82,7 +82,7 @@ def process_determinism(subject: Subject) -> Iterator[str]:
             found = subject.elsewhere(script.actions, seed=script.seed)
         except HelperError as error:
             yield f"with seed {script.seed}, {error}"
-            continue
+            return
         difference = first_difference(expected, found)
         if difference is not None:
             yield f"with seed {script.seed}, the other process differs {difference}"

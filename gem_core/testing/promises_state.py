@@ -66,7 +66,7 @@ def state_process(subject: Subject) -> Iterator[str]:
                 found = subject.elsewhere(script.actions[steps:], state=state)
             except HelperError as error:
                 yield f"with seed {script.seed}, restored after {steps} steps, {error}"
-                continue
+                return
             difference = first_difference(expected[steps + 1 :], found, steps + 1)
             if difference is not None:
                 yield f"with seed {script.seed}, restored after {steps} steps, it differs {difference}"
@@ -75,16 +75,23 @@ def state_process(subject: Subject) -> Iterator[str]:
 @promise("let spawn call the constructor with the same arguments, and share nothing that changes.")
 def spawn(subject: Subject) -> Iterator[str]:
     """Spawn gives an independent sibling that plays the same episodes, and with same_state goes on from here."""
-    script, expected = subject.references[0]
-    steps = len(script.actions) // 2
     env = subject.new()
-    before = _advance(subject, env, script, steps)
     sibling = _spawned(subject, env)
     if sibling is env or type(sibling) is not type(env):
         yield f"spawn() gave {shown(sibling)} for a {type(env).__name__}"
         return
     if cast("Env", sibling).env_id != cast("Env", env).env_id:
         yield f"the sibling's env_id is {shown(cast('Env', sibling).env_id)}, not {shown(cast('Env', env).env_id)}"
+    for number, (script, expected) in enumerate(subject.references):
+        yield from _sibling_problems(subject, script, expected, between=subject.scripts[number - 1])
+
+
+def _sibling_problems(subject: Subject, script: Script, expected: list[Record], between: Script) -> Iterator[str]:
+    """Spawn in the middle of a script, and let the sibling play ``between`` before the first one goes on."""
+    steps = len(script.actions) // 2
+    env = subject.new()
+    before = _advance(subject, env, script, steps)
+    sibling = _spawned(subject, env)
     try:
         twin = _spawned(subject, env, same_state=True)
     except StateNotSupported:
@@ -92,14 +99,15 @@ def spawn(subject: Subject) -> Iterator[str]:
     difference = first_difference(expected, list(subject.play(sibling, script)))
     if difference is not None:
         yield f"with seed {script.seed}, the sibling differs {difference}"
-    after = list(subject.play_on(env, script, steps))
-    difference = first_difference(expected, before + after)
+    for _ in subject.play(sibling, between):
+        pass
+    difference = first_difference(expected, before + list(subject.play_on(env, script, steps)))
     if difference is not None:
-        yield f"what the sibling played changed the first one: it differs {difference}"
+        yield f"what a sibling played changed the first one: with seed {script.seed}, it differs {difference}"
     if twin is not None:
         difference = first_difference(expected[steps + 1 :], list(subject.play_on(twin, script, steps)), steps + 1)
         if difference is not None:
-            yield f"spawn(same_state=True) after {steps} steps differs {difference}"
+            yield f"with seed {script.seed}, spawn(same_state=True) after {steps} steps differs {difference}"
 
 
 def _advance(subject: Subject, env: AnyEnv, script: Script, steps: int) -> list[Record]:

@@ -201,6 +201,11 @@ class Subject:
             raise NotTriedError("the same seed and actions do not repeat; see 'determinism'")
         return list(zip(self.scripts, self._references, strict=True))
 
+    @property
+    def repeats(self) -> bool:
+        """Whether episodes are known to repeat."""
+        return self._references is not None
+
     def keep_references(self, references: list[list[Record]]) -> None:
         """Note what each script gives, once it is known to repeat."""
         self._references = references

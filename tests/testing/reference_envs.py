@@ -5,10 +5,13 @@ from __future__ import annotations
 import random
 import re
 import string
+from functools import cached_property
 from typing import Any
 
 from gem_core import TERMINAL_STATE, Env, extract_last_boxed_answer
 from gem_core.env import AsyncEnv
+from gem_core.spaces import Content
+from gem_core.wrapper import Wrapper
 
 
 class GoodEnv(Env):
@@ -90,6 +93,51 @@ class GoodAsyncEnv(AsyncEnv):
     def _set_state(self, state: dict[str, Any]) -> None:
         self.game._np_random = self.np_random
         self.game._set_state(state)
+
+
+class ThreadEnv(GoodEnv):
+    """The same game, run as if it blocked."""
+
+    concurrency = "thread"
+
+
+class PictureEnv(GoodEnv):
+    """The same game, with a picture in every observation."""
+
+    @cached_property
+    def observation_space(self) -> Content:
+        return Content()
+
+    def answer(self, feedback: str) -> Any:
+        from PIL import Image
+
+        picture = Image.new("L", (2, 2), color=len(self.guesses))
+        suffix = [{"type": "image", "image": picture}]
+        return [{"type": "text", "text": feedback}, *suffix], {"feedback": feedback, "suffix": [dict(suffix[0])]}
+
+
+class CountingWrapper(Wrapper):
+    """Counts turns in info, in steps of its own; its state is the count."""
+
+    def __init__(self, env: Any, step: int = 1) -> None:
+        super().__init__(env)
+        self.width = step
+        self.count = 0
+
+    def after_reset(self, result: Any) -> Any:
+        self.count = 0
+        return result
+
+    def after_step(self, action: str, result: Any) -> Any:
+        self.count += self.width
+        result[4]["count"] = self.count
+        return result
+
+    def _get_state(self) -> dict[str, Any]:
+        return {"count": self.count}
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self.count = state["count"]
 
 
 class ReverseStringEnv(Env):

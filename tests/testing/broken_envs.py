@@ -1,0 +1,402 @@
+"""One environment for each promise that breaks it and, where it can be done, nothing else."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import random
+import secrets
+import sys
+import threading
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+from reference_envs import GoodEnv
+
+from gem_core.errors import ResetNeededError
+from gem_core.spaces import Text
+from gem_core.wrapper import Guard, Wrapper
+
+BROKEN: dict[Callable[[], Any], tuple[set[str], set[str]]] = {}
+"""What makes each environment, the promises that it breaks, and those that it may break beside."""
+
+
+def breaks(*slugs: str, may: tuple[str, ...] = ()) -> Callable[[Any], Any]:
+    def enter(maker: Any) -> Any:
+        BROKEN[maker] = set(slugs), set(may)
+        return maker
+
+    return enter
+
+
+@breaks("construct")
+class UnmakeableEnv(GoodEnv):
+    """Its constructor fails."""
+
+    def __init__(self) -> None:
+        raise ValueError("no luck")
+
+
+@breaks("episode", "gymnasium")
+class OldStepEnv(GoodEnv):
+    """Its step returns four values, as in the old Gym."""
+
+    def step(self, action: str) -> Any:
+        observation, reward, terminated, _, info = super().step(action)
+        return observation, reward, terminated, info
+
+
+@breaks("types", "hostile-actions", "gymnasium")
+class NanRewardEnv(GoodEnv):
+    """Its reward is not a number."""
+
+    def step(self, action: str) -> Any:
+        observation, _, *rest = super().step(action)
+        return observation, float("nan"), *rest
+
+
+@breaks("reset-signature", "coroutines")
+class KeywordResetEnv(GoodEnv):
+    """Its reset takes nothing by position."""
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:  # type: ignore[override]
+        return super().reset(seed, options)
+
+
+class _UniqueText(Text):
+    __eq__ = object.__eq__
+    __hash__ = object.__hash__
+
+
+@breaks("spaces")
+class UniqueSpaceEnv(GoodEnv):
+    """The spaces of two instances are never equal."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.observation_space = _UniqueText()
+
+
+@breaks("end-flags")
+class BothFlagsEnv(GoodEnv):
+    """It ends with both flags."""
+
+    def step(self, action: str) -> Any:
+        observation, reward, terminated, _, info = super().step(action)
+        return observation, reward, terminated, terminated, info
+
+
+@breaks("info-json")
+class TupleInfoEnv(GoodEnv):
+    """Its first info holds a tuple."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        observation, info = super().reset(seed, options)
+        return observation, {**info, "range": (1, self.limit)}
+
+
+@breaks("info-keys")
+class WordyCorrectEnv(GoodEnv):
+    """It says in words whether the answer was correct."""
+
+    def step(self, action: str) -> Any:
+        *result, info = super().step(action)
+        return *result, ({**info, "correct": "yes"} if "correct" in info else info)
+
+
+@breaks("suffix")
+class WrongSuffixEnv(GoodEnv):
+    """Its suffix is not the end of the observation."""
+
+    def answer(self, feedback: str) -> tuple[str, dict[str, Any]]:
+        observation, info = super().answer(feedback)
+        return observation, {**info, "suffix": "Nothing new."}
+
+
+@breaks("fresh-objects", may=("gymnasium",))
+class SharedListEnv(GoodEnv):
+    """It hands out its own list of guesses; Gymnasium 1.4 and later see that too."""
+
+    def answer(self, feedback: str) -> tuple[str, dict[str, Any]]:
+        observation, info = super().answer(feedback)
+        return observation, {**info, "guesses": self.guesses}
+
+
+class ForgivingWrapper(Wrapper):
+    """Answers a step outside an episode instead of refusing it."""
+
+    def step(self, action: str) -> Any:
+        try:
+            return self.env.step(action)
+        except ResetNeededError:
+            return "over", 0.0, True, False, {}
+
+
+@breaks("step-after-end")
+def forgiving_env() -> Wrapper:
+    return ForgivingWrapper(Guard(GoodEnv()))
+
+
+@breaks("close-twice")
+class OneCloseEnv(GoodEnv):
+    """Its close cannot be repeated."""
+
+    open = True
+
+    def close(self) -> None:
+        del self.__dict__["secret"]
+
+
+@breaks("concurrency")
+class OddConcurrencyEnv(GoodEnv):
+    """Its concurrency is none of the four."""
+
+    concurrency = "sometimes"  # type: ignore[assignment]
+
+
+@breaks("gymnasium")
+class FirstStepTruncatesEnv(GoodEnv):
+    """It is cut off by the first answer that it cannot read, which Gymnasium does not allow."""
+
+    def step(self, action: str) -> Any:
+        observation, reward, terminated, _, info = super().step(action)
+        return observation, reward, terminated, not terminated and info["parsed_action"] is None, info
+
+
+@breaks("determinism", "gymnasium")
+class EntropyEnv(GoodEnv):
+    """Its hints carry a number of the operating system's."""
+
+    def hint(self, guess: int | None) -> str:
+        return f"{super().hint(guess)} {secrets.randbits(60)}"
+
+
+@breaks("determinism", "gymnasium")
+class LeftoverEnv(GoodEnv):
+    """It counts steps over all episodes of an instance."""
+
+    steps = 0
+
+    def hint(self, guess: int | None) -> str:
+        self.steps += 1
+        return f"{super().hint(guess)} Step {self.steps}."
+
+
+@breaks("interleaving", "spawn")
+class ClassStateEnv(GoodEnv):
+    """It keeps the number to guess in its class."""
+
+    shared: ClassVar[list[int]] = [0]
+
+    @property
+    def secret(self) -> int:
+        return self.shared[0]
+
+    @secret.setter
+    def secret(self, value: int) -> None:
+        self.shared[0] = value
+
+
+@breaks("coroutines")
+class OtherCoroutineEnv(GoodEnv):
+    """Its step_async rewards every answer."""
+
+    async def step_async(self, action: str) -> Any:
+        observation, reward, *rest = self.step(action)
+        return observation, reward + 1, *rest
+
+
+@breaks("process-determinism")
+class HashEnv(GoodEnv):
+    """Its first observation depends on how this process hashes strings."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        super().reset(seed, options)
+        return self.answer(f"Number {hash('number')}.\n")
+
+
+@breaks("global-random")
+class GlobalSeedEnv(GoodEnv):
+    """It puts the global generator at a start that its own one decides: repeatable, and rude."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        super().reset(seed, options)
+        random.setstate(random.Random(int(self.np_random.integers(1000))).getstate())
+        self.secret = random.randint(1, self.limit)
+        return self.answer("Guess.\n")
+
+
+@breaks("seed-stream")
+class EpisodeCountEnv(GoodEnv):
+    """The later episodes of a stream tell their number, so that their own seed does not replay them."""
+
+    number = 0
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        super().reset(seed, options)
+        self.number = self.number + 1 if seed is None else 0
+        return self.answer(f"Episode {self.number}.\n")
+
+    def _get_state(self) -> dict[str, Any]:
+        return {**super()._get_state(), "number": self.number}
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        super()._set_state(state)
+        self.number = state["number"]
+
+
+@breaks("action-sampling")
+class TaskGeneratorSamplingEnv(GoodEnv):
+    """It samples actions from the task's generator."""
+
+    def sample_random_action(self) -> str:
+        return f"\\boxed{{{int(self.np_random.integers(1, self.limit + 1))}}}"
+
+
+@breaks("action-sampling")
+class EntropySamplingEnv(GoodEnv):
+    """It samples other actions each time."""
+
+    def sample_random_action(self) -> str:
+        return f"\\boxed{{{secrets.randbelow(self.limit) + 1}}}" + f"{secrets.randbits(60)}"
+
+
+@breaks("valid-sample")
+class InvalidSampleEnv(GoodEnv):
+    """It samples what it does not understand itself."""
+
+    def sample_random_action(self) -> str:
+        return "\\boxed{0}"
+
+
+@breaks("valid-sample")
+class NoSampleEnv(GoodEnv):
+    """It samples nothing."""
+
+    def sample_random_action(self) -> str:
+        return super(GoodEnv, self).sample_random_action()
+
+
+@breaks("response")
+class ExactTypeEnv(GoodEnv):
+    """It understands a str, and no kind of it."""
+
+    def parse(self, action: str) -> int | None:
+        return super().parse(action) if type(action) is str else None
+
+
+@breaks("hostile-actions")
+class DigitsEnv(GoodEnv):
+    """It believes that what isdigit() is a number: a superscript two is not, and 5,000 digits are too many."""
+
+    def parse(self, action: str) -> int | None:
+        content = action.removeprefix("\\boxed{").removesuffix("}")
+        return int(content) if content.isdigit() and 1 <= int(content) <= self.limit else None
+
+
+@breaks("state-json")
+class LiveStateEnv(GoodEnv):
+    """Its state is its own list, which goes on changing."""
+
+    def _get_state(self) -> dict[str, Any]:
+        return {"secret": self.secret, "guesses": self.guesses}
+
+
+@breaks("state-json")
+class TupleStateEnv(GoodEnv):
+    """Its state holds a tuple."""
+
+    def _get_state(self) -> dict[str, Any]:
+        return {"secret": self.secret, "guesses": tuple(self.guesses)}
+
+
+@breaks("state-instance")
+class AdoptedStateEnv(GoodEnv):
+    """It goes on writing into the list that it was given."""
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self.secret = state["secret"]
+        self.guesses = state["guesses"]
+
+
+@breaks("state-instance", "state-process", "spawn")
+class ForgetfulStateEnv(GoodEnv):
+    """Its state lacks the guesses."""
+
+    def _get_state(self) -> dict[str, Any]:
+        return {"secret": self.secret, "guesses": []}
+
+
+_KEPT: dict[int, dict[str, Any]] = {}
+_TICKETS = itertools.count(os.getpid() << 20)
+
+
+@breaks("state-process")
+class TicketStateEnv(GoodEnv):
+    """Its state is a ticket for what only this process keeps."""
+
+    def _get_state(self) -> dict[str, Any]:
+        ticket = next(_TICKETS)
+        _KEPT[ticket] = super()._get_state()
+        return {"ticket": ticket}
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        super()._set_state(_KEPT[state["ticket"]])
+
+
+@breaks("spawn")
+class WrongSpawnEnv(GoodEnv):
+    """Its siblings have other arguments."""
+
+    def spawn(self, same_state: bool = False, **overrides: Any) -> Any:
+        return super().spawn(same_state, **{"limit": self.limit + 90, **overrides})
+
+
+# Not in the table: these need more than check_env(maker).
+
+
+class NullHangsEnv(GoodEnv):
+    """It never answers a NUL byte, until the test lets it go."""
+
+    released = threading.Event()
+
+    def step(self, action: str) -> Any:
+        if "\x00" in action:
+            self.released.wait()
+        return super().step(action)
+
+
+class OtherProcessEnv(GoodEnv):
+    """It behaves badly in every process but that in which it was first made."""
+
+    def __init__(self, home: int, deed: str) -> None:
+        super().__init__()
+        self.home = home
+        self.deed = deed
+
+    def step(self, action: str) -> Any:
+        if os.getpid() != self.home:
+            if self.deed == "hang":
+                threading.Event().wait()
+            if self.deed == "die":
+                os._exit(3)
+            if self.deed == "leave":
+                raise SystemExit(4)
+        return super().step(action)
+
+
+class ChattyEnv(GoodEnv):
+    """It prints, and asks, on all channels."""
+
+    def step(self, action: str) -> Any:
+        sys.stdout.write('{"number": 1, "end": "done"}\n')
+        sys.stdout.flush()
+        os.write(1, b"raw bytes\n")
+        return super().step(action)
+
+
+class UnrepeatableEnv(GoodEnv):
+    """It draws from the operating system; its record says so."""
+
+    def hint(self, guess: int | None) -> str:
+        return f"{super().hint(guess)} {secrets.randbits(60)}"

@@ -1,0 +1,196 @@
+"""check_env passes what keeps the contract, and names every promise that is broken."""
+
+from __future__ import annotations
+
+import pickle
+import random
+import subprocess
+import sys
+import threading
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from broken_envs import BROKEN, NullHangsEnv, UnrepeatableEnv
+from reference_envs import CountingWrapper, GoodAsyncEnv, GoodEnv, PictureEnv, ReverseStringEnv, ThreadEnv
+
+from gem_core import register
+from gem_core.errors import ArgumentError, GemError, UnknownEnvError
+from gem_core.testing import ContractError, check_env
+from gem_core.testing.contract import PROMISES
+
+
+def broken_by(target: Any, **options: Any) -> dict[str, str]:
+    with pytest.raises(ContractError) as caught:
+        check_env(target, **options)
+    return dict(caught.value.report.broken)
+
+
+@pytest.mark.parametrize(
+    "target",
+    [GoodEnv, GoodAsyncEnv, ThreadEnv, GoodEnv(limit=3, max_turns=1), CountingWrapper(GoodEnv(limit=5), step=2)],
+    ids=lambda target: getattr(target, "__name__", type(target).__name__),
+)
+def test_good_environment_keeps_every_promise(target: Any) -> None:
+    """Plain, asynchronous, blocking, with arguments and wrapped: nothing is broken and nothing left out."""
+    report = check_env(target)
+    assert set(report.kept) == set(PROMISES)
+    assert report.skipped == {}
+    assert report.notes == ()
+
+
+@pytest.mark.parametrize("maker", BROKEN, ids=lambda maker: maker.__name__)
+def test_broken_promise_is_named(maker: Any) -> None:
+    """Exactly the promises that an environment breaks are named, in one line each."""
+    breaks, may_break = BROKEN[maker]
+    with pytest.raises(ContractError) as caught:
+        check_env(maker)
+    report = caught.value.report
+    assert breaks <= set(report.broken) <= breaks | may_break
+    lines = str(caught.value).splitlines()
+    assert [line.split(":")[0].strip() for line in lines[1:] if not line.startswith(("  not", "  note"))] == [
+        *report.broken
+    ]
+
+
+def test_every_promise_can_be_broken() -> None:
+    """For each promise, some environment of these tests breaks it."""
+    assert set().union(*(slugs for slugs, _ in BROKEN.values())) == set(PROMISES)
+
+
+def test_every_promise_says_what_it_is_and_how_to_mend_it() -> None:
+    for promise in PROMISES.values():
+        assert promise.sentence.endswith(".")
+        assert promise.mend.endswith(".")
+
+
+def test_paper_listing_breaks_what_it_breaks() -> None:
+    """The second listing of arXiv:2510.01051 runs; these are the promises that it does not keep."""
+    broken = broken_by(ReverseStringEnv)
+    assert set(broken) == {
+        "determinism",
+        "global-random",
+        "end-flags",
+        "valid-sample",
+        "reset-signature",
+        "gymnasium",
+    }
+    assert "reset() changed the state of random" in broken["global-random"]
+    assert "terminated and truncated, both True" in broken["end-flags"]
+    assert "does not provide an `options`" in broken["gymnasium"]
+
+
+def test_state_that_is_not_supported_is_skipped() -> None:
+    with pytest.raises(ContractError) as caught:
+        check_env(ReverseStringEnv)
+    assert "cannot save its state" in caught.value.report.skipped["state-json"]
+
+
+def test_environment_by_id_keeps_its_promises_in_another_process_too() -> None:
+    """An id that only this process registered is handed over by its entry point."""
+    register("check:Good-v0", GoodEnv, limit=7)
+    assert set(check_env("check:Good-v0").kept) == set(PROMISES)
+
+
+def test_nondeterministic_environment_is_not_asked_to_repeat() -> None:
+    """What the record rules out is skipped with that reason; Gymnasium's checker heeds the record as well."""
+    register("check:Unrepeatable-v0", UnrepeatableEnv, deterministic=False)
+    report = check_env("check:Unrepeatable-v0")
+    assert report.skipped["determinism"] == "its record says deterministic=False"
+    assert "hostile-actions" in report.kept
+
+
+def test_local_class_cannot_be_handed_to_another_process() -> None:
+    """A class inside a function is checked here, and the reason for the rest is given."""
+
+    class LocalEnv(GoodEnv):
+        pass
+
+    report = check_env(LocalEnv)
+    assert set(report.skipped) == {"process-determinism", "state-process"}
+    assert "define it at the top of a module" in report.skipped["state-process"]
+
+
+def test_step_that_hangs_is_named_with_its_action() -> None:
+    """A hang ends that promise and not the check."""
+    try:
+        broken = broken_by(NullHangsEnv, step_timeout_s=2.0)
+    finally:
+        NullHangsEnv.released.set()
+    assert list(broken) == ["hostile-actions"]
+    assert "x00" in broken["hostile-actions"]
+    assert "gave no answer within 2 s" in broken["hostile-actions"]
+
+
+def test_given_instance_is_left_alone() -> None:
+    """An environment can be checked in the middle of an episode."""
+    env = GoodEnv()
+    env.reset(seed=3)
+    before = env.get_state()
+    check_env(env)
+    assert env.get_state() == before
+
+
+def test_global_random_state_survives_the_check() -> None:
+    """The checks scramble the global generators, also for an environment that draws from them."""
+    before, numpy_before = random.getstate(), np.random.get_state()[1].tolist()
+    broken_by(ReverseStringEnv)
+    assert random.getstate() == before
+    assert np.random.get_state()[1].tolist() == numpy_before
+
+
+def test_no_thread_is_left_behind() -> None:
+    before = {thread for thread in threading.enumerate() if thread.name == "gem-check"}
+    check_env(GoodEnv)
+    assert {thread for thread in threading.enumerate() if thread.name == "gem-check"} <= before
+
+
+def test_skipped_promise_keeps_its_reason() -> None:
+    report = check_env(GoodEnv, skip={"hostile-actions": "costs money"})
+    assert dict(report.skipped) == {"hostile-actions": "costs money"}
+    assert "not tried, hostile-actions: costs money" in str(report)
+
+
+def test_unknown_promise_cannot_be_skipped() -> None:
+    with pytest.raises(ArgumentError, match=r"no promise 'determinsm'\. Did you mean 'determinism'"):
+        check_env(GoodEnv, skip={"determinsm": "typo"})
+
+
+def test_unknown_id_stays_what_it_is() -> None:
+    """What cannot be made for a reason outside the environment is no broken promise."""
+    with pytest.raises(UnknownEnvError):
+        check_env("check:NoSuch-v0")
+
+
+def test_foreign_environment_is_refused() -> None:
+    with pytest.raises(ArgumentError, match=r"does not derive from gem_core\.Env"):
+        check_env(lambda: gymnasium.make("CartPole-v1"))
+
+
+def test_gymnasium_wrapper_outside_is_taken_off_and_noted() -> None:
+    report = check_env(gymnasium.wrappers.TimeLimit(GoodEnv(), max_episode_steps=3))
+    assert report.notes == ("checked inside Gymnasium's TimeLimit, which has none of GEM's methods",)
+
+
+def test_images_in_observations_and_info_are_compared() -> None:
+    """Content parts with pictures keep every promise."""
+    pytest.importorskip("PIL")
+    assert set(check_env(PictureEnv).kept) == set(PROMISES)
+
+
+def test_contract_error_is_an_assertion_and_survives_pickling() -> None:
+    with pytest.raises(AssertionError) as caught:
+        check_env(ReverseStringEnv)
+    assert isinstance(caught.value, GemError)
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert str(again) == str(caught.value)
+
+
+def test_importing_the_checks_needs_no_test_library() -> None:
+    code = (
+        "import sys, gem_core.testing as t; t.check_env; t.hostile_actions;"
+        "print([m for m in ('pytest', 'hypothesis', 'PIL') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
