@@ -20,6 +20,7 @@ from gem_core.testing.subject import Subject
 _CONCURRENCY = ("inline", "thread", "process", "async")
 
 _IRRELEVANT_WARNINGS = (
+    "No render fps was declared",  # text has no frames
     "Not able to test alternative render modes",  # an environment that was not made by id has no record
 )
 
