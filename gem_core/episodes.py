@@ -127,7 +127,7 @@ class Episode:
         record["transitions"] = [
             {
                 "observation": to_plain(turn.observation, images),
-                "action": {"text": turn.action.text, **to_plain(turn.action.reported(), images)},
+                "action": {"text": to_plain(turn.action.text), **to_plain(turn.action.reported(), images)},
                 "reward": turn.reward,
                 "terminated": turn.terminated,
                 "truncated": turn.truncated,
@@ -274,7 +274,7 @@ def _parsed(line: bytes) -> Any:
 
 
 def _transition(record: Mapping[str, Any], images: ImageFolder | None) -> Transition:
-    action = dict(record["action"])
+    action = {name: from_plain(value, images) for name, value in record["action"].items()}
     return Transition(
         observation=from_plain(record["observation"], images),
         action=Response(action.pop("text"), **action),

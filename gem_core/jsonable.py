@@ -14,7 +14,10 @@ import numpy as np
 
 from gem_core.errors import EpisodeFileError
 
-_IMAGE_KEY = "__image__"
+_IMAGE_KEY, _TEXT_KEY, _PLAIN_KEY = "__image__", "__text__", "__plain__"
+_MARKS = {_IMAGE_KEY, _TEXT_KEY, _PLAIN_KEY}
+# JSON readers take two surrogates side by side for one character, so such text is written in pieces.
+_BETWEEN_SURROGATES = re.compile("(?<=[\ud800-\udbff])(?=[\udc00-\udfff])")
 _IMAGE_NAME = re.compile(r"[0-9a-f]{64}\.(png|tiff)", re.ASCII)
 _PNG_MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I;16")
 _MAX_DEPTH = 100
@@ -90,13 +93,14 @@ def to_plain(value: Any, images: ImageFolder | None = None, depth: int = 0) -> A
     if value is None or isinstance(value, bool | int):
         return value
     if isinstance(value, str):
-        return str.__str__(value)
+        return _plain_text(str.__str__(value))
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else repr(float(value))
     if depth > _MAX_DEPTH:
         return f"<nested over {_MAX_DEPTH} deep>"
     if isinstance(value, Mapping):
-        return {str(key): to_plain(part, images, depth + 1) for key, part in value.items()}
+        plain = {str(key): to_plain(part, images, depth + 1) for key, part in value.items()}
+        return {_PLAIN_KEY: plain} if len(plain) == 1 and not _MARKS.isdisjoint(plain) else plain
     if isinstance(value, list | tuple):
         return [to_plain(part, images, depth + 1) for part in value]
     if isinstance(value, set | frozenset):
@@ -111,9 +115,23 @@ def to_plain(value: Any, images: ImageFolder | None = None, depth: int = 0) -> A
 def from_plain(value: Any, images: ImageFolder | None = None) -> Any:
     """Return what ``to_plain`` was given, images read from their files."""
     if isinstance(value, dict):
-        if images is not None and set(value) == {_IMAGE_KEY}:
-            return images.read(value[_IMAGE_KEY])
+        if len(value) == 1 and not _MARKS.isdisjoint(value):
+            return _marked(value, images)
         return {key: from_plain(part, images) for key, part in value.items()}
     if isinstance(value, list):
         return [from_plain(part, images) for part in value]
     return value
+
+
+def _plain_text(text: str) -> Any:
+    pieces = _BETWEEN_SURROGATES.split(text)
+    return text if len(pieces) == 1 else {_TEXT_KEY: pieces}
+
+
+def _marked(value: dict[str, Any], images: ImageFolder | None) -> Any:
+    ((mark, content),) = value.items()
+    if mark == _TEXT_KEY:
+        return "".join(content)
+    if mark == _PLAIN_KEY:
+        return {key: from_plain(part, images) for key, part in content.items()}
+    return value if images is None else images.read(content)

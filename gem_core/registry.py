@@ -301,7 +301,8 @@ def make_vec(
     """Make several environments that are reset and stepped together.
 
     Args:
-        ids: One id, or several for a mixed batch; the slots take them in turn.
+        ids: One id, or several for a mixed batch; the slots take them in turn. Where there are fewer slots than ids, a
+            plan reaches them all, as that of ``rollout`` does.
         num_envs: Number of slots; by default one for each id.
         backend: ``"auto"``, or the name of a backend.
         wrappers: Put around each environment; see ``make``.
@@ -328,7 +329,8 @@ def make_vec(
     record = _registry.backend("sync" if backend == "auto" else backend)
     vector: VectorEnv = construct(
         record,
-        [id_list[slot % len(id_list)] for slot in range(count)],
+        id_list,
+        num_envs=count,
         wrappers=wrappers,
         seed=seed,
         plan=plan,

@@ -61,7 +61,7 @@ def rollout(
 def default_plan(vector: VectorEnv, episodes: int | None = None) -> list[PlanItem]:
     """Return the plan of ``rollout`` without one: rows in order for data sets, a number of episodes for the rest."""
     items: list[list[PlanItem]] = []
-    for env_id in dict.fromkeys(vector.ids):
+    for env_id in vector.all_ids:
         rows = vector.num_tasks(env_id)
         if rows is not None:
             items.append(cover_plan(env_id, rows, episodes=episodes))

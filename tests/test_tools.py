@@ -50,7 +50,9 @@ def test_json_call_is_executed() -> None:
     assert observation == info["feedback"] + info["suffix"]
 
 
-@pytest.mark.parametrize("call", ["<note>a line</note>", "\n   ```note\n   a line\n   ```\n", json_call("note", line="a line")])
+@pytest.mark.parametrize(
+    "call", ["<note>a line</note>", "\n   ```note\n   a line\n   ```\n", json_call("note", line="a line")]
+)
 def test_the_three_text_forms_mean_the_same(call: str) -> None:
     """A tag, a fenced block and a JSON call are one call."""
     info = tool_env().step(f"I write: {call} and so on")[4]
@@ -244,7 +246,7 @@ def test_hostile_responses_never_raise(action: str) -> None:
     assert reward == reward
 
 
-@given(st.text(alphabet="<>/`{}\"notel_cal \n:[]"))
+@given(st.text(alphabet='<>/`{}"notel_cal \n:[]'))
 def test_a_found_call_lies_within_the_response(action: str) -> None:
     """Start and end are places in the text; a complete call is not empty."""
     call = tool_env().find_call(action)

@@ -139,7 +139,7 @@ def test_max_turns_must_be_a_positive_number(limit: object) -> None:
 @pytest.mark.parametrize("view_class", VIEWS)
 @given(actions=st.lists(st.text(max_size=10), max_size=5))
 def test_append_only_is_kept(view_class: type[ObservationView], actions: list[str]) -> None:
-    """A view that declares it extends the previous observation and the raw response; the others show why they do not."""
+    """A view that declares it extends the previous observation and the raw response; the others do not."""
     observations = played(view_class(CountdownEnv()), actions)
     extends = all(
         str(later).startswith(str(earlier) + action)

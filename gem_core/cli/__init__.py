@@ -16,10 +16,10 @@ from gem_core.suggestions import did_you_mean
 
 # Name, module and help of each subcommand, so that `gem --help` imports none of them.
 _COMMANDS = {
-    "list": ("gem_core.cli.list", "List the environments that can be made."),
-    "info": ("gem_core.cli.info", "Describe one environment."),
-    "run": ("gem_core.cli.run", "Let an agent act in environments and record its episodes."),
-    "plugins": ("gem_core.cli.plugins", "List the installed plugins, and what is wrong with them."),
+    "list": ("gem_core.cli.list_command", "List the environments that can be made."),
+    "info": ("gem_core.cli.info_command", "Describe one environment."),
+    "run": ("gem_core.cli.run_command", "Let an agent act in environments and record its episodes."),
+    "plugins": ("gem_core.cli.plugins_command", "List the installed plugins, and what is wrong with them."),
 }
 
 _EPILOG = """\b

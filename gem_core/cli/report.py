@@ -55,10 +55,6 @@ class Progress:
             self._last = time.monotonic()
             click.echo(f"gem: {done} of {self._total} episodes, {_status(total)}", err=True)
 
-    def say(self, line: str) -> None:
-        """Write a line above the bar."""
-        click.echo(line, err=True)
-
     def _start_bar(self) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn

@@ -48,6 +48,9 @@ class VectorEnv(ABC):
     ids: list[str | None]
     """The id of each slot's own environment."""
 
+    all_ids: list[str | None]
+    """The ids that were asked for, each once; there may be more of them than slots."""
+
     @property
     def num_envs(self) -> int:
         """Number of slots."""

@@ -23,7 +23,8 @@ class SyncVectorEnv(VectorEnv):
     It contains exceptions of an environment, and nothing worse: a hang holds up the batch.
 
     Args:
-        ids: The id of each slot's own environment.
+        ids: Ids that the slots take in turn.
+        num_envs: Number of slots.
         wrappers: Put around each; see ``make``.
         seed: Seed of the run; None draws one.
         plan: What episodes start from.
@@ -34,6 +35,7 @@ class SyncVectorEnv(VectorEnv):
     def __init__(
         self,
         ids: Sequence[str],
+        num_envs: int,
         *,
         wrappers: Wrappers = (),
         seed: int | None = None,
@@ -50,7 +52,9 @@ class SyncVectorEnv(VectorEnv):
 
             return factory
 
-        self._set_up(list(ids), [factory_of(env_id) for env_id in ids], new_source(plan, seed), on_error)
+        slot_ids = [ids[slot % len(ids)] for slot in range(num_envs)]
+        self._set_up(list(slot_ids), [factory_of(env_id) for env_id in slot_ids], new_source(plan, seed), on_error)
+        self.all_ids = list(dict.fromkeys(ids))
         self._plan = plan
 
     @classmethod
@@ -74,7 +78,7 @@ class SyncVectorEnv(VectorEnv):
         return self
 
     def _set_up(self, ids: list[str | None], factories: list[EnvFactory], source: DrawSource, on_error: str) -> None:
-        self.ids = ids
+        self.ids, self.all_ids = ids, list(dict.fromkeys(ids))
         self._source = source
         self._budget = FaultBudget(limit=max(16, 2 * len(ids)))
         self._slots = [

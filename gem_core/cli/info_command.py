@@ -7,7 +7,7 @@ import json
 
 import click
 
-from gem_core.cli.list import described
+from gem_core.cli.list_command import described
 from gem_core.registry import registry
 from gem_core.requirements import unmet
 from gem_core.specs import EnvSpec

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -14,11 +13,13 @@ import click
 from gem_core.agents.base import load_agent
 from gem_core.cli import INTERRUPTED
 from gem_core.cli.report import Progress, print_table
-from gem_core.episodes import Episode, EpisodeWriter
-from gem_core.errors import ArgumentError, FaultBudgetError, UnknownEnvError
+from gem_core.episodes import EpisodeWriter
+from gem_core.errors import ArgumentError, UnknownEnvError
 from gem_core.registry import make_vec, registry
 from gem_core.rollouts import default_plan, rollout
 from gem_core.summary import RunSummary
+
+_DEFAULT_SLOTS = 8
 
 
 @click.command(
@@ -46,7 +47,9 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     type=click.IntRange(min=1),
     help="Episodes of each environment.  [default: each row of a data set once, else 10]",
 )
-@click.option("-k", "--num-envs", type=click.IntRange(min=1), help="Environments at once.  [default: 8, or one per ID]")
+@click.option(
+    "-k", "--num-envs", type=click.IntRange(min=1), help="Environments at once.  [default: 8, or one for each ID]"
+)
 @click.option("-s", "--seed", type=click.IntRange(min=0), help="Seed of the run: the same seed, the same episodes.")
 @click.option("-t", "--max-turns", type=click.IntRange(min=1), help="Truncate an episode after so many turns.")
 @click.option(
@@ -79,22 +82,20 @@ def command(
     stack: list[Any] = [name.strip() for name in wrappers.split(",") if name.strip()]
     if max_turns is not None:
         stack.insert(0, ("turn_limit", {"max_turns": max_turns}))
-    slots = max(num_envs or 8, 1) if num_envs else max(8, len(env_ids))
-    with closing(make_vec(env_ids, slots, wrappers=stack, seed=seed)) as vector:
+    with closing(make_vec(env_ids, num_envs or max(_DEFAULT_SLOTS, len(env_ids)), wrappers=stack, seed=seed)) as vector:
         plan = default_plan(vector, episodes)
         path = _out_path(out, vector.seed, overwrite)
         summary = RunSummary(env_ids)
         started = time.perf_counter()
-        code = 0
+        stopped_by: BaseException | None = None
         with EpisodeWriter(path) as writer, Progress(len(plan), f"seed {vector.seed}") as progress:
-            finished = rollout(vector, acting, plan=plan)
             try:
-                _record(finished, writer, summary, progress)
-            except KeyboardInterrupt:
-                code = INTERRUPTED
-            except FaultBudgetError as error:
-                progress.say(f"gem: {error}")
-                code = 1
+                for episode in rollout(vector, acting, plan=plan):
+                    writer.write(episode)
+                    summary.add(episode)
+                    progress.advance(summary.total)
+            except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - raised again below, behind the table
+                stopped_by = error
         seconds = time.perf_counter() - started
     if as_json:
         click.echo(json.dumps({**summary.to_dict(seconds), "seed": vector.seed, "out": str(path)}, indent=1))
@@ -103,17 +104,12 @@ def command(
         click.echo(f"{writer.count} episodes in {seconds:.1f} s (seed {vector.seed}), written to {path}")
     if summary.first_error is not None:
         click.echo(f"gem: {summary.total.errors} episodes had an error; the first: {summary.first_error}", err=True)
-        code = code or 1
-    if code == INTERRUPTED:
+    if isinstance(stopped_by, KeyboardInterrupt):
         click.echo(f"gem: interrupted after {writer.count} of {len(plan)} episodes", err=True)
-    ctx.exit(code)
-
-
-def _record(finished: Iterator[Episode], writer: EpisodeWriter, summary: RunSummary, progress: Progress) -> None:
-    for episode in finished:
-        writer.write(episode)
-        summary.add(episode)
-        progress.advance(summary.total)
+        ctx.exit(INTERRUPTED)
+    if stopped_by is not None:
+        raise stopped_by
+    ctx.exit(1 if summary.first_error is not None else 0)
 
 
 def _expanded(ids: tuple[str, ...]) -> list[str]:

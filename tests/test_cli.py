@@ -1,0 +1,281 @@
+"""The command line: what it prints, where, and with which exit code."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import select
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import gem_core as gem
+from gem_core.cli import main
+from gem_core.episodes import read_episodes
+
+COUNTDOWN = "toy:Countdown-v0"
+
+SLOW_AGENT = """
+import os, signal
+import gem_core as gem
+from toys import register_toys
+register_toys()
+seen = []
+def act(observation, context):
+    seen.append(context.episode)
+    if len(set(seen)) > 3:
+        os.kill(os.getpid(), signal.SIGINT)
+    return "a"
+"""
+
+
+class Outcome:
+    """What one call of the command did."""
+
+    def __init__(self, code: int, out: str, err: str) -> None:
+        self.code, self.out, self.err = code, out, err
+
+
+@pytest.fixture
+def run_gem(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Call the command in this process, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: str) -> Outcome:
+        with pytest.raises(SystemExit) as caught:
+            main(arguments)
+        captured = capsys.readouterr()
+        return Outcome(int(caught.value.code or 0), captured.out, captured.err)
+
+    return call
+
+
+def subprocess_gem(*arguments: str, cwd: Path, code: str = "") -> subprocess.CompletedProcess[str]:
+    """Call the command in a process of its own, with the toys on its path."""
+    program = f"{code}\nfrom toys import register_toys\nregister_toys()\nfrom gem_core.cli import main\nmain()"
+    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    return subprocess.run(
+        [sys.executable, "-c", program, *arguments], cwd=cwd, env=env, capture_output=True, text=True, timeout=60
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["lst"], "no command 'lst'. Did you mean 'list'? There are: list, info, run, plugins"),
+        (["run", "--agnt", "x", COUNTDOWN], "No such option '--agnt'. Did you mean '--agent'?"),
+        (["run", "toy:Cuntdown-v0"], "no environment 'toy:Cuntdown-v0'. Did you mean 'toy:Countdown-v0'"),
+        (["run", "toy:nothing*"], "no environment matches 'toy:nothing*'"),
+        (["run", COUNTDOWN, "--agent", "randm"], "no agent 'randm'. Did you mean 'random'?"),
+        (["run", COUNTDOWN, "--wrappers", "conct"], "no wrapper or tool 'conct'. Did you mean 'concat'"),
+        (["run", COUNTDOWN, "--episodes", "0"], "Invalid value for '-n' / '--episodes': 0 is not in the range x>=1."),
+        (["run", COUNTDOWN, "--seed", "x"], "Invalid value for '-s' / '--seed': 'x' is not a valid integer"),
+        (["run"], "Missing argument 'ID...'"),
+        (["info", "toy:Cuntdown-v0"], "no environment 'toy:Cuntdown-v0'. Did you mean 'toy:Countdown-v0'"),
+        (["info", "game2:X"], "no environment 'game2:X'"),
+        (["list", "tooy"], "no environment matches 'tooy'. Did you mean 'toy'"),
+        (["plugins", "cre"], "no plugin 'cre'. Did you mean 'core'? Installed: core"),
+    ],
+)
+def test_what_is_asked_wrongly_gets_one_line_and_exit_code_2(run_gem, arguments: list[str], message: str) -> None:
+    """The line names the nearest right answer, and nothing goes to standard output."""
+    outcome = run_gem(*arguments)
+    assert outcome.code == 2
+    assert outcome.out == ""
+    assert outcome.err.count("\n") == 1
+    assert outcome.err.startswith("gem: ")
+    assert message in outcome.err
+
+
+def test_version_and_help(run_gem) -> None:
+    """Help has examples, for the command and each subcommand."""
+    assert run_gem("--version").out == f"gem-core {gem.__version__}\n"
+    for arguments in (["--help"], ["list", "-h"], ["info", "--help"], ["run", "--help"], ["plugins", "--help"]):
+        outcome = run_gem(*arguments)
+        assert outcome.code == 0
+        assert "Examples:" in outcome.out
+
+
+def test_list_finds_by_namespace_part_and_glob(run_gem) -> None:
+    """Plain lines when piped, the id first."""
+    assert COUNTDOWN in run_gem("list").out
+    assert [line.split()[0] for line in run_gem("list", "toy").out.splitlines()] == [
+        COUNTDOWN,
+        "toy:Echo-v0",
+        "toy:Sums-v0",
+    ]
+    assert run_gem("list", "countd").out.split()[0] == COUNTDOWN
+    assert run_gem("list", "toy:*-v0").out.count("\n") == 3
+    (entry,) = json.loads(run_gem("list", "countd", "--json").out)
+    assert entry["id"] == COUNTDOWN
+    assert entry["deterministic"] is True
+
+
+def test_info_describes_and_shows_the_first_observation(run_gem) -> None:
+    """All that a person wants to know before running it."""
+    out = run_gem("info", COUNTDOWN).out
+    for part in ("toy:Countdown-v0", "accepts:", "longest: ", "Ends after as many turns", "Count down.\nLeft:"):
+        assert part in out
+    assert json.loads(run_gem("info", COUNTDOWN, "--json").out)["unmet"] == {}
+
+
+def test_run_prints_a_table_and_writes_the_episodes(run_gem) -> None:
+    """The path is in the last line, and the file holds every episode."""
+    outcome = run_gem("run", COUNTDOWN, "toy:Sums-v0", "-n", "5", "--num-envs", "3", "--seed", "1")
+    assert outcome.code == 0
+    lines = outcome.out.splitlines()
+    assert lines[0].split() == [
+        "environment",
+        "episodes",
+        "success",
+        "mean",
+        "return",
+        "mean",
+        "turns",
+        "turns/s",
+        "errors",
+    ]
+    assert [line.split()[0] for line in lines[1:4]] == [COUNTDOWN, "toy:Sums-v0", "all"]
+    path = Path(lines[-1].rpartition(" ")[2])
+    assert path.parent == Path("runs")
+    assert len(list(read_episodes(path))) == 10
+
+
+def test_same_seed_gives_the_same_episodes_whatever_num_envs_is(run_gem) -> None:
+    """Sorted by place, the files are equal."""
+    files = []
+    for num_envs in ("1", "3", "8"):
+        out = f"{num_envs}.jsonl"
+        run_gem("run", "toy:[CS]*", "-n", "6", "-k", num_envs, "-s", "4", "-w", "episode_stats", "-o", out)
+        files.append(sorted(read_episodes(out), key=lambda episode: int(episode.key)))
+    assert files[0] == files[1] == files[2]
+    assert len(files[0]) == 12
+
+
+def test_run_as_json(run_gem) -> None:
+    """Machines read the same figures."""
+    report = json.loads(run_gem("run", COUNTDOWN, "-n", "4", "--seed", "9", "--json").out)
+    assert report["seed"] == 9
+    assert report["environments"][0]["episodes"] == 4
+    assert Path(report["out"]).is_file()
+
+
+def test_an_existing_file_is_not_overwritten_unasked(run_gem) -> None:
+    """The error says how to."""
+    run_gem("run", COUNTDOWN, "-n", "2", "-o", "a.jsonl")
+    outcome = run_gem("run", COUNTDOWN, "-n", "3", "-o", "a.jsonl")
+    assert (outcome.code, outcome.err) == (
+        2,
+        "gem: a.jsonl is there already; choose another file, or add --overwrite\n",
+    )
+    run_gem("run", COUNTDOWN, "-n", "3", "-o", "a.jsonl", "--overwrite")
+    assert len(list(read_episodes("a.jsonl"))) == 3
+
+
+def test_max_turns_truncates(run_gem) -> None:
+    """From outside, so not terminated."""
+    Path("fixed.py").write_text("def act(observation): return 'go on'\n")
+    run_gem("run", "toy:Echo-v0", "-n", "2", "-t", "3", "-a", "fixed:act", "-o", "a.jsonl")
+    assert [(e.turns, e.transitions[-1].truncated, e.transitions[-1].terminated) for e in read_episodes("a.jsonl")] == [
+        (3, True, False)
+    ] * 2
+
+
+def test_errors_are_counted_apart_and_give_exit_code_1(run_gem) -> None:
+    """The first is named on standard error."""
+    gem.register("toy:Broken-v0", "toys:CountdownEnv", fail="step")
+    outcome = run_gem("run", "toy:Broken-v0", COUNTDOWN, "-n", "3", "-k", "2", "--json")
+    report = json.loads(outcome.out)
+    assert outcome.code == 1
+    assert [(row["episodes"], row["errors"]) for row in report["environments"]] == [(0, 3), (3, 0), (3, 3)]
+    assert "gem: 3 episodes had an error; the first: toy:Broken-v0, seed " in outcome.err
+
+
+def test_faults_without_end_stop_with_a_table(run_gem) -> None:
+    """What was finished is counted and written."""
+    gem.register("toy:Broken-v1", "toys:CountdownEnv", fail="reset")
+    outcome = run_gem("run", "toy:Broken-v1", "-n", "100")
+    assert outcome.code == 1
+    assert "17 faults in a row without one finished episode" in outcome.err
+    assert "toy:Broken-v1" in outcome.out
+
+
+def test_interrupt_keeps_what_was_finished(tmp_path: Path) -> None:
+    """Ctrl-C: the file is whole, the table is printed, exit code 130."""
+    (tmp_path / "slow.py").write_text(SLOW_AGENT)
+    done = subprocess_gem("run", COUNTDOWN, "-n", "50", "-k", "1", "-a", "slow:act", "-o", "a.jsonl", cwd=tmp_path)
+    assert done.returncode == 130
+    assert "gem: interrupted after 3 of 50 episodes" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stdout.splitlines()[1].split()[:2] == [COUNTDOWN, "3"]
+    assert len(list(read_episodes(tmp_path / "a.jsonl"))) == 3
+
+
+def test_unexpected_errors_are_one_line_and_whole_with_traceback(tmp_path: Path) -> None:
+    """An agent that raises is the program's mistake; the line names it, behind the table of what was finished."""
+    (tmp_path / "bad.py").write_text("def act(observation): raise RuntimeError('my bug')\n")
+    done = subprocess_gem("run", COUNTDOWN, "-a", "bad:act", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (1, "gem: RuntimeError: my bug. Run 'gem --traceback …' for the whole\n")
+    assert done.stdout.splitlines()[1].split()[:2] == [COUNTDOWN, "0"]
+    done = subprocess_gem("--traceback", "run", COUNTDOWN, "-a", "bad:act", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "Traceback (most recent call last)" in done.stderr
+
+
+def test_a_reader_that_has_seen_enough_is_no_error(tmp_path: Path) -> None:
+    """As with ``gem list | head -1``."""
+    program = "from toys import register_toys; register_toys(); from gem_core.cli import main; main(['list', '--json'])"
+    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=env, cwd=tmp_path
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait() in (0, 1)
+
+
+def test_progress_and_a_drawn_table_in_a_terminal(tmp_path: Path) -> None:
+    """A bar while it runs, and a table with lines."""
+    output = in_terminal(
+        [sys.executable, "-c", TERMINAL_PROGRAM, "run", COUNTDOWN, "-n", "20", "--seed", "1"], tmp_path
+    )
+    assert "seed 1" in output
+    assert "20/20" in output
+    assert "┃" in output
+    assert "written to runs/" in output
+
+
+def test_python_dash_m_does_the_same() -> None:
+    """For machines on which another program is called gem."""
+    done = subprocess.run(
+        [sys.executable, "-m", "gem_core", "--version"], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout == f"gem-core {gem.__version__}\n"
+
+
+TERMINAL_PROGRAM = "from toys import register_toys; register_toys(); from gem_core.cli import main; main()"
+
+
+def in_terminal(command: list[str], cwd: Path) -> str:
+    """Return what a program writes to a terminal."""
+    leader, follower = pty.openpty()
+    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parent), "TERM": "xterm", "COLUMNS": "120"}
+    with subprocess.Popen(command, cwd=cwd, env=env, stdin=follower, stdout=follower, stderr=follower) as process:
+        os.close(follower)
+        output = b""
+        while select.select([leader], [], [], 60)[0]:
+            try:
+                chunk = os.read(leader, 65536)
+            except OSError:
+                break
+            if not chunk:
+                break
+            output += chunk
+        os.close(leader)
+        assert process.wait() == 0
+    return output.decode()

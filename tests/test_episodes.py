@@ -1,0 +1,227 @@
+"""Records and their files: what is written is what is read."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from gem_core.episodes import Episode, EpisodeFileWarning, EpisodeWriter, Transition, read_episodes, write_episodes
+from gem_core.errors import EpisodeFileError
+from gem_core.jsonable import ImageFolder, to_plain
+from gem_core.types import Response
+
+ANY_TEXT = st.text(st.characters(codec=None, categories=None), max_size=30)
+
+
+def episode(**fields: Any) -> Episode:
+    turn = Transition("first", Response("a", token_ids=[1, 2], logprobs=[-0.5, -1.0]), 0.5, False, False, {"x": 1})
+    last = Transition("second", Response("b"), 1.0, True, False, {"correct": True})
+    defaults: dict[str, Any] = {
+        "id": "toy:A-v0",
+        "seed": 3,
+        "observation": "first",
+        "info": {"seed": 3},
+        "transitions": [turn, last],
+        "final_observation": "end",
+    }
+    return Episode(**{**defaults, **fields})
+
+
+def written(path: Path, *episodes: Episode) -> list[Episode]:
+    write_episodes(path, episodes)
+    return list(read_episodes(path))
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    """All fields, and what the server reported of each response."""
+    original = episode(options={"index": 2}, group="g", key="4", repeat=1, tools=["python"], wrappers=[["concat", {}]])
+    (read,) = written(tmp_path / "run.jsonl", original)
+    assert read == original
+    assert read.transitions[0].action.token_ids == [1, 2]
+    assert type(read.transitions[0].action) is Response
+
+
+@given(action=ANY_TEXT, observation=ANY_TEXT)
+def test_any_text_is_read_back(tmp_path_factory: pytest.TempPathFactory, action: str, observation: str) -> None:
+    """Lone surrogates and control characters included."""
+    turn = Transition(observation, Response(action), 0.0, True, False, {"text": action})
+    (read,) = written(tmp_path_factory.mktemp("run") / "run.jsonl", episode(transitions=[turn]))
+    assert (read.transitions[0].action, read.transitions[0].observation) == (action, observation)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        "\ud83d\ude00",
+        "a\ud83d\ude00\ud83d\ude00b",
+        {"__image__": "x"},
+        {"__text__": []},
+        {"__plain__": {"__plain__": 1}},
+    ],
+)
+def test_text_and_keys_that_json_would_confuse_are_read_back(tmp_path: Path, value: Any) -> None:
+    """Surrogates side by side stay two, and keys that the file itself uses stay what they are."""
+    (read,) = written(tmp_path / "run.jsonl", episode(info={"value": value}))
+    assert read.info == {"value": value}
+
+
+def test_figures_of_an_episode() -> None:
+    """Return, turns, success and error."""
+    assert (episode().episode_return, episode().turns, episode().success, episode().error) == (1.5, 2, True, None)
+    failed = episode(transitions=[], info={"error": {"kind": "x", "message": "y"}, "correct": True})
+    assert (failed.success, failed.error) == (None, {"kind": "x", "message": "y"})
+    assert episode(transitions=[]).success is None
+
+
+def test_durations_are_left_out_of_comparisons() -> None:
+    """Two runs of the same episode are equal."""
+    first = episode(info={"episode": {"r": 1.0, "l": 2, "t": 0.1}})
+    assert first == episode(info={"episode": {"r": 1.0, "l": 2, "t": 0.9}})
+    assert first != episode(info={"episode": {"r": 2.0, "l": 2, "t": 0.1}})
+
+
+def test_a_line_cut_off_is_reported_and_every_whole_episode_read(tmp_path: Path) -> None:
+    """At every place where a writer can be interrupted."""
+    path = tmp_path / "run.jsonl"
+    write_episodes(path, [episode(seed=1), episode(seed=2)])
+    data = path.read_bytes()
+    second = data.index(b"\n") + 1
+    for cut in (second + 1, (second + len(data)) // 2, len(data) - 2):
+        path.write_bytes(data[:cut])
+        with pytest.warns(EpisodeFileWarning, match=r"line 2: passed over, .* The line is cut off"):
+            assert [read.seed for read in read_episodes(path)] == [1]
+
+
+def test_appending_to_a_torn_file_keeps_the_new_episodes_whole(tmp_path: Path) -> None:
+    """The next episode begins on a line of its own."""
+    path = tmp_path / "run.jsonl"
+    write_episodes(path, [episode(seed=1), episode(seed=2)])
+    path.write_bytes(path.read_bytes()[:-20])
+    write_episodes(path, [episode(seed=3)], append=True)
+    with pytest.warns(EpisodeFileWarning, match="line 2: passed over"):
+        assert [read.seed for read in read_episodes(path)] == [1, 3]
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        (b"nonsense", "it is no valid JSON"),
+        (b"\xff\xfe", "it is no valid JSON"),
+        (b"[" * 100_000, "it is no valid JSON"),
+        (b"9" * 10_000, "it is no valid JSON"),
+        (b"{}", "there is no schema_version"),
+        (b"[]", "there is no schema_version"),
+        (b'{"schema_version": 99}', "it has form 99, and this version reads 1; upgrade gem-core"),
+        (b'{"schema_version": 1}', "the record of an episode is damaged"),
+        (b'{"schema_version": 1, "transitions": [3]}', "the record of an episode is damaged"),
+        (b'{"schema_version": 1, "transitions": [], "id": 3}', "the record of an episode is damaged"),
+        (b'{"schema_version": 1, "transitions": [{"action": {"text": "a", "evil": 1}}]}', "is damaged"),
+    ],
+)
+def test_damaged_lines_are_passed_over_with_the_reason(tmp_path: Path, line: bytes, reason: str) -> None:
+    """Whatever stands in the file, the rest is read."""
+    path = tmp_path / "run.jsonl"
+    write_episodes(path, [episode()])
+    path.write_bytes(line + b"\n" + path.read_bytes())
+    with pytest.warns(EpisodeFileWarning) as caught:
+        assert list(read_episodes(path)) == [episode()]
+    assert reason in str(caught[0].message)
+
+
+@given(st.recursive(st.none() | st.booleans() | st.integers() | st.floats() | ANY_TEXT, st.lists, max_leaves=10))
+def test_records_of_anything_are_refused_or_read(value: Any) -> None:
+    """No shape of a record crashes the reader."""
+    for field in ("observation", "info", "transitions", "kwargs", "seed", "id", "wrappers"):
+        record = {**episode().to_dict(), field: value}
+        with contextlib.suppress(EpisodeFileError):
+            Episode.from_dict(record)
+
+
+def test_a_file_that_is_not_there_or_cannot_be_written_is_named(tmp_path: Path) -> None:
+    """The error gives the path and the reason."""
+    with pytest.raises(EpisodeFileError, match=r"cannot read .*none\.jsonl: No such file"):
+        list(read_episodes(tmp_path / "none.jsonl"))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(EpisodeFileError, match="cannot write"):
+        EpisodeWriter(tmp_path / "file" / "run.jsonl")
+
+
+def test_values_that_json_does_not_know_do_not_stop_a_run(tmp_path: Path) -> None:
+    """Numbers that are not finite, arrays, sets and objects are written as near as can be."""
+    info = {
+        "nan": float("nan"),
+        "array": np.arange(3),
+        "set": {2, 1},
+        "object": object,
+        3: (1, 2),
+        "f": np.float64(1.5),
+    }
+    (read,) = written(tmp_path / "run.jsonl", episode(info=info))
+    assert read.info["nan"] == "nan"
+    assert (read.info["array"], read.info["set"], read.info["3"], read.info["f"]) == ([0, 1, 2], [1, 2], [1, 2], 1.5)
+    loop: list[Any] = []
+    loop.append(loop)
+    assert "nested over" in json.dumps(to_plain(loop))
+
+
+def test_long_arguments_are_left_out_of_the_file(tmp_path: Path) -> None:
+    """Rows of a data set are referenced by id, never copied."""
+    (read,) = written(tmp_path / "run.jsonl", episode(kwargs={"rows": ["row"] * 1000, "length": 3}))
+    assert read.kwargs == {"length": 3}
+
+
+@pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGB", "RGBA", "I;16", "CMYK", "F", "I"])
+def test_images_are_read_back_without_loss(tmp_path: Path, mode: str) -> None:
+    """Each is a side file named by its hash, written once."""
+    pixels = Image.effect_noise((5, 4), 60)
+    image = Image.new(mode, (5, 4), 7) if mode in ("I;16", "F", "I") else pixels.convert(mode)
+    observation = [{"type": "text", "text": "Look"}, {"type": "image", "image": image}]
+    original = episode(observation=observation, final_observation=observation)
+    (read,) = written(tmp_path / "run.jsonl", original)
+    assert read == original
+    shown = read.observation[1]["image"]  # type: ignore[index]  # it is a list of parts
+    assert (shown.mode, shown.size, shown.tobytes()) == (image.mode, image.size, image.tobytes())
+    assert len(list((tmp_path / "run.images").iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    "name", ["../secret.png", "/etc/passwd", "a" * 64 + ".png/../../x", 3, None, "A" * 64 + ".png"]
+)
+def test_image_names_cannot_lead_elsewhere(tmp_path: Path, name: Any) -> None:
+    """A file of episodes is untrusted."""
+    with pytest.raises(EpisodeFileError, match="is not the name of an image file"):
+        ImageFolder(tmp_path).read(name)
+
+
+def test_missing_and_damaged_images_are_reported(tmp_path: Path) -> None:
+    """The episode is passed over, and the others are read."""
+    path = tmp_path / "run.jsonl"
+    image = Image.new("RGB", (2, 2))
+    write_episodes(path, [episode(observation=[{"type": "image", "image": image}]), episode(seed=9)])
+    (side_file,) = (tmp_path / "run.images").iterdir()
+    for damage in (b"", b"no image"):
+        side_file.write_bytes(damage)
+        with pytest.warns(EpisodeFileWarning, match="cannot be read"):
+            assert [read.seed for read in read_episodes(path)] == [9]
+    side_file.unlink()
+    with pytest.warns(EpisodeFileWarning, match="cannot be read"):
+        assert [read.seed for read in read_episodes(path)] == [9]
+
+
+def test_a_whole_file_gives_no_warning(tmp_path: Path) -> None:
+    """Empty lines are nothing to report."""
+    path = tmp_path / "run.jsonl"
+    write_episodes(path, [episode()])
+    path.write_bytes(path.read_bytes() + b"\n\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(list(read_episodes(path))) == 1

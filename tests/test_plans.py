@@ -1,0 +1,106 @@
+"""Plans: exact coverage, exact proportions, groups, and seeds."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gem_core.errors import ArgumentError
+from gem_core.plans import Draw, DrawSource, PlanItem, count_plan, cover_plan, group_plan, mixture_plan
+from gem_core.seeding import SEED_LIMIT
+
+
+def drawn(source: DrawSource, slots: int = 1) -> list[Draw]:
+    draws = []
+    while (draw := source.draw(len(draws) % slots)) is not None:
+        draws.append(draw)
+    return draws
+
+
+def test_seed_of_an_item_depends_on_its_place_not_on_the_slot() -> None:
+    """Whichever slot draws it, an item starts the same episode."""
+    plan = count_plan(["a:A"], 10)
+    assert drawn(DrawSource(plan, 3), slots=1) == drawn(DrawSource(plan, 3), slots=4)
+    assert drawn(DrawSource(plan, 3)) != drawn(DrawSource(plan, 4))
+
+
+def test_repeats_share_seed_and_group_and_differ_in_action_seed() -> None:
+    """A group starts alike, and its members act apart."""
+    draws = drawn(DrawSource(group_plan([PlanItem(), PlanItem()], 3), 0))
+    assert [draw.key for draw in draws] == ["0", "0", "0", "1", "1", "1"]
+    assert [draw.repeat for draw in draws] == [0, 1, 2, 0, 1, 2]
+    assert [len({draw.seed for draw in draws[i : i + 3]}) for i in (0, 3)] == [1, 1]
+    assert draws[0].seed != draws[3].seed
+    assert len({draw.action_seed for draw in draws}) == 6
+    assert [draw.item.group for draw in draws] == ["0"] * 3 + ["1"] * 3
+
+
+def test_an_item_may_fix_its_seed_and_group() -> None:
+    """What it says is taken."""
+    draw = drawn(DrawSource([PlanItem(seed=5, group="g", repeat=2)], 0))[1]
+    assert (draw.seed, draw.item.group) == (5, "g")
+
+
+def test_without_a_plan_every_slot_goes_on_for_ever_by_itself() -> None:
+    """The key is (slot, count), whatever the other slots do."""
+    first, second = DrawSource(None, 1), DrawSource(None, 1)
+    alone = [first.draw(2) for _ in range(5)]
+    among = []
+    for _ in range(5):
+        second.draw(0)
+        among.append(second.draw(2))
+        second.draw(1)
+    assert alone == among
+    assert len({draw.seed for draw in alone if draw}) == 5
+
+
+def test_seeds_are_exact_in_json_readers_that_use_doubles() -> None:
+    """All lie below 2**53."""
+    assert all(draw.seed < SEED_LIMIT and draw.action_seed < SEED_LIMIT for draw in drawn(DrawSource([PlanItem()], 2)))
+
+
+def test_cover_plan_takes_rows_in_order_and_over_again() -> None:
+    """Exact coverage of a data set."""
+    assert [item.options for item in cover_plan(None, 3)] == [{"index": 0}, {"index": 1}, {"index": 2}]
+    assert [item.options["index"] for item in cover_plan("a:A", 3, episodes=5) if item.options] == [0, 1, 2, 0, 1]
+
+
+@given(
+    weights=st.dictionaries(st.sampled_from(["a:A", "b:B", "c:C", "d:D"]), st.integers(1, 100), min_size=1),
+    episodes=st.integers(0, 60),
+)
+def test_mixture_keeps_within_one_of_every_share(weights: dict[str, int], episodes: int) -> None:
+    """At every point of the plan, not only at its end."""
+    total = sum(weights.values())
+    counts: Counter[str] = Counter()
+    for number, item in enumerate(mixture_plan({**weights}, episodes), start=1):
+        counts[str(item.id)] += 1
+        for env_id, weight in weights.items():
+            assert abs(counts[env_id] - number * weight / total) < 1
+    assert counts.total() == episodes
+
+
+@pytest.mark.parametrize("weights", [{}, {"a:A": 0.0}, {"a:A": -1.0}, {"a:A": float("nan")}])
+def test_mixture_refuses_weights_that_mean_nothing(weights: dict[str, float]) -> None:
+    """The error shows them."""
+    with pytest.raises(ArgumentError, match="a mixture needs positive weights"):
+        mixture_plan(weights, 3)
+
+
+def test_a_plan_of_something_else_is_refused() -> None:
+    """The error names the item."""
+    with pytest.raises(ArgumentError, match="item 1 is 'a:A'"):
+        drawn(DrawSource([PlanItem(), "a:A"], 0))  # type: ignore[list-item]  # that is the point
+    with pytest.raises(ArgumentError, match="repeat must be a positive whole number"):
+        drawn(DrawSource([PlanItem(repeat=0)], 0))
+
+
+def test_counts_and_group_sizes_must_make_sense() -> None:
+    """Negative numbers are refused."""
+    with pytest.raises(ArgumentError):
+        count_plan(["a:A"], -1)
+    with pytest.raises(ArgumentError):
+        list(group_plan([], 0))

@@ -1,0 +1,204 @@
+"""``rollout``: the one loop, its agents and its records."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from toys import CountdownEnv, Notebook, sampling_agent
+
+import gem_core as gem
+from gem_core.agents.base import Context, as_agent, load_agent
+from gem_core.episodes import read_episodes, write_episodes
+from gem_core.errors import AgentError, ArgumentError, UnknownAgentError
+from gem_core.plans import PlanItem, group_plan
+from gem_core.tool_env import ToolEnv
+
+COUNTDOWN = "toy:Countdown-v0"
+SUMS = "toy:Sums-v0"
+
+
+def by_key(episodes: Iterator[gem.Episode]) -> list[gem.Episode]:
+    return sorted(episodes, key=lambda episode: (int(episode.key), episode.repeat))
+
+
+@settings(deadline=None, max_examples=20)
+@given(num_envs=st.integers(1, 9), seed=st.integers(0, 2**53))
+def test_the_same_seed_gives_the_same_episodes_whatever_the_number_of_slots(num_envs: int, seed: int) -> None:
+    """Ids, seeds, observations, actions and rewards, and the faults too."""
+    ids = [COUNTDOWN, SUMS]
+    alone = by_key(gem.rollout(gem.make_vec(ids, 2, seed=seed), sampling_agent, episodes=6))
+    among = gem.make_vec(ids, num_envs, seed=seed)
+    assert by_key(gem.rollout(among, sampling_agent, episodes=6)) == alone
+    assert len(alone) == 12
+
+
+def test_an_episode_is_replayed_from_its_record() -> None:
+    """Id, arguments, wrappers, seed, options and actions are enough."""
+    vector = gem.make_vec([COUNTDOWN, SUMS], 3, wrappers="concat,episode_stats", seed=1)
+    for episode in gem.rollout(vector, sampling_agent, episodes=5):
+        env = gem.make(episode.id, wrappers=[tuple(wrapper) for wrapper in episode.wrappers], **episode.kwargs)
+        observation, _ = (
+            env.reset(seed=episode.seed, options=dict(episode.options))
+            if episode.options
+            else env.reset(seed=episode.seed)
+        )
+        assert observation == episode.observation
+        for turn in episode.transitions:
+            assert turn.observation == observation
+            observation, reward, terminated, truncated, _ = env.step(turn.action)
+            assert (reward, terminated, truncated) == (turn.reward, turn.terminated, turn.truncated)
+        assert observation == episode.final_observation
+
+
+def test_a_data_set_is_covered_once_in_order_by_default() -> None:
+    """And ten episodes of what has no rows."""
+    episodes = by_key(gem.rollout([SUMS, COUNTDOWN], sampling_agent, seed=0))
+    assert [episode.info["task_id"] for episode in episodes if episode.id == SUMS] == [str(row) for row in range(7)]
+    assert sum(episode.id == COUNTDOWN for episode in episodes) == 10
+
+
+def test_groups_start_alike_and_act_apart() -> None:
+    """As GRPO needs them."""
+    plan = group_plan([PlanItem(options={"left": 3}), PlanItem(options={"left": 3})], 4)
+    episodes = by_key(gem.rollout(gem.make_vec(COUNTDOWN, 3, seed=0), sampling_agent, plan=plan))
+    assert [episode.group for episode in episodes] == ["0"] * 4 + ["1"] * 4
+    assert len({(episode.seed, str(episode.observation)) for episode in episodes[:4]}) == 1
+    assert len({tuple(turn.action for turn in episode.transitions) for episode in episodes}) == 8
+
+
+def test_context_tells_the_agent_where_it_is() -> None:
+    """Turn, group, info, and its own earlier responses as they were sampled."""
+    seen: list[tuple[Any, ...]] = []
+
+    def agent(observation: gem.Observation, context: Context) -> gem.Response:
+        seen.append((context.episode, context.turn, context.group, context.info["suffix"], len(context.responses)))
+        assert all(response.token_ids == [turn] for turn, response in enumerate(context.responses))
+        return gem.Response("a", token_ids=[context.turn])
+
+    list(gem.rollout(gem.make(COUNTDOWN), agent, plan=[PlanItem(options={"left": 2}, repeat=2)], seed=0))
+    assert seen == [
+        ("0.0", 0, "0", "Left: 2.", 0),
+        ("0.0", 1, "0", "Left: 1.", 1),
+        ("0.1", 0, "0", "Left: 2.", 0),
+        ("0.1", 1, "0", "Left: 1.", 1),
+    ]
+
+
+def test_tools_are_in_the_context_and_the_record() -> None:
+    """Schemas for the agent, names for the record."""
+    env = ToolEnv(CountdownEnv(), [Notebook()])
+    (episode,) = gem.rollout(env, lambda _, context: context.tools[0]["function"]["name"], episodes=1, seed=0)
+    assert episode.tools == ["note"]
+    assert {str(turn.action) for turn in episode.transitions} == {"note"}
+
+
+def test_asynchronous_agents_answer_all_slots_at_once() -> None:
+    """Every slot has asked before the first answer is waited for."""
+    waiting = 0
+    most = 0
+
+    async def agent(observation: gem.Observation) -> str:
+        nonlocal waiting, most
+        waiting += 1
+        most = max(most, waiting)
+        await asyncio.sleep(0)
+        waiting -= 1
+        return "a"
+
+    vector = gem.make_vec(COUNTDOWN, 5, seed=0)
+    assert len(list(gem.rollout(vector, agent, episodes=5))) == 5
+    assert most == 5
+
+
+def test_failed_resets_and_steps_are_episodes_with_an_error() -> None:
+    """Each plan item gives exactly one episode, whatever fails."""
+    plan = [PlanItem(kwargs={"fail": fail} if fail else {}) for fail in ("", "reset", "step", "", "reset")]
+    episodes = by_key(gem.rollout(gem.make_vec(COUNTDOWN, 2, seed=0), sampling_agent, plan=plan))
+    assert [episode.key for episode in episodes] == ["0", "1", "2", "3", "4"]
+    assert [episode.error is not None for episode in episodes] == [False, True, True, False, True]
+    assert episodes[1].turns == 0
+    assert episodes[2].turns == 1
+    assert all(episode.success is None for episode in episodes if episode.error)
+
+
+def test_episodes_come_as_they_finish_and_the_rest_can_be_left() -> None:
+    """The first is there before the second begins in a run of one slot; leaving closes what was made here."""
+    stepped: list[str] = []
+
+    def agent(observation: gem.Observation, context: Context) -> str:
+        stepped.append(context.episode)
+        return "a"
+
+    run = gem.rollout(COUNTDOWN, agent, episodes=100, seed=0)
+    next(run)
+    assert set(stepped) == {"0.0"}
+    run.close()  # type: ignore[attr-defined]  # it is a generator
+
+
+def test_records_are_written_and_read_back(tmp_path: Path) -> None:
+    """A run survives its file."""
+    episodes = list(gem.rollout([COUNTDOWN, SUMS], sampling_agent, episodes=4, seed=3))
+    write_episodes(tmp_path / "run.jsonl", episodes)
+    assert list(read_episodes(tmp_path / "run.jsonl")) == episodes
+    assert episodes[0].versions["gem-core"] == gem.__version__
+
+
+def test_a_response_that_was_cut_off_is_stepped_as_it_is_and_flagged() -> None:
+    """The record shows why it ended."""
+    (episode,) = gem.rollout(COUNTDOWN, lambda _: gem.Response("a", finish_reason="length"), episodes=1, seed=0)
+    assert all(turn.action.cut_off for turn in episode.transitions)
+
+
+def test_plan_and_episodes_together_are_refused() -> None:
+    """Before anything runs."""
+    with pytest.raises(ArgumentError, match="either a plan or a number of episodes"):
+        gem.rollout(COUNTDOWN, sampling_agent, plan=[], episodes=3)
+    with pytest.raises(ArgumentError, match="episodes must be a whole number from 0 up"):
+        gem.rollout(COUNTDOWN, sampling_agent, episodes=-1)
+
+
+def test_an_agent_that_returns_no_text_is_named() -> None:
+    """It is a mistake of the program, not an answer."""
+    with pytest.raises(AgentError, match="this one returned NoneType"):
+        list(gem.rollout(COUNTDOWN, lambda observation: None, episodes=1))
+
+
+@pytest.mark.parametrize("agent", [3, "random", lambda: "a", lambda a, b, c: "a"])
+def test_what_cannot_be_called_as_an_agent_is_refused(agent: Any) -> None:
+    """The error says how an agent is called."""
+    with pytest.raises(AgentError, match="an agent"):
+        as_agent(agent)
+
+
+def test_load_agent_finds_built_in_ones_and_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By name, by MODULE:CALLABLE in the current folder, and a class by calling it."""
+    (tmp_path / "own_agent.py").write_text(
+        "def act(observation): return 'a'\nclass Agent:\n    def __call__(self, observation, context): return 'b'\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    context: Any = None
+    assert load_agent("own_agent:act")("", context) == "a"
+    assert load_agent("own_agent:Agent")("", context) == "b"
+    assert callable(load_agent("random"))
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("randm", "no agent 'randm'. Did you mean 'random'? There are: "),
+        ("no_such_module:act", "no agent 'no_such_module:act': there is no agent and no module 'no_such_module'."),
+        ("json:dumsp", "no agent 'json:dumsp': 'json' has no 'dumsp'. Did you mean 'dump' or 'dumps'?"),
+    ],
+)
+def test_unknown_agents_name_the_nearest(name: str, message: str) -> None:
+    """One line that helps."""
+    with pytest.raises(UnknownAgentError) as caught:
+        load_agent(name)
+    assert message in str(caught.value)

@@ -1,0 +1,49 @@
+"""What a run amounts to."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gem_core.episodes import Episode, Transition
+from gem_core.summary import RunSummary
+from gem_core.types import Response
+
+
+def episode(env_id: str, reward: float, **info: Any) -> Episode:
+    turn = Transition("o", Response("a"), reward, True, False, info)
+    return Episode(id=env_id, seed=1, observation="o", info={}, transitions=[turn])
+
+
+def test_errors_count_apart_and_in_no_mean() -> None:
+    """A failure of the machinery is never a reward of 0."""
+    summary = RunSummary(["a:A"])
+    summary.add(episode("a:A", 1.0, correct=True))
+    summary.add(episode("a:A", 0.0, error={"kind": "x", "message": "broken"}))
+    row = summary.rows()[0]
+    assert (row.episodes, row.errors, row.success_rate, row.mean_return, row.mean_turns) == (1, 1, 1.0, 1.0, 1.0)
+    assert summary.first_error == "a:A, seed 1: broken"
+
+
+def test_unknown_success_is_left_out_of_the_rate() -> None:
+    """Only judged episodes count."""
+    summary = RunSummary([])
+    summary.add(episode("a:A", 0.5))
+    assert summary.rows()[0].success_rate is None
+    summary.add(episode("a:A", 0.5, correct=False))
+    assert summary.rows()[0].success_rate == 0.0
+
+
+def test_several_environments_get_a_row_for_all() -> None:
+    """One environment alone does not."""
+    summary = RunSummary(["a:A", "b:B"])
+    summary.add(episode("a:A", 1.0, correct=True))
+    summary.add(episode("b:B", 0.0, correct=False))
+    assert [row.id for row in summary.rows()] == ["a:A", "b:B", "all"]
+    assert summary.to_dict(2.0)["environments"][-1]["turns_per_second"] == 1.0
+    assert [row.id for row in RunSummary(["a:A"]).rows()] == ["a:A"]
+
+
+def test_a_run_without_episodes_has_no_figures() -> None:
+    """Nothing is divided by zero."""
+    row = RunSummary(["a:A"]).to_dict(0.0)["environments"][0]
+    assert (row["success_rate"], row["mean_return"], row["mean_turns"], row["turns_per_second"]) == (None,) * 4

@@ -1,0 +1,287 @@
+"""Vector environments: order, autoreset, faults, plans and seeds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from toys import CountdownEnv
+
+import gem_core as gem
+from gem_core.errors import (
+    ArgumentError,
+    EnvFaultError,
+    FaultBudgetError,
+    ResetNeededError,
+    UnknownBackendError,
+    UnknownEnvError,
+)
+from gem_core.vector.sync import SyncVectorEnv
+
+COUNTDOWN = "toy:Countdown-v0"
+
+
+def make(num_envs: int = 2, **options: Any) -> gem.VectorEnv:
+    return gem.make_vec(COUNTDOWN, num_envs, seed=options.pop("seed", 5), **options)
+
+
+def lasting(turns: int, count: int) -> list[gem.PlanItem]:
+    return [gem.PlanItem(options={"left": turns})] * count
+
+
+def test_reset_and_step_give_lists_and_arrays_in_order() -> None:
+    """Texts and infos are lists, numbers are arrays."""
+    vector = make(3, plan=lasting(5, 3))
+    observations, infos = vector.reset()
+    assert observations == ["Count down.\nLeft: 5."] * 3
+    assert [info["suffix"] for info in infos] == ["Left: 5."] * 3
+    step = vector.step(["a", "b", "c"])
+    assert step.observations == [f"You said {action!r}.\nLeft: 4." for action in "abc"]
+    assert step.rewards.dtype == np.float64
+    assert step.rewards.tolist() == [1.0, 1.0, 1.0]
+    assert step.terminated.dtype == step.truncated.dtype == np.bool_
+    assert len(vector) == vector.num_envs == 3
+
+
+def test_a_mapping_steps_some_slots_in_the_order_asked() -> None:
+    """The others stand still."""
+    vector = make(3, plan=lasting(5, 3))
+    vector.reset()
+    assert vector.step({2: "c", 0: "a"}).observations == ["You said 'c'.\nLeft: 4.", "You said 'a'.\nLeft: 4."]
+    assert vector.step(["x", "y", "z"]).rewards.tolist() == [2.0, 1.0, 2.0]
+    assert vector.step({}).observations == []
+
+
+@pytest.mark.parametrize(
+    ("actions", "message"),
+    [
+        (["a"], "1 actions for 2 slots; give one for each, or a mapping of slot to action"),
+        ("ab", "one string for 2 slots"),
+        ({2: "a"}, "no slot 2; there are slots 0 to 1"),
+        ({"a": "a"}, "no slot 'a'"),
+    ],
+)
+def test_actions_that_do_not_fit_are_refused(actions: Any, message: str) -> None:
+    """Nothing is stepped."""
+    vector = make()
+    vector.reset()
+    with pytest.raises(ArgumentError) as caught:
+        vector.step(actions)
+    assert message in str(caught.value)
+
+
+def test_step_before_reset_is_refused() -> None:
+    """The error says what to call."""
+    with pytest.raises(ResetNeededError, match=r"call reset\(\) before the first step\(\)"):
+        make().step(["a", "b"])
+
+
+def test_autoreset_loses_nothing_of_the_finished_episode() -> None:
+    """The new episode's first observation comes with the last one of the old."""
+    vector = make(1, plan=lasting(1, 2))
+    vector.reset()
+    step = vector.step(["yes!"])
+    assert step.observations == ["Count down.\nLeft: 1."]
+    assert (step.rewards[0], step.terminated[0], step.truncated[0]) == (1.0, True, False)
+    info = step.infos[0]
+    assert info["final_obs"] == "You said 'yes!'.\nLeft: 0."
+    assert info["final_info"]["correct"] is True
+    assert info["feedback"] == "Count down.\n"
+
+
+def test_exhausted_plan_leaves_the_slot_idle() -> None:
+    """Its actions are ignored, and its flags are false."""
+    vector = make(2, plan=lasting(1, 1))
+    assert vector.reset()[1][1] == {"idle": True}
+    assert vector.draw_of(1) is None
+    step = vector.step(["a", "b"])
+    assert step.observations == [gem.TERMINAL_STATE] * 2
+    assert step.infos[0]["idle"] is True
+    assert step.infos[0]["final_info"]["correct"] is False
+    assert (step.terminated.tolist(), step.truncated.tolist()) == ([True, False], [False, False])
+    assert vector.step(["a", "b"]).infos == [{"idle": True}] * 2
+
+
+def test_every_episode_can_be_replayed_alone_from_its_seed() -> None:
+    """``info["seed"]`` starts it in an environment of its own."""
+    vector = make(3)
+    observations, infos = vector.reset()
+    for observation, info in zip(observations, infos, strict=True):
+        assert gem.make(COUNTDOWN).reset(seed=info["seed"])[0] == observation
+
+
+def test_the_same_seed_gives_the_same_run_and_reset_with_it_starts_over() -> None:
+    """And another seed another run."""
+    first, second, third = make(4, seed=1), make(4, seed=1), make(4, seed=2)
+    start = first.reset()
+    assert start == second.reset()
+    assert start != third.reset()
+    first.step(["a"] * 4)
+    assert first.reset(seed=1) == start
+
+
+def test_the_seed_that_was_drawn_is_reported() -> None:
+    """A run without a seed can be repeated."""
+    vector = gem.make_vec(COUNTDOWN, 2)
+    assert gem.make_vec(COUNTDOWN, 2, seed=vector.seed).reset() == vector.reset()
+
+
+def test_mixed_batch_and_per_item_arguments() -> None:
+    """Slots take ids in turn; a plan item may ask for another id and other arguments."""
+    vector = gem.make_vec([COUNTDOWN, "toy:Echo-v0"], 3, seed=0)
+    assert vector.ids == [COUNTDOWN, "toy:Echo-v0", COUNTDOWN]
+    plan = [gem.PlanItem(id=COUNTDOWN, kwargs={"longest": 1}), gem.PlanItem(id="toy:Echo-v0"), gem.PlanItem()]
+    mixed = gem.make_vec("toy:Echo-v0", 1, seed=0, plan=plan)
+    assert mixed.reset()[0] == ["Count down.\nLeft: 1."]
+    assert mixed.describe(0) == {"id": COUNTDOWN, "kwargs": {"longest": 1}, "wrappers": []}
+    assert mixed.step(["a"]).observations == ["Say something."]
+    assert mixed.step(["stop"]).observations == ["Say something."]
+    assert mixed.step(["stop"]).infos[0]["idle"] is True
+
+
+def test_groups_share_a_start_and_are_named() -> None:
+    """All members of a group see the same first observation."""
+    vector = make(4, plan=[gem.PlanItem(repeat=4)])
+    observations, infos = vector.reset()
+    assert len(set(map(str, observations))) == 1
+    assert [info["group"] for info in infos] == ["0"] * 4
+    assert len({vector.sample_random_action(slot) for slot in range(4)}) > 1
+
+
+def test_fault_in_step_truncates_that_slot_and_the_batch_goes_on() -> None:
+    """Reward 0, the error in the final info, and a fresh environment."""
+    vector = make(2, plan=[gem.PlanItem(kwargs={"fail": "step"}), *lasting(3, 2)])
+    vector.reset()
+    step = vector.step(["a", "b"])
+    assert step.rewards.tolist() == [0.0, 1.0]
+    assert step.truncated.tolist() == [True, False]
+    info = step.infos[0]
+    assert info["final_obs"] == gem.TERMINAL_STATE
+    assert info["final_info"] == {"error": {"kind": "exception", "message": "step raised RuntimeError: broken in step"}}
+    assert step.observations == ["Count down.\nLeft: 3.", "You said 'b'.\nLeft: 2."]
+    assert vector.faults == 1
+
+
+def test_fault_in_reset_uses_its_plan_item_up() -> None:
+    """It is listed with what it should have started from, and the next item begins."""
+    vector = make(1, plan=[gem.PlanItem(kwargs={"fail": "reset"}), *lasting(3, 1)])
+    observations, infos = vector.reset()
+    assert observations == ["Count down.\nLeft: 3."]
+    failed = infos[0]["failed_resets"]
+    assert [entry["draw"].key for entry in failed] == ["0"]
+    assert failed[0]["error"] == {"kind": "exception", "message": "reset raised RuntimeError: broken in reset"}
+
+
+@pytest.mark.parametrize("where", ["reset", "step"])
+def test_system_exit_of_an_environment_is_contained(where: str) -> None:
+    """An environment cannot end the program."""
+    vector = make(1, plan=[gem.PlanItem(kwargs={"fail": f"exit in {where}"}), *lasting(3, 1)])
+    vector.reset()
+    vector.step(["a"])
+    assert vector.faults == 1
+
+
+def test_faults_without_end_stop_with_one_clear_error() -> None:
+    """The budget counts faults in a row; an episode that ends by itself resets it."""
+    with pytest.raises(FaultBudgetError, match="17 faults in a row without one finished episode"):
+        make(1, fail="reset").reset()
+    plan = [item for _ in range(40) for item in (gem.PlanItem(kwargs={"fail": "step"}), *lasting(1, 1))]
+    vector = make(1, plan=plan)
+    vector.reset()
+    while vector.draw_of(0) is not None:
+        vector.step(["a"])
+    assert vector.faults == 40
+
+
+def test_errors_that_an_environment_reports_spend_the_budget_too() -> None:
+    """A dead engine stops the run instead of filling it with errors."""
+
+    class Unreachable(CountdownEnv):
+        def step(self, action: str) -> Any:
+            return gem.TERMINAL_STATE, 0.0, False, True, {"error": {"kind": "engine", "message": "it is down"}}
+
+    vector = SyncVectorEnv.around(Unreachable(), seed=0)
+    vector.reset()
+    for _ in range(16):
+        vector.step(["a"])
+    with pytest.raises(FaultBudgetError, match="it is down"):
+        vector.step(["a"])
+
+
+def test_on_error_raise_shows_where_it_fails() -> None:
+    """For debugging, with the cause attached."""
+    vector = make(1, fail="step", on_error="raise")
+    vector.reset()
+    with pytest.raises(EnvFaultError, match="step raised RuntimeError: broken in step") as caught:
+        vector.step(["a"])
+    assert isinstance(caught.value.__cause__, RuntimeError)
+
+
+@pytest.mark.parametrize(
+    ("result", "message"),
+    [
+        (("a", 0.0, False, False), "step must return"),
+        (("a", float("nan"), False, False, {}), "the reward must be a finite number"),
+        (("a", "x", False, False, {}), "could not convert string to float"),
+        (("a", 0.0, False, False, None), "info must be a dictionary"),
+        (None, "step must return"),
+    ],
+)
+def test_results_that_are_none_are_faults(result: Any, message: str) -> None:
+    """A malformed result is the environment's fault, not a reward."""
+
+    class Odd(CountdownEnv):
+        def step(self, action: str) -> Any:
+            return result
+
+    vector = SyncVectorEnv.around(Odd(), seed=0)
+    vector.reset()
+    assert message in vector.step(["a"]).infos[0]["final_info"]["error"]["message"]
+
+
+def test_what_cannot_be_right_is_raised_at_once() -> None:
+    """A wrong id, backend, argument or number is no fault of an episode."""
+    with pytest.raises(UnknownEnvError):
+        gem.make_vec("toy:Cuntdown-v0")
+    with pytest.raises(UnknownBackendError, match=r"no vector backend 'snc'\. Did you mean 'sync'\?"):
+        gem.make_vec(COUNTDOWN, backend="snc")
+    with pytest.raises(ArgumentError, match="Did you mean 'longest'"):
+        gem.make_vec(COUNTDOWN, longst=3).reset()
+    for count in (0, -1, 1.5):
+        with pytest.raises(ArgumentError, match="num_envs must be a positive whole number"):
+            gem.make_vec(COUNTDOWN, count)  # type: ignore[arg-type]  # that is the point
+    with pytest.raises(ArgumentError, match="at least one environment id"):
+        gem.make_vec([])
+    with pytest.raises(ArgumentError, match="on_error must be 'truncate' or 'raise'"):
+        gem.make_vec(COUNTDOWN, on_error="ignore")
+    with pytest.raises(ArgumentError, match="a plan is an iterable of PlanItem records, not str"):
+        gem.make_vec(COUNTDOWN, plan=COUNTDOWN)  # type: ignore[arg-type]  # that is the point
+
+
+def test_close_closes_every_environment_and_may_be_called_again() -> None:
+    """The context manager does it too."""
+    env = CountdownEnv()
+    with SyncVectorEnv.around(env, seed=0) as vector:
+        vector.reset()
+    vector.close()
+    assert env.closed == 1
+
+
+def test_an_environment_that_cannot_be_closed_holds_nothing_up(caplog: pytest.LogCaptureFixture) -> None:
+    """It is given up, and a warning says so."""
+
+    class Stuck(CountdownEnv):
+        def close(self) -> None:
+            raise OSError("stuck")
+
+    vector = SyncVectorEnv.around(Stuck(), seed=0)
+    vector.reset()
+    vector.close()
+    assert "closing the environment of slot 0 failed" in caplog.text
+
+
+def test_tasks_of_a_data_set_are_counted() -> None:
+    """Other environments have no number of tasks."""
+    vector = gem.make_vec(["toy:Sums-v0", COUNTDOWN])
+    assert (vector.num_tasks("toy:Sums-v0"), vector.num_tasks(COUNTDOWN)) == (7, None)
