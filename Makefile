@@ -1,0 +1,114 @@
+# Every command sets up what it needs, from nothing but python3 (3.11 or newer) and make. Start with `make help`.
+
+PYTHON ?= python3
+VENV ?= .venv
+# Options for pytest, as in: make test ARGS="-k registry"
+ARGS ?=
+# Processes of pytest: as many as there are cores, but no more than this.
+WORKERS ?= 4
+
+PLUGIN_PROJECTS := $(wildcard plugins/*/pyproject.toml)
+PLUGINS := $(patsubst %/pyproject.toml,%,$(PLUGIN_PROJECTS))
+PLUGIN_PACKAGES := $(patsubst %/__init__.py,%,$(wildcard plugins/*/gem_*/__init__.py))
+BENCHMARKS := $(filter-out benchmarks/harness.py,$(wildcard benchmarks/*.py))
+BIN := $(VENV)/bin
+# Keeps no build isolation: hatchling comes pinned from constraints.txt, and a second install works offline.
+INSTALL := $(BIN)/python -m pip install --quiet --no-build-isolation -c constraints.txt
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export PIP_NO_INPUT := 1
+unexport PYTHONPATH PYTHONHOME
+MAKEFLAGS += --no-print-directory
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+
+# $(call say,TEXT) announces a step; $(call quietly,COMMAND) shows a command's output only when it fails.
+say = @echo "==> $(1)"
+quietly = @log=$$(mktemp) && if $(1) >"$$log" 2>&1; then rm -f "$$log"; \
+	else cat "$$log" >&2; rm -f "$$log"; exit 1; fi
+
+.PHONY: help
+help: ## show this list
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1|\2/p' Makefile | while IFS='|' read -r name text; do \
+		printf '%-20s %s\n' "  $$name" "$$text"; done
+	@echo "Another interpreter: make test PYTHON=python3.13 VENV=.venv-3.13"
+
+.PHONY: demo
+demo: $(VENV)/.installed ## watch built-in agents play three games, and write what they did to runs/
+	$(call say,a random agent plays three games)
+	@$(BIN)/gem run game:GuessTheNumber-v0 game:Mastermind-v0-easy game:TowerofHanoi-v0-easy \
+		--agent random --episodes 100 --num-envs 8 --seed 1 --out runs/demo-random.jsonl --overwrite
+	$(call say,a solver plays GuessTheNumber by bisection)
+	@$(BIN)/gem run game:GuessTheNumber-v0 \
+		--agent bisect --episodes 100 --num-envs 8 --seed 1 --out runs/demo-bisect.jsonl --overwrite
+
+.PHONY: test
+test: $(VENV)/.dev ## run every test of the core and of each plugin
+	$(call say,running the tests)
+	@$(BIN)/python -m pytest -q -n auto --maxprocesses $(WORKERS) --dist worksteal $(ARGS) \
+		tests $(wildcard plugins/*/tests)
+ifeq ($(strip $(ARGS)),)
+	@$(MAKE) test-isolated
+endif
+
+.PHONY: test-isolated
+test-isolated: $(VENV)/.dev ## run each plugin's tests with only the core and itself installed
+	@$(BIN)/python scripts/isolated_tests.py --venvs $(VENV)-isolated $(PLUGINS)
+
+.PHONY: lint
+lint: $(VENV)/.dev ## check format, style, types and declared dependencies
+	$(call say,ruff format)
+	@$(BIN)/ruff format --quiet --diff .
+	$(call say,ruff check)
+	@$(BIN)/ruff check --quiet .
+	$(call say,mypy --strict)
+	@$(BIN)/mypy gem_core $(PLUGIN_PACKAGES) scripts benchmarks
+	$(call say,declared dependencies)
+	@bin="$$PWD/$(BIN)"; for project in . $(PLUGINS); do (cd "$$project" && "$$bin/deptry" .) || exit 1; done
+
+.PHONY: format
+format: $(VENV)/.dev ## format the code, and mend what ruff can mend
+	@$(BIN)/ruff check --quiet --fix-only .
+	@$(BIN)/ruff format .
+
+.PHONY: bench
+bench: $(VENV)/.installed $(VENV)-peer/.installed ## measure beside gem-llm, in one run; prints ratios
+	@for script in $(BENCHMARKS); do \
+		$(BIN)/python "$$script" --ours $(BIN)/python --peer $(VENV)-peer/bin/python || exit 1; done
+
+.PHONY: constraints
+constraints: ## pin the newest versions in constraints.txt (PYTHONS="python3.11 python3.12 …")
+	@$(PYTHON) scripts/constraints.py $(or $(PYTHONS),$(PYTHON))
+
+.PHONY: clean
+clean: ## remove all that these commands made, but for runs/
+	rm -rf $(VENV) $(VENV)-isolated $(VENV)-peer build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# The environments. A stamp file says that one is up to date; what it was made from stands behind the colon.
+
+$(VENV)/.made:
+	$(call say,making $(VENV))
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo \
+		"error: '$(PYTHON)' is not Python 3.11 or newer; name one, as in: make $(MAKECMDGOALS) PYTHON=python3.12" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo \
+		"error: '$(PYTHON)' lacks the modules venv and ensurepip; on Debian and Ubuntu: apt-get install python3-venv" >&2; exit 1; }
+	$(call quietly,$(PYTHON) -m venv --clear $(VENV))
+	@touch $@
+
+$(VENV)/.installed: $(VENV)/.made pyproject.toml constraints.txt $(PLUGIN_PROJECTS)
+	$(call say,installing gem-core $(notdir $(PLUGINS)))
+	$(call quietly,$(INSTALL) hatchling editables)
+	$(call quietly,$(INSTALL) -e . $(addprefix -e ,$(PLUGINS)))
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.installed requirements-dev.txt
+	$(call say,installing the development tools)
+	$(call quietly,$(INSTALL) -r requirements-dev.txt)
+	@touch $@
+
+$(VENV)-peer/.installed: $(VENV)/.made benchmarks/requirements-peer.txt
+	$(call say,installing the peer to measure against)
+	$(call quietly,$(PYTHON) -m venv --clear $(VENV)-peer)
+	$(call quietly,$(VENV)-peer/bin/python -m pip install --quiet -r benchmarks/requirements-peer.txt)
+	@touch $@
