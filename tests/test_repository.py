@@ -1,0 +1,120 @@
+"""What holds for every file and every distribution of this repository."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PLUGINS = sorted(path.parent for path in ROOT.glob("plugins/*/pyproject.toml"))
+NOT_OURS = {"build", "dist", "runs", "__pycache__", "results"}
+LOCK_FILES = {
+    "Pipfile.lock",
+    "conda-lock.yml",
+    "package-lock.json",
+    "pdm.lock",
+    "poetry.lock",
+    "pylock.toml",
+    "uv.lock",
+}
+# Package hosts, and folders of one machine. Brackets keep the patterns from matching this file.
+PRIVATE = re.compile(
+    r"(?<![\w.-])/(work|root|home)[/]\w|pypi[.]org|pythonhosted[.]org|registry[.]npmjs|debian[.]org|file:/[/]/"
+)
+MAX_LINES = 500
+
+
+def repository_files() -> list[Path]:
+    """Return the files of the repository, relative to it: those that git knows, or all where git does not answer."""
+    try:
+        command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, check=True, text=True)
+        names = [Path(name) for name in done.stdout.split("\0") if name]
+    except (OSError, subprocess.CalledProcessError):
+        names = []
+        for folder, folders, files in os.walk(ROOT):
+            folders[:] = [name for name in folders if name not in NOT_OURS and not re.match(r"\.(?!ci$)", name)]
+            names += [Path(folder, file).relative_to(ROOT) for file in files if not file.endswith(".egg-info")]
+    return sorted(name for name in names if (ROOT / name).is_file())
+
+
+FILES = repository_files()
+MODULES = [
+    path for path in FILES if path.suffix == ".py" and re.match(r"gem_core/|plugins/[^/]+/gem_", path.as_posix())
+]
+
+
+def text_of(path: Path) -> str:
+    """Return a file's text; empty for one that is not text."""
+    content = (ROOT / path).read_bytes()
+    return "" if b"\0" in content else content.decode("utf-8")
+
+
+def test_the_files_are_found():
+    """The tests below look at something."""
+    assert {Path("pyproject.toml"), Path("Makefile"), Path("gem_core/env.py"), Path(".ci/run")} <= set(FILES)
+
+
+def test_no_file_names_a_package_host_or_a_private_path():
+    """Addresses of package hosts and paths of one machine mean nothing elsewhere."""
+    found = {str(path): match.group() for path in FILES if (match := PRIVATE.search(text_of(path)))}
+    assert found == {}
+
+
+def test_there_is_no_lock_file():
+    """Lock files record addresses; constraints.txt pins versions."""
+    assert [str(path) for path in FILES if path.name in LOCK_FILES] == []
+
+
+def test_constraints_are_names_and_versions_only():
+    """A line of constraints.txt is `name==version`, with an environment marker where versions differ."""
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    form = re.compile(r'[a-z0-9-]+==[\w.]+( ; python_version == "3\.\d+")?')
+    assert [line for line in lines if not line.startswith("#") and not form.fullmatch(line)] == []
+
+
+@pytest.mark.parametrize("path", MODULES, ids=str)
+def test_module_begins_with_a_docstring(path: Path):
+    """Each shipped module says in its first line why it exists."""
+    docstring = ast.get_docstring(ast.parse(text_of(path)))
+    assert docstring
+    assert docstring.splitlines()[0].strip().endswith((".", "?", "!", ":", "::"))
+
+
+def test_no_file_is_too_long():
+    """A Python file that grows past the limit has two subjects."""
+    lengths = {str(path): text_of(path).count("\n") for path in FILES if path.suffix == ".py"}
+    assert {path: lines for path, lines in lengths.items() if lines > MAX_LINES} == {}
+
+
+def test_every_folder_of_plugins_is_a_distribution():
+    """A folder under plugins/ has its own pyproject.toml."""
+    folders = {path.parts[1] for path in FILES if path.parts[0] == "plugins" and len(path.parts) > 2}
+    assert folders == {plugin.name for plugin in PLUGINS}
+
+
+@pytest.mark.parametrize("plugin", PLUGINS, ids=lambda plugin: plugin.name)
+def test_plugin_has_what_a_distribution_needs(plugin: Path):
+    """README, tests, a licence, a type marker, metadata, and one entry point to a module that only declares."""
+    package = plugin.name.replace("-", "_")
+    for name in ("README.md", f"{package}/__init__.py", f"{package}/_plugin.py", f"{package}/py.typed"):
+        assert (plugin / name).is_file(), f"{plugin.name} lacks {name}"
+    assert list(plugin.glob("tests/test_*.py")), f"{plugin.name} has no tests"
+
+    project = tomllib.loads((plugin / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    core = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["name"] == plugin.name
+    assert project["license"] == "Apache-2.0"
+    assert project["readme"] == "README.md"
+    assert project["requires-python"] == core["requires-python"]
+    assert project["description"].strip()
+    assert any(re.match(r"gem-core\b", line) for line in project["dependencies"])
+    python = {line for line in core["classifiers"] if "Python ::" in line}
+    assert {*python, "Typing :: Typed"} <= set(project["classifiers"])
+    assert list(project["entry-points"]["gem.plugins"].values()) == [f"{package}._plugin"]
