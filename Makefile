@@ -12,7 +12,7 @@ PLUGINS := $(patsubst %/pyproject.toml,%,$(PLUGIN_PROJECTS))
 PLUGIN_PACKAGES := $(patsubst %/__init__.py,%,$(wildcard plugins/*/gem_*/__init__.py))
 BENCHMARKS := $(filter-out benchmarks/harness.py,$(wildcard benchmarks/*.py))
 BIN := $(VENV)/bin
-# Keeps no build isolation: hatchling comes pinned from constraints.txt, and a second install works offline.
+# No build isolation: hatchling comes pinned from constraints.txt, and a second install works offline.
 INSTALL := $(BIN)/python -m pip install --quiet --no-build-isolation -c constraints.txt
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
@@ -29,9 +29,9 @@ quietly = @log=$$(mktemp) && if $(1) >"$$log" 2>&1; then rm -f "$$log"; \
 
 .PHONY: help
 help: ## show this list
-	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1|\2/p' Makefile | while IFS='|' read -r name text; do \
-		printf '%-20s %s\n' "  $$name" "$$text"; done
-	@echo "Another interpreter: make test PYTHON=python3.13 VENV=.venv-3.13"
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1|\2/p' Makefile | while IFS='|' read -r name text; do \
+		printf '  %-20s %s\n' "$$name" "$$text"; done
+	@echo "Another interpreter, in an environment of its own: make test PYTHON=python3.13 VENV=.venv-3.13"
 
 .PHONY: demo
 demo: $(VENV)/.installed ## watch built-in agents play three games, and write what they did to runs/
@@ -87,6 +87,12 @@ clean: ## remove all that these commands made, but for runs/
 
 # The environments. A stamp file says that one is up to date; what it was made from stands behind the colon.
 
+# An environment belongs to one interpreter and one folder: with another, it is made anew.
+MADE_FROM := $(PYTHON) in $(CURDIR)
+ifneq "$(MADE_FROM)" "$(shell cat $(VENV)/.made 2>/dev/null)"
+.PHONY: $(VENV)/.made
+endif
+
 $(VENV)/.made:
 	$(call say,making $(VENV))
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo \
@@ -94,7 +100,7 @@ $(VENV)/.made:
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo \
 		"error: '$(PYTHON)' lacks the modules venv and ensurepip; on Debian and Ubuntu: apt-get install python3-venv" >&2; exit 1; }
 	$(call quietly,$(PYTHON) -m venv --clear $(VENV))
-	@touch $@
+	@printf '%s\n' "$(MADE_FROM)" > $@
 
 $(VENV)/.installed: $(VENV)/.made pyproject.toml constraints.txt $(PLUGIN_PROJECTS)
 	$(call say,installing gem-core $(notdir $(PLUGINS)))
