@@ -37,10 +37,10 @@ help: ## show this list
 demo: $(VENV)/.installed ## watch built-in agents play three games, and write what they did to runs/
 	$(call say,a random agent plays three games)
 	@$(BIN)/gem run game:GuessTheNumber-v0 game:Mastermind-v0-easy game:TowerofHanoi-v0-easy \
-		--agent random --episodes 100 --num-envs 8 --seed 1 --out runs/demo-random.jsonl --overwrite
+		--agent random --episodes 1000 --num-envs 8 --seed 1 --out runs/demo-random.jsonl --overwrite
 	$(call say,a solver plays GuessTheNumber by bisection)
 	@$(BIN)/gem run game:GuessTheNumber-v0 \
-		--agent bisect --episodes 100 --num-envs 8 --seed 1 --out runs/demo-bisect.jsonl --overwrite
+		--agent bisect --episodes 1000 --num-envs 8 --seed 1 --out runs/demo-bisect.jsonl --overwrite
 
 .PHONY: test
 test: $(VENV)/.dev ## run every test of the core and of each plugin
