@@ -64,7 +64,8 @@ lint: $(VENV)/.dev ## check format, style, types and declared dependencies
 	$(call say,mypy --strict)
 	@$(BIN)/mypy gem_core $(PLUGIN_PACKAGES) scripts benchmarks
 	$(call say,declared dependencies)
-	@bin="$$PWD/$(BIN)"; for project in . $(PLUGINS); do (cd "$$project" && "$$bin/deptry" .) || exit 1; done
+	@deptry="$$PWD/$(BIN)/deptry"; for project in . $(PLUGINS); do \
+		found=$$(cd "$$project" && "$$deptry" --no-ansi . 2>&1) || { echo "$$found" | sed "s|^|$$project: |"; exit 1; }; done
 
 .PHONY: format
 format: $(VENV)/.dev ## format the code, and mend what ruff can mend
