@@ -53,18 +53,35 @@ def run_sync(awaitable: Awaitable[T]) -> T:
         raise
 
 
+async def on_library_loop(awaitable: Awaitable[T]) -> T:
+    """Await on the library's loop, from whichever loop the caller runs on; free of charge on the library's own."""
+    loop = background_loop()
+    if asyncio.get_running_loop() is loop:
+        return await awaitable
+    return await asyncio.wrap_future(asyncio.run_coroutine_threadsafe(_finish(awaitable), loop))
+
+
 async def in_thread(function: Callable[..., T], *args: Any) -> T:
     """Run a blocking function in a daemon thread of its own.
 
     The threads of ``asyncio.to_thread`` are joined at exit, so that one hung call would keep the interpreter alive.
     """
     future: concurrent.futures.Future[T] = concurrent.futures.Future()
+    # A future that runs cannot be cancelled any more: the task that waits can, and the result is then dropped.
+    future.set_running_or_notify_cancel()
 
     def work() -> None:
         try:
-            future.set_result(function(*args))
+            result = function(*args)
+        except StopIteration as error:
+            # An asyncio future of Python 3.11 refuses a StopIteration, and whoever waits would wait for ever.
+            stopped = RuntimeError(f"{getattr(function, '__qualname__', function)} raised StopIteration")
+            stopped.__cause__ = error
+            future.set_exception(stopped)
         except BaseException as error:  # noqa: BLE001 - it is raised again in the task that waits
             future.set_exception(error)
+        else:
+            future.set_result(result)
 
     threading.Thread(target=work, name="gem-blocking", daemon=True).start()
     return await asyncio.wrap_future(future)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Self, SupportsIndex, cast
+from typing import TYPE_CHECKING, Any, ClassVar, SupportsIndex, cast
 
 import gymnasium
 import numpy as np
 
+from gem_core.arguments import RemembersArguments, check_arguments, overridden
 from gem_core.background import in_thread, run_sync
-from gem_core.errors import ArgumentError, SamplingNotSupported, StateError, StateNotSupported
+from gem_core.errors import GemError, SamplingNotSupported, StateError, StateNotSupported
 from gem_core.seeding import (
     checked_seed,
     fresh_seed,
@@ -29,7 +30,11 @@ if TYPE_CHECKING:
     from gem_core.making import MadeSpec
 
 
-class Env(gymnasium.Env[Any, str]):
+_FOREIGN = -1
+"""Gymnasium's number for the seed of a generator that was set from outside."""
+
+
+class Env(RemembersArguments, gymnasium.Env[Any, str]):
     r"""A task: what is asked, how its state moves, and what is rewarded.
 
     A subclass overrides ``reset`` and ``step``, as in Gymnasium, and draws all its randomness from ``np_random``::
@@ -65,16 +70,9 @@ class Env(gymnasium.Env[Any, str]):
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium declares it as an instance attribute
     spec: MadeSpec | None = None
 
-    _init_args: tuple[tuple[Any, ...], dict[str, Any]] = ((), {})
     _action_generator: np.random.Generator | None = None
     _action_seed: int | None = None
     _action_started: bool = False
-
-    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
-        """Remember the arguments of the constructor, from which ``spawn`` makes a sibling."""
-        self = super().__new__(cls)
-        self._init_args = (args, kwargs)
-        return self
 
     @cached_property
     def action_space(self) -> spaces.Space[Any]:  # type: ignore[override]
@@ -102,8 +100,8 @@ class Env(gymnasium.Env[Any, str]):
             seed = fresh_seed() if previous is None or previous < 0 else next_seed(previous)
         elif type(seed) is not int or seed < 0:
             seed = checked_seed(cast("SupportsIndex", seed))
+        self._np_random = start_generator(self._own_generator(), seed)
         self._np_random_seed = seed
-        self._np_random = start_generator(self._np_random, seed)
         self._action_started = False
         self._action_seed = None
         return "", {}
@@ -138,7 +136,19 @@ class Env(gymnasium.Env[Any, str]):
     @np_random.setter
     def np_random(self, value: np.random.Generator) -> None:
         self._np_random = value
-        self._np_random_seed = -1
+        self._np_random_seed = _FOREIGN
+
+    @property
+    def np_random_seed(self) -> int:
+        """The seed of the present episode; -1 after ``np_random`` was set from outside."""
+        if self._np_random_seed is None:
+            # Gymnasium's own property would start a generator of another kind here.
+            _ = self.np_random
+        return cast("int", self._np_random_seed)
+
+    def _own_generator(self) -> np.random.Generator | None:
+        # A generator that was set from outside may be shared, or of another kind: it is never set in place.
+        return None if self._np_random_seed == _FOREIGN else self._np_random
 
     @property
     def action_random(self) -> np.random.Generator:
@@ -153,7 +163,7 @@ class Env(gymnasium.Env[Any, str]):
 
     def seed_actions(self, seed: int) -> None:
         """Start ``action_random`` from ``seed`` for the rest of this episode."""
-        self._action_seed = seed
+        self._action_seed = checked_seed(seed)
         self._action_started = False
 
     @property
@@ -187,17 +197,19 @@ class Env(gymnasium.Env[Any, str]):
         """
         identity = self.env_id or type(self).__name__
         if not isinstance(state, Mapping) or state.get("id") != identity:
-            found = state.get("id") if isinstance(state, Mapping) else type(state).__name__
+            found = (state.get("wrapper") or state.get("id")) if isinstance(state, Mapping) else type(state).__name__
             raise StateError(f"this is a state of {found!r}, and the environment is {identity!r}")
         try:
-            self._np_random = restore_generator(self._np_random, state["generator"])
-            self._np_random_seed = state["seed"]
-            self._action_seed = state["action_seed"]
+            self._np_random = restore_generator(self._own_generator(), state["generator"])
+            self._np_random_seed = _seed_or_none(state["seed"])
+            self._action_seed = _seed_or_none(state["action_seed"])
             self._action_started = state["actions"] is not None
             if self._action_started:
                 self._action_generator = restore_generator(self._action_generator, state["actions"])
             self._set_state(state["task"])
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        except GemError:
+            raise
+        except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
             raise StateError(
                 f"the state of {identity!r} is damaged ({type(error).__name__}: {error}); "
                 "call reset(), or give a state that get_state() returned"
@@ -219,13 +231,12 @@ class Env(gymnasium.Env[Any, str]):
             **overrides: Keyword arguments of the constructor to change.
 
         Raises:
+            ArgumentError: The constructor does not take an override; the message names what it takes.
             StateNotSupported: ``same_state`` was asked for and the environment cannot save its state.
         """
-        args, kwargs = self._init_args
-        try:
-            sibling = type(self)(*args, **{**kwargs, **overrides})
-        except TypeError as error:
-            raise ArgumentError(f"cannot spawn {type(self).__name__} with {overrides}: {error}") from error
+        args, kwargs = overridden(type(self), self._init_args, overrides)
+        check_arguments(type(self), args, kwargs, f"environment {self.env_id or type(self).__name__!r}")
+        sibling = type(self)(*args, **kwargs)
         if self.spec is not None:
             sibling.spec = self.spec.with_kwargs(overrides)
         sibling.render_mode = self.render_mode
@@ -270,6 +281,12 @@ class AsyncEnv(Env):
     async def step_async(self, action: str) -> StepResult:
         """Answer one whole response of the agent."""
         raise NotImplementedError(f"{type(self).__name__} must define step_async(self, action)")
+
+
+def _seed_or_none(value: Any) -> int | None:
+    if value is not None and type(value) is not int:
+        raise TypeError(f"{value!r} is no seed")
+    return value
 
 
 def observation_from(feedback: Observation, suffix: Observation) -> Observation:

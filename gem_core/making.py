@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
-import inspect
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, cast
 
 import gymnasium
 from gymnasium.envs.registration import EnvSpec as GymnasiumSpec
+from gymnasium.envs.registration import WrapperSpec as GymnasiumWrapperSpec
 
+from gem_core.arguments import check_arguments
 from gem_core.errors import ArgumentError, EntryPointError, RegistrationError
 from gem_core.requirements import check_requirements
 from gem_core.specs import EntryPoint, EnvSpec, NamedSpec, ToolSpec
@@ -49,7 +51,12 @@ class MadeSpec(GymnasiumSpec):
         """Make the same environment again, with some arguments changed."""
         from gem_core.registry import registry
 
-        return make_from(cast("EnvSpec", self.record), {**self.kwargs, **kwargs}, self.wrappers, registry().wrapper)
+        return make_from(cast("EnvSpec", self.record), {**self.kwargs, **kwargs}, self.stack, registry().wrapper)
+
+    @property
+    def stack(self) -> tuple[tuple[str, dict[str, Any]], ...]:
+        """All wrappers, innermost first: ours, and those of Gymnasium's that were put around them since."""
+        return (*self.wrappers, *(_as_choice(wrapper) for wrapper in self.additional_wrappers))
 
     def overrides(self) -> dict[str, Any]:
         """Return the keyword arguments that differ from the registered ones."""
@@ -62,10 +69,42 @@ class MadeSpec(GymnasiumSpec):
 
     def with_wrapper(self, name: str, options: Mapping[str, Any]) -> MadeSpec:
         """Return a copy with one more wrapper outside."""
-        return dataclasses.replace(self, wrappers=(*self.wrappers, (name, dict(options))))
+        return dataclasses.replace(self, wrappers=(*self.stack, (name, dict(options))), additional_wrappers=())
+
+    def to_json(self) -> str:
+        """Return the id, the arguments and the wrappers as JSON, for ``from_json``."""
+        return json.dumps({"id": self.id, "kwargs": self.kwargs, "wrappers": self.stack})
+
+    @staticmethod
+    def from_json(json_env_spec: str) -> MadeSpec:
+        """Return what ``to_json`` gave as a specification again; its id is looked up in the registry."""
+        from gem_core.registry import registry
+
+        fields = json.loads(json_env_spec)
+        wrappers = tuple((name, options) for name, options in fields["wrappers"])
+        return dataclasses.replace(_made_spec(registry().env(fields["id"]), fields["kwargs"]), wrappers=wrappers)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> MadeSpec:
         return dataclasses.replace(self)
+
+
+def _made_spec(record: EnvSpec, kwargs: dict[str, Any]) -> MadeSpec:
+    return MadeSpec(
+        id=record.id,
+        entry_point=record.entry_point,
+        nondeterministic=not record.deterministic,
+        kwargs=kwargs,
+        record=record,
+    )
+
+
+def _as_choice(wrapper: GymnasiumWrapperSpec) -> tuple[str, dict[str, Any]]:
+    if wrapper.kwargs is None:
+        raise ArgumentError(
+            f"{wrapper.name} does not record its arguments, so it cannot be made again; "
+            "derive it from gymnasium.utils.RecordConstructorArgs"
+        )
+    return wrapper.entry_point, dict(wrapper.kwargs)
 
 
 def make_from(record: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers, look_up: LookUp) -> AnyEnv:
@@ -90,15 +129,10 @@ def make_from(record: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers, lo
     if not isinstance(env, gymnasium.Env):
         raise RegistrationError(f"{record.id}: the entry point returned {type(env).__name__}, not an environment")
     task = env.unwrapped
-    task.spec = MadeSpec(
-        id=record.id,
-        entry_point=record.entry_point,
-        nondeterministic=not record.deterministic,
-        kwargs=arguments,
-        record=record,
-    )
     if render_mode is not None:
         _set_render_mode(task, render_mode, record.id)
+        arguments = {**arguments, "render_mode": render_mode}
+    task.spec = _made_spec(record, arguments)
     guarded: AnyEnv = Guard(env)
     if record.max_turns is not None:
         from gem_core.wrappers.turn_limit import TurnLimit
@@ -148,13 +182,13 @@ def load_entry_point(entry_point: EntryPoint, owner: str) -> Callable[..., Any]:
             f"{owner}: {module_name!r} needs the module {error.name!r}, which is not installed; "
             f"try 'pip install {(error.name or '').partition('.')[0].replace('_', '-')}'"
         ) from error
-    except ImportError as error:
-        raise EntryPointError(f"{owner}: importing {module_name!r} failed: {error}") from error
+    except Exception as error:  # a module of somebody else's may fail in any way while it is imported
+        raise EntryPointError(f"{owner}: importing {module_name!r} failed: {type(error).__name__}: {error}") from error
     for part in path.split("."):
         try:
             target = getattr(target, part)
         except AttributeError:
-            names = [name for name in vars(target) if not name.startswith("_")]
+            names = [name for name in dir(target) if not name.startswith("_")]
             raise EntryPointError(
                 f"{owner}: {module_name!r} has no {part!r}.{did_you_mean(part, names)} (entry point {entry_point!r})"
             ) from None
@@ -170,21 +204,7 @@ def construct(record: NamedSpec, *args: Any, **options: Any) -> Any:
 
 
 def _construct(maker: Callable[..., Any], args: tuple[Any, ...], options: Mapping[str, Any], owner: str) -> Any:
-    try:
-        signature = inspect.signature(maker)
-    except (TypeError, ValueError):  # a callable of C code may not tell its signature
-        return maker(*args, **options)
-    try:
-        signature.bind(*args, **options)
-    except TypeError as error:
-        names = [
-            name
-            for name, parameter in list(signature.parameters.items())[len(args) :]
-            if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
-        ]
-        wrong = [name for name in options if name not in names]
-        hint = did_you_mean(wrong[0], names) if wrong else ""
-        raise ArgumentError(f"{owner}: {error}.{hint} It accepts: {', '.join(names) or 'no arguments'}") from None
+    check_arguments(maker, args, options, owner)
     return maker(*args, **options)
 
 

@@ -10,9 +10,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 _BOXED = "\\boxed"
-# A backslash takes the character behind it out of play, so that LaTeX's \{ and \} do not count as braces.
-_BRACE_OR_BOX = re.compile(r"\\boxed[ \t]*\{|\\.|[{}]", re.DOTALL)
-_FENCE = re.compile(r"^[ \t]*(`{3,}|~{3,})[ \t]*([^\s`]*)[^\n`]*$", re.MULTILINE)
+# A backslash takes the character behind it out of play, so that LaTeX's \{ and \} do not count as braces. The start of
+# a box is never taken out: models that escape twice write \\boxed{7} and mean a box.
+_BRACE_OR_BOX = re.compile(r"\\boxed[ \t]*+\{|\\(?!\\boxed[ \t]*+\{).|[{}]", re.DOTALL)
+# Possessive, so that a long line that is no fence after all is not tried again from each of its characters.
+_FENCE = re.compile(r"^([ \t]*+)(?:(`{3,}+)[ \t]*+([^\s`]*+)[^\n`]*+|(~{3,}+)[ \t]*+([^\s]*+)[^\n]*+)$", re.MULTILINE)
 
 
 class CodeBlock(NamedTuple):
@@ -20,7 +22,7 @@ class CodeBlock(NamedTuple):
 
     Args:
         language: First word behind the opening fence, in lower case; ``""`` where there is none.
-        code: What stands between the fences, without the last line break.
+        code: What stands between the fences, without the last line break and the indentation of the opening fence.
         start: Index of the opening fence in the text.
         end: Index behind the closing fence.
     """
@@ -97,24 +99,23 @@ def _fenced(text: str) -> Iterator[CodeBlock]:
         if opening is None:
             opening = fence
         elif _closes(fence, opening):
-            code = text[opening.end() + 1 : max(fence.start() - 1, opening.end() + 1)]
-            yield CodeBlock(opening[2].casefold(), _unindented(code, opening), opening.start(1), fence.end())
+            yield _block(text, opening, max(fence.start() - 1, opening.end() + 1), fence.end())
             opening = None
     if opening is not None:
-        yield CodeBlock(opening[2].casefold(), text[opening.end() + 1 :], opening.start(1), -1)
-
-
-def _unindented(code: str, opening: re.Match[str]) -> str:
-    """Take as much white space off each line as stands before the opening fence."""
-    width = opening.start(1) - opening.start()
-    if width == 0:
-        return code
-    return "\n".join(line[min(width, len(line) - len(line.lstrip(" \t"))) :] for line in code.split("\n"))
+        yield _block(text, opening, len(text), -1)
 
 
 def _closes(fence: re.Match[str], opening: re.Match[str]) -> bool:
-    mark, first = fence[1], opening[1]
+    mark, first = fence[2] or fence[4], opening[2] or opening[4]
     return mark[0] == first[0] and len(mark) >= len(first) and not fence[0].strip().strip(mark[0])
+
+
+def _block(text: str, opening: re.Match[str], code_end: int, end: int) -> CodeBlock:
+    code = text[opening.end() + 1 : code_end].removesuffix("\r")
+    indent = len(opening[1])
+    if indent:
+        code = re.sub(rf"^[ \t]{{1,{indent}}}", "", code, flags=re.MULTILINE)
+    return CodeBlock((opening[3] or opening[5] or "").casefold(), code, opening.end(1), end)
 
 
 def _box_at(text: str, start: int) -> str | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import importlib.util
 import os
 import shutil
@@ -36,7 +37,7 @@ def _advice(requirement: str) -> str:
     kind, _, name = requirement.partition(":")
     if kind == "key" and not os.environ.get(name):
         return f"it needs a key: set the environment variable {name}"
-    if kind == "package" and importlib.util.find_spec(name.replace("-", "_")) is None:
+    if kind == "package" and not _is_installed(name):
         return f"it needs the package {name}: 'pip install {name}'"
     if kind == "command" and shutil.which(name) is None:
         return f"it needs the command {name!r} on the PATH: install it"
@@ -45,3 +46,17 @@ def _advice(requirement: str) -> str:
     if kind == "never":
         return name
     return ""
+
+
+def _is_installed(name: str) -> bool:
+    """Tell whether a distribution, or a module, of this name is there."""
+    try:
+        importlib.metadata.distribution(name)
+    except (importlib.metadata.PackageNotFoundError, ValueError):
+        pass
+    else:
+        return True
+    try:
+        return importlib.util.find_spec(name.replace("-", "_")) is not None
+    except (ImportError, ValueError):  # no parent package, an empty name, or a module without a specification
+        return False

@@ -20,15 +20,26 @@ _NEXT_MULTIPLIER = 0x5851F42D4C957F2D % SEED_LIMIT
 _NEXT_INCREMENT = 0x14057B7EF767814F % SEED_LIMIT
 
 
-def stable_hash(*parts: int | str | None) -> int:
+def stable_hash(*parts: SupportsIndex | str | None) -> int:
     """Hash whole numbers and strings to a seed, the same in every process and on every machine.
+
+    Subclasses of ``str`` and ``int``, and whole numbers of NumPy, count as what they equal.
 
     Returns:
         A whole number from 0 to 2**53 - 1.
     """
-    text = "\x1f".join(f"{type(part).__name__}:{part}" for part in parts)
-    digest = blake2b(text.encode("utf-8", "surrogatepass"), digest_size=8).digest()
+    digest = blake2b(b"".join(map(_encoded, parts)), digest_size=8).digest()
     return int.from_bytes(digest, "little") % SEED_LIMIT
+
+
+def _encoded(part: SupportsIndex | str | None) -> bytes:
+    # Each part says its kind and where it ends, so that no two lists of parts give the same bytes.
+    if part is None:
+        return b"n"
+    if isinstance(part, str):
+        text = part.encode("utf-8", "surrogatepass")
+        return b"s%d:%b" % (len(text), text)
+    return b"i%d," % operator.index(part)
 
 
 def next_seed(seed: int) -> int:

@@ -45,7 +45,7 @@ class EnvSpec:
 
     id: str
     entry_point: EntryPoint
-    kwargs: Mapping[str, Any] = field(default_factory=dict)
+    kwargs: Mapping[str, Any] = field(default_factory=dict, hash=False)
     summary: str = ""
     tags: tuple[str, ...] = ()
     max_turns: int | None = None
@@ -60,8 +60,10 @@ class EnvSpec:
         _check_entry_point(self.id, self.entry_point)
         if not isinstance(self.kwargs, Mapping) or not all(isinstance(key, str) for key in self.kwargs):
             raise RegistrationError(f"{self.id}: kwargs must map keyword names to values, not {self.kwargs!r}")
-        if self.max_turns is not None and (not isinstance(self.max_turns, int) or self.max_turns < 1):
+        if self.max_turns is not None and (type(self.max_turns) is not int or self.max_turns < 1):
             raise RegistrationError(f"{self.id}: max_turns must be a positive whole number, not {self.max_turns!r}")
+        if not isinstance(self.deterministic, bool):
+            raise RegistrationError(f"{self.id}: deterministic must be True or False, not {self.deterministic!r}")
         object.__setattr__(self, "kwargs", MappingProxyType(dict(self.kwargs)))
         object.__setattr__(self, "tags", _check_words(self.id, "tags", self.tags))
         object.__setattr__(self, "requires", _check_words(self.id, "requires", self.requires))
@@ -80,7 +82,7 @@ class EnvSpec:
     @property
     def version(self) -> int | None:
         """The number after ``-v``, or None where the id has none."""
-        match = _VERSION.search(self.id)
+        match = _VERSION.search(self.name)
         return int(match.group(1)) if match else None
 
     @property

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 import gymnasium
 
-from gem_core.background import in_thread, run_sync
-from gem_core.env import Env
-from gem_core.errors import ResetNeededError, StateError, StateNotSupported
+from gem_core.arguments import RemembersArguments, signature_of
+from gem_core.background import in_thread, on_library_loop, run_sync
+from gem_core.env import AsyncEnv, Env
+from gem_core.errors import GemError, ResetNeededError, StateError, StateNotSupported
 from gem_core.types import Concurrency, ResetResult, StepResult
 
 if TYPE_CHECKING:
@@ -20,13 +21,14 @@ AnyEnv = gymnasium.Env[Any, str]
 """An ``Env``, a ``Wrapper``, or a wrapper of Gymnasium's around either."""
 
 _RANK: dict[Concurrency, int] = {"inline": 0, "thread": 1, "async": 2, "process": 3}
+_HOOKS = ("before_reset", "after_reset", "before_step", "after_step")
 
 
-class Wrapper(gymnasium.Wrapper[Any, str, Any, str]):
+class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
     """Changes an environment by hooks before and after its methods.
 
     A subclass overrides the hooks that it needs; ``reset``, ``step``, ``reset_async`` and ``step_async`` are made from
-    them. A hook may be a coroutine function: plain code then waits for it on the library's event loop.
+    them. A hook may be a coroutine function: it always runs on the library's event loop, where plain code waits for it.
 
     Public attributes that a wrapper does not have are read from the environment inside, so they are never stale.
     """
@@ -38,14 +40,7 @@ class Wrapper(gymnasium.Wrapper[Any, str, Any, str]):
     """Whether ``make`` puts it there by itself, so that ``spec`` does not list it."""
 
     env: AnyEnv
-    _init_args: tuple[tuple[Any, ...], dict[str, Any]] = ((), {})
     _made_as: tuple[str, dict[str, Any]] | None = None
-
-    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
-        """Remember the arguments of the constructor, from which ``spawn`` makes a sibling."""
-        self = super().__new__(cls)
-        self._init_args = (args, kwargs)
-        return self
 
     # The hooks.
 
@@ -71,50 +66,59 @@ class Wrapper(gymnasium.Wrapper[Any, str, Any, str]):
         """Begin an episode; see ``Env.reset``."""
         waited = self.before_reset(seed, options)
         if waited is not None:
-            run_sync(waited)
+            run_sync(self._awaitable(waited, "before_reset"))
         inner = self.env.reset(seed=seed, options=options) if options else self.env.reset(seed=seed)
         after = self.after_reset(inner)
-        return after if isinstance(after, tuple) else run_sync(after)
+        return after if isinstance(after, tuple) else run_sync(self._awaitable(after, "after_reset"))
 
     def step(self, action: str) -> StepResult:
         """Answer one response of the agent; see ``Env.step``."""
         before = self.before_step(action)
         if not isinstance(before, str | tuple):
-            before = run_sync(before)
+            before = run_sync(self._awaitable(before, "before_step"))
         if isinstance(before, tuple):
             return before
         after = self.after_step(action, cast("StepResult", self.env.step(before)))
-        return after if isinstance(after, tuple) else run_sync(after)
+        return after if isinstance(after, tuple) else run_sync(self._awaitable(after, "after_step"))
 
     async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """``reset`` for code that runs in an event loop, without blocking it."""
         waited = await self._hook(self.before_reset, seed, options)
         if waited is not None:
-            await waited
+            await on_library_loop(self._awaitable(waited, "before_reset"))
         after = await self._hook(self.after_reset, await reset_async(self.env, seed, options))
-        return after if isinstance(after, tuple) else await after
+        return after if isinstance(after, tuple) else await on_library_loop(self._awaitable(after, "after_reset"))
 
     async def step_async(self, action: str) -> StepResult:
         """``step`` for code that runs in an event loop, without blocking it."""
         before = await self._hook(self.before_step, action)
         if not isinstance(before, str | tuple):
-            before = await before
+            before = await on_library_loop(self._awaitable(before, "before_step"))
         if isinstance(before, tuple):
             return before
         after = await self._hook(self.after_step, action, await step_async(self.env, before))
-        return after if isinstance(after, tuple) else await after
+        return after if isinstance(after, tuple) else await on_library_loop(self._awaitable(after, "after_step"))
 
     async def _hook(self, hook: Any, *args: Any) -> Any:
         if self.needs in ("inline", "async") or inspect.iscoroutinefunction(hook):
             return hook(*args)
         return await in_thread(hook, *args)
 
+    def _awaitable(self, value: Any, hook: str) -> Awaitable[Any]:
+        if inspect.isawaitable(value):
+            return value
+        raise TypeError(
+            f"{type(self).__name__}.{hook} returned {value!r}; see Wrapper.{hook} for what it has to return"
+        )
+
     # What is passed on.
 
     @property
     def concurrency(self) -> Concurrency:
-        """What the whole stack needs, this wrapper and all inside it."""
-        return max(self.needs, concurrency_of(self.env), key=_RANK.__getitem__)
+        """What the whole stack needs, this wrapper and all inside it; coroutine hooks need ``"async"``."""
+        coroutines = any(inspect.iscoroutinefunction(getattr(self, hook)) for hook in _HOOKS)
+        own: Concurrency = "async" if coroutines else "inline"
+        return max(own, self.needs, concurrency_of(self.env), key=_RANK.__getitem__)
 
     @property
     def unwrapped(self) -> Env:
@@ -136,7 +140,8 @@ class Wrapper(gymnasium.Wrapper[Any, str, Any, str]):
 
     def _own_record(self) -> tuple[str, dict[str, Any]]:
         args, kwargs = self._init_args
-        names = list(inspect.signature(type(self)).parameters)[1:]
+        signature = signature_of(type(self))
+        names = list(signature.parameters)[1:] if signature else []
         positional = dict(zip(names, args[1:], strict=False))
         return f"{type(self).__module__}:{type(self).__qualname__}", {
             **positional,
@@ -160,7 +165,9 @@ class Wrapper(gymnasium.Wrapper[Any, str, Any, str]):
         try:
             self._set_state(state["own"])
             inner = state["env"]
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        except GemError:
+            raise
+        except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
             raise StateError(f"the state of wrapper {name!r} is damaged ({type(error).__name__}: {error})") from error
         _inner(self.env).set_state(inner)
 
@@ -186,7 +193,12 @@ class Wrapper(gymnasium.Wrapper[Any, str, Any, str]):
         # pickling a half-made wrapper cannot recurse.
         if name.startswith("_") or name == "env":
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        return getattr(self.env, name)
+        if hasattr(type(self), name):
+            # A property of this wrapper failed with an AttributeError of its own: show that one, and never let the
+            # environment's attribute stand in for it.
+            return object.__getattribute__(self, name)
+        inner = self.env
+        return getattr(inner, name) if isinstance(inner, Env | Wrapper) else inner.get_wrapper_attr(name)
 
 
 class Guard(Wrapper):
@@ -197,8 +209,13 @@ class Guard(Wrapper):
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Begin an episode and write its seed to ``info``."""
+        # This and step say the same as the hooks below, without the calls: they are run around every task.
         self._live = False
         return self.after_reset(self.env.reset(seed=seed, options=options) if options else self.env.reset(seed=seed))
+
+    def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> None:
+        """Refuse steps until the reset has succeeded."""
+        self._live = False
 
     def after_reset(self, result: ResetResult) -> ResetResult:
         """Write the episode's seed to ``info``."""
@@ -209,7 +226,7 @@ class Guard(Wrapper):
     def step(self, action: str) -> StepResult:
         """Step, if the episode is under way."""
         if not self._live:
-            raise self._refusal()
+            raise reset_needed(self)
         result = self.env.step(action)
         if result[2] or result[3]:
             self._live = False
@@ -218,7 +235,7 @@ class Guard(Wrapper):
     def before_step(self, action: str) -> str:
         """Refuse a step outside an episode."""
         if not self._live:
-            raise self._refusal()
+            raise reset_needed(self)
         return action
 
     def after_step(self, action: str, result: StepResult) -> StepResult:
@@ -227,17 +244,17 @@ class Guard(Wrapper):
             self._live = False
         return result
 
-    def _refusal(self) -> ResetNeededError:
-        return ResetNeededError(
-            f"{self.env_id or type(self.unwrapped).__name__}: the episode is over or has not begun; "
-            "call reset() before the next step()"
-        )
-
     def _get_state(self) -> dict[str, Any]:
         return {"live": self._live}
 
     def _set_state(self, state: dict[str, Any]) -> None:
         self._live = bool(state["live"])
+
+
+def reset_needed(env: Wrapper) -> ResetNeededError:
+    """Return the error of a step outside an episode."""
+    name = env.env_id or type(env.unwrapped).__name__
+    return ResetNeededError(f"{name}: the episode is over or has not begun; call reset() before the next step()")
 
 
 def concurrency_of(env: AnyEnv) -> Concurrency:
@@ -248,12 +265,17 @@ def concurrency_of(env: AnyEnv) -> Concurrency:
 async def reset_async(env: AnyEnv, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
     """Reset any environment from a coroutine without blocking its loop."""
     if isinstance(env, Env | Wrapper):
-        return await (env.reset_async(seed, options) if options else env.reset_async(seed))
+        coroutine = env.reset_async(seed, options) if options else env.reset_async(seed)
+        return await (on_library_loop(coroutine) if isinstance(env, AsyncEnv) else coroutine)
+    if concurrency_of(env) == "inline":
+        return cast("ResetResult", env.reset(seed=seed, options=options))
     return await in_thread(lambda: env.reset(seed=seed, options=options))
 
 
 async def step_async(env: AnyEnv, action: str) -> StepResult:
     """Step any environment from a coroutine without blocking its loop."""
+    if isinstance(env, AsyncEnv):
+        return await on_library_loop(env.step_async(action))
     if isinstance(env, Env | Wrapper):
         return await env.step_async(action)
     if concurrency_of(env) == "inline":

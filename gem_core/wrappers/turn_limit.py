@@ -6,7 +6,7 @@ from typing import Any
 
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
-from gem_core.wrapper import AnyEnv, Wrapper
+from gem_core.wrapper import AnyEnv, Wrapper, reset_needed
 
 
 class TurnLimit(Wrapper):
@@ -19,7 +19,7 @@ class TurnLimit(Wrapper):
 
     def __init__(self, env: AnyEnv, max_turns: int) -> None:
         super().__init__(env)
-        if not isinstance(max_turns, int) or max_turns < 1:
+        if type(max_turns) is not int or max_turns < 1:
             raise ArgumentError(f"max_turns must be a positive whole number, not {max_turns!r}")
         self.max_turns = max_turns
         self.turn = 0
@@ -27,6 +27,12 @@ class TurnLimit(Wrapper):
     def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> None:
         """Count from nothing again."""
         self.turn = 0
+
+    def before_step(self, action: str) -> str:
+        """Refuse a step after the limit, as ``make``'s own guard does after the end of the task."""
+        if self.turn >= self.max_turns:
+            raise reset_needed(self)
+        return action
 
     def after_step(self, action: str, result: StepResult) -> StepResult:
         """Truncate at the limit."""

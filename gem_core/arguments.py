@@ -1,0 +1,73 @@
+"""Which arguments a class or a function takes, and an error that names them."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any, Self
+
+from gem_core.errors import ArgumentError
+from gem_core.suggestions import did_you_mean
+
+Arguments = tuple[tuple[Any, ...], dict[str, Any]]
+"""Positional and keyword arguments of one call."""
+
+
+class RemembersArguments:
+    """Keeps the arguments of its constructor, from which ``spawn`` makes a sibling."""
+
+    _init_args: Arguments = ((), {})
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+        """Remember the arguments; they are still checked by ``__init__``."""
+        if (args or kwargs) and cls.__init__ is object.__init__:
+            # What Python itself says for a class without a __new__ of its own.
+            raise TypeError(f"{cls.__name__}() takes no arguments")
+        self = super().__new__(cls)
+        self._init_args = (args, kwargs)
+        return self
+
+
+def signature_of(maker: Callable[..., Any]) -> inspect.Signature | None:
+    """Return what a callable takes, or None for one of C code that does not tell."""
+    if isinstance(maker, type) and issubclass(maker, RemembersArguments):
+        # inspect may show its __new__, which takes anything.
+        if maker.__init__ is object.__init__:
+            return inspect.Signature()
+        return inspect.Signature(list(inspect.signature(maker.__init__).parameters.values())[1:])
+    try:
+        return inspect.signature(maker)
+    except (TypeError, ValueError):
+        return None
+
+
+def check_arguments(maker: Callable[..., Any], args: tuple[Any, ...], options: Mapping[str, Any], owner: str) -> None:
+    """Raise when a call would not fit, before anything of the callee runs.
+
+    Raises:
+        ArgumentError: Names the arguments that are accepted.
+    """
+    signature = signature_of(maker)
+    if signature is None:
+        return
+    try:
+        signature.bind(*args, **options)
+    except TypeError as error:
+        names = [
+            name
+            for name, parameter in list(signature.parameters.items())[len(args) :]
+            if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
+        ]
+        wrong = [name for name in options if name not in names]
+        hint = did_you_mean(wrong[0], names) if wrong else ""
+        raise ArgumentError(f"{owner}: {error}.{hint} It accepts: {', '.join(names) or 'no arguments'}") from None
+
+
+def overridden(maker: Callable[..., Any], arguments: Arguments, overrides: Mapping[str, Any]) -> Arguments:
+    """Return arguments with some changed by name, those that were given by position included."""
+    args, kwargs = arguments
+    signature = signature_of(maker)
+    names = list(signature.parameters)[: len(args)] if signature else []
+    changed = tuple(overrides.get(name, value) for name, value in zip(names, args, strict=False))
+    by_keyword = {name: value for name, value in overrides.items() if name not in names}
+    return (*changed, *args[len(changed) :]), {**kwargs, **by_keyword}
