@@ -7,13 +7,15 @@ records are taken all or none.
 
 from __future__ import annotations
 
+import inspect
 import logging
 import os
+import reprlib
 import time
 import traceback
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, distributions, entry_points
 from typing import Any
 
 import pluggy
@@ -38,6 +40,8 @@ RECORD_TYPES: dict[str, type[EnvSpec | NamedSpec]] = {
 }
 
 Record = EnvSpec | NamedSpec
+
+_MAX_ERROR_CHARACTERS = 500
 
 
 @dataclass(frozen=True)
@@ -92,7 +96,7 @@ def load_plugins() -> list[Plugin]:
     """
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
-    found = sorted(entry_points(group=hookspecs.ENTRY_POINT_GROUP), key=lambda point: (point.name, point.value))
+    found = sorted(_find(), key=lambda point: (point.name, point.value))
     disabled = _disabled_names()
     unknown = disabled - {point.name for point in found}
     for name in sorted(unknown):
@@ -100,7 +104,7 @@ def load_plugins() -> list[Plugin]:
         logger.warning("gem: GEM_PLUGINS_DISABLE names %r, and no such plugin is installed.%s", name, hint)
 
     plugins = [_load(EntryPoint("core", BUILTIN, hookspecs.ENTRY_POINT_GROUP), manager)]
-    seen: dict[str, Plugin] = {}
+    seen: dict[str, Plugin] = {plugins[0].name: plugins[0]}
     for point in _without_copies(found):
         if point.name in disabled:
             plugin = _describe(point)
@@ -117,15 +121,29 @@ def load_plugins() -> list[Plugin]:
     return plugins
 
 
-def report_failure(plugin: Plugin) -> None:
+def report_failure(plugin: Plugin, cause: BaseException | None = None) -> None:
     """Say in one line that a plugin failed, or raise when ``GEM_PLUGINS_STRICT`` is set."""
     failure = plugin.failure
     if failure is None:
         return
     line = f"{plugin} failed at stage '{failure.stage}': {failure.error}"
     if os.environ.get("GEM_PLUGINS_STRICT", "") not in ("", "0"):
-        raise PluginError(f"{line} (GEM_PLUGINS_STRICT is set)")
+        raise PluginError(f"{line} (GEM_PLUGINS_STRICT is set)") from cause
     logger.warning("gem: %s. Everything else works; run 'gem plugins --check' for the whole.", line)
+
+
+def _find() -> list[EntryPoint]:
+    try:
+        return list(entry_points(group=hookspecs.ENTRY_POINT_GROUP))
+    except Exception:  # noqa: BLE001 - one unreadable entry_points.txt, of whatever distribution, hides all the others
+        found: list[EntryPoint] = []
+    for distribution in distributions():
+        try:
+            found.extend(distribution.entry_points.select(group=hookspecs.ENTRY_POINT_GROUP))
+        except Exception as error:  # noqa: BLE001 - as above
+            where = getattr(distribution, "_path", "an unnamed distribution")
+            logger.warning("gem: the entry points of %s cannot be read (%s).", where, one_line(error))
+    return found
 
 
 def _load(point: EntryPoint, manager: pluggy.PluginManager) -> Plugin:
@@ -133,6 +151,7 @@ def _load(point: EntryPoint, manager: pluggy.PluginManager) -> Plugin:
     started = time.perf_counter()
     stage = "load"
     module: Any = None
+    cause: BaseException | None = None
     try:
         module = point.load()
         stage = "hooks"
@@ -142,28 +161,30 @@ def _load(point: EntryPoint, manager: pluggy.PluginManager) -> Plugin:
         stage = "call"
         plugin.records = _call_hooks(module, manager)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a plugin does must not break the others
-        if module is not None and manager.is_registered(module):
-            manager.unregister(module)
-        plugin.failure = PluginFailure(stage, _one_line(error), traceback.format_exc())
+        cause = error
+        plugin.failure = PluginFailure(stage, one_line(error), traceback.format_exc())
     plugin.load_time_s = time.perf_counter() - started
-    report_failure(plugin)
+    report_failure(plugin, cause)
     return plugin
 
 
 def _describe(point: EntryPoint) -> Plugin:
     distribution = point.dist
-    if distribution is not None:
-        return Plugin(point.name, distribution.name, distribution.version)
-    from gem_core import __version__
+    if distribution is None:
+        from gem_core import __version__
 
-    return Plugin(point.name, "gem-core", __version__)
+        return Plugin(point.name, "gem-core", __version__)
+    try:
+        return Plugin(point.name, distribution.name or "unnamed", distribution.version or "?")
+    except Exception:  # noqa: BLE001 - metadata that cannot be read must not break the others
+        return Plugin(point.name, "unnamed", "?")
 
 
 def _without_copies(points: Iterable[EntryPoint]) -> list[EntryPoint]:
     # An editable install can show the same distribution twice on one path.
     unique: dict[tuple[str, str, str], EntryPoint] = {}
     for point in points:
-        unique.setdefault((point.name, point.value, point.dist.name if point.dist else ""), point)
+        unique.setdefault((point.name, point.value, _describe(point).distribution), point)
     return list(unique.values())
 
 
@@ -172,31 +193,45 @@ def _check_hooks(module: Any) -> None:
     marked = f"{hookspecs.PROJECT}_impl"
     for name in dir(module):
         function = getattr(module, name, None)
-        if getattr(function, marked, None) is not None:
-            if name not in RECORD_TYPES:
+        if not inspect.isroutine(function):
+            continue
+        options = getattr(function, marked, None)
+        if options is not None:
+            hook = options.get("specname") or name
+            if hook not in RECORD_TYPES:
                 raise RegistrationError(
-                    f"no hook is called {name!r}.{did_you_mean(name, RECORD_TYPES)} See gem_core/hookspecs.py"
+                    f"no hook is called {hook!r}.{did_you_mean(hook, RECORD_TYPES)} See gem_core/hookspecs.py"
                 )
-        elif name in RECORD_TYPES and callable(function):
+            if options.get("wrapper") or options.get("hookwrapper"):
+                raise RegistrationError(f"{name!r} wraps the hooks of others; a plugin only offers records of its own")
+        elif name in RECORD_TYPES:
             raise RegistrationError(f"{name!r} is not marked; put '@gem_core.hookimpl' above it")
+        elif name.startswith(("gem_register_", "gem_add_")):
+            raise RegistrationError(
+                f"{name!r} looks like a hook, but no hook is called so.{did_you_mean(name, RECORD_TYPES)} "
+                "See gem_core/hookspecs.py"
+            )
 
 
 def _call_hooks(module: Any, manager: pluggy.PluginManager) -> list[Record]:
-    others = [other for other in manager.get_plugins() if other is not module]
+    # pluggy has checked names and arguments; the call is ours, because pluggy's would drop a None without a word.
     records: list[Record] = []
     for hook, record_type in RECORD_TYPES.items():
-        for offered in manager.subset_hook_caller(hook, others)():
-            records.extend(_checked(hook, record_type, offered))
+        for implementation in getattr(manager.hook, hook).get_hookimpls():
+            if implementation.plugin is module:
+                records.extend(_checked(hook, record_type, implementation.function()))
     return records
 
 
 def _checked(hook: str, record_type: type[Record], offered: Any) -> list[Record]:
     if isinstance(offered, str | bytes) or not isinstance(offered, Iterable):
-        raise RegistrationError(f"{hook} must return a list of {record_type.__name__}, not {offered!r}")
+        raise RegistrationError(f"{hook} must return a list of {record_type.__name__}, not {reprlib.repr(offered)}")
     records = list(offered)
     for record in records:
         if not isinstance(record, record_type):
-            raise RegistrationError(f"{hook} must return records of type {record_type.__name__}, not {record!r}")
+            raise RegistrationError(
+                f"{hook} must return records of type {record_type.__name__}, not {reprlib.repr(record)}"
+            )
     return records
 
 
@@ -204,6 +239,12 @@ def _disabled_names() -> set[str]:
     return {name.strip() for name in os.environ.get("GEM_PLUGINS_DISABLE", "").split(",") if name.strip()}
 
 
-def _one_line(error: BaseException) -> str:
-    text = " ".join(str(error).split())
+def one_line(error: BaseException) -> str:
+    """Return the type and the message of an error in one line of bounded length."""
+    try:
+        text = " ".join(str(error).split())
+    except Exception:  # noqa: BLE001 - an error whose own text fails is still reported by its type
+        text = ""
+    if len(text) > _MAX_ERROR_CHARACTERS:
+        text = text[:_MAX_ERROR_CHARACTERS] + "…"
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -53,6 +53,10 @@ class Registry:
     def __init__(self) -> None:
         self._lock = threading.RLock()
         self._loaded = False
+        self._loading = False
+        self._clear()
+
+    def _clear(self) -> None:
         self._plugins: list[Plugin] = []
         self._envs: dict[str, EnvSpec] = {}
         # One space of names each for wrappers together with tools, and for every other kind.
@@ -71,11 +75,13 @@ class Registry:
             RegistrationError: Two plugins claim the id.
         """
         self.load()
+        if not isinstance(env_id, str):
+            raise UnknownEnvError(f"an environment id is a string such as 'game:Mastermind-v0', not {env_id!r}")
         self._refuse_contested("env", env_id)
-        try:
-            return self._envs[env_id]
-        except (KeyError, TypeError):
-            raise UnknownEnvError(self._unknown_env(str(env_id))) from None
+        record = self._envs.get(env_id)
+        if record is None:
+            raise UnknownEnvError(self._unknown_env(env_id))
+        return record
 
     def wrapper(self, name: str) -> NamedSpec:
         """Return the record of a wrapper or tool."""
@@ -84,12 +90,12 @@ class Registry:
     def tool(self, name: str) -> ToolSpec:
         """Return the record of a tool."""
         self.load()
+        self._refuse_contested("wrapper", name)
         record = self._named.get("wrapper", {}).get(name)
         if not isinstance(record, ToolSpec):
             names = [tool.name for tool in self.named(ToolSpec)]
             listed = f" There are: {', '.join(names)}." if names else " None is installed: try 'pip install gem-tools'."
-            raise UnknownToolError(f"no tool {name!r}.{did_you_mean(name, names)}{listed}")
-        self._refuse_contested("wrapper", name)
+            raise UnknownToolError(f"no tool {name!r}.{did_you_mean(name, names)}{listed}{self._failed_plugins()}")
         return record
 
     def backend(self, name: str) -> VectorBackendSpec:
@@ -122,7 +128,12 @@ class Registry:
             pattern: A namespace, part of an id, or a glob such as ``game:*-easy``; None for all.
         """
         self.load()
-        return [self._envs[env_id] for env_id in sorted(self._envs) if pattern is None or _matches(pattern, env_id)]
+        records = [self._envs[env_id] for env_id in sorted(self._envs)]
+        if pattern is None:
+            return records
+        folded = pattern.casefold().removesuffix(":")
+        in_namespace = [record for record in records if record.namespace.casefold() == folded]
+        return in_namespace or [record for record in records if _matches(pattern, record.id)]
 
     def named(self, kind: type[N]) -> list[N]:
         """Return the records of one kind in order of name."""
@@ -138,17 +149,32 @@ class Registry:
     # Taking in.
 
     def load(self) -> None:
-        """Load the installed plugins, once."""
+        """Load the installed plugins, once.
+
+        Raises:
+            RegistrationError: A plugin uses the registry while it is being loaded; that fails this plugin alone.
+            PluginError: A plugin failed and ``GEM_PLUGINS_STRICT`` is set.
+        """
         if self._loaded:
             return
         with self._lock:
             if self._loaded:
                 return
-            plugins = load_plugins()
-            for plugin in plugins:
-                self._take(plugin)
-            self._plugins = plugins
-            self._loaded = True
+            if self._loading:
+                raise RegistrationError(
+                    "the registry was used while plugins are being loaded; "
+                    "a plugin returns its records from hooks and does nothing else"
+                )
+            self._loading = True
+            self._clear()
+            try:
+                plugins = load_plugins()
+                for plugin in plugins:
+                    self._take(plugin)
+                self._plugins = plugins
+                self._loaded = True
+            finally:
+                self._loading = False
 
     def add(self, record: EnvSpec) -> None:
         """Take in an environment that the program itself registers.
@@ -219,19 +245,27 @@ class Registry:
         namespaces = sorted({record.namespace for record in self._envs.values()})
         failed = self._failed_plugins()
         if colon and namespace not in namespaces:
-            publisher = PUBLISHED_NAMESPACES.get(namespace)
-            advice = (
-                f" The namespace {namespace!r} comes with a plugin: try 'pip install {publisher}'."
-                if publisher
-                else did_you_mean(namespace, namespaces) or f" Namespaces: {', '.join(namespaces) or 'none'}."
-            )
-            return f"no environment {env_id!r}.{failed or advice} Run 'gem list'"
+            advice = self._how_to_get(namespace)
+            if not advice and not failed:
+                advice = did_you_mean(namespace, namespaces) or f" Namespaces: {', '.join(namespaces) or 'none'}."
+            return f"no environment {env_id!r}.{advice}{failed} Run 'gem list'"
         candidates = [name for name in self._envs if not colon or name.startswith(f"{namespace}:")]
         hint = did_you_mean(env_id, candidates) or did_you_mean(env_id, self._envs)
         if not hint:
-            variants = sorted(name for name in self._envs if name.startswith(f"{env_id}-"))[:3]
+            variants = sorted(name for name in self._envs if name.startswith(env_id))[:3] if env_id else []
             hint = f" Did you mean {' or '.join(map(repr, variants))}?" if variants else ""
         return f"no environment {env_id!r}.{hint}{failed} Run 'gem list{f' {namespace}' if colon else ''}'"
+
+    def _how_to_get(self, namespace: str) -> str:
+        publisher = PUBLISHED_NAMESPACES.get(namespace)
+        if publisher is None:
+            return ""
+        present = {plugin.distribution: plugin for plugin in self._plugins}
+        missing = [name for name in publisher.split() if name not in present]
+        if missing:
+            return f" The namespace {namespace!r} comes with a plugin: try 'pip install {' '.join(missing)}'."
+        disabled = [str(present[name]) for name in publisher.split() if present[name].disabled]
+        return f" It may belong to {', '.join(disabled)}, which GEM_PLUGINS_DISABLE skips." if disabled else ""
 
     def _failed_plugins(self) -> str:
         failed = [plugin for plugin in self._plugins if plugin.failure is not None]
@@ -260,8 +294,6 @@ def register(id: str, entry_point: EntryPoint, **kwargs: Any) -> None:
         RegistrationError: The id is malformed or taken.
     """
     described = {name: kwargs.pop(name) for name in _SPEC_KEYWORDS if name in kwargs}
-    if isinstance(described.get("tags"), list):
-        described["tags"] = tuple(described["tags"])
     _registry.add(EnvSpec(id=id, entry_point=entry_point, kwargs=kwargs, **described))
 
 
@@ -370,13 +402,15 @@ def _matches(pattern: str, env_id: str) -> bool:
     pattern, folded = pattern.casefold(), env_id.casefold()
     if any(character in pattern for character in "*?["):
         return fnmatchcase(folded, pattern)
-    return folded.startswith(f"{pattern}:") or (pattern in folded)
+    return pattern in folded
 
 
 def _same_entry_point(first: EnvSpec, second: EnvSpec) -> bool:
     def name(entry_point: EntryPoint) -> object:
         if isinstance(entry_point, str):
             return entry_point
-        return getattr(entry_point, "__module__", None), getattr(entry_point, "__qualname__", entry_point)
+        qualified = getattr(entry_point, "__qualname__", "<lambda>")
+        # Two functions without a name are two functions.
+        return entry_point if "<lambda>" in qualified else (getattr(entry_point, "__module__", None), qualified)
 
     return name(first.entry_point) == name(second.entry_point)
