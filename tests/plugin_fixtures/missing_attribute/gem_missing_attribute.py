@@ -1,0 +1,1 @@
+"""Points to an attribute that is not there."""

@@ -1,0 +1,1 @@
+"""Points to a module that is not there."""
