@@ -247,7 +247,8 @@ class Registry:
         if colon and namespace not in namespaces:
             advice = self._how_to_get(namespace)
             if not advice and not failed:
-                advice = did_you_mean(namespace, namespaces) or f" Namespaces: {', '.join(namespaces) or 'none'}."
+                near = did_you_mean(env_id, self._envs) or did_you_mean(namespace, namespaces)
+                advice = near or f" Namespaces: {', '.join(namespaces) or 'none'}."
             return f"no environment {env_id!r}.{advice}{failed} Run 'gem list'"
         candidates = [name for name in self._envs if not colon or name.startswith(f"{namespace}:")]
         hint = did_you_mean(env_id, candidates) or did_you_mean(env_id, self._envs)

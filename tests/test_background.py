@@ -1,0 +1,185 @@
+"""The library's own event loop, and the bridges to it."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+import threading
+from concurrent.futures import Future
+from typing import Any
+
+import pytest
+
+from gem_core.background import background_loop, in_thread, on_library_loop, run_sync
+from gem_core.errors import BridgeError
+
+
+async def where() -> asyncio.AbstractEventLoop:
+    """Return the loop that runs it."""
+    return asyncio.get_running_loop()
+
+
+async def fail() -> None:
+    """Fail."""
+    raise ValueError("inside")
+
+
+def test_run_sync_runs_on_the_library_loop() -> None:
+    """A coroutine that plain code waits for runs on the library's loop."""
+    assert run_sync(where()) is background_loop()
+
+
+def test_run_sync_works_inside_another_loop() -> None:
+    """Plain code that is called from somebody's own loop may wait as well."""
+
+    async def main() -> Any:
+        return run_sync(where())
+
+    assert asyncio.run(main()) is background_loop()
+
+
+def test_run_sync_passes_the_error_on() -> None:
+    """The error of a coroutine is raised where it is waited for."""
+    with pytest.raises(ValueError, match="^inside$"):
+        run_sync(fail())
+
+
+def test_run_sync_on_the_library_loop_is_refused() -> None:
+    """Waiting for the loop on the loop would never end, and is an error that says what to do."""
+
+    async def main() -> None:
+        run_sync(where())
+
+    with pytest.raises(BridgeError) as caught:
+        run_sync(main())
+    assert str(caught.value) == (
+        "a synchronous step was called on the library's own event loop, where it would wait for itself; "
+        "call 'await env.step_async(action)' there instead"
+    )
+
+
+def test_interrupt_cancels_the_coroutine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C while plain code waits stops the coroutine as well."""
+    started, cancelled = threading.Event(), threading.Event()
+
+    async def wait_forever() -> None:
+        started.set()
+        try:
+            await asyncio.Event().wait()
+        finally:
+            cancelled.set()
+
+    def interrupted(self: Future[Any], timeout: float | None = None) -> None:
+        started.wait()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Future, "result", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run_sync(wait_forever())
+    assert cancelled.wait(30)
+
+
+def test_on_library_loop_hops_and_comes_back() -> None:
+    """A coroutine awaited from another loop runs on the library's, and its result comes back."""
+
+    async def main() -> tuple[bool, bool]:
+        own = asyncio.get_running_loop()
+        hopped = await on_library_loop(where())
+        return hopped is background_loop(), asyncio.get_running_loop() is own
+
+    assert asyncio.run(main()) == (True, True)
+
+
+def test_in_thread_runs_elsewhere() -> None:
+    """A blocking function runs in a daemon thread with its arguments."""
+
+    async def main() -> Any:
+        return await in_thread(lambda word: (word, threading.current_thread()), "x")
+
+    word, thread = asyncio.run(main())
+    assert word == "x"
+    assert thread.daemon
+    assert thread is not threading.current_thread()
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [(ValueError("inside"), "inside"), (StopIteration(), "fail_so raised StopIteration")],
+)
+def test_in_thread_passes_the_error_on(error: Exception, text: str) -> None:
+    """The error of a function comes to whoever waits; StopIteration, which no task may raise, as RuntimeError."""
+
+    def fail_so() -> None:
+        raise error
+
+    with pytest.raises((ValueError, RuntimeError), match=f"{text}$"):
+        asyncio.run(asyncio.wait_for(in_thread(fail_so), 30))
+
+
+def test_cancelled_wait_leaves_no_trace(capfd: pytest.CaptureFixture[str]) -> None:
+    """A thread whose waiter was cancelled ends in silence, with a result or an error."""
+    release = threading.Event()
+    threads: list[threading.Thread] = []
+
+    def block(error: Exception | None) -> None:
+        threads.append(threading.current_thread())
+        release.wait()
+        if error:
+            raise error
+
+    async def main() -> None:
+        for error in (None, ValueError("late")):
+            count = len(threads)
+            task = asyncio.ensure_future(in_thread(block, error))
+            while len(threads) == count:
+                await asyncio.sleep(0)
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await task
+
+    asyncio.run(main())
+    release.set()
+    for thread in threads:
+        thread.join()
+    assert capfd.readouterr().err == ""
+
+
+EXIT = """
+import asyncio, threading
+from gem_core.background import background_loop, in_thread, run_sync
+
+asyncio.run_coroutine_threadsafe(in_thread(threading.Event().wait), background_loop())
+asyncio.run_coroutine_threadsafe(asyncio.sleep(3600), background_loop())
+run_sync(asyncio.sleep(0))
+print("end")
+"""
+
+
+def test_blocked_thread_does_not_hold_up_exit() -> None:
+    """An interpreter with a hung call and a waiting coroutine ends at once, cleanly and in silence."""
+    done = subprocess.run([sys.executable, "-c", EXIT], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "end\n", "")
+
+
+FORK = """
+import os
+from gem_core.background import run_sync
+
+async def two():
+    return 2
+
+run_sync(two())
+child = os.fork()
+if child == 0:
+    os._exit(run_sync(two()))
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+
+
+@pytest.mark.skipif(not hasattr(__import__("os"), "fork"), reason="this system has no fork")
+def test_forked_child_has_a_loop_of_its_own() -> None:
+    """A child that was forked after the loop had started can use the bridge."""
+    code = f"import warnings\nwarnings.simplefilter('ignore')\n{FORK}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.stdout == "2\n"

@@ -1,0 +1,305 @@
+"""The extractors: right, wrong, malformed and hostile text."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gem_core import extract_code_blocks, extract_last_boxed_answer, extract_last_tagged_answer
+from gem_core.parsing import _last_complete_box
+
+ANY_TEXT = st.text(st.characters(), max_size=60)
+"""Surrogates and control characters included."""
+
+
+def pieces(*words: str) -> st.SearchStrategy[str]:
+    """Text that is put together from the words that matter, so that they often meet."""
+    return st.lists(st.sampled_from(words), max_size=14).map("".join)
+
+
+BOXES = pieces("\\boxed{", "\\boxed", "{", "}", "\\", "\\{", "\\}", "a", " ", "\n")
+TAGS = pieces("<answer>", "</answer>", "<answer", "</", "a", " ", "\n")
+FENCES = pieces("```", "~~~", "````", "`", "~", "python", " ", "\n", "\r\n", "x = 1", "   ")
+
+
+# \boxed{}
+
+
+@pytest.mark.parametrize(
+    ("text", "answer"),
+    [
+        (r"so it is \boxed{42}.", "42"),
+        (r"\boxed{1} then \boxed{2}", "2"),
+        (r"\boxed{  7 " + "\n}", "7"),
+        (r"\boxed {7}", "7"),
+        (r"\boxed{}", ""),
+        (r"\boxed{\frac{1}{2}}", r"\frac{1}{2}"),
+        (r"\boxed{\{1, 2\}}", r"\{1, 2\}"),
+        (r"\boxed{\text{a\}b}}", r"\text{a\}b}"),
+        (r"\boxed{a\\}", r"a\\"),
+        (r"\boxed{a \boxed{b} c}", "b"),
+        (r"\boxed{a \boxed{b}", "b"),
+        (r"\boxed{1} and \boxed{2", "1"),
+        (r"\boxed{1} and \boxed", "1"),
+        (r"\boxed{1} and \boxedness", "1"),
+        (r"\boxed{1} } \boxed{", "1"),
+        (r"{ \boxed{1} \boxed{", "1"),
+        (r"\\boxed{7}", "7"),
+        (r"\\boxed{7} \boxed{", "7"),
+        (r"\boxed{日本}", "日本"),
+    ],
+)
+def test_last_complete_box_is_found(text: str, answer: str) -> None:
+    """The last box that is closed counts, with its braces nested or escaped."""
+    assert extract_last_boxed_answer(text) == answer
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "42",
+        r"\boxed",
+        r"\boxed{",
+        r"\boxed{1",
+        r"\boxed 1",
+        r"\boxed{\}",
+        r"\boxed\{1\}",
+        "boxed{1}",
+        r"\fbox{1}",
+        "}{",
+    ],
+)
+def test_no_complete_box_gives_none(text: str) -> None:
+    """Text without a closed box has no answer."""
+    assert extract_last_boxed_answer(text) is None
+
+
+def naive_box(text: str) -> str | None:
+    """Try every box from the last to the first, each by counting braces."""
+    for start in reversed(range(len(text))):
+        rest = text[start:]
+        if not rest.startswith("\\boxed"):
+            continue
+        body = rest[len("\\boxed") :].lstrip(" \t")
+        if not body.startswith("{"):
+            continue
+        depth, position = 1, 1
+        while position < len(body):
+            if body[position] == "\\" and not body[position + 1 :].startswith("\\boxed"):
+                position += 2
+                continue
+            if body[position] == "\\" and not body[position + 1 + len("\\boxed") :].lstrip(" \t").startswith("{"):
+                position += 2
+                continue
+            depth += {"{": 1, "}": -1}.get(body[position], 0)
+            if depth == 0:
+                return body[1:position].strip()
+            position += 1
+    return None
+
+
+@given(BOXES)
+def test_box_agrees_with_a_naive_reading(text: str) -> None:
+    """One pass finds what trying every box finds."""
+    assert extract_last_boxed_answer(text) == naive_box(text)
+
+
+@given(BOXES)
+def test_short_cut_agrees_with_the_whole_pass(text: str) -> None:
+    """Trying the last box first changes nothing."""
+    found = extract_last_boxed_answer(text)
+    assert found == _last_complete_box(text)
+
+
+# <answer>
+
+
+@pytest.mark.parametrize(
+    ("text", "answer"),
+    [
+        ("<answer>4</answer>", "4"),
+        ("<answer>\n 4 \n</answer> or so", "4"),
+        ("<answer>1</answer><answer>2</answer>", "2"),
+        ("<answer>1</answer><answer>2", "1"),
+        ("<answer>1</answer> 2</answer>", "1"),
+        ("<answer>1</answer></answer></answer>", "1"),
+        ("<answer>a<answer>b</answer>", "b"),
+        ("<answer><answer>b</answer></answer>", "b"),
+        ("<answer></answer>", ""),
+        ("</answer><answer>1</answer>", "1"),
+        ("<answer>a < b > c</answer>", "a < b > c"),
+    ],
+)
+def test_last_tag_is_found(text: str, answer: str) -> None:
+    """The last element that is closed counts, from its own opening tag."""
+    assert extract_last_tagged_answer(text) == answer
+
+
+@pytest.mark.parametrize(
+    "text", ["", "<answer>", "</answer>", "</answer><answer>", "<answer >1</answer>", "<ANSWER>1</ANSWER>"]
+)
+def test_no_complete_tag_gives_none(text: str) -> None:
+    """Text without an opening and a closing tag has no answer."""
+    assert extract_last_tagged_answer(text) is None
+
+
+def test_another_tag_may_be_named() -> None:
+    """The tag is an argument, taken to the letter."""
+    assert extract_last_tagged_answer("<a.b>1</a.b><axb>2</axb>", "a.b") == "1"
+
+
+def naive_tag(text: str) -> str | None:
+    """Of all openings, the last that a closing tag follows, up to the first such."""
+    for start in reversed(range(len(text))):
+        if text.startswith("<answer>", start):
+            end = text.find("</answer>", start)
+            if end >= 0:
+                return text[start + len("<answer>") : end].strip()
+    return None
+
+
+@given(TAGS)
+def test_tag_agrees_with_a_naive_reading(text: str) -> None:
+    """Searching from the end finds what trying every opening finds."""
+    assert extract_last_tagged_answer(text) == naive_tag(text)
+
+
+# Fenced code
+
+
+@pytest.mark.parametrize(
+    ("text", "blocks"),
+    [
+        ("```python\nx = 1\n```", [("python", "x = 1")]),
+        ("a\n```\nx\n```\nb\n```js\ny\n```", [("", "x"), ("js", "y")]),
+        ("```Python title=x\nx\n```", [("python", "x")]),
+        ("``` python\nx\n```  \n", [("python", "x")]),
+        ("```\n```", [("", "")]),
+        ("```\n\n```", [("", "")]),
+        ("````\n```\nx\n```\n````", [("", "```\nx\n```")]),
+        ("~~~\n```\nx\n~~~", [("", "```\nx")]),
+        ("~~~ a`b c\nx\n~~~", [("a`b", "x")]),
+        ("```\nx\n~~~\n```", [("", "x\n~~~")]),
+        ("```python\r\nx = 1\r\ny = 2\r\n```\r\n", [("python", "x = 1\r\ny = 2")]),
+        ("  ```python\n  if x:\n    y\n z\n  ```", [("python", "if x:\n  y\nz")]),
+        ("```\nx\n``` not closed\ny\n```", [("", "x\n``` not closed\ny")]),
+        ("```\nx\n`````", [("", "x")]),
+    ],
+)
+def test_blocks_are_found(text: str, blocks: list[tuple[str, str]]) -> None:
+    """Fences open and close as in CommonMark, with their language and their code."""
+    assert [(block.language, block.code) for block in extract_code_blocks(text)] == blocks
+
+
+@pytest.mark.parametrize(
+    "text", ["", "```", "```python\nx", "``\nx\n``", "    ```\nx\n    ```", "a ```\nx\n```", "```a`b\nx"]
+)
+def test_incomplete_blocks_are_left_out(text: str) -> None:
+    """A block without its end, or without a proper fence, is none."""
+    assert extract_code_blocks(text) == []
+
+
+def test_languages_are_chosen_whatever_their_case() -> None:
+    """Only the languages asked for are kept; an empty one stands for none."""
+    text = "```Python\n1\n```\n```\n2\n```\n```js\n3\n```"
+    assert [block.code for block in extract_code_blocks(text, "PYTHON", "")] == ["1", "2"]
+
+
+def test_positions_cut_the_block_out_of_the_text() -> None:
+    """start and end delimit the block with its fences."""
+    text = "say\n```python\nx\n```\nmore"
+    block = extract_code_blocks(text)[0]
+    assert text[block.start : block.end] == "```python\nx\n```"
+
+
+def naive_blocks(text: str) -> list[tuple[str, str]]:
+    """Read line by line."""
+    blocks: list[tuple[str, str]] = []
+    fence, language, indent, lines = "", "", 0, []
+    for line in text.split("\n"):
+        body = line.lstrip(" ")
+        margin = len(line) - len(body)
+        mark = body[:1]
+        run = body[: len(body) - len(body.lstrip(mark))] if mark in ("`", "~") else ""
+        info = body[len(run) :]
+        if margin > 3 or len(run) < 3 or (mark == "`" and "`" in info):
+            run = ""
+        if not fence:
+            if run:
+                words = info.strip(" \t").split() if not info[:1].strip(" \t") or info.strip(" \t") else []
+                fence, language, indent, lines = run, (words[0] if words else "").casefold(), margin, []
+        elif run and run[0] == fence[0] and len(run) >= len(fence) and not info.strip():
+            blocks.append((language, "\n".join(lines).removesuffix("\r")))
+            fence = ""
+        else:
+            lines.append(line[min(indent, margin) :])
+    return blocks
+
+
+@given(FENCES)
+def test_blocks_agree_with_a_reading_line_by_line(text: str) -> None:
+    """The regular expression finds what reading line by line finds."""
+    assert [(block.language, block.code) for block in extract_code_blocks(text)] == naive_blocks(text)
+
+
+# Any text
+
+
+@given(ANY_TEXT)
+def test_any_text_is_taken(text: str) -> None:
+    """No text raises, broken Unicode and control characters included."""
+    extract_last_boxed_answer(text)
+    extract_last_tagged_answer(text)
+    extract_code_blocks(text)
+
+
+MEGABYTE = 1_000_000
+HOSTILE = [
+    "\\boxed{",
+    "\\boxed",
+    "\\boxed ",
+    "{",
+    "}",
+    "\\",
+    "\\boxed{{",
+    "\\\\boxed",
+    "<answer>",
+    "</answer>",
+    "<answer",
+    "<",
+    "```\n",
+    "```",
+    "`",
+    "~",
+    "~~~x ",
+    "```x\n",
+    " ",
+    "\n",
+    "   ```\n",
+]
+
+
+@pytest.mark.parametrize("unit", HOSTILE)
+def test_megabytes_of_one_unit_finish(unit: str) -> None:
+    """A million characters of whatever is worst end; in quadratic time they would take hours."""
+    text = unit * (MEGABYTE // len(unit))
+    for hostile in (text, text + "\\boxed", "\\boxed{1}" + text):
+        extract_last_boxed_answer(hostile)
+    extract_last_tagged_answer(text)
+    extract_code_blocks(text)
+
+
+@pytest.mark.parametrize("filler", [" ", "x", "\t", "`", "~", " x"])
+@pytest.mark.parametrize("mark", ["```", "~~~"])
+@pytest.mark.parametrize("end", ["`", "\n", ""])
+def test_a_fence_with_a_line_of_megabytes_finishes(mark: str, filler: str, end: str) -> None:
+    """One endless line behind a fence is read once, not once from each of its characters."""
+    assert extract_code_blocks(mark + filler * (1_000_000 // len(filler)) + end) == []
+
+
+def test_box_with_endless_space_finishes() -> None:
+    """White space between \\boxed and its brace is read once."""
+    assert extract_last_boxed_answer("\\boxed" + " " * 5 * MEGABYTE) is None
+    assert extract_last_boxed_answer("\\\\boxed" + " " * 5 * MEGABYTE + "{1}") == "1"

@@ -1,0 +1,533 @@
+"""The registry: identifiers, records, and the exact texts of its errors."""
+
+from __future__ import annotations
+
+import pickle
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import gem_core as gem
+from gem_core import errors, plugins, registry
+from gem_core.errors import ArgumentError, EntryPointError, MissingRequirementError, RegistrationError, UnknownEnvError
+from gem_core.specs import EnvSpec, ToolSpec, WrapperSpec
+
+
+class WordEnv(gem.Env):
+    """Asks for a word."""
+
+    def __init__(self, word: str = "gem", *, tries: int = 3) -> None:
+        super().__init__()
+        self.word, self.tries = word, tries
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        super().reset(seed=seed)
+        return "Which word?", {}
+
+    def step(self, action: str) -> Any:
+        return gem.TERMINAL_STATE, float(action == self.word), True, False, {}
+
+
+class PlainEnv(gem.Env):
+    """Has no constructor of its own."""
+
+
+@pytest.fixture(autouse=True)
+def own_registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[registry.Registry]:
+    """A registry that holds only what the core offers and what a test registers."""
+    fresh = registry.Registry()
+    monkeypatch.setattr(plugins, "_find", list)
+    monkeypatch.setattr(registry, "_registry", fresh)
+    yield fresh
+
+
+@pytest.fixture
+def words() -> None:
+    """Three environments in two namespaces."""
+    gem.register("word:Guess-v0", WordEnv, summary="Guess it.")
+    gem.register("word:Guess-v0-hard", WordEnv, word="abacus")
+    gem.register("eval:word-list", WordEnv)
+
+
+def message(call: Any, *args: Any, **kwargs: Any) -> str:
+    """Return the error of a call in one line."""
+    with pytest.raises(errors.GemError) as caught:
+        call(*args, **kwargs)
+    return f"{type(caught.value).__name__}: {caught.value}"
+
+
+# Unknown ids.
+
+
+@pytest.mark.usefixtures("words")
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        (
+            "word:Gues-v0",
+            "no environment 'word:Gues-v0'. Did you mean 'word:Guess-v0' or 'word:Guess-v0-hard'? Run 'gem list word'",
+        ),
+        (
+            "WORD:guess-v0-HARD",
+            "no environment 'WORD:guess-v0-HARD'. Did you mean 'word:Guess-v0-hard' or 'word:Guess-v0'? Run 'gem list'",
+        ),
+        (
+            "word:Guess-V0-hard",
+            "no environment 'word:Guess-V0-hard'. Did you mean 'word:Guess-v0-hard' or 'word:Guess-v0'? "
+            "Run 'gem list word'",
+        ),
+        ("word:zzzzzzzzzzzz", "no environment 'word:zzzzzzzzzzzz'. Run 'gem list word'"),
+        (
+            "word:",
+            "no environment 'word:'. Did you mean 'word:Guess-v0' or 'word:Guess-v0-hard'? Run 'gem list word'",
+        ),
+        ("", "no environment ''. Run 'gem list'"),
+        (
+            "math:GSM8K",
+            "no environment 'math:GSM8K'. The namespace 'math' comes with a plugin: try 'pip install gem-math'. "
+            "Run 'gem list'",
+        ),
+        (
+            "quux:One",
+            "no environment 'quux:One'. Namespaces: eval, word. Run 'gem list'",
+        ),
+    ],
+)
+def test_unknown_id_says_what_to_do(wrong: str, text: str) -> None:
+    """An unknown id names the nearest ones, the plugin to install, or the namespaces."""
+    assert message(gem.make, wrong) == f"UnknownEnvError: {text}"
+
+
+def test_id_that_is_no_text_is_refused() -> None:
+    """A list where an id belongs is an unknown environment, not a TypeError from inside."""
+    assert message(gem.make, ["word:Guess-v0"]) == (
+        "UnknownEnvError: an environment id is a string such as 'game:Mastermind-v0', not ['word:Guess-v0']"
+    )
+
+
+def test_unknown_id_is_a_lookup_error_with_exit_code_2() -> None:
+    """An unknown id can be handled as LookupError, and ends the command with 2."""
+    with pytest.raises(LookupError) as caught:
+        gem.spec("word:None")
+    assert isinstance(caught.value, UnknownEnvError)
+    assert caught.value.exit_code == 2
+
+
+# Unknown names of other kinds.
+
+
+def test_unknown_wrapper_names_the_nearest() -> None:
+    """A misspelt wrapper gives the nearest and all that exist."""
+    gem.register("word:Guess-v0", WordEnv)
+    assert message(gem.make, "word:Guess-v0", wrappers="conct") == (
+        "UnknownWrapperError: no wrapper or tool 'conct'. Did you mean 'concat'? "
+        "There are: concat, concat_with_action, episode_stats, latest, tools, turn_limit."
+    )
+
+
+def test_unknown_tool_names_where_tools_come_from(own_registry: registry.Registry) -> None:
+    """Without any tool the message names the distribution that has some."""
+    assert message(own_registry.tool, "python") == (
+        "UnknownToolError: no tool 'python'. None is installed: try 'pip install gem-tools'."
+    )
+
+
+def test_unknown_backend_and_agent(own_registry: registry.Registry) -> None:
+    """Backends and agents have messages of the same form."""
+    assert message(own_registry.backend, "snc") == (
+        "UnknownBackendError: no vector backend 'snc'. Did you mean 'sync'? There are: sync."
+    )
+    assert message(own_registry.agent, "randm") == (
+        "UnknownAgentError: no agent 'randm'. Did you mean 'random'? There are: random."
+    )
+
+
+def test_unknown_plugin(own_registry: registry.Registry) -> None:
+    """An unknown plugin gives the installed ones."""
+    assert message(own_registry.plugin, "cor") == (
+        "UnknownPluginError: no plugin 'cor'. Did you mean 'core'? Installed: core. Run 'gem plugins'"
+    )
+
+
+# Arguments.
+
+
+def test_unknown_keyword_names_those_that_exist() -> None:
+    """A keyword that the environment does not have gives the nearest and all it has."""
+    gem.register("word:Guess-v0", WordEnv)
+    assert message(gem.make, "word:Guess-v0", wrod="x") == (
+        "ArgumentError: environment 'word:Guess-v0': got an unexpected keyword argument 'wrod'. "
+        "Did you mean 'word'? It accepts: word, tries"
+    )
+
+
+def test_unknown_keyword_of_an_environment_without_constructor() -> None:
+    """An environment without __init__ accepts nothing, and make says so."""
+    gem.register("word:Plain-v0", PlainEnv)
+    assert message(gem.make, "word:Plain-v0", size=1) == (
+        "ArgumentError: environment 'word:Plain-v0': got an unexpected keyword argument 'size'. "
+        "It accepts: no arguments"
+    )
+
+
+def test_constructor_without_arguments_refuses_them() -> None:
+    """A bare environment without __init__ refuses arguments, as any class of Python does."""
+    with pytest.raises(TypeError, match=r"^PlainEnv\(\) takes no arguments$"):
+        PlainEnv(size=1)
+
+
+def test_unknown_option_of_a_wrapper() -> None:
+    """A wrapper's options are checked as an environment's are."""
+    gem.register("word:Guess-v0", WordEnv)
+    assert message(gem.make, "word:Guess-v0", wrappers=[("turn_limit", {"max_turn": 3})]) == (
+        "ArgumentError: wrapper 'turn_limit': missing a required argument: 'max_turns'. Did you mean 'max_turns'? "
+        "It accepts: max_turns"
+    )
+
+
+def test_type_error_inside_a_constructor_is_not_disguised() -> None:
+    """A TypeError that a constructor raises itself stays what it is."""
+
+    class Broken(gem.Env):
+        def __init__(self) -> None:
+            raise TypeError("inside")
+
+    gem.register("word:Broken-v0", Broken)
+    with pytest.raises(TypeError, match="^inside$"):
+        gem.make("word:Broken-v0")
+
+
+@pytest.mark.parametrize("wrappers", [3, [3], [("concat",)], [("concat", 4)], {"concat": {}}.items()])
+def test_malformed_wrappers_are_refused(wrappers: Any) -> None:
+    """Whatever is no list of names, callables and pairs is an ArgumentError."""
+    gem.register("word:Guess-v0", WordEnv)
+    with pytest.raises((ArgumentError, EntryPointError)):
+        gem.make("word:Guess-v0", wrappers=wrappers)
+
+
+def test_keywords_of_make_go_over_the_registered_ones() -> None:
+    """A keyword given to make wins, and the record stays as it was."""
+    gem.register("word:Guess-v0", WordEnv, word="one", tries=5)
+    env = gem.make("word:Guess-v0", word="two")
+    assert (env.unwrapped.word, env.unwrapped.tries) == ("two", 5)
+    assert dict(gem.spec("word:Guess-v0").kwargs) == {"word": "one", "tries": 5}
+
+
+def test_register_splits_keywords() -> None:
+    """Description goes to the record, every other keyword to the environment, max_turns too."""
+    gem.register(
+        "word:Guess-v0", WordEnv, summary="s", tags=["a"], requires=["network"], deterministic=False, max_turns=4
+    )
+    record = gem.spec("word:Guess-v0")
+    assert (record.summary, record.tags, record.requires, record.deterministic) == ("s", ("a",), ("network",), False)
+    assert dict(record.kwargs) == {"max_turns": 4}
+    assert (record.max_turns, record.turn_limit) == (None, 4)
+
+
+# Registration.
+
+
+@pytest.mark.parametrize(
+    "bad", ["", "word", "word:", ":Guess", "a b:C", "word:Guess\n", "wörd:Guess", "word:Gu:ess", "-a:b", None, 3]
+)
+def test_bad_id_is_refused(bad: Any) -> None:
+    """An id that is not namespace:Name in ASCII is refused with an example."""
+    assert message(gem.register, bad, WordEnv) == (
+        f"RegistrationError: environment id {bad!r} must look like 'namespace:Name-v0', "
+        "with ASCII letters, digits and '._-'"
+    )
+
+
+@pytest.mark.parametrize("bad", ["", "module", "module:", ":Name", "a b:C", None, 3])
+def test_bad_entry_point_is_refused(bad: Any) -> None:
+    """An entry point is a callable or 'package.module:Name'."""
+    assert message(gem.register, "word:Guess-v0", bad) == (
+        f"RegistrationError: word:Guess-v0: entry_point must be 'package.module:Name' or a callable, not {bad!r}"
+    )
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "text"),
+    [
+        ("summary", "two\nlines", "summary must be one line of text, not 'two\\nlines'"),
+        ("tags", "text", "tags must be a tuple of strings, not 'text'"),
+        ("requires", (1,), "requires must be a tuple of strings, not (1,)"),
+        ("max_turns", 0, "max_turns must be a positive whole number, not 0"),
+        ("max_turns", True, "max_turns must be a positive whole number, not True"),
+        ("deterministic", "no", "deterministic must be True or False, not 'no'"),
+        ("kwargs", [("a", 1)], "kwargs must map keyword names to values, not [('a', 1)]"),
+    ],
+)
+def test_bad_field_of_a_record_is_refused(field: str, value: Any, text: str) -> None:
+    """Each field of a record is checked when the record is made."""
+    fields = {"id": "word:Guess-v0", "entry_point": WordEnv, field: value}
+    assert message(EnvSpec, **fields) == f"RegistrationError: word:Guess-v0: {text}"
+
+
+def test_bad_name_of_a_record_is_refused() -> None:
+    """Names of wrappers and their kin are lower case."""
+    assert message(WrapperSpec, name="Shout", entry_point="a:B") == (
+        "RegistrationError: wrapper name 'Shout' must be lower case ASCII letters, digits and '_.-', as in 'python'"
+    )
+
+
+def test_taken_id_is_refused() -> None:
+    """Another class under a taken id is an error that names the owner."""
+    gem.register("word:Guess-v0", WordEnv)
+    assert message(gem.register, "word:Guess-v0", PlainEnv) == (
+        "RegistrationError: environment 'word:Guess-v0' is registered already, by register(); "
+        "choose another id or version"
+    )
+
+
+def test_same_class_may_be_registered_again() -> None:
+    """Running a notebook cell twice works, and the newer arguments count."""
+    gem.register("word:Guess-v0", WordEnv, word="one")
+    gem.register("word:Guess-v0", WordEnv, word="two")
+    assert gem.make("word:Guess-v0").unwrapped.word == "two"
+
+
+def test_two_lambdas_are_not_the_same_class() -> None:
+    """Functions without a name are told apart."""
+    gem.register("word:Guess-v0", lambda: WordEnv("one"))
+    with pytest.raises(RegistrationError, match="is registered already"):
+        gem.register("word:Guess-v0", lambda: WordEnv("two"))
+
+
+def test_record_of_a_plugin_is_not_overwritten(
+    own_registry: registry.Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A program cannot register over a plugin's id; the message names the plugin."""
+    plugin = plugins.Plugin("mine", "gem-mine", "2.0", records=[EnvSpec(id="word:Guess-v0", entry_point=WordEnv)])
+    monkeypatch.setattr(registry, "load_plugins", lambda: [plugin])
+    assert message(gem.register, "word:Guess-v0", WordEnv) == (
+        "RegistrationError: environment 'word:Guess-v0' is registered already, by plugin 'mine' (gem-mine 2.0); "
+        "choose another id or version"
+    )
+
+
+def test_tools_and_wrappers_share_their_names(
+    own_registry: registry.Registry, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A tool and a wrapper of one name from two plugins are contested."""
+    first = plugins.Plugin("a", "gem-a", "1", records=[ToolSpec(name="same", entry_point="a:A")])
+    second = plugins.Plugin("b", "gem-b", "1", records=[WrapperSpec(name="same", entry_point="b:B")])
+    monkeypatch.setattr(registry, "load_plugins", lambda: [first, second])
+    text = "wrapper 'same' is offered by both plugin 'a' (gem-a 1) and plugin 'b' (gem-b 1)"
+    refusal = f"RegistrationError: {text}; uninstall one of them, or disable it with GEM_PLUGINS_DISABLE"
+    assert message(own_registry.wrapper, "same") == message(own_registry.tool, "same") == refusal
+    assert caplog.messages[0].startswith(f"gem: plugin 'b' (gem-b 1) failed at stage 'register': {text}.")
+
+
+def test_disabled_plugin_is_named_for_its_namespace(
+    own_registry: registry.Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An id of a disabled plugin says that it is disabled, not that it should be installed."""
+    plugin = plugins.Plugin("math", "gem-math", "1.0", disabled=True)
+    monkeypatch.setattr(registry, "load_plugins", lambda: [plugin])
+    assert message(gem.make, "math:GSM8K") == (
+        "UnknownEnvError: no environment 'math:GSM8K'. It may belong to plugin 'math' (gem-math 1.0), "
+        "which GEM_PLUGINS_DISABLE skips. Run 'gem list'"
+    )
+
+
+# Entry points and requirements.
+
+
+@pytest.fixture
+def modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder on the path with modules that fail in different ways."""
+    (tmp_path / "gemt_needs.py").write_text("import gemt_not_installed.deep\n")
+    (tmp_path / "gemt_inside.py").write_text("from gem_core import gemt_nothing\n")
+    (tmp_path / "gemt_value.py").write_text("raise ValueError('bad day')\n")
+    (tmp_path / "gemt_fine.py").write_text("class WordEnv:\n    size = 3\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.usefixtures("modules")
+@pytest.mark.parametrize(
+    ("entry_point", "text"),
+    [
+        (
+            "gemt_nowhere:WordEnv",
+            "there is no module 'gemt_nowhere' (entry point 'gemt_nowhere:WordEnv'); "
+            "correct the entry point, or install the distribution that has it",
+        ),
+        (
+            "gemt_nowhere.deep:WordEnv",
+            "there is no module 'gemt_nowhere' (entry point 'gemt_nowhere.deep:WordEnv'); "
+            "correct the entry point, or install the distribution that has it",
+        ),
+        (
+            "gemt_needs:WordEnv",
+            "'gemt_needs' needs the module 'gemt_not_installed', which is not installed; "
+            "try 'pip install gemt-not-installed'",
+        ),
+        ("gemt_value:WordEnv", "importing 'gemt_value' failed: ValueError: bad day"),
+        (
+            "gemt_fine:WorldEnv",
+            "'gemt_fine' has no 'WorldEnv'. Did you mean 'WordEnv'? (entry point 'gemt_fine:WorldEnv')",
+        ),
+        ("gemt_fine:WordEnv.size.x", "'gemt_fine' has no 'x'. (entry point 'gemt_fine:WordEnv.size.x')"),
+        ("gemt_fine:WordEnv.size", "'gemt_fine:WordEnv.size' is a int, which cannot be called"),
+    ],
+)
+def test_entry_point_error_says_which_way_it_failed(entry_point: str, text: str) -> None:
+    """A missing module, a missing dependency, a failing module and a missing name are told apart."""
+    gem.register("word:Lost-v0", entry_point)
+    found = message(gem.make, "word:Lost-v0").replace(". (entry", " (entry")
+    assert found == f"EntryPointError: environment 'word:Lost-v0': {text}".replace(". (entry", " (entry")
+
+
+@pytest.mark.usefixtures("modules")
+def test_import_error_inside_is_not_called_not_installed() -> None:
+    """An ImportError of another kind keeps its own text, and stays an ImportError."""
+    gem.register("word:Inside-v0", "gemt_inside:WordEnv")
+    with pytest.raises(ImportError) as caught:
+        gem.make("word:Inside-v0")
+    assert str(caught.value).startswith(
+        "environment 'word:Inside-v0': importing 'gemt_inside' failed: "
+        "ImportError: cannot import name 'gemt_nothing' from 'gem_core'"
+    )
+
+
+def test_entry_point_that_makes_no_environment() -> None:
+    """What an entry point returns has to be an environment."""
+    gem.register("word:Dict-v0", dict)
+    assert message(gem.make, "word:Dict-v0") == (
+        "RegistrationError: word:Dict-v0: the entry point returned dict, not an environment"
+    )
+
+
+def test_missing_requirement_says_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A missing key is named before anything is imported."""
+    monkeypatch.delenv("GEMT_KEY", raising=False)
+    gem.register("word:Key-v0", "gemt_nowhere:WordEnv", requires=("key:GEMT_KEY", "command:gemt-no-such-command"))
+    with pytest.raises(MissingRequirementError) as caught:
+        gem.make("word:Key-v0")
+    assert str(caught.value) == (
+        "word:Key-v0 cannot run here: it needs a key: set the environment variable GEMT_KEY; "
+        "it needs the command 'gemt-no-such-command' on the PATH: install it"
+    )
+
+
+# Listing.
+
+
+@pytest.mark.usefixtures("words")
+@pytest.mark.parametrize(
+    ("pattern", "ids"),
+    [
+        (None, ["eval:word-list", "word:Guess-v0", "word:Guess-v0-hard"]),
+        ("word", ["word:Guess-v0", "word:Guess-v0-hard"]),
+        ("WORD:", ["word:Guess-v0", "word:Guess-v0-hard"]),
+        ("hard", ["word:Guess-v0-hard"]),
+        ("*:*word*", ["eval:word-list"]),
+        ("word:*-v0", ["word:Guess-v0"]),
+        ("nothing", []),
+    ],
+)
+def test_list_envs_takes_a_namespace_a_part_or_a_glob(pattern: str | None, ids: list[str]) -> None:
+    """A namespace gives its ids alone; other text any id that has it; a glob what it matches."""
+    assert gem.list_envs(pattern) == ids
+
+
+@pytest.mark.usefixtures("words")
+def test_print_envs_writes_ids_with_summaries(capsys: pytest.CaptureFixture[str]) -> None:
+    """One line for each id, summaries in a column, no spaces at the end."""
+    gem.print_envs("word")
+    assert capsys.readouterr().out == "word:Guess-v0       Guess it.\nword:Guess-v0-hard\n"
+
+
+# Records.
+
+
+@pytest.mark.parametrize(
+    ("env_id", "namespace", "name", "version"),
+    [
+        ("game:Mastermind-v0-easy", "game", "Mastermind-v0-easy", 0),
+        ("math:GSM8K", "math", "GSM8K", None),
+        ("my-v2-set:Name-v13", "my-v2-set", "Name-v13", 13),
+        ("a:b-v1x", "a", "b-v1x", None),
+    ],
+)
+def test_parts_of_an_id(env_id: str, namespace: str, name: str, version: int | None) -> None:
+    """Namespace, name and version are read off the id."""
+    record = EnvSpec(id=env_id, entry_point="a:B")
+    assert (record.namespace, record.name, record.version) == (namespace, name, version)
+
+
+def test_record_is_frozen_hashable_and_pickled() -> None:
+    """A record cannot be changed, goes into a set, and survives pickling."""
+    record = EnvSpec(id="word:Guess-v0", entry_point="a:B", kwargs={"n": [1]}, tags=("x",))
+    assert pickle.loads(pickle.dumps(record)) == record
+    assert len({record, pickle.loads(pickle.dumps(record))}) == 1
+    with pytest.raises(TypeError):
+        record.kwargs["n"] = 2  # type: ignore[index]
+
+
+def test_record_does_not_share_its_mapping_with_the_caller() -> None:
+    """Changing the dictionary that was given does not change the record."""
+    given = {"n": 1}
+    record = EnvSpec(id="word:Guess-v0", entry_point="a:B", kwargs=given)
+    given["n"] = 2
+    assert dict(record.kwargs) == {"n": 1}
+
+
+# Loading.
+
+
+def test_first_use_loads_once_from_many_threads(
+    own_registry: registry.Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Sixteen threads that look up first load the plugins once and all see the same."""
+    calls: list[int] = []
+    together = threading.Barrier(16)
+
+    def load_once() -> list[plugins.Plugin]:
+        calls.append(1)
+        return [plugins.Plugin("mine", "gem-mine", "1", records=[EnvSpec(id="word:Guess-v0", entry_point="a:B")])]
+
+    monkeypatch.setattr(registry, "load_plugins", load_once)
+    seen: list[list[str]] = []
+
+    def look() -> None:
+        together.wait()
+        seen.append(gem.list_envs())
+
+    threads = [threading.Thread(target=look) for _ in range(16)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert calls == [1]
+    assert seen == [["word:Guess-v0"]] * 16
+
+
+def test_drawing_of_errors_is_the_hierarchy() -> None:
+    """The tree at the top of errors.py has every class under its real base."""
+    drawn: dict[str, str] = {}
+    path: list[str] = []
+    for line in (errors.__doc__ or "").splitlines():
+        name = next((word for word in line.replace("├──", " ").replace("└──", " ").replace("│", " ").split()), "")
+        if name in vars(errors) and "``" not in line:
+            depth = (len(line) - len(line.lstrip(" │├└─"))) // 4 - 1
+            path[depth:] = [name]
+            drawn[name] = path[depth - 1] if depth else "Exception"
+    real = {name: value.__bases__[0].__name__ for name, value in vars(errors).items() if isinstance(value, type)}
+    assert drawn == real
+
+
+def test_every_public_name_has_a_home() -> None:
+    """__all__ and the table of homes name the same things."""
+    assert set(gem.__all__) - {"__version__"} == set(gem._MODULE_OF)
+
+
+def test_unknown_public_name_is_an_attribute_error() -> None:
+    """A name that the package does not have is an AttributeError that names the package."""
+    with pytest.raises(AttributeError, match="^module 'gem_core' has no attribute 'mak'$"):
+        _ = gem.mak  # type: ignore[attr-defined]
