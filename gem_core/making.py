@@ -56,7 +56,10 @@ class MadeSpec(GymnasiumSpec):
     @property
     def stack(self) -> tuple[tuple[str, dict[str, Any]], ...]:
         """All wrappers, innermost first: ours, and those of Gymnasium's that were put around them since."""
-        return (*self.wrappers, *(_as_choice(wrapper) for wrapper in self.additional_wrappers))
+        theirs = tuple(_as_choice(wrapper) for wrapper in self.additional_wrappers)
+        if self.max_episode_steps is not None:  # how Gymnasium's TimeLimit records itself
+            theirs += (("gymnasium.wrappers:TimeLimit", {"max_episode_steps": self.max_episode_steps}),)
+        return (*self.wrappers, *theirs)
 
     def overrides(self) -> dict[str, Any]:
         """Return the keyword arguments that differ from the registered ones."""
@@ -69,7 +72,9 @@ class MadeSpec(GymnasiumSpec):
 
     def with_wrapper(self, name: str, options: Mapping[str, Any]) -> MadeSpec:
         """Return a copy with one more wrapper outside."""
-        return dataclasses.replace(self, wrappers=(*self.stack, (name, dict(options))), additional_wrappers=())
+        return dataclasses.replace(
+            self, wrappers=(*self.stack, (name, dict(options))), additional_wrappers=(), max_episode_steps=None
+        )
 
     def to_json(self) -> str:
         """Return the id, the arguments and the wrappers as JSON, for ``from_json``."""

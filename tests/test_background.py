@@ -41,7 +41,7 @@ def test_run_sync_works_inside_another_loop() -> None:
 
 def test_run_sync_passes_the_error_on() -> None:
     """The error of a coroutine is raised where it is waited for."""
-    with pytest.raises(ValueError, match="^inside$"):
+    with pytest.raises(ValueError, match=r"^inside$"):
         run_sync(fail())
 
 

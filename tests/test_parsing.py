@@ -208,7 +208,7 @@ def test_languages_are_chosen_whatever_their_case() -> None:
 
 
 def test_positions_cut_the_block_out_of_the_text() -> None:
-    """start and end delimit the block with its fences."""
+    """Start and end delimit the block with its fences."""
     text = "say\n```python\nx\n```\nmore"
     block = extract_code_blocks(text)[0]
     assert text[block.start : block.end] == "```python\nx\n```"
@@ -300,6 +300,6 @@ def test_a_fence_with_a_line_of_megabytes_finishes(mark: str, filler: str, end: 
 
 
 def test_box_with_endless_space_finishes() -> None:
-    """White space between \\boxed and its brace is read once."""
+    r"""White space between \\boxed and its brace is read once."""
     assert extract_last_boxed_answer("\\boxed" + " " * 5 * MEGABYTE) is None
     assert extract_last_boxed_answer("\\\\boxed" + " " * 5 * MEGABYTE + "{1}") == "1"

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pickle
 import threading
 from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -14,6 +13,9 @@ import gem_core as gem
 from gem_core import errors, plugins, registry
 from gem_core.errors import ArgumentError, EntryPointError, MissingRequirementError, RegistrationError, UnknownEnvError
 from gem_core.specs import EnvSpec, ToolSpec, WrapperSpec
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 class WordEnv(gem.Env):
@@ -41,7 +43,7 @@ def own_registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[registry.Registry]
     fresh = registry.Registry()
     monkeypatch.setattr(plugins, "_find", list)
     monkeypatch.setattr(registry, "_registry", fresh)
-    yield fresh
+    return fresh
 
 
 @pytest.fixture
@@ -196,7 +198,7 @@ def test_type_error_inside_a_constructor_is_not_disguised() -> None:
             raise TypeError("inside")
 
     gem.register("word:Broken-v0", Broken)
-    with pytest.raises(TypeError, match="^inside$"):
+    with pytest.raises(TypeError, match=r"^inside$"):
         gem.make("word:Broken-v0")
 
 
@@ -529,5 +531,5 @@ def test_every_public_name_has_a_home() -> None:
 
 def test_unknown_public_name_is_an_attribute_error() -> None:
     """A name that the package does not have is an AttributeError that names the package."""
-    with pytest.raises(AttributeError, match="^module 'gem_core' has no attribute 'mak'$"):
+    with pytest.raises(AttributeError, match=r"^module 'gem_core' has no attribute 'mak'$"):
         _ = gem.mak  # type: ignore[attr-defined]

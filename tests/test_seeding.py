@@ -159,5 +159,5 @@ def test_no_generator_has_no_state() -> None:
 
 def test_other_generators_cannot_be_saved() -> None:
     """A generator of another kind is refused by its name."""
-    with pytest.raises(StateError, match="^only PCG64 generators can be saved, and np_random is a MT19937$"):
+    with pytest.raises(StateError, match=r"^only PCG64 generators can be saved, and np_random is a MT19937$"):
         generator_state(np.random.Generator(np.random.MT19937(1)))

@@ -1,0 +1,535 @@
+"""The contract of ``Env``: seeds, state, siblings, and life among Gymnasium's wrappers."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import wrappers as gym_wrappers
+from gymnasium.utils.env_checker import check_env
+from hypothesis import given
+from hypothesis import strategies as st
+
+import gem_core as gem
+from gem_core import plugins, registry
+from gem_core.env import as_parts, observation_from
+from gem_core.errors import ArgumentError, ResetNeededError, SamplingNotSupported, StateError, StateNotSupported
+from gem_core.making import MadeSpec, wrap
+
+
+class GuessEnv(gem.Env):
+    """Guess a number; a good citizen in every respect."""
+
+    metadata = {"render_modes": ["ansi"], "render_fps": 1}  # noqa: RUF012 - as in Gymnasium
+
+    def __init__(self, high: int = 9, *, turns: int = 5) -> None:
+        super().__init__()
+        self.high, self.turns = high, turns
+        self.secret, self.turn = 0, 0
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        super().reset(seed=seed)
+        self.secret, self.turn = int(self.np_random.integers(1, self.high + 1)), 0
+        return f"Guess a number from 1 to {self.high}.", {}
+
+    def step(self, action: str) -> Any:
+        self.turn += 1
+        right = action == str(self.secret)
+        mood = int(self.np_random.integers(0, 100))
+        return f"{mood}", float(right), right or self.turn == self.turns, False, {"correct": right}
+
+    def sample_random_action(self) -> str:
+        return str(int(self.action_random.integers(1, self.high + 1)))
+
+    def render(self) -> Any:
+        return f"turn {self.turn}"
+
+    def _get_state(self) -> dict[str, Any]:
+        return {"secret": self.secret, "turn": self.turn}
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self.secret, self.turn = state["secret"], state["turn"]
+
+
+class StatelessEnv(gem.Env):
+    """Saves no state and says nothing of valid actions."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        super().reset(seed=seed)
+        return "", {}
+
+
+@pytest.fixture(autouse=True)
+def own_registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A registry of the core's records and one environment."""
+    monkeypatch.setattr(plugins, "_find", list)
+    monkeypatch.setattr(registry, "_registry", registry.Registry())
+    gem.register("test:Guess-v3", GuessEnv, high=20)
+    return
+
+
+def play(env: Any, turns: int = 3) -> list[Any]:
+    """Take the same few steps and return what came back."""
+    return [env.step("0") for _ in range(turns)]
+
+
+# Seeds.
+
+
+def test_seed_by_position_and_by_keyword() -> None:
+    """Reset takes the seed either way."""
+    first, second = GuessEnv(), GuessEnv()
+    first.reset(4)
+    second.reset(seed=4)
+    assert play(first) == play(second)
+
+
+def test_stream_continues_with_other_episodes() -> None:
+    """Later resets give the next episodes of the stream, the same each time."""
+
+    def episodes() -> list[Any]:
+        env = gem.make("test:Guess-v3")
+        return [env.reset(seed=4), play(env), *((env.reset(), play(env)) for _ in range(3))]
+
+    assert episodes() == episodes()
+    assert len({str(episode) for episode in episodes()}) == 5
+
+
+def test_reported_seed_replays_an_episode_alone() -> None:
+    """info["seed"] of any episode starts the same episode in another instance."""
+    env = gem.make("test:Guess-v3")
+    env.reset(seed=4)
+    _, info = env.reset()
+    other = gem.make("test:Guess-v3")
+    other.reset(seed=info["seed"])
+    assert play(env) == play(other)
+
+
+def test_unseeded_environments_differ_and_report_their_seed() -> None:
+    """Without a seed the stream comes from entropy, below 2**53, and is reported."""
+    seeds = {gem.make("test:Guess-v3").reset()[1]["seed"] for _ in range(20)}
+    assert len(seeds) == 20
+    assert max(seeds) < 2**53
+
+
+@pytest.mark.parametrize("seed", [-1, True, 1.5, "x"])
+def test_bad_seed_is_refused(seed: Any) -> None:
+    """Reset and seed_actions take whole numbers from 0 up."""
+    text = f"seed must be a whole number from 0 up, not {seed!r}"
+    for call in (GuessEnv().reset, gem.make("test:Guess-v3").reset, GuessEnv().seed_actions):
+        with pytest.raises(ArgumentError) as caught:
+            call(seed)
+        assert str(caught.value) == text
+
+
+def test_numpy_seed_is_reported_as_int() -> None:
+    """A seed of NumPy is taken, and reported as JSON knows it."""
+    _, info = gem.make("test:Guess-v3").reset(seed=np.int64(3))  # type: ignore[arg-type]
+    assert json.dumps(info["seed"]) == "3"
+
+
+def test_global_randomness_is_left_alone() -> None:
+    """No reset, step or sample draws from, or changes, NumPy's global generator."""
+    before = np.random.get_state()[1].tolist()  # type: ignore[index,union-attr]
+    env = gem.make("test:Guess-v3")
+    env.reset()
+    env.step(env.sample_random_action())
+    assert np.random.get_state()[1].tolist() == before  # type: ignore[index,union-attr]
+
+
+def test_generator_before_reset_is_reproducible() -> None:
+    """A generator that is used before any reset has a seed of ours, which starts the same stream."""
+    env = GuessEnv()
+    seed = env.np_random_seed
+    draws = env.np_random.integers(0, 1000, 5).tolist()
+    assert seed < 2**53
+    fresh = StatelessEnv()
+    fresh.reset(seed=seed)
+    assert fresh.np_random.integers(0, 1000, 5).tolist() == draws
+
+
+@pytest.mark.parametrize("bits", [np.random.PCG64, np.random.MT19937])
+def test_generator_from_outside_is_never_started_in_place(bits: Any) -> None:
+    """A generator that was set from outside stays its owner's at the next reset, whatever its kind."""
+    outside = np.random.Generator(bits(1))
+    env, twin = GuessEnv(), GuessEnv()
+    env.np_random = outside
+    assert env.np_random is outside
+    assert env.np_random_seed == -1
+    state = str(outside.bit_generator.state)
+    env.reset(seed=4)
+    twin.reset(seed=4)
+    assert str(outside.bit_generator.state) == state
+    assert play(env) == play(twin)
+
+
+# Random actions.
+
+
+def test_sampling_does_not_change_the_episode() -> None:
+    """Any number of sampled actions leaves the dynamics as they were."""
+    first, second = GuessEnv(), GuessEnv()
+    first.reset(seed=4)
+    second.reset(seed=4)
+    for _ in range(10):
+        first.sample_random_action()
+    assert play(first) == play(second)
+
+
+def test_sampling_follows_the_seed() -> None:
+    """The same episode samples the same actions, another one others."""
+
+    def sample(seed: int) -> list[str]:
+        env = GuessEnv(high=10**9)
+        env.reset(seed=seed)
+        return [env.sample_random_action() for _ in range(5)]
+
+    assert sample(4) == sample(4) != sample(5)
+
+
+def test_actions_are_reseeded_for_one_episode() -> None:
+    """seed_actions changes the samples of this episode, and reset ends it."""
+    env = GuessEnv(high=10**9)
+    env.reset(seed=4)
+    own = env.sample_random_action()
+    env.seed_actions(1)
+    other = env.sample_random_action()
+    env.seed_actions(1)
+    assert env.sample_random_action() == other != own
+    env.reset(seed=4)
+    assert env.sample_random_action() == own
+
+
+def test_sampling_unsupported_says_what_to_override() -> None:
+    """An environment that does not say what is valid raises with the method to write."""
+    with pytest.raises(SamplingNotSupported) as caught:
+        StatelessEnv().sample_random_action()
+    assert str(caught.value) == ("StatelessEnv does not say what a valid action is; override sample_random_action")
+
+
+# State.
+
+
+@given(st.integers(0, 2**53), st.integers(0, 3), st.integers(0, 3), st.booleans())
+def test_state_survives_json(seed: int, turns: int, samples: int, reseeded: bool) -> None:
+    """A state that went through JSON makes another instance go on the same, sampled actions included."""
+    env = GuessEnv(turns=20)
+    env.reset(seed=seed)
+    if reseeded:
+        env.seed_actions(3)
+    play(env, turns)
+    for _ in range(samples):
+        env.sample_random_action()
+    state = env.get_state()
+    assert json.loads(json.dumps(state)) == state
+    other = GuessEnv(turns=20)
+    other.set_state(json.loads(json.dumps(state)))
+    assert other.sample_random_action() == env.sample_random_action()
+    assert play(other) == play(env)
+    assert other.reset() == env.reset()
+    assert play(other) == play(env)
+
+
+def test_state_names_id_and_version() -> None:
+    """A state says what it belongs to."""
+    env = gem.make("test:Guess-v3")
+    env.reset(seed=1)
+    state = env.get_wrapper_attr("get_state")()["env"]
+    assert (state["id"], state["version"], state["seed"]) == ("test:Guess-v3", 3, 1)
+
+
+@pytest.mark.parametrize(
+    ("state", "found"),
+    [
+        ({"id": "other:Env"}, "'other:Env'"),
+        ({}, "None"),
+        (None, "'NoneType'"),
+        ({"wrapper": "Guard", "own": {}, "env": {}}, "'Guard'"),
+    ],
+)
+def test_state_of_something_else_is_refused(state: Any, found: str) -> None:
+    """A state of another environment, or of a wrapper, is named."""
+    with pytest.raises(StateError) as caught:
+        GuessEnv().set_state(state)
+    assert str(caught.value) == f"this is a state of {found}, and the environment is 'GuessEnv'"
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"generator": [2**200, 1, 0, 0]},
+        {"generator": [-1, 1, 0, 0]},
+        {"generator": [1, 1, 0, 2**40]},
+        {"generator": ["a", 1, 0, 0]},
+        {"generator": [1]},
+        {"generator": 3},
+        {"actions": "x"},
+        {"seed": "x"},
+        {"action_seed": 1.5},
+        {"task": {}},
+        {"task": None},
+    ],
+)
+def test_damaged_state_is_a_state_error(damage: dict[str, Any]) -> None:
+    """Whatever part is damaged, the error says whose state it is and what to do."""
+    env = GuessEnv()
+    env.reset(seed=1)
+    with pytest.raises(StateError) as caught:
+        env.set_state({**env.get_state(), **damage})
+    assert str(caught.value).startswith("the state of 'GuessEnv' is damaged (")
+    assert str(caught.value).endswith("); call reset(), or give a state that get_state() returned")
+
+
+def test_missing_part_of_a_state_is_named() -> None:
+    """A state without one of its keys names the key."""
+    env = GuessEnv()
+    env.reset(seed=1)
+    state = env.get_state()
+    del state["generator"]
+    with pytest.raises(StateError) as caught:
+        env.set_state(state)
+    assert str(caught.value) == (
+        "the state of 'GuessEnv' is damaged (KeyError: 'generator'); "
+        "call reset(), or give a state that get_state() returned"
+    )
+
+
+def test_own_state_error_of_an_author_is_kept() -> None:
+    """A StateError that _set_state raises is not wrapped in another."""
+
+    class Picky(GuessEnv):
+        def _set_state(self, state: dict[str, Any]) -> None:
+            raise StateError("rows have changed")
+
+    env = Picky()
+    env.reset(seed=1)
+    with pytest.raises(StateError, match=r"^rows have changed$"):
+        env.set_state(env.get_state())
+
+
+def test_unsupported_state_says_what_to_override() -> None:
+    """An environment without state says which methods to write."""
+    env = StatelessEnv()
+    with pytest.raises(StateNotSupported) as saved:
+        env.get_state()
+    assert str(saved.value) == "StatelessEnv cannot save its state; override _get_state and _set_state"
+    with pytest.raises(StateNotSupported) as restored:
+        env.set_state(
+            {"id": "StatelessEnv", "seed": 1, "generator": None, "actions": None, "action_seed": None, "task": {}}
+        )
+    assert str(restored.value) == "StatelessEnv cannot restore a state; override _get_state and _set_state"
+
+
+# Siblings, copies.
+
+
+@pytest.mark.parametrize("make", [lambda: GuessEnv(7, turns=4), lambda: GuessEnv(high=7, turns=4)])
+def test_spawn_takes_the_arguments_over(make: Any) -> None:
+    """A sibling has the same arguments, given by position or keyword, but for those that are overridden."""
+    env = make()
+    assert (env.spawn().high, env.spawn().turns) == (7, 4)
+    assert (env.spawn(high=3).high, env.spawn(high=3).turns) == (3, 4)
+    assert (env.spawn(turns=2).high, env.spawn(turns=2).turns) == (7, 2)
+
+
+def test_spawn_in_the_same_state_goes_on_the_same() -> None:
+    """A sibling in the same state gives the same results, and does not touch its original."""
+    env = gem.make("test:Guess-v3")
+    env.reset(seed=4)
+    play(env, 1)
+    sibling = env.get_wrapper_attr("spawn")(same_state=True)
+    assert play(sibling) == play(env)
+
+
+def test_spawn_refuses_unknown_arguments() -> None:
+    """An override that the constructor does not have names those it has."""
+    with pytest.raises(ArgumentError) as caught:
+        gem.make("test:Guess-v3").get_wrapper_attr("spawn")(hihg=3)
+    assert str(caught.value) == (
+        "environment 'test:Guess-v3': got an unexpected keyword argument 'hihg'. Did you mean 'high'? "
+        "It accepts: high, turns"
+    )
+
+
+def test_spawn_records_its_overrides() -> None:
+    """The specification of a sibling has the sibling's arguments."""
+    env = gem.make("test:Guess-v3", turns=2)
+    assert env.get_wrapper_attr("spawn")(high=3).spec.kwargs == {"high": 3, "turns": 2}
+    assert env.spec.kwargs == {"high": 20, "turns": 2}  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("make", [GuessEnv, lambda: gem.make("test:Guess-v3", wrappers="episode_stats")])
+def test_copies_go_on_the_same(make: Any, duplicate: Any) -> None:
+    """A copied or pickled environment, bare or made, goes on as its original and apart from it."""
+    env = make()
+    env.reset(seed=4)
+    play(env, 1)
+    again = duplicate(env)
+    expected = [step[:4] for step in play(again)]
+    assert [step[:4] for step in play(env)] == expected
+    assert again.spec == env.spec
+
+
+# Making.
+
+
+def test_render_mode_is_handled_by_make() -> None:
+    """render_mode works for a constructor that knows nothing of it."""
+    env = gem.make("test:Guess-v3", render_mode="ansi")
+    env.reset(seed=1)
+    assert (env.render_mode, env.render()) == ("ansi", "turn 0")
+
+
+def test_unknown_render_mode_is_refused() -> None:
+    """A mode that the environment does not offer gives those it does."""
+    with pytest.raises(ArgumentError) as caught:
+        gem.make("test:Guess-v3", render_mode="human")
+    assert str(caught.value) == "test:Guess-v3: no render mode 'human'; it offers 'ansi'"
+
+
+@pytest.mark.parametrize("when", ["before the first reset", "after the end"])
+def test_step_outside_an_episode_is_refused(when: str) -> None:
+    """A made environment says that a reset is needed."""
+    env = gem.make("test:Guess-v3", turns=1)
+    if when == "after the end":
+        env.reset(seed=1)
+        env.step("0")
+    with pytest.raises(ResetNeededError) as caught:
+        env.step("0")
+    assert str(caught.value) == (
+        "test:Guess-v3: the episode is over or has not begun; call reset() before the next step()"
+    )
+
+
+def test_specification_makes_the_same_again() -> None:
+    """spec.make goes through GEM with arguments, render mode and wrappers."""
+    env = gem.make(
+        "test:Guess-v3", wrappers=["episode_stats", ("turn_limit", {"max_turns": 2})], render_mode="ansi", high=7
+    )
+    again = env.spec.make()  # type: ignore[union-attr]
+    assert str(again) == str(env)
+    assert again.spec == env.spec
+    assert (again.unwrapped.high, again.render_mode, again.get_wrapper_attr("max_turns")) == (7, "ansi", 2)
+
+
+def test_specification_keeps_wrappers_of_gymnasium_in_their_place() -> None:
+    """Wrappers of Gymnasium are made again between ours, in the same order."""
+    env: Any = gym_wrappers.TimeLimit(gem.make("test:Guess-v3", wrappers="episode_stats"), 4)
+    env = wrap(env, [("turn_limit", {"max_turns": 3})], registry.registry().wrapper)
+    env = gym_wrappers.TimeLimit(env, 9)
+    assert str(env.spec.make()) == str(env)
+
+
+def test_specification_goes_through_json() -> None:
+    """to_json and from_json give a specification that makes the same stack."""
+    env = gem.make("test:Guess-v3", wrappers=[("turn_limit", {"max_turns": 2})], turns=4)
+    again = MadeSpec.from_json(env.spec.to_json())  # type: ignore[union-attr]
+    assert again == env.spec
+    assert str(again.make()) == str(env)
+
+
+def test_specification_prints(capsys: pytest.CaptureFixture[str]) -> None:
+    """Gymnasium's pprint works on ours."""
+    gem.make("test:Guess-v3").spec.pprint()  # type: ignore[union-attr]
+    assert capsys.readouterr().out == "id=test:Guess-v3\n"
+
+
+def test_deepcopied_specification_shares_arguments() -> None:
+    """A data set among the arguments is referenced, never copied."""
+    rows = [1, 2]
+    gem.register("test:Rows-v0", lambda rows: GuessEnv(), rows=rows)
+    assert copy.deepcopy(gem.make("test:Rows-v0").spec).kwargs["rows"] is rows  # type: ignore[union-attr]
+
+
+def test_readme_name_of_a_made_environment() -> None:
+    """env_id is the id, through every wrapper, and None for a bare instance."""
+    assert gem.make("test:Guess-v3", wrappers="episode_stats").get_wrapper_attr("env_id") == "test:Guess-v3"
+    assert GuessEnv().env_id is None
+
+
+# Life with Gymnasium.
+
+
+def test_gymnasium_checker_passes() -> None:
+    """Gymnasium's own checker finds nothing to say."""
+    check_env(gem.make("test:Guess-v3", render_mode="ansi").unwrapped)
+
+
+GYM_WRAPPERS = {
+    "TimeLimit": lambda env: gym_wrappers.TimeLimit(env, 3),
+    "RecordEpisodeStatistics": gym_wrappers.RecordEpisodeStatistics,
+    "TransformReward": lambda env: gym_wrappers.TransformReward(env, lambda reward: reward - 1),
+    "OrderEnforcing": gym_wrappers.OrderEnforcing,
+    "PassiveEnvChecker": gym_wrappers.PassiveEnvChecker,
+    "Autoreset": gym_wrappers.Autoreset,
+    "TransformObservation": lambda env: gym_wrappers.TransformObservation(env, str.upper, env.observation_space),
+}
+
+
+@pytest.mark.parametrize("name", GYM_WRAPPERS)
+def test_wrapper_of_gymnasium_runs(name: str) -> None:
+    """Gymnasium's wrappers play whole episodes, and GEM's methods are reached through them."""
+    env = GYM_WRAPPERS[name](gem.make("test:Guess-v3"))
+    observation, _ = env.reset(seed=1)
+    assert observation.upper() == "GUESS A NUMBER FROM 1 TO 20."
+    over = False
+    while not over:
+        _, _, terminated, truncated, info = env.step(env.get_wrapper_attr("sample_random_action")())
+        over = terminated or truncated
+    assert isinstance(env.unwrapped, GuessEnv)
+    assert env.get_wrapper_attr("env_id") == "test:Guess-v3"
+    assert info["correct"] in (True, False)
+
+
+def test_vector_environment_of_gymnasium_runs() -> None:
+    """Gymnasium's SyncVectorEnv steps made environments."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        vector = gymnasium.vector.SyncVectorEnv([lambda: gem.make("test:Guess-v3")] * 2)
+    observations, infos = vector.reset(seed=[1, 2])
+    assert list(observations) == ["Guess a number from 1 to 20."] * 2
+    assert list(infos["seed"]) == [1, 2]
+    _, rewards, _, _, _ = vector.step(["0", "0"])
+    assert rewards.tolist() == [0.0, 0.0]
+    vector.close()
+
+
+# Observations.
+
+
+PART = {"type": "text", "text": "a"}
+
+
+@pytest.mark.parametrize(
+    ("feedback", "suffix", "whole"),
+    [
+        ("a", "b", "ab"),
+        ("a", [PART], [PART, PART]),
+        ([PART], "", [PART]),
+        ([], "", []),
+        ([PART], [PART], [PART, PART]),
+    ],
+)
+def test_observation_is_feedback_and_suffix(feedback: Any, suffix: Any, whole: Any) -> None:
+    """Texts are joined; with parts on one side, both become parts."""
+    assert observation_from(feedback, suffix) == whole
+
+
+def test_parts_are_a_new_list() -> None:
+    """Joining never hands out the list it was given."""
+    parts = [PART]
+    assert as_parts(parts) is not parts
+
+
+def test_missing_step_names_the_class() -> None:
+    """A subclass without step says so."""
+    with pytest.raises(NotImplementedError, match=r"^StatelessEnv must define step\(self, action\)$"):
+        StatelessEnv().step("x")

@@ -1,0 +1,583 @@
+"""``Wrapper``: hooks, plain and asynchronous, and what a stack of wrappers passes on."""
+
+from __future__ import annotations
+
+import asyncio
+import copy
+import json
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable, Coroutine, Iterator
+from typing import Any
+
+import pytest
+from gymnasium import wrappers as gym_wrappers
+from hypothesis import given
+from hypothesis import strategies as st
+
+import gem_core as gem
+from gem_core import plugins, registry
+from gem_core.background import background_loop
+from gem_core.env import AsyncEnv
+from gem_core.errors import ArgumentError, BridgeError, ResetNeededError, StateError, StateNotSupported
+from gem_core.wrapper import Guard, Wrapper, concurrency_of, step_async
+from gem_core.wrappers.episode_stats import EpisodeStats
+from gem_core.wrappers.turn_limit import TurnLimit
+
+TRACE: list[Any] = []
+"""What the hooks of a test wrote, in order."""
+
+
+class EchoEnv(gem.Env):
+    """Says back what it hears and ends after a number of turns."""
+
+    def __init__(self, turns: int = 99) -> None:
+        super().__init__()
+        self.turns, self.turn = turns, 0
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        super().reset(seed=seed)
+        self.turn = 0
+        TRACE.append(("reset", seed, options))
+        return "hello", {}
+
+    def step(self, action: str) -> Any:
+        self.turn += 1
+        TRACE.append(("step", action))
+        return f"{action}{self.turn}", 1.0, self.turn >= self.turns, False, {}
+
+    def sample_random_action(self) -> str:
+        return "echo"
+
+    def _get_state(self) -> dict[str, Any]:
+        return {"turn": self.turn}
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self.turn = state["turn"]
+
+
+class ThreadEchoEnv(EchoEnv):
+    """Blocks, as it says."""
+
+    concurrency = "thread"
+
+
+class AsyncEchoEnv(AsyncEnv):
+    """The same as coroutines, on the loop that they find themselves on."""
+
+    turn = 0
+
+    async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        await super().reset_async(seed)
+        self.turn = 0
+        TRACE.append(("reset", seed, options))
+        self.loop = asyncio.get_running_loop()
+        return "hello", {}
+
+    async def step_async(self, action: str) -> Any:
+        assert asyncio.get_running_loop() is self.loop
+        await asyncio.sleep(0)
+        self.turn += 1
+        TRACE.append(("step", action))
+        return f"{action}{self.turn}", 1.0, self.turn >= 99, False, {}
+
+
+class Noting(Wrapper):
+    """Writes down every hook, and marks what goes through."""
+
+    def __init__(self, env: Any, mark: str = "a") -> None:
+        super().__init__(env)
+        self.mark = mark
+
+    def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> Any:
+        TRACE.append((self.mark, "before_reset", seed, options))
+
+    def after_reset(self, result: Any) -> Any:
+        TRACE.append((self.mark, "after_reset"))
+        return result[0] + self.mark, result[1]
+
+    def before_step(self, action: str) -> Any:
+        TRACE.append((self.mark, "before_step", action))
+        return action + self.mark
+
+    def after_step(self, action: str, result: Any) -> Any:
+        TRACE.append((self.mark, "after_step", action))
+        return (result[0] + self.mark, *result[1:])
+
+
+class ThreadNoting(Noting):
+    """The same, and blocks."""
+
+    needs = "thread"
+
+
+class AsyncNoting(Noting):
+    """The same as coroutines, all on the library's loop."""
+
+    async def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> None:
+        assert asyncio.get_running_loop() is background_loop()
+        super().before_reset(seed, options)
+
+    async def after_reset(self, result: Any) -> Any:
+        assert asyncio.get_running_loop() is background_loop()
+        return super().after_reset(result)
+
+    async def before_step(self, action: str) -> Any:
+        assert asyncio.get_running_loop() is background_loop()
+        return super().before_step(action)
+
+    async def after_step(self, action: str, result: Any) -> Any:
+        assert asyncio.get_running_loop() is background_loop()
+        return super().after_step(action, result)
+
+
+class ShortCut(Wrapper):
+    """Answers "stop" itself."""
+
+    def before_step(self, action: str) -> Any:
+        return ("stopped", -1.0, False, True, {}) if action.startswith("stop") else action
+
+    def after_step(self, action: str, result: Any) -> Any:
+        TRACE.append("short cut's after_step")
+        return result
+
+
+@pytest.fixture(autouse=True)
+def own_registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A registry of the core's records and one environment, and an empty trace."""
+    monkeypatch.setattr(plugins, "_find", list)
+    monkeypatch.setattr(registry, "_registry", registry.Registry())
+    gem.register("test:Echo-v0", EchoEnv)
+    TRACE.clear()
+    return
+
+
+def on_own_loop(coroutine: Coroutine[Any, Any, Any]) -> Any:
+    """Run a coroutine on a loop that is not the library's."""
+    return asyncio.run(coroutine)
+
+
+def on_library_loop(coroutine: Coroutine[Any, Any, Any]) -> Any:
+    """Run a coroutine on the library's loop."""
+    return asyncio.run_coroutine_threadsafe(coroutine, background_loop()).result(30)
+
+
+LOOPS = [on_own_loop, on_library_loop]
+
+# Hooks.
+
+
+def test_hooks_run_from_outside_in_and_back() -> None:
+    """Before-hooks run outermost first, after-hooks innermost first, and after_step sees the agent's own action."""
+    env = Noting(Noting(EchoEnv(), "a"), "b")
+    assert env.reset(seed=3) == ("helloab", {})
+    assert env.step("x")[0] == "xba1ab"
+    assert TRACE == [
+        ("b", "before_reset", 3, None),
+        ("a", "before_reset", 3, None),
+        ("reset", 3, None),
+        ("a", "after_reset"),
+        ("b", "after_reset"),
+        ("b", "before_step", "x"),
+        ("a", "before_step", "xb"),
+        ("step", "xba"),
+        ("a", "after_step", "xb"),
+        ("b", "after_step", "x"),
+    ]
+
+
+def trace_of(play: Callable[[], Any]) -> tuple[Any, list[Any]]:
+    """Return the results of a call, durations apart, and what was written meanwhile."""
+    TRACE.clear()
+    results = play()
+    for result in results:
+        result[-1].get("episode", {}).pop("t", None)
+    return results, list(TRACE)
+
+
+STACKS = st.lists(st.sampled_from([Noting, ThreadNoting, AsyncNoting, ShortCut, EpisodeStats, TurnLimit]), max_size=4)
+
+
+@given(
+    st.sampled_from([EchoEnv, ThreadEchoEnv, AsyncEchoEnv]),
+    STACKS,
+    st.lists(st.sampled_from(["x", "stop", ""]), max_size=2),
+    st.sampled_from([None, {"index": 1}]),
+    st.sampled_from(LOOPS),
+)
+def test_plain_and_asynchronous_code_do_the_same(
+    task: type[Any], stack: list[Any], actions: list[str], options: Any, run: Any
+) -> None:
+    """Any stack gives the same results and calls the same hooks, whichever way and on whichever loop it is run."""
+
+    def make() -> Any:
+        env = Guard(task())
+        for number, wrapper in enumerate(stack):
+            extra = {TurnLimit: (5,)}.get(wrapper, (str(number),) if issubclass(wrapper, Noting) else ())
+            env = wrapper(env, *extra)
+        return env
+
+    def plain() -> Any:
+        env = make()
+        return [env.reset(7, options), *(env.step(action) for action in actions)]
+
+    async def asynchronous() -> Any:
+        env = make()
+        return [await env.reset_async(7, options), *[await env.step_async(action) for action in actions]]
+
+    assert trace_of(plain) == trace_of(lambda: run(asynchronous()))
+
+
+def test_before_step_may_answer_itself() -> None:
+    """A whole result from before_step goes out at once: neither the task nor the same wrapper's after_step sees it."""
+    env = Noting(ShortCut(Noting(EchoEnv(), "a")), "b")
+    env.reset()
+    TRACE.clear()
+    assert env.step("stop") == ("stoppedb", -1.0, False, True, {})
+    assert TRACE == [("b", "before_step", "stop"), ("b", "after_step", "stop")]
+
+
+@pytest.mark.parametrize("hook", ["after_reset", "before_step", "after_step"])
+@pytest.mark.parametrize("run", [None, *LOOPS])
+def test_hook_that_forgot_its_return_is_named(hook: str, run: Any) -> None:
+    """A hook that returns None gives a TypeError with the name of wrapper and hook."""
+    forgetful: Any = type("Forgetful", (Wrapper,), {hook: lambda self, *args: None})
+    env = forgetful(EchoEnv())
+
+    async def asynchronous() -> None:
+        await env.reset_async()
+        await env.step_async("x")
+
+    def plain() -> None:
+        env.reset()
+        env.step("x")
+
+    with pytest.raises(TypeError) as caught:
+        run(asynchronous()) if run else plain()
+    assert str(caught.value) == f"Forgetful.{hook} returned None; see Wrapper.{hook} for what it has to return"
+
+
+def test_reset_without_options_reaches_an_author_without_them() -> None:
+    """An author's reset(self, seed=None) works under wrappers of both kinds."""
+
+    class Short(EchoEnv):
+        def reset(self, seed: int | None = None) -> Any:  # type: ignore[override]
+            return super().reset(seed)
+
+    env = Noting(gym_wrappers.OrderEnforcing(Guard(Short())))
+    assert env.reset(seed=1)[0] == "helloa"
+    assert asyncio.run(env.reset_async(1))[0] == "helloa"
+
+
+# The library's loop.
+
+
+def test_plain_step_on_the_library_loop_is_refused() -> None:
+    """A coroutine on the library's loop that calls the plain step is told to await instead."""
+    env = Guard(AsyncEchoEnv())
+    env.reset()
+
+    async def main() -> None:
+        env.step("x")
+
+    with pytest.raises(BridgeError) as caught:
+        on_library_loop(main())
+    assert str(caught.value) == (
+        "a synchronous step was called on the library's own event loop, where it would wait for itself; "
+        "call 'await env.step_async(action)' there instead"
+    )
+
+
+def test_coroutines_of_an_environment_always_run_on_one_loop() -> None:
+    """Plain code, the caller's own loop and the library's loop all reach the same loop of a made environment."""
+    env: Any = Guard(AsyncEchoEnv())
+    env.reset()
+    assert env.loop is background_loop()
+    assert asyncio.run(env.step_async("x"))[0] == "x1"
+    assert env.step("y")[0] == "y2"
+    assert on_library_loop(env.step_async("z"))[0] == "z3"
+
+
+def test_wrapper_of_gymnasium_is_stepped_from_a_coroutine() -> None:
+    """A stack with a wrapper of Gymnasium's on top is stepped without blocking."""
+    for task in (EchoEnv(), ThreadEchoEnv(), AsyncEchoEnv()):
+        env = gym_wrappers.TimeLimit(Guard(task), 5)
+        env.reset()
+        assert asyncio.run(step_async(env, "x"))[0] == "x1"
+
+
+# Concurrency.
+
+
+@pytest.mark.parametrize(
+    ("make", "needs"),
+    [
+        (lambda: Noting(EchoEnv()), "inline"),
+        (lambda: Noting(ThreadEchoEnv()), "thread"),
+        (lambda: ThreadNoting(EchoEnv()), "thread"),
+        (lambda: Noting(ThreadNoting(EchoEnv())), "thread"),
+        (lambda: ThreadNoting(AsyncEchoEnv()), "async"),
+        (lambda: AsyncNoting(EchoEnv()), "async"),
+        (lambda: Noting(gym_wrappers.OrderEnforcing(ThreadNoting(EchoEnv()))), "thread"),
+    ],
+)
+def test_concurrency_is_what_the_whole_stack_needs(make: Any, needs: str) -> None:
+    """The most demanding part of a stack decides; hooks that are coroutines need a loop."""
+    assert concurrency_of(make()) == needs
+
+
+# Attributes.
+
+
+def test_attributes_are_never_stale() -> None:
+    """An attribute that changes inside is read anew from outside."""
+    env: Any = Noting(gym_wrappers.OrderEnforcing(Guard(EchoEnv())))
+    assert env.turns == 99
+    env.unwrapped.turns = 3
+    assert env.turns == 3
+
+
+@pytest.mark.parametrize("name", ["_np_random_secret", "__secret__", "_get"])
+def test_private_attributes_are_not_passed_on(name: str) -> None:
+    """A private name of the task is not an attribute of its wrapper."""
+    task = EchoEnv()
+    setattr(task, name, 1)
+    with pytest.raises(AttributeError, match=f"^'Guard' object has no attribute '{name}'$"):
+        getattr(Guard(task), name)
+
+
+def test_unknown_attribute_names_the_task() -> None:
+    """A name that nothing in the stack has is an AttributeError of the innermost class."""
+    with pytest.raises(AttributeError, match=r"^'EchoEnv' object has no attribute 'trun'$"):
+        _ = Noting(Guard(EchoEnv())).trun
+
+
+def test_failing_property_of_a_wrapper_shows_its_own_error() -> None:
+    """An AttributeError inside a wrapper's property is not covered by the task's attribute of that name."""
+
+    class Failing(Wrapper):
+        @property
+        def turns(self) -> int:
+            return self.env.no_such_name  # type: ignore[attr-defined,no-any-return]
+
+    with pytest.raises(AttributeError, match="no_such_name"):
+        _ = Failing(EchoEnv()).turns
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_stack_is_copied_with_its_state(duplicate: Any) -> None:
+    """A stack survives deepcopy and pickle, in the middle of an episode, and shares nothing."""
+    env = gem.make("test:Echo-v0", wrappers=[("turn_limit", {"max_turns": 3}), "episode_stats"])
+    env.reset(seed=1)
+    env.step("x")
+    again = duplicate(env)
+    assert again.step("x")[:4] == env.step("x")[:4]
+    assert again.unwrapped is not env.unwrapped
+    assert again.step("x")[4]["episode"]["l"] == 3
+
+
+# Specification.
+
+
+def test_specification_lists_wrappers_and_not_the_implicit_ones() -> None:
+    """The specification has wrappers in order, with their options; make's own guard is not among them."""
+    env = gem.make("test:Echo-v0", wrappers=["episode_stats", ("turn_limit", {"max_turns": 3})])
+    assert env.spec.wrappers == (("episode_stats", {}), ("turn_limit", {"max_turns": 3}))  # type: ignore[union-attr]
+    assert gem.make("test:Echo-v0").spec.wrappers == ()  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    "put", [lambda env: Noting(env, "q"), lambda env: Noting(env, mark="q"), lambda env: Noting(env=env, mark="q")]
+)
+def test_wrapper_put_by_hand_is_in_the_specification(put: Any) -> None:
+    """A wrapper that a program puts around is recorded by its place and arguments, and made again."""
+    env = put(gem.make("test:Echo-v0"))
+    assert env.spec.wrappers == ((f"{__name__}:Noting", {"mark": "q"}),)
+
+
+def test_bare_stack_has_no_specification() -> None:
+    """Without make there is no specification."""
+    assert Noting(EchoEnv()).spec is None
+
+
+# State.
+
+
+def test_state_of_a_stack_goes_on_elsewhere() -> None:
+    """The state of wrappers goes through JSON with the task's, and another stack goes on the same."""
+    wrappers: list[Any] = [("turn_limit", {"max_turns": 3}), "episode_stats"]
+    env, other = gem.make("test:Echo-v0", wrappers=wrappers), gem.make("test:Echo-v0", wrappers=wrappers)
+    env.reset(seed=1)
+    env.step("x")
+    state = env.get_wrapper_attr("get_state")()
+    assert json.loads(json.dumps(state)) == state
+    other.get_wrapper_attr("set_state")(json.loads(json.dumps(state)))
+    for expected in ((False, 2), (True, 3)):
+        result = other.step("x")
+        assert result[:4] == env.step("x")[:4]
+        assert (result[3], result[4].get("episode", {}).get("l", 2)) == expected
+
+
+@pytest.mark.parametrize(
+    ("state", "text"),
+    [
+        ({"id": "test:Echo-v0"}, "this is a state of 'test:Echo-v0', and the wrapper is 'TurnLimit'"),
+        ({"wrapper": "Guard"}, "this is a state of 'Guard', and the wrapper is 'TurnLimit'"),
+        (None, "this is a state of 'NoneType', and the wrapper is 'TurnLimit'"),
+        ({"wrapper": "TurnLimit"}, "the state of wrapper 'TurnLimit' is damaged (KeyError: 'own')"),
+        (
+            {"wrapper": "TurnLimit", "own": {"turn": "x"}, "env": {}},
+            "the state of wrapper 'TurnLimit' is damaged (ValueError: invalid literal for int() with base 10: 'x')",
+        ),
+    ],
+)
+def test_state_of_another_wrapper_is_refused(state: Any, text: str) -> None:
+    """A state that does not fit the wrapper says whose it is, or what is damaged."""
+    with pytest.raises(StateError) as caught:
+        TurnLimit(EchoEnv(), 3).set_state(state)
+    assert str(caught.value) == text
+
+
+@pytest.mark.parametrize("call", [lambda env: env.get_state(), lambda env: env.spawn()])
+def test_wrapper_of_gymnasium_inside_cannot_save(call: Any) -> None:
+    """A wrapper of Gymnasium's between ours has no state, and the message says where to put it."""
+    with pytest.raises(StateNotSupported) as caught:
+        call(Noting(gym_wrappers.OrderEnforcing(EchoEnv())))
+    assert str(caught.value) == (
+        "OrderEnforcing is a wrapper of Gymnasium's, which cannot save its state or spawn; "
+        "put it outermost, or call the method on env.unwrapped"
+    )
+
+
+@pytest.mark.parametrize("put", [lambda env: Noting(env, "q"), lambda env: Noting(env=env, mark="q")])
+def test_spawn_makes_the_whole_stack(put: Any) -> None:
+    """A sibling of a stack has its wrappers with their arguments, and overrides reach the task."""
+    env = put(TurnLimit(Guard(EchoEnv()), 4))
+    sibling = env.spawn(turns=2)
+    assert str(sibling) == str(env)
+    assert (sibling.mark, sibling.max_turns, sibling.turns) == ("q", 4, 2)
+    assert sibling.unwrapped is not env.unwrapped
+
+
+def test_spawn_in_the_same_state() -> None:
+    """A sibling in the same state goes on with the counts of its wrappers."""
+    env = TurnLimit(Guard(EchoEnv()), 2)
+    env.reset(seed=1)
+    env.step("x")
+    assert env.spawn(same_state=True).step("x") == env.step("x") == ("x2", 1.0, False, True, {})
+
+
+# The guard.
+
+
+@pytest.mark.parametrize("run", [None, *LOOPS])
+def test_guard_refuses_steps_after_a_failed_reset(run: Any) -> None:
+    """When a reset fails, the episode before it is over, in plain and asynchronous code."""
+
+    class Failing(EchoEnv):
+        def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+            if seed == 13:
+                raise ValueError("unlucky")
+            return super().reset(seed, options)
+
+    env = Guard(Failing())
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match="unlucky"):
+        run(env.reset_async(13)) if run else env.reset(13)
+    with pytest.raises(ResetNeededError):
+        run(env.step_async("x")) if run else env.step("x")
+
+
+# TurnLimit and EpisodeStats.
+
+
+def test_turn_limit_truncates_at_the_limit() -> None:
+    """The last turn allowed is truncated, and the next one refused."""
+    env = gem.make("test:Echo-v0", wrappers=[("turn_limit", {"max_turns": 2})])
+    env.reset(seed=1)
+    assert [env.step("x")[2:4], env.step("x")[2:4]] == [(False, False), (False, True)]
+    with pytest.raises(ResetNeededError) as caught:
+        env.step("x")
+    assert str(caught.value) == (
+        "test:Echo-v0: the episode is over or has not begun; call reset() before the next step()"
+    )
+    env.reset()
+    assert env.step("x")[3] is False
+
+
+def test_turn_limit_leaves_the_task_its_own_end() -> None:
+    """A task that ends at the limit by itself is terminated and not truncated."""
+    env = TurnLimit(EchoEnv(turns=2), 2)
+    env.reset()
+    env.step("x")
+    assert env.step("x")[2:4] == (True, False)
+
+
+@pytest.mark.parametrize("max_turns", [0, -1, 1.5, "3", True, None])
+def test_turn_limit_takes_positive_whole_numbers(max_turns: Any) -> None:
+    """Anything else is refused with its value."""
+    with pytest.raises(ArgumentError) as caught:
+        TurnLimit(EchoEnv(), max_turns)
+    assert str(caught.value) == f"max_turns must be a positive whole number, not {max_turns!r}"
+
+
+def test_max_turns_of_a_record_is_an_implicit_limit() -> None:
+    """The maker puts the limit of a record around the task, unlisted."""
+    env = gem.make(gem.EnvSpec(id="test:Short-v0", entry_point=EchoEnv, max_turns=1))
+    env.reset()
+    assert env.step("x")[3] is True
+    assert env.spec.wrappers == ()  # type: ignore[union-attr]
+
+
+def test_episode_stats_reports_once_at_the_end() -> None:
+    """Return, length and duration stand in the last info alone, and start anew with each episode."""
+    env = EpisodeStats(EchoEnv(turns=3))
+    for _ in range(2):
+        env.reset()
+        infos = [env.step("x")[4] for _ in range(3)]
+        assert [sorted(info) for info in infos] == [[], [], ["episode"]]
+        assert (infos[2]["episode"]["r"], infos[2]["episode"]["l"]) == (3.0, 3)
+        assert infos[2]["episode"]["t"] >= 0
+
+
+def test_episode_stats_counts_answers_of_inner_wrappers() -> None:
+    """A turn that a wrapper inside answers itself is a turn."""
+    env = EpisodeStats(ShortCut(EchoEnv()))
+    env.reset()
+    assert env.step("stop")[4]["episode"]["r"] == -1.0
+
+
+# Exit.
+
+EXIT = """
+import asyncio, threading
+import gem_core as gem
+from gem_core.background import background_loop
+from gem_core.wrapper import Guard
+
+class Hung(gem.Env):
+    concurrency = "thread"
+    def reset(self, seed=None):
+        super().reset(seed)
+        return "", {}
+    def step(self, action):
+        threading.Event().wait()
+
+env = Guard(Hung())
+env.reset()
+
+async def main():
+    await asyncio.wait_for(env.step_async("x"), 0.01)
+
+try:
+    asyncio.run(main())
+except TimeoutError:
+    print("timed out")
+"""
+
+
+def test_hung_step_does_not_hold_up_exit() -> None:
+    """An interpreter whose environment hangs in a step ends at once and in silence."""
+    done = subprocess.run([sys.executable, "-c", EXIT], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "timed out\n", "")
