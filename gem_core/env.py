@@ -246,10 +246,10 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
 
     async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """``reset`` for code that runs in an event loop, without blocking it."""
-        arguments = (seed, options) if options else (seed,)
+        arguments = reset_arguments(seed, options)
         if self.concurrency == "inline":
-            return self.reset(*arguments)
-        return await in_thread(self.reset, *arguments)
+            return self.reset(**arguments)
+        return await in_thread(lambda: self.reset(**arguments))
 
     async def step_async(self, action: str) -> StepResult:
         """``step`` for code that runs in an event loop, without blocking it."""
@@ -268,7 +268,7 @@ class AsyncEnv(Env):
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Wait for ``reset_async``."""
-        return run_sync(self.reset_async(seed, options) if options else self.reset_async(seed))
+        return run_sync(self.reset_async(**reset_arguments(seed, options)))
 
     async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Begin an episode. Subclasses await ``super().reset_async(seed)`` first."""
@@ -281,6 +281,11 @@ class AsyncEnv(Env):
     async def step_async(self, action: str) -> StepResult:
         """Answer one whole response of the agent."""
         raise NotImplementedError(f"{type(self).__name__} must define step_async(self, action)")
+
+
+def reset_arguments(seed: int | None, options: dict[str, Any] | None) -> dict[str, Any]:
+    """Return the keywords for an author's ``reset``, which need not know ``options`` while there are none."""
+    return {"seed": seed, "options": options} if options else {"seed": seed}
 
 
 def _seed_or_none(value: Any) -> int | None:

@@ -10,7 +10,7 @@ import gymnasium
 
 from gem_core.arguments import RemembersArguments, signature_of
 from gem_core.background import in_thread, on_library_loop, run_sync
-from gem_core.env import AsyncEnv, Env
+from gem_core.env import AsyncEnv, Env, reset_arguments
 from gem_core.errors import GemError, ResetNeededError, StateError, StateNotSupported
 from gem_core.types import Concurrency, ResetResult, StepResult
 
@@ -41,6 +41,14 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
 
     env: AnyEnv
     _made_as: tuple[str, dict[str, Any]] | None = None
+    _plain_only = False
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Note a subclass that overrides ``reset`` or ``step`` itself, as one does in Gymnasium."""
+        super().__init_subclass__(**kwargs)
+        own = vars(cls)
+        if "_plain_only" not in own and not {"reset_async", "step_async"} & own.keys():
+            cls._plain_only = cls._plain_only or bool({"reset", "step"} & own.keys())
 
     # The hooks.
 
@@ -83,6 +91,8 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
 
     async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """``reset`` for code that runs in an event loop, without blocking it."""
+        if self._plain_only:
+            return await in_thread(lambda: self.reset(**reset_arguments(seed, options)))
         waited = await self._hook(self.before_reset, seed, options)
         if waited is not None:
             await on_library_loop(self._awaitable(waited, "before_reset"))
@@ -91,6 +101,9 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
 
     async def step_async(self, action: str) -> StepResult:
         """``step`` for code that runs in an event loop, without blocking it."""
+        if self._plain_only:
+            # Its coroutines would go around what it overrides, so its plain methods are run, off the loop.
+            return await in_thread(self.step, action)
         before = await self._hook(self.before_step, action)
         if not isinstance(before, str | tuple):
             before = await on_library_loop(self._awaitable(before, "before_step"))
@@ -205,6 +218,7 @@ class Guard(Wrapper):
     """Refuses a step outside an episode and reports the seed of each; ``make`` puts it right around the task."""
 
     implicit = True
+    _plain_only = False  # its hooks say the same as its reset and step
     _live = False
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
@@ -265,7 +279,7 @@ def concurrency_of(env: AnyEnv) -> Concurrency:
 async def reset_async(env: AnyEnv, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
     """Reset any environment from a coroutine without blocking its loop."""
     if isinstance(env, Env | Wrapper):
-        coroutine = env.reset_async(seed, options) if options else env.reset_async(seed)
+        coroutine = env.reset_async(**reset_arguments(seed, options))
         return await (on_library_loop(coroutine) if isinstance(env, AsyncEnv) else coroutine)
     if concurrency_of(env) == "inline":
         return cast("ResetResult", env.reset(seed=seed, options=options))

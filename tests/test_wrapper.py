@@ -238,6 +238,23 @@ def test_before_step_may_answer_itself() -> None:
     assert TRACE == [("b", "before_step", "stop"), ("b", "after_step", "stop")]
 
 
+@pytest.mark.parametrize("run", LOOPS)
+def test_wrapper_in_the_style_of_gymnasium_works_in_coroutines(run: Any) -> None:
+    """A wrapper that overrides step instead of the hooks does the same in asynchronous code."""
+
+    class OwnStep(Wrapper):
+        def step(self, action: str) -> Any:
+            return ("own", *self.env.step(action)[1:])
+
+    class Heir(OwnStep):
+        def after_reset(self, result: Any) -> Any:
+            return "heir", result[1]
+
+    env = Heir(Guard(AsyncEchoEnv()))
+    assert run(env.reset_async(1))[0] == "heir"
+    assert run(env.step_async("x"))[0] == env.step("x")[0] == "own"
+
+
 @pytest.mark.parametrize("hook", ["after_reset", "before_step", "after_step"])
 @pytest.mark.parametrize("run", [None, *LOOPS])
 def test_hook_that_forgot_its_return_is_named(hook: str, run: Any) -> None:
@@ -268,6 +285,24 @@ def test_reset_without_options_reaches_an_author_without_them() -> None:
     env = Noting(gym_wrappers.OrderEnforcing(Guard(Short())))
     assert env.reset(seed=1)[0] == "helloa"
     assert asyncio.run(env.reset_async(1))[0] == "helloa"
+
+
+@pytest.mark.parametrize("task", ["inline", "thread"])
+def test_reset_with_keywords_alone_works_in_coroutines(task: str) -> None:
+    """Gymnasium's own signature, reset(self, *, seed, options), is reached from coroutines as from plain code."""
+
+    class Keywords(EchoEnv):
+        concurrency = task  # type: ignore[assignment]
+
+        def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:  # type: ignore[override]
+            return super().reset(seed, options)
+
+    class KeywordWrapper(Wrapper):
+        def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:  # type: ignore[override]
+            return self.env.reset(seed=seed, options=options)
+
+    env = KeywordWrapper(Noting(Guard(Keywords())))
+    assert asyncio.run(env.reset_async(1)) == env.reset(seed=1) == ("helloa", {"seed": 1})
 
 
 # The library's loop.
