@@ -5,79 +5,24 @@ from __future__ import annotations
 import copy
 import json
 import pickle
-import warnings
-from collections.abc import Iterator
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
-from gymnasium import wrappers as gym_wrappers
-from gymnasium.utils.env_checker import check_env
+from guess_env import GuessEnv, StatelessEnv, play
 from hypothesis import given
 from hypothesis import strategies as st
 
 import gem_core as gem
-from gem_core import plugins, registry
+from gem_core import registry
 from gem_core.env import as_parts, observation_from
-from gem_core.errors import ArgumentError, ResetNeededError, SamplingNotSupported, StateError, StateNotSupported
-from gem_core.making import MadeSpec, wrap
-
-
-class GuessEnv(gem.Env):
-    """Guess a number; a good citizen in every respect."""
-
-    metadata = {"render_modes": ["ansi"], "render_fps": 1}  # noqa: RUF012 - as in Gymnasium
-
-    def __init__(self, high: int = 9, *, turns: int = 5) -> None:
-        super().__init__()
-        self.high, self.turns = high, turns
-        self.secret, self.turn = 0, 0
-
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
-        super().reset(seed=seed)
-        self.secret, self.turn = int(self.np_random.integers(1, self.high + 1)), 0
-        return f"Guess a number from 1 to {self.high}.", {}
-
-    def step(self, action: str) -> Any:
-        self.turn += 1
-        right = action == str(self.secret)
-        mood = int(self.np_random.integers(0, 100))
-        return f"{mood}", float(right), right or self.turn == self.turns, False, {"correct": right}
-
-    def sample_random_action(self) -> str:
-        return str(int(self.action_random.integers(1, self.high + 1)))
-
-    def render(self) -> Any:
-        return f"turn {self.turn}"
-
-    def _get_state(self) -> dict[str, Any]:
-        return {"secret": self.secret, "turn": self.turn}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self.secret, self.turn = state["secret"], state["turn"]
-
-
-class StatelessEnv(gem.Env):
-    """Saves no state and says nothing of valid actions."""
-
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
-        super().reset(seed=seed)
-        return "", {}
+from gem_core.errors import ArgumentError, SamplingNotSupported, StateError, StateNotSupported
 
 
 @pytest.fixture(autouse=True)
-def own_registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A registry of the core's records and one environment."""
-    monkeypatch.setattr(plugins, "_find", list)
-    monkeypatch.setattr(registry, "_registry", registry.Registry())
+def guess_env(own_registry: registry.Registry) -> None:
+    """The core's records and one environment."""
     gem.register("test:Guess-v3", GuessEnv, high=20)
-    return
-
-
-def play(env: Any, turns: int = 3) -> list[Any]:
-    """Take the same few steps and return what came back."""
-    return [env.step("0") for _ in range(turns)]
 
 
 # Seeds.
@@ -376,130 +321,6 @@ def test_copies_go_on_the_same(make: Any, duplicate: Any) -> None:
     expected = [step[:4] for step in play(again)]
     assert [step[:4] for step in play(env)] == expected
     assert again.spec == env.spec
-
-
-# Making.
-
-
-def test_render_mode_is_handled_by_make() -> None:
-    """render_mode works for a constructor that knows nothing of it."""
-    env = gem.make("test:Guess-v3", render_mode="ansi")
-    env.reset(seed=1)
-    assert (env.render_mode, env.render()) == ("ansi", "turn 0")
-
-
-def test_unknown_render_mode_is_refused() -> None:
-    """A mode that the environment does not offer gives those it does."""
-    with pytest.raises(ArgumentError) as caught:
-        gem.make("test:Guess-v3", render_mode="human")
-    assert str(caught.value) == "test:Guess-v3: no render mode 'human'; it offers 'ansi'"
-
-
-@pytest.mark.parametrize("when", ["before the first reset", "after the end"])
-def test_step_outside_an_episode_is_refused(when: str) -> None:
-    """A made environment says that a reset is needed."""
-    env = gem.make("test:Guess-v3", turns=1)
-    if when == "after the end":
-        env.reset(seed=1)
-        env.step("0")
-    with pytest.raises(ResetNeededError) as caught:
-        env.step("0")
-    assert str(caught.value) == (
-        "test:Guess-v3: the episode is over or has not begun; call reset() before the next step()"
-    )
-
-
-def test_specification_makes_the_same_again() -> None:
-    """spec.make goes through GEM with arguments, render mode and wrappers."""
-    env = gem.make(
-        "test:Guess-v3", wrappers=["episode_stats", ("turn_limit", {"max_turns": 2})], render_mode="ansi", high=7
-    )
-    again = env.spec.make()  # type: ignore[union-attr]
-    assert str(again) == str(env)
-    assert again.spec == env.spec
-    assert (again.unwrapped.high, again.render_mode, again.get_wrapper_attr("max_turns")) == (7, "ansi", 2)
-
-
-def test_specification_keeps_wrappers_of_gymnasium_in_their_place() -> None:
-    """Wrappers of Gymnasium are made again between ours, in the same order."""
-    env: Any = gym_wrappers.TimeLimit(gem.make("test:Guess-v3", wrappers="episode_stats"), 4)
-    env = wrap(env, [("turn_limit", {"max_turns": 3})], registry.registry().wrapper)
-    env = gym_wrappers.TimeLimit(env, 9)
-    assert str(env.spec.make()) == str(env)
-
-
-def test_specification_goes_through_json() -> None:
-    """to_json and from_json give a specification that makes the same stack."""
-    env = gem.make("test:Guess-v3", wrappers=[("turn_limit", {"max_turns": 2})], turns=4)
-    again = MadeSpec.from_json(env.spec.to_json())  # type: ignore[union-attr]
-    assert again == env.spec
-    assert str(again.make()) == str(env)
-
-
-def test_specification_prints(capsys: pytest.CaptureFixture[str]) -> None:
-    """Gymnasium's pprint works on ours."""
-    gem.make("test:Guess-v3").spec.pprint()  # type: ignore[union-attr]
-    assert capsys.readouterr().out == "id=test:Guess-v3\n"
-
-
-def test_deepcopied_specification_shares_arguments() -> None:
-    """A data set among the arguments is referenced, never copied."""
-    rows = [1, 2]
-    gem.register("test:Rows-v0", lambda rows: GuessEnv(), rows=rows)
-    assert copy.deepcopy(gem.make("test:Rows-v0").spec).kwargs["rows"] is rows  # type: ignore[union-attr]
-
-
-def test_readme_name_of_a_made_environment() -> None:
-    """env_id is the id, through every wrapper, and None for a bare instance."""
-    assert gem.make("test:Guess-v3", wrappers="episode_stats").get_wrapper_attr("env_id") == "test:Guess-v3"
-    assert GuessEnv().env_id is None
-
-
-# Life with Gymnasium.
-
-
-def test_gymnasium_checker_passes() -> None:
-    """Gymnasium's own checker finds nothing to say."""
-    check_env(gem.make("test:Guess-v3", render_mode="ansi").unwrapped)
-
-
-GYM_WRAPPERS = {
-    "TimeLimit": lambda env: gym_wrappers.TimeLimit(env, 3),
-    "RecordEpisodeStatistics": gym_wrappers.RecordEpisodeStatistics,
-    "TransformReward": lambda env: gym_wrappers.TransformReward(env, lambda reward: reward - 1),
-    "OrderEnforcing": gym_wrappers.OrderEnforcing,
-    "PassiveEnvChecker": gym_wrappers.PassiveEnvChecker,
-    "Autoreset": gym_wrappers.Autoreset,
-    "TransformObservation": lambda env: gym_wrappers.TransformObservation(env, str.upper, env.observation_space),
-}
-
-
-@pytest.mark.parametrize("name", GYM_WRAPPERS)
-def test_wrapper_of_gymnasium_runs(name: str) -> None:
-    """Gymnasium's wrappers play whole episodes, and GEM's methods are reached through them."""
-    env = GYM_WRAPPERS[name](gem.make("test:Guess-v3"))
-    observation, _ = env.reset(seed=1)
-    assert observation.upper() == "GUESS A NUMBER FROM 1 TO 20."
-    over = False
-    while not over:
-        _, _, terminated, truncated, info = env.step(env.get_wrapper_attr("sample_random_action")())
-        over = terminated or truncated
-    assert isinstance(env.unwrapped, GuessEnv)
-    assert env.get_wrapper_attr("env_id") == "test:Guess-v3"
-    assert info["correct"] in (True, False)
-
-
-def test_vector_environment_of_gymnasium_runs() -> None:
-    """Gymnasium's SyncVectorEnv steps made environments."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        vector = gymnasium.vector.SyncVectorEnv([lambda: gem.make("test:Guess-v3")] * 2)
-    observations, infos = vector.reset(seed=[1, 2])
-    assert list(observations) == ["Guess a number from 1 to 20."] * 2
-    assert list(infos["seed"]) == [1, 2]
-    _, rewards, _, _, _ = vector.step(["0", "0"])
-    assert rewards.tolist() == [0.0, 0.0]
-    vector.close()
 
 
 # Observations.

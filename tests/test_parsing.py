@@ -184,6 +184,7 @@ def test_tag_agrees_with_a_naive_reading(text: str) -> None:
         ("```\nx\n~~~\n```", [("", "x\n~~~")]),
         ("```python\r\nx = 1\r\ny = 2\r\n```\r\n", [("python", "x = 1\r\ny = 2")]),
         ("  ```python\n  if x:\n    y\n z\n  ```", [("python", "if x:\n  y\nz")]),
+        ("1. a list:\n     ```\n     x\n     ```", [("", "x")]),
         ("```\nx\n``` not closed\ny\n```", [("", "x\n``` not closed\ny")]),
         ("```\nx\n`````", [("", "x")]),
     ],
@@ -193,9 +194,7 @@ def test_blocks_are_found(text: str, blocks: list[tuple[str, str]]) -> None:
     assert [(block.language, block.code) for block in extract_code_blocks(text)] == blocks
 
 
-@pytest.mark.parametrize(
-    "text", ["", "```", "```python\nx", "``\nx\n``", "    ```\nx\n    ```", "a ```\nx\n```", "```a`b\nx"]
-)
+@pytest.mark.parametrize("text", ["", "```", "```python\nx", "``\nx\n``", "a ```\nx\n```", "```a`b\nx"])
 def test_incomplete_blocks_are_left_out(text: str) -> None:
     """A block without its end, or without a proper fence, is none."""
     assert extract_code_blocks(text) == []

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import pickle
 import threading
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from word_env import PlainEnv, WordEnv, message
 
 import gem_core as gem
-from gem_core import errors, plugins, registry
+from gem_core import plugins, registry
 from gem_core.errors import ArgumentError, EntryPointError, MissingRequirementError, RegistrationError, UnknownEnvError
 from gem_core.specs import EnvSpec, ToolSpec, WrapperSpec
 
@@ -18,47 +17,15 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-class WordEnv(gem.Env):
-    """Asks for a word."""
-
-    def __init__(self, word: str = "gem", *, tries: int = 3) -> None:
-        super().__init__()
-        self.word, self.tries = word, tries
-
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
-        super().reset(seed=seed)
-        return "Which word?", {}
-
-    def step(self, action: str) -> Any:
-        return gem.TERMINAL_STATE, float(action == self.word), True, False, {}
-
-
-class PlainEnv(gem.Env):
-    """Has no constructor of its own."""
-
-
-@pytest.fixture(autouse=True)
-def own_registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[registry.Registry]:
-    """A registry that holds only what the core offers and what a test registers."""
-    fresh = registry.Registry()
-    monkeypatch.setattr(plugins, "_find", list)
-    monkeypatch.setattr(registry, "_registry", fresh)
-    return fresh
+pytestmark = pytest.mark.usefixtures("own_registry")
 
 
 @pytest.fixture
-def words() -> None:
+def words(own_registry: registry.Registry) -> None:
     """Three environments in two namespaces."""
     gem.register("word:Guess-v0", WordEnv, summary="Guess it.")
     gem.register("word:Guess-v0-hard", WordEnv, word="abacus")
     gem.register("eval:word-list", WordEnv)
-
-
-def message(call: Any, *args: Any, **kwargs: Any) -> str:
-    """Return the error of a call in one line."""
-    with pytest.raises(errors.GemError) as caught:
-        call(*args, **kwargs)
-    return f"{type(caught.value).__name__}: {caught.value}"
 
 
 # Unknown ids.
@@ -202,7 +169,7 @@ def test_type_error_inside_a_constructor_is_not_disguised() -> None:
         gem.make("word:Broken-v0")
 
 
-@pytest.mark.parametrize("wrappers", [3, [3], [("concat",)], [("concat", 4)], {"concat": {}}.items()])
+@pytest.mark.parametrize("wrappers", [3, [3], [("concat",)], [("concat", 4)]])
 def test_malformed_wrappers_are_refused(wrappers: Any) -> None:
     """Whatever is no list of names, callables and pairs is an ArgumentError."""
     gem.register("word:Guess-v0", WordEnv)
@@ -417,69 +384,6 @@ def test_missing_requirement_says_what_to_set(monkeypatch: pytest.MonkeyPatch) -
     )
 
 
-# Listing.
-
-
-@pytest.mark.usefixtures("words")
-@pytest.mark.parametrize(
-    ("pattern", "ids"),
-    [
-        (None, ["eval:word-list", "word:Guess-v0", "word:Guess-v0-hard"]),
-        ("word", ["word:Guess-v0", "word:Guess-v0-hard"]),
-        ("WORD:", ["word:Guess-v0", "word:Guess-v0-hard"]),
-        ("hard", ["word:Guess-v0-hard"]),
-        ("*:*word*", ["eval:word-list"]),
-        ("word:*-v0", ["word:Guess-v0"]),
-        ("nothing", []),
-    ],
-)
-def test_list_envs_takes_a_namespace_a_part_or_a_glob(pattern: str | None, ids: list[str]) -> None:
-    """A namespace gives its ids alone; other text any id that has it; a glob what it matches."""
-    assert gem.list_envs(pattern) == ids
-
-
-@pytest.mark.usefixtures("words")
-def test_print_envs_writes_ids_with_summaries(capsys: pytest.CaptureFixture[str]) -> None:
-    """One line for each id, summaries in a column, no spaces at the end."""
-    gem.print_envs("word")
-    assert capsys.readouterr().out == "word:Guess-v0       Guess it.\nword:Guess-v0-hard\n"
-
-
-# Records.
-
-
-@pytest.mark.parametrize(
-    ("env_id", "namespace", "name", "version"),
-    [
-        ("game:Mastermind-v0-easy", "game", "Mastermind-v0-easy", 0),
-        ("math:GSM8K", "math", "GSM8K", None),
-        ("my-v2-set:Name-v13", "my-v2-set", "Name-v13", 13),
-        ("a:b-v1x", "a", "b-v1x", None),
-    ],
-)
-def test_parts_of_an_id(env_id: str, namespace: str, name: str, version: int | None) -> None:
-    """Namespace, name and version are read off the id."""
-    record = EnvSpec(id=env_id, entry_point="a:B")
-    assert (record.namespace, record.name, record.version) == (namespace, name, version)
-
-
-def test_record_is_frozen_hashable_and_pickled() -> None:
-    """A record cannot be changed, goes into a set, and survives pickling."""
-    record = EnvSpec(id="word:Guess-v0", entry_point="a:B", kwargs={"n": [1]}, tags=("x",))
-    assert pickle.loads(pickle.dumps(record)) == record
-    assert len({record, pickle.loads(pickle.dumps(record))}) == 1
-    with pytest.raises(TypeError):
-        record.kwargs["n"] = 2  # type: ignore[index]
-
-
-def test_record_does_not_share_its_mapping_with_the_caller() -> None:
-    """Changing the dictionary that was given does not change the record."""
-    given = {"n": 1}
-    record = EnvSpec(id="word:Guess-v0", entry_point="a:B", kwargs=given)
-    given["n"] = 2
-    assert dict(record.kwargs) == {"n": 1}
-
-
 # Loading.
 
 
@@ -508,28 +412,3 @@ def test_first_use_loads_once_from_many_threads(
         thread.join()
     assert calls == [1]
     assert seen == [["word:Guess-v0"]] * 16
-
-
-def test_drawing_of_errors_is_the_hierarchy() -> None:
-    """The tree at the top of errors.py has every class under its real base."""
-    drawn: dict[str, str] = {}
-    path: list[str] = []
-    for line in (errors.__doc__ or "").splitlines():
-        name = next((word for word in line.replace("├──", " ").replace("└──", " ").replace("│", " ").split()), "")
-        if name in vars(errors) and "``" not in line:
-            depth = (len(line) - len(line.lstrip(" │├└─"))) // 4 - 1
-            path[depth:] = [name]
-            drawn[name] = path[depth - 1] if depth else "Exception"
-    real = {name: value.__bases__[0].__name__ for name, value in vars(errors).items() if isinstance(value, type)}
-    assert drawn == real
-
-
-def test_every_public_name_has_a_home() -> None:
-    """__all__ and the table of homes name the same things."""
-    assert set(gem.__all__) - {"__version__"} == set(gem._MODULE_OF)
-
-
-def test_unknown_public_name_is_an_attribute_error() -> None:
-    """A name that the package does not have is an AttributeError that names the package."""
-    with pytest.raises(AttributeError, match=r"^module 'gem_core' has no attribute 'mak'$"):
-        _ = gem.mak  # type: ignore[attr-defined]

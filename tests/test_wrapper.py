@@ -8,149 +8,29 @@ import json
 import pickle
 import subprocess
 import sys
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 import pytest
+from echo_env import TRACE, AsyncEchoEnv, AsyncNoting, EchoEnv, Noting, ShortCut, ThreadEchoEnv, ThreadNoting
 from gymnasium import wrappers as gym_wrappers
 from hypothesis import given
 from hypothesis import strategies as st
 
 import gem_core as gem
-from gem_core import plugins, registry
+from gem_core import registry
 from gem_core.background import background_loop
-from gem_core.env import AsyncEnv
-from gem_core.errors import ArgumentError, BridgeError, ResetNeededError, StateError, StateNotSupported
+from gem_core.errors import BridgeError, ResetNeededError, StateError, StateNotSupported
 from gem_core.wrapper import Guard, Wrapper, concurrency_of, step_async
 from gem_core.wrappers.episode_stats import EpisodeStats
 from gem_core.wrappers.turn_limit import TurnLimit
 
-TRACE: list[Any] = []
-"""What the hooks of a test wrote, in order."""
-
-
-class EchoEnv(gem.Env):
-    """Says back what it hears and ends after a number of turns."""
-
-    def __init__(self, turns: int = 99) -> None:
-        super().__init__()
-        self.turns, self.turn = turns, 0
-
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
-        super().reset(seed=seed)
-        self.turn = 0
-        TRACE.append(("reset", seed, options))
-        return "hello", {}
-
-    def step(self, action: str) -> Any:
-        self.turn += 1
-        TRACE.append(("step", action))
-        return f"{action}{self.turn}", 1.0, self.turn >= self.turns, False, {}
-
-    def sample_random_action(self) -> str:
-        return "echo"
-
-    def _get_state(self) -> dict[str, Any]:
-        return {"turn": self.turn}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self.turn = state["turn"]
-
-
-class ThreadEchoEnv(EchoEnv):
-    """Blocks, as it says."""
-
-    concurrency = "thread"
-
-
-class AsyncEchoEnv(AsyncEnv):
-    """The same as coroutines, on the loop that they find themselves on."""
-
-    turn = 0
-
-    async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
-        await super().reset_async(seed)
-        self.turn = 0
-        TRACE.append(("reset", seed, options))
-        self.loop = asyncio.get_running_loop()
-        return "hello", {}
-
-    async def step_async(self, action: str) -> Any:
-        assert asyncio.get_running_loop() is self.loop
-        await asyncio.sleep(0)
-        self.turn += 1
-        TRACE.append(("step", action))
-        return f"{action}{self.turn}", 1.0, self.turn >= 99, False, {}
-
-
-class Noting(Wrapper):
-    """Writes down every hook, and marks what goes through."""
-
-    def __init__(self, env: Any, mark: str = "a") -> None:
-        super().__init__(env)
-        self.mark = mark
-
-    def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> Any:
-        TRACE.append((self.mark, "before_reset", seed, options))
-
-    def after_reset(self, result: Any) -> Any:
-        TRACE.append((self.mark, "after_reset"))
-        return result[0] + self.mark, result[1]
-
-    def before_step(self, action: str) -> Any:
-        TRACE.append((self.mark, "before_step", action))
-        return action + self.mark
-
-    def after_step(self, action: str, result: Any) -> Any:
-        TRACE.append((self.mark, "after_step", action))
-        return (result[0] + self.mark, *result[1:])
-
-
-class ThreadNoting(Noting):
-    """The same, and blocks."""
-
-    needs = "thread"
-
-
-class AsyncNoting(Noting):
-    """The same as coroutines, all on the library's loop."""
-
-    async def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> None:
-        assert asyncio.get_running_loop() is background_loop()
-        super().before_reset(seed, options)
-
-    async def after_reset(self, result: Any) -> Any:
-        assert asyncio.get_running_loop() is background_loop()
-        return super().after_reset(result)
-
-    async def before_step(self, action: str) -> Any:
-        assert asyncio.get_running_loop() is background_loop()
-        return super().before_step(action)
-
-    async def after_step(self, action: str, result: Any) -> Any:
-        assert asyncio.get_running_loop() is background_loop()
-        return super().after_step(action, result)
-
-
-class ShortCut(Wrapper):
-    """Answers "stop" itself."""
-
-    def before_step(self, action: str) -> Any:
-        return ("stopped", -1.0, False, True, {}) if action.startswith("stop") else action
-
-    def after_step(self, action: str, result: Any) -> Any:
-        TRACE.append("short cut's after_step")
-        return result
-
 
 @pytest.fixture(autouse=True)
-def own_registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A registry of the core's records and one environment, and an empty trace."""
-    monkeypatch.setattr(plugins, "_find", list)
-    monkeypatch.setattr(registry, "_registry", registry.Registry())
+def echo_env(own_registry: registry.Registry) -> None:
+    """The core's records and one environment, and an empty trace."""
     gem.register("test:Echo-v0", EchoEnv)
     TRACE.clear()
-    return
 
 
 def on_own_loop(coroutine: Coroutine[Any, Any, Any]) -> Any:
@@ -428,7 +308,7 @@ def test_specification_lists_wrappers_and_not_the_implicit_ones() -> None:
 def test_wrapper_put_by_hand_is_in_the_specification(put: Any) -> None:
     """A wrapper that a program puts around is recorded by its place and arguments, and made again."""
     env = put(gem.make("test:Echo-v0"))
-    assert env.spec.wrappers == ((f"{__name__}:Noting", {"mark": "q"}),)
+    assert env.spec.wrappers == (("echo_env:Noting", {"mark": "q"}),)
 
 
 def test_bare_stack_has_no_specification() -> None:
@@ -522,65 +402,6 @@ def test_guard_refuses_steps_after_a_failed_reset(run: Any) -> None:
         run(env.reset_async(13)) if run else env.reset(13)
     with pytest.raises(ResetNeededError):
         run(env.step_async("x")) if run else env.step("x")
-
-
-# TurnLimit and EpisodeStats.
-
-
-def test_turn_limit_truncates_at_the_limit() -> None:
-    """The last turn allowed is truncated, and the next one refused."""
-    env = gem.make("test:Echo-v0", wrappers=[("turn_limit", {"max_turns": 2})])
-    env.reset(seed=1)
-    assert [env.step("x")[2:4], env.step("x")[2:4]] == [(False, False), (False, True)]
-    with pytest.raises(ResetNeededError) as caught:
-        env.step("x")
-    assert str(caught.value) == (
-        "test:Echo-v0: the episode is over or has not begun; call reset() before the next step()"
-    )
-    env.reset()
-    assert env.step("x")[3] is False
-
-
-def test_turn_limit_leaves_the_task_its_own_end() -> None:
-    """A task that ends at the limit by itself is terminated and not truncated."""
-    env = TurnLimit(EchoEnv(turns=2), 2)
-    env.reset()
-    env.step("x")
-    assert env.step("x")[2:4] == (True, False)
-
-
-@pytest.mark.parametrize("max_turns", [0, -1, 1.5, "3", True, None])
-def test_turn_limit_takes_positive_whole_numbers(max_turns: Any) -> None:
-    """Anything else is refused with its value."""
-    with pytest.raises(ArgumentError) as caught:
-        TurnLimit(EchoEnv(), max_turns)
-    assert str(caught.value) == f"max_turns must be a positive whole number, not {max_turns!r}"
-
-
-def test_max_turns_of_a_record_is_an_implicit_limit() -> None:
-    """The maker puts the limit of a record around the task, unlisted."""
-    env = gem.make(gem.EnvSpec(id="test:Short-v0", entry_point=EchoEnv, max_turns=1))
-    env.reset()
-    assert env.step("x")[3] is True
-    assert env.spec.wrappers == ()  # type: ignore[union-attr]
-
-
-def test_episode_stats_reports_once_at_the_end() -> None:
-    """Return, length and duration stand in the last info alone, and start anew with each episode."""
-    env = EpisodeStats(EchoEnv(turns=3))
-    for _ in range(2):
-        env.reset()
-        infos = [env.step("x")[4] for _ in range(3)]
-        assert [sorted(info) for info in infos] == [[], [], ["episode"]]
-        assert (infos[2]["episode"]["r"], infos[2]["episode"]["l"]) == (3.0, 3)
-        assert infos[2]["episode"]["t"] >= 0
-
-
-def test_episode_stats_counts_answers_of_inner_wrappers() -> None:
-    """A turn that a wrapper inside answers itself is a turn."""
-    env = EpisodeStats(ShortCut(EchoEnv()))
-    env.reset()
-    assert env.step("stop")[4]["episode"]["r"] == -1.0
 
 
 # Exit.

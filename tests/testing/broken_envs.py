@@ -55,7 +55,7 @@ class NanRewardEnv(GoodEnv):
         return observation, float("nan"), *rest
 
 
-@breaks("reset-signature", "coroutines")
+@breaks("reset-signature")
 class KeywordResetEnv(GoodEnv):
     """Its reset takes nothing by position."""
 

@@ -1,0 +1,148 @@
+"""Made environments: render modes, specifications, and life among Gymnasium's wrappers."""
+
+from __future__ import annotations
+
+import copy
+import warnings
+from typing import Any
+
+import gymnasium
+import pytest
+from guess_env import GuessEnv
+from gymnasium import wrappers as gym_wrappers
+from gymnasium.utils.env_checker import check_env
+
+import gem_core as gem
+from gem_core import registry
+from gem_core.errors import ArgumentError, ResetNeededError
+from gem_core.making import MadeSpec, wrap
+
+
+@pytest.fixture(autouse=True)
+def guess_env(own_registry: registry.Registry) -> None:
+    """The core's records and one environment."""
+    gem.register("test:Guess-v3", GuessEnv, high=20)
+
+
+# Making.
+
+
+def test_render_mode_is_handled_by_make() -> None:
+    """render_mode works for a constructor that knows nothing of it."""
+    env = gem.make("test:Guess-v3", render_mode="ansi")
+    env.reset(seed=1)
+    assert (env.render_mode, env.render()) == ("ansi", "turn 0")
+
+
+def test_unknown_render_mode_is_refused() -> None:
+    """A mode that the environment does not offer gives those it does."""
+    with pytest.raises(ArgumentError) as caught:
+        gem.make("test:Guess-v3", render_mode="human")
+    assert str(caught.value) == "test:Guess-v3: no render mode 'human'; it offers 'ansi'"
+
+
+@pytest.mark.parametrize("when", ["before the first reset", "after the end"])
+def test_step_outside_an_episode_is_refused(when: str) -> None:
+    """A made environment says that a reset is needed."""
+    env = gem.make("test:Guess-v3", turns=1)
+    if when == "after the end":
+        env.reset(seed=1)
+        env.step("0")
+    with pytest.raises(ResetNeededError) as caught:
+        env.step("0")
+    assert str(caught.value) == (
+        "test:Guess-v3: the episode is over or has not begun; call reset() before the next step()"
+    )
+
+
+def test_specification_makes_the_same_again() -> None:
+    """spec.make goes through GEM with arguments, render mode and wrappers."""
+    env = gem.make(
+        "test:Guess-v3", wrappers=["episode_stats", ("turn_limit", {"max_turns": 2})], render_mode="ansi", high=7
+    )
+    again = env.spec.make()  # type: ignore[union-attr]
+    assert str(again) == str(env)
+    assert again.spec == env.spec
+    assert (again.unwrapped.high, again.render_mode, again.get_wrapper_attr("max_turns")) == (7, "ansi", 2)
+
+
+def test_specification_keeps_wrappers_of_gymnasium_in_their_place() -> None:
+    """Wrappers of Gymnasium are made again between ours, in the same order."""
+    env: Any = gym_wrappers.TimeLimit(gem.make("test:Guess-v3", wrappers="episode_stats"), 4)
+    env = wrap(env, [("turn_limit", {"max_turns": 3})], registry.registry().wrapper)
+    env = gym_wrappers.TimeLimit(env, 9)
+    assert str(env.spec.make()) == str(env)
+
+
+def test_specification_goes_through_json() -> None:
+    """to_json and from_json give a specification that makes the same stack."""
+    env = gem.make("test:Guess-v3", wrappers=[("turn_limit", {"max_turns": 2})], turns=4)
+    again = MadeSpec.from_json(env.spec.to_json())  # type: ignore[union-attr]
+    assert again == env.spec
+    assert str(again.make()) == str(env)
+
+
+def test_specification_prints(capsys: pytest.CaptureFixture[str]) -> None:
+    """Gymnasium's pprint works on ours."""
+    gem.make("test:Guess-v3").spec.pprint()  # type: ignore[union-attr]
+    assert capsys.readouterr().out == "id=test:Guess-v3\n"
+
+
+def test_deepcopied_specification_shares_arguments() -> None:
+    """A data set among the arguments is referenced, never copied."""
+    rows = [1, 2]
+    gem.register("test:Rows-v0", lambda rows: GuessEnv(), rows=rows)
+    assert copy.deepcopy(gem.make("test:Rows-v0").spec).kwargs["rows"] is rows  # type: ignore[union-attr]
+
+
+def test_readme_name_of_a_made_environment() -> None:
+    """env_id is the id, through every wrapper, and None for a bare instance."""
+    assert gem.make("test:Guess-v3", wrappers="episode_stats").get_wrapper_attr("env_id") == "test:Guess-v3"
+    assert GuessEnv().env_id is None
+
+
+# Life with Gymnasium.
+
+
+def test_gymnasium_checker_passes() -> None:
+    """Gymnasium's own checker finds nothing to say."""
+    check_env(gem.make("test:Guess-v3", render_mode="ansi").unwrapped)
+
+
+GYM_WRAPPERS = {
+    "TimeLimit": lambda env: gym_wrappers.TimeLimit(env, 3),
+    "RecordEpisodeStatistics": gym_wrappers.RecordEpisodeStatistics,
+    "TransformReward": lambda env: gym_wrappers.TransformReward(env, lambda reward: reward - 1),
+    "OrderEnforcing": gym_wrappers.OrderEnforcing,
+    "PassiveEnvChecker": gym_wrappers.PassiveEnvChecker,
+    "Autoreset": gym_wrappers.Autoreset,
+    "TransformObservation": lambda env: gym_wrappers.TransformObservation(env, str.upper, env.observation_space),
+}
+
+
+@pytest.mark.parametrize("name", GYM_WRAPPERS)
+def test_wrapper_of_gymnasium_runs(name: str) -> None:
+    """Gymnasium's wrappers play whole episodes, and GEM's methods are reached through them."""
+    env = GYM_WRAPPERS[name](gem.make("test:Guess-v3"))
+    observation, _ = env.reset(seed=1)
+    assert observation.upper() == "GUESS A NUMBER FROM 1 TO 20."
+    over = False
+    while not over:
+        _, _, terminated, truncated, info = env.step(env.get_wrapper_attr("sample_random_action")())
+        over = terminated or truncated
+    assert isinstance(env.unwrapped, GuessEnv)
+    assert env.get_wrapper_attr("env_id") == "test:Guess-v3"
+    assert info["correct"] in (True, False)
+
+
+def test_vector_environment_of_gymnasium_runs() -> None:
+    """Gymnasium's SyncVectorEnv steps made environments."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        vector = gymnasium.vector.SyncVectorEnv([lambda: gem.make("test:Guess-v3")] * 2)
+    observations, infos = vector.reset(seed=[1, 2])
+    assert list(observations) == ["Guess a number from 1 to 20."] * 2
+    assert list(infos["seed"]) == [1, 2]
+    _, rewards, _, _, _ = vector.step(["0", "0"])
+    assert rewards.tolist() == [0.0, 0.0]
+    vector.close()

@@ -1,0 +1,110 @@
+"""Records and names: what is listed, what an id says, and what the package shows."""
+
+from __future__ import annotations
+
+import pickle
+
+import pytest
+from word_env import WordEnv
+
+import gem_core as gem
+from gem_core import errors, registry
+from gem_core.specs import EnvSpec
+
+pytestmark = pytest.mark.usefixtures("own_registry")
+
+
+@pytest.fixture
+def words(own_registry: registry.Registry) -> None:
+    """Three environments in two namespaces."""
+    gem.register("word:Guess-v0", WordEnv, summary="Guess it.")
+    gem.register("word:Guess-v0-hard", WordEnv, word="abacus")
+    gem.register("eval:word-list", WordEnv)
+
+
+# Listing.
+
+
+@pytest.mark.usefixtures("words")
+@pytest.mark.parametrize(
+    ("pattern", "ids"),
+    [
+        (None, ["eval:word-list", "word:Guess-v0", "word:Guess-v0-hard"]),
+        ("word", ["word:Guess-v0", "word:Guess-v0-hard"]),
+        ("WORD:", ["word:Guess-v0", "word:Guess-v0-hard"]),
+        ("hard", ["word:Guess-v0-hard"]),
+        ("*:*word*", ["eval:word-list"]),
+        ("word:*-v0", ["word:Guess-v0"]),
+        ("nothing", []),
+    ],
+)
+def test_list_envs_takes_a_namespace_a_part_or_a_glob(pattern: str | None, ids: list[str]) -> None:
+    """A namespace gives its ids alone; other text any id that has it; a glob what it matches."""
+    assert gem.list_envs(pattern) == ids
+
+
+@pytest.mark.usefixtures("words")
+def test_print_envs_writes_ids_with_summaries(capsys: pytest.CaptureFixture[str]) -> None:
+    """One line for each id, summaries in a column, no spaces at the end."""
+    gem.print_envs("word")
+    assert capsys.readouterr().out == "word:Guess-v0       Guess it.\nword:Guess-v0-hard\n"
+
+
+# Records.
+
+
+@pytest.mark.parametrize(
+    ("env_id", "namespace", "name", "version"),
+    [
+        ("game:Mastermind-v0-easy", "game", "Mastermind-v0-easy", 0),
+        ("math:GSM8K", "math", "GSM8K", None),
+        ("my-v2-set:Name-v13", "my-v2-set", "Name-v13", 13),
+        ("a:b-v1x", "a", "b-v1x", None),
+    ],
+)
+def test_parts_of_an_id(env_id: str, namespace: str, name: str, version: int | None) -> None:
+    """Namespace, name and version are read off the id."""
+    record = EnvSpec(id=env_id, entry_point="a:B")
+    assert (record.namespace, record.name, record.version) == (namespace, name, version)
+
+
+def test_record_is_frozen_hashable_and_pickled() -> None:
+    """A record cannot be changed, goes into a set, and survives pickling."""
+    record = EnvSpec(id="word:Guess-v0", entry_point="a:B", kwargs={"n": [1]}, tags=("x",))
+    assert pickle.loads(pickle.dumps(record)) == record
+    assert len({record, pickle.loads(pickle.dumps(record))}) == 1
+    with pytest.raises(TypeError):
+        record.kwargs["n"] = 2  # type: ignore[index]
+
+
+def test_record_does_not_share_its_mapping_with_the_caller() -> None:
+    """Changing the dictionary that was given does not change the record."""
+    given = {"n": 1}
+    record = EnvSpec(id="word:Guess-v0", entry_point="a:B", kwargs=given)
+    given["n"] = 2
+    assert dict(record.kwargs) == {"n": 1}
+
+
+def test_drawing_of_errors_is_the_hierarchy() -> None:
+    """The tree at the top of errors.py has every class under its real base."""
+    drawn: dict[str, str] = {}
+    path: list[str] = []
+    for line in (errors.__doc__ or "").splitlines():
+        name = next((word for word in line.replace("├──", " ").replace("└──", " ").replace("│", " ").split()), "")
+        if name in vars(errors) and "``" not in line:
+            depth = (len(line) - len(line.lstrip(" │├└─"))) // 4 - 1
+            path[depth:] = [name]
+            drawn[name] = path[depth - 1] if depth else "Exception"
+    real = {name: value.__bases__[0].__name__ for name, value in vars(errors).items() if isinstance(value, type)}
+    assert drawn == real
+
+
+def test_every_public_name_has_a_home() -> None:
+    """__all__ and the table of homes name the same things."""
+    assert set(gem.__all__) - {"__version__"} == set(gem._MODULE_OF)
+
+
+def test_unknown_public_name_is_an_attribute_error() -> None:
+    """A name that the package does not have is an AttributeError that names the package."""
+    with pytest.raises(AttributeError, match=r"^module 'gem_core' has no attribute 'mak'$"):
+        _ = gem.mak  # type: ignore[attr-defined]
