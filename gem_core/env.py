@@ -70,6 +70,8 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium declares it as an instance attribute
     spec: MadeSpec | None = None
 
+    _generator: np.random.Generator | None = None
+    _generator_started: bool = True
     _action_generator: np.random.Generator | None = None
     _action_seed: int | None = None
     _action_started: bool = False
@@ -100,8 +102,10 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
             seed = fresh_seed() if previous is None or previous < 0 else next_seed(previous)
         elif type(seed) is not int or seed < 0:
             seed = checked_seed(cast("SupportsIndex", seed))
-        self._np_random = start_generator(self._own_generator(), seed)
+        if self._np_random_seed == _FOREIGN:
+            self._generator = None
         self._np_random_seed = seed
+        self._generator_started = False
         self._action_started = False
         self._action_seed = None
         return "", {}
@@ -127,11 +131,18 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
 
     @property
     def np_random(self) -> np.random.Generator:
-        """The only source of randomness of the task; started anew by every ``reset``."""
-        if self._np_random is None:
+        """The source of randomness of the task; started anew by every ``reset``.
+
+        It starts when it is first asked for, since a start costs more than the whole reset of a small task does.
+        A task that needs but a few numbers at reset may take them from ``seeding.Draws(self.np_random_seed)``.
+        """
+        if not self._generator_started:
+            self._generator = start_generator(self._generator, cast("int", self._np_random_seed))
+            self._generator_started = True
+        elif self._generator is None:
             self._np_random_seed = fresh_seed()
-            self._np_random = start_generator(None, self._np_random_seed)
-        return self._np_random
+            self._generator = start_generator(None, self._np_random_seed)
+        return self._generator
 
     @np_random.setter
     def np_random(self, value: np.random.Generator) -> None:
@@ -148,7 +159,16 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
 
     def _own_generator(self) -> np.random.Generator | None:
         # A generator that was set from outside may be shared, or of another kind: it is never set in place.
-        return None if self._np_random_seed == _FOREIGN else self._np_random
+        return None if self._np_random_seed == _FOREIGN else self._generator
+
+    @property
+    def _np_random(self) -> np.random.Generator | None:
+        """What Gymnasium's own code reads and sets: the generator, or None before the first reset or draw."""
+        return self._generator if self._generator_started else self.np_random
+
+    @_np_random.setter
+    def _np_random(self, value: np.random.Generator | None) -> None:
+        self._generator, self._generator_started = value, True
 
     @property
     def action_random(self) -> np.random.Generator:

@@ -1,0 +1,84 @@
+"""``Env.np_random`` starts when it is first asked for; ``Draws`` takes a few numbers from a seed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from gem_core.env import Env
+from gem_core.seeding import Draws, start_generator
+
+
+class Dice(Env):
+    """Shows one throw, or none."""
+
+    def __init__(self, throws: int = 1) -> None:
+        super().__init__()
+        self.throws = throws
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[str, dict[str, Any]]:
+        super().reset(seed=seed)
+        return " ".join(str(int(self.np_random.integers(6))) for _ in range(self.throws)), {}
+
+    def _get_state(self) -> dict[str, Any]:
+        return {}
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        pass
+
+
+def test_generator_starts_from_the_seed_of_the_latest_reset() -> None:
+    """Starting late changes nothing of what is drawn, however many resets went before."""
+    env = Dice(throws=0)
+    env.reset(seed=3)
+    env.reset(seed=4)
+    assert env.np_random.random() == start_generator(None, 4).random()
+    first = env.np_random
+    env.reset(seed=4)
+    assert env.np_random is first, "the generator object is reused"
+    assert env.np_random.random() == start_generator(None, 4).random()
+
+
+def test_unstarted_generator_has_a_state() -> None:
+    """A state that is taken before the first draw equals one taken after the generator was merely looked at."""
+    env, looked_at = Dice(throws=0), Dice(throws=0)
+    env.reset(seed=5)
+    looked_at.reset(seed=5)
+    assert looked_at.np_random is not None
+    assert env.get_state() == looked_at.get_state()
+    other = Dice(throws=0)
+    other.set_state(env.get_state())
+    assert other.np_random.random() == env.np_random.random()
+
+
+def test_gymnasiums_private_attribute_sees_the_started_generator() -> None:
+    """Gymnasium's checker reads ``_np_random``; it is None before the first reset, as there."""
+    env = Dice(throws=0)
+    assert env._np_random is None
+    env.reset(seed=6)
+    assert env._np_random is env.np_random
+    assert env.np_random_seed == 6
+
+
+def test_a_generator_that_was_set_is_kept_until_the_next_reset() -> None:
+    env = Dice(throws=0)
+    mine = start_generator(None, 7)
+    env.np_random = mine
+    assert env.np_random is mine
+    assert env.np_random_seed == -1
+
+
+def test_draws_repeat_and_cover_their_range() -> None:
+    """The same seed gives the same numbers, over many blocks, and every value of the range turns up."""
+    draws, again = Draws(8), Draws(8)
+    numbers = [draws.below(6) for _ in range(1_000)]
+    assert numbers == [again.below(6) for _ in range(1_000)]
+    assert sorted(set(numbers)) == [0, 1, 2, 3, 4, 5]
+    assert min(numbers.count(face) for face in range(6)) > 120
+    assert numbers != [Draws(9).below(6) for _ in range(1_000)]
+
+
+@pytest.mark.parametrize("limit", [1, 2, 2**53, 2**256])
+def test_draws_stay_below_their_limit(limit: int) -> None:
+    assert all(0 <= Draws(seed).below(limit) < limit for seed in range(100))
