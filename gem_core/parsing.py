@@ -43,9 +43,16 @@ def extract_last_boxed_answer(text: str) -> str | None:
     last = text.rfind(_BOXED)
     if last < 0:
         return None
-    # Nearly always the last box is complete and short, so it is tried before the text is read from its beginning.
-    content = _box_at(text, last)
-    return content if content is not None else _last_complete_box(text)
+    # Nearly always the last box is complete and plain, so that is tried first; then the last box with braces inside;
+    # and only then is the text read from its beginning.
+    content_start = last + len(_BOXED) + 1
+    content_end = text.find("}", content_start)
+    if content_end >= 0 and text[content_start - 1] == "{":
+        content = text[content_start:content_end]
+        if "{" not in content and "\\" not in content:
+            return content.strip()
+    nested = _box_at(text, last)
+    return nested if nested is not None else _last_complete_box(text)
 
 
 def extract_last_tagged_answer(text: str, tag: str = "answer") -> str | None:
