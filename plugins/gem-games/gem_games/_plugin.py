@@ -1,0 +1,51 @@
+"""What this distribution offers; it imports no game."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from gem_core.hookspecs import hookimpl
+from gem_core.specs import AgentSpec, EnvSpec
+
+_GUESS = "gem_games.guess_the_number:GuessTheNumberEnv"
+_MASTERMIND = "gem_games.mastermind:MastermindEnv"
+_HANOI = "gem_games.tower_of_hanoi:TowerOfHanoiEnv"
+
+
+@hookimpl
+def gem_register_envs() -> Iterable[EnvSpec]:
+    """The games, with the parameters and turn limits of gem-llm's, whose baselines are published."""
+    guess = "Find a hidden number by 'higher' and 'lower'"
+    yield _game("GuessTheNumber-v0", _GUESS, f"{guess}.", min_number=1, max_number=50, max_turns=10)
+    yield _game("GuessTheNumber-v0-easy", _GUESS, f"{guess}; 1 to 10.", min_number=1, max_number=10, max_turns=4)
+    yield _game("GuessTheNumber-v0-hard", _GUESS, f"{guess}; 1 to 50.", min_number=1, max_number=50, max_turns=7)
+    yield _game(
+        "GuessTheNumber-v0-random", _GUESS, f"{guess}; any range.", min_number=None, max_number=None, max_turns=None
+    )
+    code = "Find a secret code by black and white pegs"
+    yield _game("Mastermind-v0-easy", _MASTERMIND, f"{code}; 2 of 6.", code_length=2, num_numbers=6, max_turns=10)
+    yield _game("Mastermind-v0-hard", _MASTERMIND, f"{code}; 4 of 8.", code_length=4, num_numbers=8, max_turns=30)
+    yield _game(
+        "Mastermind-v0-random", _MASTERMIND, f"{code}; any size.", code_length=None, num_numbers=None, max_turns=None
+    )
+    tower = "Move a tower of disks to another peg"
+    yield _game("TowerofHanoi-v0-easy", _HANOI, f"{tower}; 3 disks.", num_disks=3, max_turns=10)
+    yield _game("TowerofHanoi-v0-hard", _HANOI, f"{tower}; 5 disks.", num_disks=5, max_turns=35)
+    yield _game("TowerofHanoi-v0-random", _HANOI, f"{tower}; 3 to 5 disks.", num_disks=None, max_turns=None)
+
+
+@hookimpl
+def gem_register_agents() -> Iterable[AgentSpec]:
+    """Solvers, one for each game."""
+    agents = "gem_games.agents"
+    return [
+        AgentSpec(name="bisect", entry_point=f"{agents}:BisectionAgent", summary="Wins GuessTheNumber by bisection."),
+        AgentSpec(
+            name="mastermind", entry_point=f"{agents}:MastermindAgent", summary="Wins Mastermind by elimination."
+        ),
+        AgentSpec(name="hanoi", entry_point=f"{agents}:HanoiAgent", summary="Solves TowerofHanoi in the fewest moves."),
+    ]
+
+
+def _game(name: str, entry_point: str, summary: str, **kwargs: int | None) -> EnvSpec:
+    return EnvSpec(id=f"game:{name}", entry_point=entry_point, kwargs=kwargs, summary=summary, tags=("game", "text"))

@@ -1,0 +1,217 @@
+r"""``Game``: what all games share, so that each game's own file holds nothing but its rules.
+
+Rewards are those of gem-llm, whose baselines are published: 1 for success unless the game says otherwise, 0 for a turn
+that settles nothing and for an invalid move, -0.1 for a response that cannot be read.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from gem_core.env import Env
+from gem_core.errors import ArgumentError, ResetNeededError
+from gem_core.parsing import extract_last_boxed_answer
+from gem_core.seeding import Draws
+from gem_core.types import ResetResult, StepResult
+
+FORMAT_ERROR_REWARD = -0.1
+
+_NOT_BEGUN, _PLAYING, _WON, _LOST = "not begun", "playing", "won", "lost"
+_LONGEST_NUMBER = 100  # characters: beyond every range a game can have, and far below what int() refuses
+_LONGEST_QUOTE = 40
+
+
+class Game(Env):
+    r"""A game of turns, won or lost within ``max_turns``.
+
+    A game defines ``_deal``, ``_rules``, ``_situation``, ``_play``, ``_solution``, ``_random_answer`` and ``_drawing``.
+    ``_play`` gets the content of the last ``\boxed{}`` and returns the verdict on it: ``_format_error``, ``_invalid``,
+    ``_move`` or ``_win``. An observation is ``info["feedback"]``, what happened, followed by ``info["suffix"]``, how
+    things stand.
+
+    Args:
+        max_turns: Turns after which the game is lost. The task announces it, so the last turn is ``terminated``.
+        format_error_ends: Whether a response that cannot be read ends the game; otherwise it costs a turn.
+
+    Source: the reward of each case is that of https://github.com/axon-rl/gem.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["ansi"]}  # noqa: RUF012 - Gymnasium declares it without ClassVar
+
+    answer_format: ClassVar[str]
+    """What stands inside the box, in the words of the observation: ``"your guess"``."""
+
+    max_turns: int
+    turn: int = 0
+    outcome: str = _NOT_BEGUN
+    """``"not begun"``, ``"playing"``, ``"won"`` or ``"lost"``."""
+
+    def __init__(self, *, format_error_ends: bool = True) -> None:
+        super().__init__()
+        if not isinstance(format_error_ends, bool):
+            raise ArgumentError(f"format_error_ends must be True or False, not {format_error_ends!r}")
+        self.format_error_ends = format_error_ends
+
+    # What a game defines.
+
+    def _deal(self, draws: Draws) -> None:
+        """Set the game up; the parameters that were left open are drawn here too."""
+        raise NotImplementedError
+
+    def _rules(self) -> str:
+        """Say what the game is about and how to answer, ending with a line break."""
+        raise NotImplementedError
+
+    def _situation(self) -> str:
+        """Show how things stand: all that a player needs to know who sees nothing else."""
+        raise NotImplementedError
+
+    def _play(self, answer: str) -> StepResult:
+        """Return the verdict on an answer; see the class."""
+        raise NotImplementedError
+
+    def _solution(self) -> str:
+        """Say what would have won, as a whole sentence with a space before it; ``""`` where there is nothing to say."""
+        return ""
+
+    def _random_answer(self) -> str:
+        """Draw a valid answer from ``action_random``."""
+        raise NotImplementedError
+
+    # What is made from it.
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """Begin a game; the feedback is its rules."""
+        super().reset(seed)
+        self.turn = 0
+        self.outcome = _PLAYING
+        self._deal(Draws(self.np_random_seed))
+        feedback, suffix = self._rules(), self._situation()
+        return feedback + suffix, {"feedback": feedback, "suffix": suffix}
+
+    def step(self, action: str) -> StepResult:
+        r"""Play the content of the last ``\boxed{}``."""
+        self.turn += 1
+        answer = extract_last_boxed_answer(action)
+        if answer is None:
+            return self._format_error("Your response has no complete \\boxed{}.")
+        return self._play(answer)
+
+    def sample_random_action(self) -> str:
+        """Return a valid answer in the present state."""
+        if self.outcome == _NOT_BEGUN:
+            raise ResetNeededError(f"{self.env_id or type(self).__name__}: call reset() before sample_random_action()")
+        return f"\\boxed{{{self._random_answer()}}}"
+
+    def render(self) -> str | None:
+        """Draw the game as text, if it was made with ``render_mode="ansi"``."""
+        if self.render_mode != "ansi":
+            return None
+        if self.outcome == _NOT_BEGUN:
+            return "The game has not begun."
+        return f"{self._drawing()}\nturn {self.turn} of {self.max_turns} · {self.outcome}"
+
+    def _drawing(self) -> str:
+        """Draw the present state for a person, over several lines."""
+        return self._situation()
+
+    # The verdicts.
+
+    def _format_error(self, feedback: str) -> StepResult:
+        """The response cannot be read."""
+        if self.format_error_ends:
+            return self._end(_LOST, f"{feedback} That ends the game.{self._solution()}\n", FORMAT_ERROR_REWARD, None)
+        return self._go_on(f"{feedback} The turn is lost.\n", FORMAT_ERROR_REWARD, None, FORMAT_ERROR_REWARD)
+
+    def _invalid(self, feedback: str, at_limit: float = 0.0) -> StepResult:
+        """The answer can be read and breaks a rule: nothing changes, and the turn is lost.
+
+        Args:
+            feedback: Which rule.
+            at_limit: Reward if this was the last turn.
+        """
+        return self._go_on(f"{feedback} The turn is lost.\n", 0.0, None, at_limit)
+
+    def _move(self, played: str, feedback: str, reward: float, at_limit: float) -> StepResult:
+        """The answer was played, and the game goes on if there are turns left.
+
+        Args:
+            played: The answer in its plain form, for ``info["parsed_action"]``.
+            feedback: What it did.
+            reward: Reward for it.
+            at_limit: Reward if this was the last turn.
+        """
+        return self._go_on(f"{feedback}\n", reward, played, at_limit)
+
+    def _win(self, played: str, feedback: str, reward: float = 1.0) -> StepResult:
+        """The answer was played and wins the game."""
+        return self._end(_WON, f"{feedback}\n", reward, played)
+
+    def _go_on(self, feedback: str, reward: float, played: str | None, at_limit: float) -> StepResult:
+        if self.turn >= self.max_turns:
+            return self._end(_LOST, f"{feedback}You have used all your turns.{self._solution()}\n", at_limit, played)
+        suffix = self._situation()
+        info = {"feedback": feedback, "suffix": suffix, "parsed_action": played}
+        return feedback + suffix, reward, False, False, info
+
+    def _end(self, outcome: str, feedback: str, reward: float, played: str | None) -> StepResult:
+        self.outcome = outcome
+        suffix = self._situation()
+        info = {"feedback": feedback, "suffix": suffix, "parsed_action": played, "correct": outcome == _WON}
+        return feedback + suffix, reward, True, False, info
+
+    def _turns_left(self) -> str:
+        """Say how many turns are left and how to answer, as the last line of a situation."""
+        if self.outcome != _PLAYING:
+            return f"The game is over: you {self.outcome}."
+        return f"Turns left: {self.max_turns - self.turn}. Put {self.answer_format} inside \\boxed{{}}."
+
+    def _get_state(self) -> dict[str, Any]:
+        return {"turn": self.turn, "outcome": self.outcome}
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self.turn, self.outcome = int(state["turn"]), str(state["outcome"])
+
+
+def whole_number(text: str) -> int | None:
+    """Read a whole number in ASCII digits, with a sign or without; None if the text is anything else.
+
+    Leading zeros mean nothing. Of a number of more than 100 digits only the first 100 are read: it is beyond every
+    range of a game either way, and ``int`` refuses to read more than 4,300.
+    """
+    digits = text[1:] if text.startswith(("-", "+")) else text
+    if not (digits.isdigit() and digits.isascii()):
+        return None
+    if len(text) > _LONGEST_NUMBER:
+        digits = digits.lstrip("0")[:_LONGEST_NUMBER] or "0"
+    return -int(digits) if text[0] == "-" else int(digits)
+
+
+def whole_numbers(text: str) -> list[str] | None:
+    """Split a text at white space into whole numbers; None if there are none, or if a piece is something else.
+
+    The pieces come as text, so that a caller counts them before it reads them with ``whole_number``.
+    """
+    pieces = text.split()
+    digits = "".join(pieces)
+    if digits.isdigit() and digits.isascii():
+        return pieces
+    if not pieces or any(whole_number(piece) is None for piece in pieces):
+        return None
+    return pieces
+
+
+def quote(text: str) -> str:
+    """Quote what an agent wrote, cut to a length that a feedback can repeat, with odd characters escaped."""
+    return repr(text) if len(text) <= _LONGEST_QUOTE else f"{text[:_LONGEST_QUOTE]!r}…"
+
+
+def check_whole(name: str, value: object, low: int, high: int) -> None:
+    """Refuse a constructor's argument that is not None and not a whole number within bounds.
+
+    Raises:
+        ArgumentError: It says what was allowed.
+    """
+    if value is None or (type(value) is int and low <= value <= high):
+        return
+    raise ArgumentError(f"{name} must be a whole number from {low} to {high}, or None to draw it, not {value!r}")

@@ -1,0 +1,189 @@
+r"""Mastermind: find a secret code; each guess is marked with black and white pegs."""
+
+from __future__ import annotations
+
+import math
+from operator import eq
+from typing import Any
+
+from gem_core.errors import ArgumentError
+from gem_core.seeding import Draws
+from gem_core.types import StepResult
+from gem_games.game import Game, check_whole, quote, whole_number, whole_numbers
+
+_SIZES = (2, 4, 10), (4, 6, 20), (4, 8, 30)
+_LONGEST_CODE, _MOST_NUMBERS = 20, 100
+
+
+class MastermindEnv(Game):
+    r"""Find a code of numbers by guesses such as ``\boxed{1 2 3 4}``.
+
+    A black peg stands for a right number in its right place, a white one for a right number in a wrong place.
+
+    - A guess: ``(black pegs - most black pegs so far) / code length`` where that is positive, else 0. The rewards of a
+      won game add up to 1.
+    - A guess of the wrong length, with a number out of range, or made before: reward 0, and no pegs.
+    - Repeated numbers are allowed in a guess, also where the code has none.
+    - The last turn is rewarded like any other.
+    - Not whole numbers with spaces between them: reward -0.1, the game is over.
+
+    Args:
+        code_length: Numbers in the code.
+        num_numbers: The code consists of numbers from 1 to this.
+        max_turns: Guesses allowed.
+        duplicate_numbers: Whether the code may have a number twice.
+        format_error_ends: See ``Game``.
+
+    Where one of the first three is None, a size is drawn from (2, 4, 10), (4, 6, 20) and (4, 8, 30), and what was given
+    replaces its part of it.
+
+    Source: parameters and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem.
+    """
+
+    answer_format = "your guess"
+
+    def __init__(
+        self,
+        code_length: int | None = 4,
+        num_numbers: int | None = 6,
+        max_turns: int | None = 20,
+        duplicate_numbers: bool = False,
+        *,
+        format_error_ends: bool = True,
+    ) -> None:
+        super().__init__(format_error_ends=format_error_ends)
+        check_whole("code_length", code_length, 1, _LONGEST_CODE)
+        check_whole("num_numbers", num_numbers, 1, _MOST_NUMBERS)
+        check_whole("max_turns", max_turns, 1, 10**15)
+        if not isinstance(duplicate_numbers, bool):
+            raise ArgumentError(f"duplicate_numbers must be True or False, not {duplicate_numbers!r}")
+        self.duplicate_numbers = duplicate_numbers
+        given = code_length, num_numbers, max_turns
+        sizes = [tuple(own or drawn for own, drawn in zip(given, size, strict=True)) for size in _SIZES]
+        self._sizes = [size for size in dict.fromkeys(sizes) if duplicate_numbers or size[0] <= size[1]]
+        if not self._sizes:
+            raise ArgumentError(
+                f"a code of {sizes[0][0]} different numbers from 1 to {sizes[0][1]} cannot be; "
+                "raise num_numbers, or allow duplicate_numbers"
+            )
+        self.code_length, self.num_numbers, self.max_turns = self._sizes[0]
+        self.code: list[int] = []
+        self._begin()
+
+    def _deal(self, draws: Draws) -> None:
+        if len(self._sizes) > 1:
+            self.code_length, self.num_numbers, self.max_turns = self._sizes[draws.below(len(self._sizes))]
+        self.code = self._code(draws.below(self._num_codes()))
+        self._begin()
+
+    def _begin(self) -> None:
+        self.best = 0
+        self.guesses: dict[tuple[int, ...], str] = {}
+        self._marked = ""
+
+    def _num_codes(self) -> int:
+        if self.duplicate_numbers:
+            return int(self.num_numbers**self.code_length)
+        return math.perm(self.num_numbers, self.code_length)
+
+    def _code(self, index: int) -> list[int]:
+        """Return the code of an index below ``_num_codes()``."""
+        left = list(range(1, self.num_numbers + 1))
+        code = []
+        for _ in range(self.code_length):
+            index, position = divmod(index, len(left))
+            code.append(left[position] if self.duplicate_numbers else left.pop(position))
+        return code
+
+    def _rules(self) -> str:
+        example = " ".join(map(str, self._code(0)))
+        return (
+            "Mastermind: find a secret code of numbers.\n"
+            "Each guess is marked with pegs: black for a right number in its right place, white for a right number in "
+            "a wrong place. A guess of another length, with a number out of range, or one that you have made before "
+            "costs a turn and gets no pegs.\n"
+            f"Write your guess inside \\boxed{{}} with spaces between the numbers, for example \\boxed{{{example}}}; "
+            f"only the last box of a response counts. You have {self.max_turns} turns.\n\n"
+        )
+
+    def _situation(self) -> str:
+        repeats = "with repeats possible" if self.duplicate_numbers else "all different"
+        return (
+            f"The code: {self.code_length} numbers from 1 to {self.num_numbers}, {repeats}.\n"
+            f"Guesses so far:{self._marked or ' none'}\n{self._turns_left()}"
+        )
+
+    def _play(self, answer: str) -> StepResult:
+        numbers = whole_numbers(answer)
+        if numbers is None:
+            return self._format_error(f"{quote(answer)} is not a list of whole numbers with spaces between them.")
+        if len(numbers) != self.code_length:
+            return self._invalid(f"Your guess has length {len(numbers)}, and the code has length {self.code_length}.")
+        guess = tuple([whole_number(number) or 0 for number in numbers])
+        if min(guess) < 1 or max(guess) > self.num_numbers:
+            return self._invalid(f"Your guess has a number that is not from 1 to {self.num_numbers}.")
+        if guess in self.guesses:
+            return self._invalid("You have made this guess before.")
+        text = " ".join(map(str, guess))
+        black = self._mark(guess, text)
+        reward = max(0, black - self.best) / self.code_length
+        self.best = max(self.best, black)
+        if black == self.code_length:
+            return self._win(text, f"{text} is right: you found the code.", reward)
+        return self._move(text, f"Your guess {self.guesses[guess]}.", reward, reward)
+
+    def _mark(self, guess: tuple[int, ...], text: str) -> int:
+        """Note the pegs of a guess and return the number of black ones."""
+        black, white = count_pegs(guess, self.code)
+        self.guesses[guess] = marked = f"{text}: {black} black, {white} white"
+        self._marked = f"{self._marked}\n{marked}"
+        return black
+
+    def _solution(self) -> str:
+        return f" The code was {' '.join(map(str, self.code))}."
+
+    def _random_answer(self) -> str:
+        """Draw a code that was not guessed before."""
+        count = self._num_codes()
+        index = int(self.action_random.random() * count)
+        # The walk ends, since the secret code is not among the guesses while the game goes on.
+        while tuple(guess := self._code(index % count)) in self.guesses and self.outcome == "playing":
+            index += 1
+        return " ".join(map(str, guess))
+
+    def _drawing(self) -> str:
+        hidden = self.code if self.outcome in ("won", "lost") else ["?"] * self.code_length
+        rows = [f"     {'  '.join(f'{number!s:>2}' for number in hidden)}"]
+        for turn, guess in enumerate(self.guesses, start=1):
+            black, white = count_pegs(guess, self.code)
+            numbers = "  ".join(f"{number:>2}" for number in guess)
+            rows.append(f"{turn:>3}. {numbers}   {'●' * black}{'○' * white}")
+        return "\n".join(rows)
+
+    def _get_state(self) -> dict[str, Any]:
+        return {
+            **super()._get_state(),
+            "code_length": self.code_length,
+            "num_numbers": self.num_numbers,
+            "max_turns": self.max_turns,
+            "code": list(self.code),
+            "guesses": [list(guess) for guess in self.guesses],
+        }
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        super()._set_state(state)
+        self.code_length, self.num_numbers = int(state["code_length"]), int(state["num_numbers"])
+        self.max_turns, self.code = int(state["max_turns"]), [int(number) for number in state["code"]]
+        self._begin()
+        for guess in state["guesses"]:
+            self.best = max(self.best, self._mark(tuple(guess), " ".join(map(str, guess))))
+
+
+def count_pegs(guess: tuple[int, ...], code: list[int] | tuple[int, ...]) -> tuple[int, int]:
+    """Return the black and white pegs of a guess."""
+    black = sum(map(eq, guess, code))
+    left = list(code)
+    for number in guess:
+        if number in left:
+            left.remove(number)
+    return black, len(code) - len(left) - black
