@@ -6,7 +6,8 @@ that settles nothing and for an invalid move, -0.1 for a response that cannot be
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from collections.abc import Hashable
+from typing import Any
 
 from gem_core.env import Env
 from gem_core.errors import ArgumentError, ResetNeededError
@@ -18,6 +19,7 @@ FORMAT_ERROR_REWARD = -0.1
 
 _NOT_BEGUN, _PLAYING, _WON, _LOST = "not begun", "playing", "won", "lost"
 _LONGEST_NUMBER = 100  # characters: beyond every range a game can have, and far below what int() refuses
+_LONGEST_LIST = 1_000  # characters
 _LONGEST_QUOTE = 40
 
 
@@ -38,9 +40,6 @@ class Game(Env):
 
     metadata: dict[str, Any] = {"render_modes": ["ansi"]}  # noqa: RUF012 - Gymnasium declares it without ClassVar
 
-    answer_format: ClassVar[str]
-    """What stands inside the box, in the words of the observation: ``"your guess"``."""
-
     max_turns: int
     turn: int = 0
     outcome: str = _NOT_BEGUN
@@ -51,6 +50,7 @@ class Game(Env):
         if not isinstance(format_error_ends, bool):
             raise ArgumentError(f"format_error_ends must be True or False, not {format_error_ends!r}")
         self.format_error_ends = format_error_ends
+        self._openings: dict[Hashable, tuple[str, str, str]] = {}
 
     # What a game defines.
 
@@ -59,12 +59,16 @@ class Game(Env):
         raise NotImplementedError
 
     def _rules(self) -> str:
-        """Say what the game is about and how to answer, ending with a line break."""
+        """Say what the game is about and how to answer."""
         raise NotImplementedError
 
     def _situation(self) -> str:
-        """Show how things stand: all that a player needs to know who sees nothing else."""
+        """Show how things stand: a line break, all that a player must know who sees nothing else, ``_turns_left``."""
         raise NotImplementedError
+
+    def _opening_key(self) -> Hashable:
+        """Return what the first observation depends on, where that is so little that it is worth keeping; else None."""
+        return None
 
     def _play(self, answer: str) -> StepResult:
         """Return the verdict on an answer; see the class."""
@@ -86,8 +90,17 @@ class Game(Env):
         self.turn = 0
         self.outcome = _PLAYING
         self._deal(Draws(self.np_random_seed))
+        key = self._opening_key()
+        observation, feedback, suffix = self._openings.get(key) or self._open(key)
+        return observation, {"feedback": feedback, "suffix": suffix}
+
+    def _open(self, key: Hashable) -> tuple[str, str, str]:
+        """Return the first observation, its feedback and its suffix, and keep them under ``key``."""
         feedback, suffix = self._rules(), self._situation()
-        return feedback + suffix, {"feedback": feedback, "suffix": suffix}
+        opening = feedback + suffix, feedback, suffix
+        if key is not None:
+            self._openings[key] = opening
+        return opening
 
     def step(self, action: str) -> StepResult:
         r"""Play the content of the last ``\boxed{}``."""
@@ -113,15 +126,15 @@ class Game(Env):
 
     def _drawing(self) -> str:
         """Draw the present state for a person, over several lines."""
-        return self._situation()
+        raise NotImplementedError
 
     # The verdicts.
 
     def _format_error(self, feedback: str) -> StepResult:
         """The response cannot be read."""
         if self.format_error_ends:
-            return self._end(_LOST, f"{feedback} That ends the game.{self._solution()}\n", FORMAT_ERROR_REWARD, None)
-        return self._go_on(f"{feedback} The turn is lost.\n", FORMAT_ERROR_REWARD, None, FORMAT_ERROR_REWARD)
+            return self._end(_LOST, f"{feedback} That ends the game.{self._solution()}", FORMAT_ERROR_REWARD, None)
+        return self._move(None, f"{feedback} The turn is lost.", FORMAT_ERROR_REWARD, FORMAT_ERROR_REWARD)
 
     def _invalid(self, feedback: str, at_limit: float = 0.0) -> StepResult:
         """The answer can be read and breaks a rule: nothing changes, and the turn is lost.
@@ -130,9 +143,9 @@ class Game(Env):
             feedback: Which rule.
             at_limit: Reward if this was the last turn.
         """
-        return self._go_on(f"{feedback} The turn is lost.\n", 0.0, None, at_limit)
+        return self._move(None, f"{feedback} The turn is lost.", 0.0, at_limit)
 
-    def _move(self, played: str, feedback: str, reward: float, at_limit: float) -> StepResult:
+    def _move(self, played: str | None, feedback: str, reward: float, at_limit: float) -> StepResult:
         """The answer was played, and the game goes on if there are turns left.
 
         Args:
@@ -141,18 +154,16 @@ class Game(Env):
             reward: Reward for it.
             at_limit: Reward if this was the last turn.
         """
-        return self._go_on(f"{feedback}\n", reward, played, at_limit)
-
-    def _win(self, played: str, feedback: str, reward: float = 1.0) -> StepResult:
-        """The answer was played and wins the game."""
-        return self._end(_WON, f"{feedback}\n", reward, played)
-
-    def _go_on(self, feedback: str, reward: float, played: str | None, at_limit: float) -> StepResult:
         if self.turn >= self.max_turns:
-            return self._end(_LOST, f"{feedback}You have used all your turns.{self._solution()}\n", at_limit, played)
+            feedback = f"{feedback} You have used all your turns.{self._solution()}"
+            return self._end(_LOST, feedback, at_limit, played)
         suffix = self._situation()
         info = {"feedback": feedback, "suffix": suffix, "parsed_action": played}
         return feedback + suffix, reward, False, False, info
+
+    def _win(self, played: str, feedback: str, reward: float = 1.0) -> StepResult:
+        """The answer was played and wins the game."""
+        return self._end(_WON, feedback, reward, played)
 
     def _end(self, outcome: str, feedback: str, reward: float, played: str | None) -> StepResult:
         self.outcome = outcome
@@ -160,11 +171,11 @@ class Game(Env):
         info = {"feedback": feedback, "suffix": suffix, "parsed_action": played, "correct": outcome == _WON}
         return feedback + suffix, reward, True, False, info
 
-    def _turns_left(self) -> str:
+    def _turns_left(self, how_to_answer: str) -> str:
         """Say how many turns are left and how to answer, as the last line of a situation."""
         if self.outcome != _PLAYING:
             return f"The game is over: you {self.outcome}."
-        return f"Turns left: {self.max_turns - self.turn}. Put {self.answer_format} inside \\boxed{{}}."
+        return f"Turns left: {self.max_turns - self.turn}. {how_to_answer}"
 
     def _get_state(self) -> dict[str, Any]:
         return {"turn": self.turn, "outcome": self.outcome}
@@ -187,18 +198,19 @@ def whole_number(text: str) -> int | None:
     return -int(digits) if text[0] == "-" else int(digits)
 
 
-def whole_numbers(text: str) -> list[str] | None:
-    """Split a text at white space into whole numbers; None if there are none, or if a piece is something else.
+def whole_numbers(text: str) -> list[int] | None:
+    """Read whole numbers with white space between them; None if there are none, or if a piece is something else.
 
-    The pieces come as text, so that a caller counts them before it reads them with ``whole_number``.
+    A text of more than 1,000 characters is not read.
     """
+    if len(text) > _LONGEST_LIST:
+        return None
     pieces = text.split()
     digits = "".join(pieces)
-    if digits.isdigit() and digits.isascii():
-        return pieces
-    if not pieces or any(whole_number(piece) is None for piece in pieces):
-        return None
-    return pieces
+    if digits.isdigit() and digits.isascii() and len(digits) <= _LONGEST_NUMBER:
+        return list(map(int, pieces))
+    numbers = [number for number in map(whole_number, pieces) if number is not None]
+    return numbers if 0 < len(numbers) == len(pieces) else None
 
 
 def quote(text: str) -> str:

@@ -3,6 +3,7 @@ r"""GuessTheNumber: find a hidden number; after each guess comes 'higher' or 'lo
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from typing import Any
 
 from gem_core.errors import ArgumentError
@@ -33,8 +34,6 @@ class GuessTheNumberEnv(Game):
 
     Source: parameters and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem.
     """
-
-    answer_format = "your guess"
 
     def __init__(
         self,
@@ -79,14 +78,17 @@ class GuessTheNumberEnv(Game):
             "After each guess you are told whether the number is higher or lower. A guess outside the range, or one "
             "that you have made before, costs a turn and gives no hint.\n"
             f"Write your guess inside \\boxed{{}}, for example \\boxed{{{self.min_number}}}; only the last box of a "
-            f"response counts. You have {self.max_turns} turns.\n\n"
+            f"response counts. You have {self.max_turns} turns.\n"
         )
 
     def _situation(self) -> str:
         return (
-            f"The number is from {self.min_number} to {self.max_number}. Hints so far: {self._hints or 'none'}.\n"
-            f"{self._turns_left()}"
+            f"\nThe number is from {self.min_number} to {self.max_number}. Hints so far: {self._hints or 'none'}.\n"
+            + self._turns_left("Put your guess inside \\boxed{}.")
         )
+
+    def _opening_key(self) -> Hashable:
+        return self.min_number, self.max_number, self.max_turns
 
     def _play(self, answer: str) -> StepResult:
         guess = whole_number(answer)

@@ -3,13 +3,14 @@ r"""Mastermind: find a secret code; each guess is marked with black and white pe
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from operator import eq
 from typing import Any
 
 from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
-from gem_games.game import Game, check_whole, quote, whole_number, whole_numbers
+from gem_games.game import Game, check_whole, quote, whole_numbers
 
 _SIZES = (2, 4, 10), (4, 6, 20), (4, 8, 30)
 _LONGEST_CODE, _MOST_NUMBERS = 20, 100
@@ -39,8 +40,6 @@ class MastermindEnv(Game):
 
     Source: parameters and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem.
     """
-
-    answer_format = "your guess"
 
     def __init__(
         self,
@@ -103,23 +102,27 @@ class MastermindEnv(Game):
             "a wrong place. A guess of another length, with a number out of range, or one that you have made before "
             "costs a turn and gets no pegs.\n"
             f"Write your guess inside \\boxed{{}} with spaces between the numbers, for example \\boxed{{{example}}}; "
-            f"only the last box of a response counts. You have {self.max_turns} turns.\n\n"
+            f"only the last box of a response counts. You have {self.max_turns} turns.\n"
         )
 
     def _situation(self) -> str:
         repeats = "with repeats possible" if self.duplicate_numbers else "all different"
         return (
-            f"The code: {self.code_length} numbers from 1 to {self.num_numbers}, {repeats}.\n"
-            f"Guesses so far:{self._marked or ' none'}\n{self._turns_left()}"
+            f"\nThe code: {self.code_length} numbers from 1 to {self.num_numbers}, {repeats}.\n"
+            f"Guesses so far:{self._marked or ' none'}\n"
+            + self._turns_left("Put your guess inside \\boxed{}, with spaces between the numbers.")
         )
+
+    def _opening_key(self) -> Hashable:
+        return self.code_length, self.num_numbers, self.max_turns
 
     def _play(self, answer: str) -> StepResult:
         numbers = whole_numbers(answer)
         if numbers is None:
             return self._format_error(f"{quote(answer)} is not a list of whole numbers with spaces between them.")
         if len(numbers) != self.code_length:
-            return self._invalid(f"Your guess has length {len(numbers)}, and the code has length {self.code_length}.")
-        guess = tuple([whole_number(number) or 0 for number in numbers])
+            return self._invalid(f"Your guess has {len(numbers)} numbers, and the code has {self.code_length}.")
+        guess = tuple(numbers)
         if min(guess) < 1 or max(guess) > self.num_numbers:
             return self._invalid(f"Your guess has a number that is not from 1 to {self.num_numbers}.")
         if guess in self.guesses:

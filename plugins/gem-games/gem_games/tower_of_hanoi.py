@@ -3,6 +3,7 @@ r"""Tower of Hanoi: move a tower of disks from peg A to peg C."""
 from __future__ import annotations
 
 import re
+from collections.abc import Hashable
 from typing import Any
 
 from gem_core.errors import ArgumentError
@@ -12,6 +13,7 @@ from gem_games.game import Game, check_whole, quote
 
 _SIZES = (3, 10), (4, 20), (5, 35)
 _MOST_DISKS = 20
+_TOWERS = ["".join(f" {disk}" for disk in range(height, 0, -1)) for height in range(_MOST_DISKS + 1)]
 # Possessive (*+): with plain stars, a few thousand spaces would take seconds to refuse.
 _MOVE = re.compile(r"([ABCabc])\s*+,?\s*+([ABCabc])", re.ASCII)
 
@@ -36,8 +38,6 @@ class TowerOfHanoiEnv(Game):
     Source: parameters and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem.
     """
 
-    answer_format = "your move"
-
     def __init__(
         self, num_disks: int | None = 3, max_turns: int | None = 100, *, format_error_ends: bool = True
     ) -> None:
@@ -55,27 +55,33 @@ class TowerOfHanoiEnv(Game):
             )
         self.num_disks, self.max_turns = self._sizes[0]
         self.pegs: dict[str, list[int]] = {"A": [], "B": [], "C": []}
+        self._rows = {"A": "", "B": "", "C": ""}
 
     def _deal(self, draws: Draws) -> None:
         if len(self._sizes) > 1:
             self.num_disks, self.max_turns = self._sizes[draws.below(len(self._sizes))]
         self.pegs = {"A": list(range(self.num_disks, 0, -1)), "B": [], "C": []}
+        self._rows = {"A": _TOWERS[self.num_disks], "B": "", "C": ""}
 
     def _rules(self) -> str:
         return (
             f"Tower of Hanoi: move all {self.num_disks} disks from peg A to peg C.\n"
             "A move takes the top disk of one peg and puts it on top of another. A disk may not lie on a smaller one; "
             "a move that breaks the rules costs a turn and moves nothing.\n"
-            "Write your move inside \\boxed{}, first the peg to take from, then the peg to put on, for example "
-            f"\\boxed{{A B}}; only the last box of a response counts. You have {self.max_turns} turns.\n\n"
+            "Write your move inside \\boxed{}, first the peg to take from, then the peg to put on; only the last box of "
+            f"a response counts. You have {self.max_turns} turns.\n"
         )
 
     def _situation(self) -> str:
-        pegs = self.pegs
+        rows = self._rows
         return (
-            "The pegs, each from the bottom to the top; disk 1 is the smallest:\n"
-            f"A: {_row(pegs['A'])}\nB: {_row(pegs['B'])}\nC: {_row(pegs['C'])}\n{self._turns_left()}"
+            "\nAll disks must go to peg C. The pegs, each from the bottom to the top, disk 1 being the smallest:\n"
+            f"A:{rows['A'] or ' empty'}\nB:{rows['B'] or ' empty'}\nC:{rows['C'] or ' empty'}\n"
+            + self._turns_left("Answer like \\boxed{A B}: from peg A to peg B.")
         )
+
+    def _opening_key(self) -> Hashable:
+        return self.num_disks, self.max_turns
 
     def _play(self, answer: str) -> StepResult:
         match = _MOVE.fullmatch(answer)
@@ -85,13 +91,21 @@ class TowerOfHanoiEnv(Game):
         fault = self._fault(source, target)
         if fault:
             return self._invalid(fault, self._share_done())
-        disk = self.pegs[source].pop()
-        self.pegs[target].append(disk)
+        disk = self._carry(source, target)
         move, feedback = f"{source} {target}", f"Disk {disk} went from peg {source} to peg {target}."
         share = self._share_done()
         if share == 1.0:
             return self._win(move, f"{feedback} The tower stands on peg C: well done.")
         return self._move(move, feedback, 0.0, share)
+
+    def _carry(self, source: str, target: str) -> int:
+        """Move the top disk of one peg to another, and return it."""
+        disk = self.pegs[source].pop()
+        self.pegs[target].append(disk)
+        label = f" {disk}"
+        self._rows[source] = self._rows[source].removesuffix(label)
+        self._rows[target] += label
+        return disk
 
     def _fault(self, source: str, target: str) -> str:
         """Say why a move breaks the rules; ``""`` if it does not."""
@@ -134,7 +148,4 @@ class TowerOfHanoiEnv(Game):
         super()._set_state(state)
         self.num_disks, self.max_turns = int(state["num_disks"]), int(state["max_turns"])
         self.pegs = {name: list(map(int, peg)) for name, peg in zip("ABC", state["pegs"], strict=True)}
-
-
-def _row(peg: list[int]) -> str:
-    return " ".join(map(str, peg)) or "empty"
+        self._rows = {name: "".join(f" {disk}" for disk in peg) for name, peg in self.pegs.items()}
