@@ -95,13 +95,11 @@ class Draws:
         seed: A whole number from 0 up, as in ``Env.np_random_seed``.
     """
 
-    __slots__ = ("_bits", "_block", "_pool", "_seed")
+    __slots__ = ("_block", "_pool", "_seed")
 
     def __init__(self, seed: int) -> None:
         self._seed = seed
-        self._block = 0
-        self._pool = 0
-        self._bits = 0
+        self._block = self._pool = 0
 
     def below(self, limit: int) -> int:
         """Draw a whole number from 0 to ``limit - 1``, uniform but for less than one part in 2**64.
@@ -109,11 +107,12 @@ class Draws:
         Args:
             limit: From 1 to 2**256.
         """
-        # Each draw is a digit in base `limit` of one large random number, which loses that many bits by it.
-        if self._bits < 320:
-            digest = blake2b(b"draws:%d:%d" % (self._seed, self._block)).digest()
-            self._pool, self._bits, self._block = int.from_bytes(digest, "little"), 512, self._block + 1
-        self._bits -= limit.bit_length()
+        # Each draw is a digit in base `limit` of one large random number, as long as that is large enough.
+        if self._pool < limit << 64:
+            # 64 bytes of BLAKE2b have nothing in common with the 32 bytes that start np_random.
+            text = b"%d/%d" % (self._seed, self._block) if self._block else b"%d" % self._seed
+            self._pool = int.from_bytes(blake2b(text).digest(), "little")
+            self._block += 1
         self._pool, number = divmod(self._pool, limit)
         return number
 

@@ -225,7 +225,10 @@ class Guard(Wrapper):
         """Begin an episode and write its seed to ``info``."""
         # This and step say the same as the hooks below, without the calls: they are run around every task.
         self._live = False
-        return self.after_reset(self.env.reset(seed=seed, options=options) if options else self.env.reset(seed=seed))
+        result = self.env.reset(seed=seed, options=options) if options else self.env.reset(seed=seed)
+        result[1]["seed"] = self.env.np_random_seed
+        self._live = True
+        return result
 
     def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> None:
         """Refuse steps until the reset has succeeded."""

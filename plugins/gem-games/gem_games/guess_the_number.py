@@ -56,6 +56,12 @@ class GuessTheNumberEnv(Game):
         self._hints = ""
 
     def _deal(self, draws: Draws) -> None:
+        if None in self._given:
+            self._draw_range(draws)
+        self.number = self.min_number + draws.below(self.max_number - self.min_number + 1)
+        self._begin()
+
+    def _draw_range(self, draws: Draws) -> None:
         lowest, highest, turns = self._given
         if lowest is None:
             lowest = draws.below(10) + 1 if highest is None else highest - 5 - draws.below(46)
@@ -64,8 +70,6 @@ class GuessTheNumberEnv(Game):
         if turns is None:
             turns = math.ceil(math.sqrt(highest - lowest)) + 1
         self.min_number, self.max_number, self.max_turns = lowest, highest, turns
-        self.number = lowest + draws.below(highest - lowest + 1)
-        self._begin()
 
     def _begin(self) -> None:
         self.guesses = []

@@ -68,8 +68,8 @@ class TowerOfHanoiEnv(Game):
             f"Tower of Hanoi: move all {self.num_disks} disks from peg A to peg C.\n"
             "A move takes the top disk of one peg and puts it on top of another. A disk may not lie on a smaller one; "
             "a move that breaks the rules costs a turn and moves nothing.\n"
-            "Write your move inside \\boxed{}, first the peg to take from, then the peg to put on; only the last box of "
-            f"a response counts. You have {self.max_turns} turns.\n"
+            "Write your move inside \\boxed{}, first the peg to take from, then the peg to put on; only the last box "
+            f"of a response counts. You have {self.max_turns} turns.\n"
         )
 
     def _situation(self) -> str:
