@@ -121,7 +121,7 @@ class MastermindEnv(Game):
         if numbers is None:
             return self._format_error(f"{quote(answer)} is not a list of whole numbers with spaces between them.")
         if len(numbers) != self.code_length:
-            return self._invalid(f"Your guess has {len(numbers)} numbers, and the code has {self.code_length}.")
+            return self._invalid(f"Your guess has length {len(numbers)}, and the code has length {self.code_length}.")
         guess = tuple(numbers)
         if min(guess) < 1 or max(guess) > self.num_numbers:
             return self._invalid(f"Your guess has a number that is not from 1 to {self.num_numbers}.")
