@@ -190,10 +190,10 @@ def whole_number(text: str) -> int | None:
     Leading zeros mean nothing. Of a number of more than 100 digits only the first 100 are read: it is beyond every
     range of a game either way, and ``int`` refuses to read more than 4,300.
     """
-    digits = text[1:] if text.startswith(("-", "+")) else text
+    digits = text if text.isdigit() else text.removeprefix("-" if text.startswith("-") else "+")
     if not (digits.isdigit() and digits.isascii()):
         return None
-    if len(text) > _LONGEST_NUMBER:
+    if len(digits) > _LONGEST_NUMBER:
         digits = digits.lstrip("0")[:_LONGEST_NUMBER] or "0"
     return -int(digits) if text[0] == "-" else int(digits)
 

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 import gem_core as gem
 from gem_core.errors import AgentError, ResetNeededError
+from gem_core.testing import check_env
 from gem_games.agents import BisectionAgent, HanoiAgent, MastermindAgent
 from gem_games.game import quote, whole_number, whole_numbers
 from gem_games.guess_the_number import GuessTheNumberEnv
@@ -159,6 +160,11 @@ def test_hanoi_sizes() -> None:
         sizes.add((env.num_disks, env.max_turns))
         assert env.pegs == {"A": list(range(env.num_disks, 0, -1)), "B": [], "C": []}
     assert sizes == {(3, 10), (4, 20), (5, 35)}
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_keeps_the_contract(env_id: str) -> None:
+    check_env(env_id)
 
 
 @pytest.mark.parametrize("env_id", IDS)
