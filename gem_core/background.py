@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import concurrent.futures
+import contextvars
 import threading
 from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar
@@ -69,10 +70,11 @@ async def in_thread(function: Callable[..., T], *args: Any) -> T:
     future: concurrent.futures.Future[T] = concurrent.futures.Future()
     # A future that runs cannot be cancelled any more: the task that waits can, and the result is then dropped.
     future.set_running_or_notify_cancel()
+    context = contextvars.copy_context()
 
     def work() -> None:
         try:
-            result = function(*args)
+            result = context.run(function, *args)
         except StopIteration as error:
             # An asyncio future of Python 3.11 refuses a StopIteration, and whoever waits would wait for ever.
             stopped = RuntimeError(f"{getattr(function, '__qualname__', function)} raised StopIteration")

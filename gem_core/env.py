@@ -13,6 +13,7 @@ from gem_core.arguments import RemembersArguments, check_arguments, overridden
 from gem_core.background import in_thread, run_sync
 from gem_core.errors import GemError, SamplingNotSupported, StateError, StateNotSupported
 from gem_core.seeding import (
+    SEED_MAXIMUM,
     checked_seed,
     fresh_seed,
     generator_state,
@@ -100,7 +101,7 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         if seed is None:
             previous = self._np_random_seed
             seed = fresh_seed() if previous is None or previous < 0 else next_seed(previous)
-        elif type(seed) is not int or seed < 0:
+        elif type(seed) is not int or not 0 <= seed < SEED_MAXIMUM:
             seed = checked_seed(cast("SupportsIndex", seed))
         if self._np_random_seed == _FOREIGN:
             self._generator = None

@@ -124,6 +124,8 @@ def from_plain(value: Any, images: ImageFolder | None = None) -> Any:
 
 
 def _plain_text(text: str) -> Any:
+    if text.isascii():
+        return text
     pieces = _BETWEEN_SURROGATES.split(text)
     return text if len(pieces) == 1 else {_TEXT_KEY: pieces}
 

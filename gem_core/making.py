@@ -47,11 +47,13 @@ class MadeSpec(GymnasiumSpec):
         record = cast("EnvSpec", self.record)
         self.namespace, self.name, self.version = record.namespace, record.name, record.version
 
-    def make(self, **kwargs: Any) -> AnyEnv:
-        """Make the same environment again, with some arguments changed."""
+    def make(self, wrappers: Wrappers = (), **kwargs: Any) -> AnyEnv:
+        """Make the same environment again, with some arguments changed and ``wrappers`` around it."""
         from gem_core.registry import registry
 
-        return make_from(cast("EnvSpec", self.record), {**self.kwargs, **kwargs}, self.stack, registry().wrapper)
+        look_up = registry().wrapper
+        same = make_from(cast("EnvSpec", self.record), {**self.kwargs, **kwargs}, self.stack, look_up)
+        return wrap(same, wrappers, look_up)
 
     @property
     def stack(self) -> tuple[tuple[str, dict[str, Any]], ...]:

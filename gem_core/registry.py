@@ -24,7 +24,7 @@ from gem_core.specs import AgentSpec, EntryPoint, EnvSpec, NamedSpec, ToolSpec, 
 from gem_core.suggestions import did_you_mean
 
 if TYPE_CHECKING:
-    from gem_core.making import Wrappers
+    from gem_core.making import MadeSpec, Wrappers
     from gem_core.plans import PlanItem
     from gem_core.vector.base import VectorEnv
     from gem_core.wrapper import AnyEnv
@@ -298,13 +298,13 @@ def register(id: str, entry_point: EntryPoint, **kwargs: Any) -> None:
     _registry.add(EnvSpec(id=id, entry_point=entry_point, kwargs=kwargs, **described))
 
 
-def make(id: str | EnvSpec, *, wrappers: Wrappers = (), **kwargs: Any) -> AnyEnv:
+def make(id: str | EnvSpec | MadeSpec, *, wrappers: Wrappers = (), **kwargs: Any) -> AnyEnv:
     """Make an environment by id.
 
     Args:
-        id: Id of a registered environment, or its record.
+        id: Id of a registered environment, or its record, or the ``spec`` of one that was made.
         wrappers: Names of wrappers and tools, innermost first: ``"python,concat"``, or with options
-            ``["python", ("concat", {"max_turns": 4})]``.
+            ``["python", ("concat", {"max_turns": 4})]``. They go around those that a ``spec`` has already.
         **kwargs: Keyword arguments over the registered ones; ``render_mode`` works for every environment.
 
     Raises:
@@ -314,9 +314,11 @@ def make(id: str | EnvSpec, *, wrappers: Wrappers = (), **kwargs: Any) -> AnyEnv
         MissingRequirementError: Something has to be installed, started or set first.
         EntryPointError: The environment's module cannot be imported.
     """
-    record = id if isinstance(id, EnvSpec) else _registry.env(id)
-    from gem_core.making import make_from
+    from gem_core.making import MadeSpec, make_from
 
+    if isinstance(id, MadeSpec):
+        return id.make(wrappers=wrappers, **kwargs)
+    record = id if isinstance(id, EnvSpec) else _registry.env(id)
     return make_from(record, kwargs, wrappers, _registry.wrapper)
 
 

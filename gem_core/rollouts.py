@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import inspect
 from collections.abc import Awaitable, Iterable, Iterator, Sequence
-from importlib.metadata import version
 from typing import Any, cast
 
+from gem_core import __version__
 from gem_core.agents.base import Agent, Context, as_agent
 from gem_core.background import run_sync
 from gem_core.episodes import Episode, Transition
@@ -170,7 +170,7 @@ def _new_episode(described: dict[str, Any], draw: Draw, observation: Observation
 
 def _versions(env_id: str) -> dict[str, str]:
     provider = registry().provider(env_id)
-    versions = {"gem-core": version("gem-core")}
+    versions = {"gem-core": __version__}
     if provider is not None:
         versions[provider.distribution] = provider.version
     return versions

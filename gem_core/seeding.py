@@ -14,6 +14,9 @@ from gem_core.errors import ArgumentError, StateError
 SEED_LIMIT = 1 << 53
 """Seeds that the library makes lie below this, so that they are exact in JSON readers that use doubles."""
 
+SEED_MAXIMUM = 1 << 128
+"""Seeds that callers give must lie below this."""
+
 # One round of a full-period linear congruential generator (Hull and Dobell, 1962): the seeds of the later episodes of
 # a stream. Its weak low bits do no harm, because every seed goes through a cryptographic hash before it is used.
 _NEXT_MULTIPLIER = 0x5851F42D4C957F2D % SEED_LIMIT
@@ -56,14 +59,16 @@ def checked_seed(seed: SupportsIndex) -> int:
     """Return a seed as a plain int.
 
     Raises:
-        ArgumentError: It is not a whole number from 0 up.
+        ArgumentError: It is not a whole number from 0 to 2**128 - 1.
     """
     try:
         number = operator.index(seed)
     except TypeError:
         raise ArgumentError(f"seed must be a whole number from 0 up, not {seed!r}") from None
+    if number >= SEED_MAXIMUM:
+        raise ArgumentError("seed must be below 2**128, and the one given is larger")
     if number < 0 or isinstance(seed, bool):
-        raise ArgumentError(f"seed must be a whole number from 0 up, not {seed!r}")
+        raise ArgumentError(f"seed must be a whole number from 0 up, not {seed!r:.100}")
     return number
 
 

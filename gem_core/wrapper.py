@@ -226,7 +226,12 @@ class Guard(Wrapper):
         # This and step say the same as the hooks below, without the calls: they are run around every task.
         self._live = False
         result = self.env.reset(seed=seed, options=options) if options else self.env.reset(seed=seed)
-        result[1]["seed"] = self.env.np_random_seed
+        try:
+            result[1]["seed"] = self.env.np_random_seed
+        except (TypeError, IndexError, KeyError):
+            raise TypeError(
+                f"{type(self.unwrapped).__name__}.reset must return (observation, info), not {result!r:.200}"
+            ) from None
         self._live = True
         return result
 
@@ -236,7 +241,12 @@ class Guard(Wrapper):
 
     def after_reset(self, result: ResetResult) -> ResetResult:
         """Write the episode's seed to ``info``."""
-        result[1]["seed"] = self.env.np_random_seed
+        try:
+            result[1]["seed"] = self.env.np_random_seed
+        except (TypeError, IndexError, KeyError):
+            raise TypeError(
+                f"{type(self.unwrapped).__name__}.reset must return (observation, info), not {result!r:.200}"
+            ) from None
         self._live = True
         return result
 

@@ -74,6 +74,12 @@ def test_bad_seed_is_refused(seed: Any) -> None:
         assert str(caught.value) == text
 
 
+def test_seed_without_end_is_refused() -> None:
+    """A number that could not even be printed."""
+    with pytest.raises(ArgumentError, match=r"seed must be below 2\*\*128"):
+        GuessEnv().reset(seed=10**5000)
+
+
 def test_numpy_seed_is_reported_as_int() -> None:
     """A seed of NumPy is taken, and reported as JSON knows it."""
     _, info = gem.make("test:Guess-v3").reset(seed=np.int64(3))  # type: ignore[arg-type]

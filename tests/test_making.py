@@ -146,3 +146,23 @@ def test_vector_environment_of_gymnasium_runs() -> None:
     _, rewards, _, _, _ = vector.step(["0", "0"])
     assert rewards.tolist() == [0.0, 0.0]
     vector.close()
+
+
+def test_specification_is_made_by_make_too() -> None:
+    """As in Gymnasium: ``make`` takes an environment's ``spec``, and more wrappers go around."""
+    env = gem.make("test:Guess-v3", wrappers="latest", turns=2)
+    again = gem.make(env.spec, wrappers="episode_stats", high=5)  # type: ignore[arg-type]  # it has one
+    assert again.spec.wrappers == (("latest", {}), ("episode_stats", {}))  # type: ignore[union-attr]
+    assert (again.unwrapped.turns, again.unwrapped.high) == (2, 5)
+
+
+def test_reset_that_forgets_its_info_is_named() -> None:
+    """A newcomer's first mistake gets a clear message."""
+
+    class Forgetful(GuessEnv):
+        def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+            return super().reset(seed)[0]
+
+    gem.register("test:Forgetful-v0", Forgetful)
+    with pytest.raises(TypeError, match=r"Forgetful\.reset must return \(observation, info\), not 'Guess a number"):
+        gem.make("test:Forgetful-v0").reset(seed=1)

@@ -124,8 +124,11 @@ class GuessTheNumberEnv(Game):
         return f" The number was {self.number}."
 
     def _random_answer(self) -> str:
-        """Draw a number that the hints leave open."""
-        return str(self._low + int(self.action_random.random() * (self._high - self._low + 1)))
+        """Draw a number that has not been guessed, whatever the hints say."""
+        while True:
+            number = self.min_number + int(self.action_random.random() * (self.max_number - self.min_number + 1))
+            if number not in self.guesses:
+                return str(number)
 
     def _drawing(self) -> str:
         width = 50
