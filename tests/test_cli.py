@@ -65,6 +65,8 @@ def subprocess_gem(*arguments: str, cwd: Path, code: str = "") -> subprocess.Com
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["--vesion"], "gem: No such option '--vesion'. Did you mean '--version'? Run 'gem --help'\n"),
+        (["run", COUNTDOWN, "--agent"], "Option '--agent' requires an argument. Run 'gem run --help'\n"),
         (["lst"], "no command 'lst'. Did you mean 'list'? There are: list, info, run, plugins"),
         (["run", "--agnt", "x", COUNTDOWN], "No such option '--agnt'. Did you mean '--agent'?"),
         (["run", "toy:Cuntdown-v0"], "no environment 'toy:Cuntdown-v0'. Did you mean 'toy:Countdown-v0'"),
@@ -97,6 +99,13 @@ def test_version_and_help(run_gem) -> None:
         outcome = run_gem(*arguments)
         assert outcome.code == 0
         assert "Examples:" in outcome.out
+
+
+def test_the_bare_command_shows_its_help_line_by_line(run_gem) -> None:
+    """On standard error, since nothing was asked; the exit code says so too."""
+    outcome = run_gem()
+    assert (outcome.code, outcome.out) == (2, "")
+    assert outcome.err.startswith("Usage: gem [OPTIONS] COMMAND [ARGS]...\n\n  GEM: a gym for language-model agents.\n")
 
 
 def test_list_finds_by_namespace_part_and_glob(run_gem) -> None:

@@ -89,8 +89,11 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     try:
         code = cli.main(list(arguments), prog_name="gem", standalone_mode=False)
         sys.stdout.flush()
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message(), err=True)
+        code = error.exit_code
     except click.ClickException as error:
-        _complain(_click_message(error))
+        _complain(_click_message(error, arguments))
         code = error.exit_code
     except (KeyboardInterrupt, click.Abort):
         _complain("interrupted")
@@ -117,12 +120,16 @@ def _complain(message: str) -> None:
     click.echo(f"gem: {line}", err=True)
 
 
-def _click_message(error: click.ClickException) -> str:
+def _click_message(error: click.ClickException, arguments: Sequence[str]) -> str:
     message = error.format_message()
-    context = getattr(error, "ctx", None)
-    if isinstance(error, click.UsageError) and context is not None:
-        message = f"{message.rstrip('.')}. Run '{context.command_path} --help'"
-    return message
+    if not isinstance(error, click.UsageError):
+        return message
+    # click leaves the context out where an option lacks its value.
+    path = f"gem {arguments[0]}" if arguments and arguments[0] in _COMMANDS else "gem"
+    if error.ctx is not None:
+        path = error.ctx.command_path
+    message = message.rstrip(".")
+    return f"{message}{'' if message.endswith('?') else '.'} Run '{path} --help'"
 
 
 def _plugin_commands() -> dict[str, Any]:
