@@ -2,7 +2,20 @@
 
 from __future__ import annotations
 
-from gem_core.cli import main
+import sys
+from typing import NoReturn
+
+
+def main() -> NoReturn:
+    """Run the command ``gem``; Ctrl-C while it is still being imported is answered as later on."""
+    try:
+        from gem_core import cli
+
+        cli.main()
+    except KeyboardInterrupt:
+        sys.stderr.write("\ngem: interrupted\n")
+        sys.exit(130)
+
 
 if __name__ == "__main__":
     main()

@@ -33,8 +33,22 @@ Examples:
 INTERRUPTED = 130
 
 
+class _ReaderGoneError(Exception):
+    """Nobody reads standard output any more."""
+
+
 class _Commands(click.Group):
     """Finds subcommands by name, the core's first, then those of plugins."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        # click's own answers would be exit code 1 for a closed pipe, and "aborted" for an agent at the end of its
+        # input.
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError as error:
+            raise _ReaderGoneError from error
+        except EOFError as error:
+            raise GemError(f"there is nothing more to read: EOFError: {error}") from error
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return [*_COMMANDS, *(name for name in _plugin_commands() if name not in _COMMANDS)]
@@ -77,8 +91,11 @@ class _Commands(click.Group):
 )
 @click.version_option(__version__, prog_name="gem-core", message="%(prog)s %(version)s")
 @click.option("--traceback", is_flag=True, help="Show the whole traceback of an error. Stands before the command.")
-def cli(traceback: bool) -> None:
+@click.pass_context
+def cli(ctx: click.Context, traceback: bool) -> None:
     """GEM: a gym for language-model agents."""
+    if os.environ.get("NO_COLOR"):  # see no-color.org; rich heeds it by itself
+        ctx.color = False
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
@@ -98,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     except (KeyboardInterrupt, click.Abort):
         _complain("interrupted")
         code = INTERRUPTED
-    except BrokenPipeError:
+    except (_ReaderGoneError, BrokenPipeError):
         # The reader has seen enough, as with `gem list | head`; what is buffered must not be written at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
