@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from contextlib import suppress
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -53,7 +54,8 @@ class Progress:
             self._bar.update(self._task, completed=done, status=_status(total))
         elif time.monotonic() - self._last > _PLAIN_EVERY_S:
             self._last = time.monotonic()
-            click.echo(f"gem: {done} of {self._total} episodes, {_status(total)}", err=True)
+            with suppress(OSError):  # nobody reads it any more; the run goes on
+                click.echo(f"gem: {done} of {self._total} episodes, {_status(total)}", err=True)
 
     def _start_bar(self) -> None:
         from rich.console import Console
@@ -88,14 +90,23 @@ def _print_drawn(rows: list[tuple[str, ...]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table()
-    for header in _HEADERS:
-        table.add_column(header, justify="left" if header == "environment" else "right", no_wrap=True)
+    console = Console()
+    widths = [max(map(len, column)) for column in zip(_HEADERS, *rows, strict=True)]
+    # Where the frame does not fit, figures stay whole: no frame, headers of two lines and, if need be, ids folded.
+    fits = sum(widths) + 3 * len(widths) + 1 <= console.width
+    table = Table() if fits else Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for header, *column in zip(_HEADERS, *rows, strict=True):
+        if header == "environment":
+            table.add_column(header, overflow="fold")
+        else:
+            shown = header if fits else header.replace(" ", "\n")
+            least = max(map(len, [*shown.split("\n"), *column]))
+            table.add_column(shown, justify="right", no_wrap=True, min_width=least)
     for row in rows:
         style = "bold" if row[0] == "all" and len(rows) > 1 else None
         errors = row[-1] if row[-1] == "0" else f"[red]{row[-1]}[/red]"
         table.add_row(*row[:-1], errors, style=style)
-    Console().print(table)
+    console.print(table)
 
 
 def _cells(row: EnvSummary, seconds: float) -> tuple[str, ...]:
