@@ -23,6 +23,8 @@ import os, signal
 import gem_core as gem
 from toys import register_toys
 register_toys()
+# Where the tests run in the background of a shell, they inherit that Ctrl-C is ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 seen = []
 def act(observation, context):
     seen.append(context.episode)
@@ -71,10 +73,16 @@ def subprocess_gem(*arguments: str, cwd: Path, code: str = "") -> subprocess.Com
         (["run", "--agnt", "x", COUNTDOWN], "No such option '--agnt'. Did you mean '--agent'?"),
         (["run", "toy:Cuntdown-v0"], "no environment 'toy:Cuntdown-v0'. Did you mean 'toy:Countdown-v0'"),
         (["run", "toy:nothing*"], "no environment matches 'toy:nothing*'"),
+        (["run", "toy:Cuntdown*"], "no environment matches 'toy:Cuntdown*'. Did you mean 'toy:Countdown-v0'?"),
+        (["run", COUNTDOWN, "--out", ""], "--out takes the name of a file, not ''"),
+        (["run", COUNTDOWN, "--out", "-"], "--out takes the name of a file, not '-'"),
+        (["run", COUNTDOWN, "--agent", ":x"], "no agent ':x': name one as MODULE:CALLABLE, or one of "),
+        (["run", COUNTDOWN, "--agent", "os:"], "no agent 'os:': name one as MODULE:CALLABLE"),
+        (["run", COUNTDOWN, "--agent", "os:sep"], "no agent 'os:sep': an agent is a callable of"),
         (["run", COUNTDOWN, "--agent", "randm"], "no agent 'randm'. Did you mean 'random'?"),
         (["run", COUNTDOWN, "--wrappers", "conct"], "no wrapper or tool 'conct'. Did you mean 'concat'"),
         (["run", COUNTDOWN, "--episodes", "0"], "Invalid value for '-n' / '--episodes': 0 is not in the range x>=1."),
-        (["run", COUNTDOWN, "--seed", "x"], "Invalid value for '-s' / '--seed': 'x' is not a valid integer"),
+        (["run", COUNTDOWN, "--seed", "x"], "Invalid value for '-s' / '--seed': 'x' is not a valid integer."),
         (["run"], "Missing argument 'ID...'"),
         (["info", "toy:Cuntdown-v0"], "no environment 'toy:Cuntdown-v0'. Did you mean 'toy:Countdown-v0'"),
         (["info", "game2:X"], "no environment 'game2:X'"),
@@ -245,7 +253,22 @@ def test_a_reader_that_has_seen_enough_is_no_error(tmp_path: Path) -> None:
         assert process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == b""
-        assert process.wait() in (0, 1)
+        assert process.wait() == 0
+
+
+def test_an_agent_at_the_end_of_its_input_is_no_interruption(run_gem) -> None:
+    """EOFError is the agent's, and not Ctrl-C."""
+    Path("asking.py").write_text("def act(observation): raise EOFError('no more lines')\n")
+    outcome = run_gem("run", COUNTDOWN, "-a", "asking:act")
+    assert (outcome.code, outcome.err) == (1, "gem: there is nothing more to read: EOFError: no more lines\n")
+
+
+def test_no_color_is_heeded_in_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """See no-color.org."""
+    program = [sys.executable, "-c", TERMINAL_PROGRAM, "list", "toy"]
+    assert "\x1b[36m" in in_terminal(program, tmp_path)
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert "\x1b" not in in_terminal(program, tmp_path)
 
 
 def test_progress_and_a_drawn_table_in_a_terminal(tmp_path: Path) -> None:
@@ -259,6 +282,36 @@ def test_progress_and_a_drawn_table_in_a_terminal(tmp_path: Path) -> None:
     assert "written to runs/" in output
 
 
+def test_the_table_keeps_its_figures_whole_in_80_columns(tmp_path: Path) -> None:
+    """Without a frame, in headers of two lines."""
+    name = "toy:HasANameOf29Letters-v0-ab"
+    program = TERMINAL_PROGRAM.replace(
+        "main()", f"import gem_core; gem_core.register({name!r}, 'toys:CountdownEnv'); main()"
+    )
+    command = [sys.executable, "-c", program, "run", COUNTDOWN, name, "-n", "2"]
+    lines = in_terminal(command, tmp_path, columns=80).splitlines()
+    (row,) = [line for line in lines if line.startswith(f"{name} ")]
+    assert len(row.split()) == 7
+    assert not any("…" in line for line in lines)
+
+
+def test_two_runs_in_one_second_have_files_of_their_own(run_gem, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The name holds the second and the seed; both may be equal."""
+    monkeypatch.setattr("time.strftime", lambda form: "now")
+    for _ in range(2):
+        assert run_gem("run", COUNTDOWN, "-n", "1", "--seed", "1").code == 0
+    assert sorted(path.name for path in Path("runs").iterdir()) == ["now-1-2.jsonl", "now-1.jsonl"]
+
+
+def test_interrupt_while_the_command_is_imported(tmp_path: Path) -> None:
+    """Ctrl-C before there is anything to interrupt: no traceback either."""
+    (tmp_path / "click.py").write_text("raise KeyboardInterrupt\n")
+    env = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    command = [sys.executable, "-m", "gem_core", "list"]
+    done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (130, "\ngem: interrupted\n")
+
+
 def test_python_dash_m_does_the_same() -> None:
     """For machines on which another program is called gem."""
     done = subprocess.run(
@@ -270,10 +323,10 @@ def test_python_dash_m_does_the_same() -> None:
 TERMINAL_PROGRAM = "from toys import register_toys; register_toys(); from gem_core.cli import main; main()"
 
 
-def in_terminal(command: list[str], cwd: Path) -> str:
+def in_terminal(command: list[str], cwd: Path, columns: int = 120) -> str:
     """Return what a program writes to a terminal."""
     leader, follower = pty.openpty()
-    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parent), "TERM": "xterm", "COLUMNS": "120"}
+    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parent), "TERM": "xterm", "COLUMNS": str(columns)}
     with subprocess.Popen(command, cwd=cwd, env=env, stdin=follower, stdout=follower, stderr=follower) as process:
         os.close(follower)
         output = b""

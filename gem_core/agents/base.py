@@ -94,6 +94,8 @@ def load_agent(name: str) -> Agent:
 
     head, colon, rest = name.partition(":")
     registered = [record.name for record in registry().named(AgentSpec)]
+    if colon and not (head and rest):
+        raise UnknownAgentError(f"no agent {name!r}: name one as MODULE:CALLABLE, or one of {', '.join(registered)}")
     if head in registered:
         return as_agent(construct(registry().agent(head), *([rest] if colon else [])))
     if not colon:
@@ -101,7 +103,12 @@ def load_agent(name: str) -> Agent:
         raise UnknownAgentError(
             f"no agent {name!r}.{did_you_mean(name, registered)} There are: {listed}; or name one as MODULE:CALLABLE"
         )
-    return as_agent(_imported(name, head, rest, registered))
+    target = _imported(name, head, rest, registered)
+    if not callable(target):
+        raise UnknownAgentError(
+            f"no agent {name!r}: an agent is a callable of (observation, context), and this is {target!r:.100}"
+        )
+    return as_agent(target)
 
 
 def _imported(name: str, module_name: str, path: str, registered: list[str]) -> Any:

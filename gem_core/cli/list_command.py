@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sys
 
@@ -31,20 +32,31 @@ def command(pattern: str | None, as_json: bool) -> None:
 
     PATTERN is a namespace, a part of an id, or a glob in quotes.
     """
-    records = registry().envs(pattern)
-    if pattern is not None and not records:
-        names = [record.id for record in registry().envs()]
-        namespaces = sorted({record.namespace for record in registry().envs()})
-        raise UnknownEnvError(
-            f"no environment matches {pattern!r}.{did_you_mean(pattern, [*namespaces, *names])} "
-            f"Namespaces: {', '.join(namespaces) or 'none'}. Run 'gem list'"
-        )
+    records = matching(pattern)
     if as_json:
         click.echo(json.dumps([described(record) for record in records], indent=1))
     elif not records:
         click.echo("No environments are installed. Try 'pip install gem-games'.")
     else:
         _print_columns(records)
+
+
+def matching(pattern: str | None) -> list[EnvSpec]:
+    """Return the environments that a pattern means; all without one.
+
+    Raises:
+        UnknownEnvError: There is none; the message names the nearest.
+    """
+    records = registry().envs(pattern)
+    if pattern is not None and not records:
+        names = [record.id for record in registry().envs()]
+        namespaces = sorted({record.namespace for record in registry().envs()})
+        literal = re.sub(r"[*?\[\]]", "", pattern)
+        raise UnknownEnvError(
+            f"no environment matches {pattern!r}.{did_you_mean(literal, [*namespaces, *names])} "
+            f"Namespaces: {', '.join(namespaces) or 'none'}. Run 'gem list'"
+        )
+    return records
 
 
 def described(record: EnvSpec) -> dict[str, object]:

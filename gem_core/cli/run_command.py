@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import time
 from contextlib import closing
@@ -12,14 +13,21 @@ import click
 
 from gem_core.agents.base import load_agent
 from gem_core.cli import INTERRUPTED
+from gem_core.cli.list_command import matching
 from gem_core.cli.report import Progress, print_table
 from gem_core.episodes import EpisodeWriter
-from gem_core.errors import ArgumentError, UnknownEnvError
+from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.registry import make_vec, registry
 from gem_core.rollouts import default_plan, rollout
 from gem_core.summary import RunSummary
 
 _DEFAULT_SLOTS = 8
+
+
+class _AtLeast(click.IntRange):
+    """A whole number from ``min`` up; click would call it an integer range."""
+
+    name = "integer"
 
 
 @click.command(
@@ -44,14 +52,12 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
 @click.option(
     "-n",
     "--episodes",
-    type=click.IntRange(min=1),
+    type=_AtLeast(min=1),
     help="Episodes of each environment.  [default: each row of a data set once, else 10]",
 )
-@click.option(
-    "-k", "--num-envs", type=click.IntRange(min=1), help="Environments at once.  [default: 8, or one for each ID]"
-)
-@click.option("-s", "--seed", type=click.IntRange(min=0), help="Seed of the run: the same seed, the same episodes.")
-@click.option("-t", "--max-turns", type=click.IntRange(min=1), help="Truncate an episode after so many turns.")
+@click.option("-k", "--num-envs", type=_AtLeast(min=1), help="Environments at once.  [default: 8, or one for each ID]")
+@click.option("-s", "--seed", type=_AtLeast(min=0), help="Seed of the run: the same seed, the same episodes.")
+@click.option("-t", "--max-turns", type=_AtLeast(min=1), help="Truncate an episode after so many turns.")
 @click.option(
     "-w", "--wrappers", default="", help="Wrappers and tools by name, innermost first: 'concat,episode_stats'."
 )
@@ -101,9 +107,11 @@ def command(
         click.echo(json.dumps({**summary.to_dict(seconds), "seed": vector.seed, "out": str(path)}, indent=1))
     else:
         print_table(summary, seconds)
-        click.echo(f"{writer.count} episodes in {seconds:.1f} s (seed {vector.seed}), written to {path}")
+        counted = "1 episode" if writer.count == 1 else f"{writer.count} episodes"
+        click.echo(f"{counted} in {seconds:.1f} s (seed {vector.seed}), written to {path}")
     if summary.first_error is not None:
-        click.echo(f"gem: {summary.total.errors} episodes had an error; the first: {summary.first_error}", err=True)
+        failed = "1 episode" if summary.total.errors == 1 else f"{summary.total.errors} episodes"
+        click.echo(f"gem: {failed} had an error; the first: {summary.first_error}", err=True)
     if isinstance(stopped_by, KeyboardInterrupt):
         click.echo(f"gem: interrupted after {writer.count} of {len(plan)} episodes", err=True)
         ctx.exit(INTERRUPTED)
@@ -116,10 +124,7 @@ def _expanded(ids: tuple[str, ...]) -> list[str]:
     expanded: dict[str, None] = {}
     for env_id in ids:
         if any(character in env_id for character in "*?["):
-            found = [record.id for record in registry().envs(env_id)]
-            if not found:
-                raise UnknownEnvError(f"no environment matches {env_id!r}. Run 'gem list'")
-            expanded.update(dict.fromkeys(found))
+            expanded.update(dict.fromkeys(record.id for record in matching(env_id)))
         else:
             expanded[registry().env(env_id).id] = None
     return list(expanded)
@@ -127,8 +132,29 @@ def _expanded(ids: tuple[str, ...]) -> list[str]:
 
 def _out_path(out: str | None, seed: int, overwrite: bool) -> Path:
     if out is None:
-        return Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{seed}.jsonl"
+        return _new_path(Path("runs"), f"{time.strftime('%Y%m%d-%H%M%S')}-{seed}")
+    if out in ("", "-"):
+        raise ArgumentError(f"--out takes the name of a file, not {out!r}; leave it out for one in runs/")
     path = Path(out)
     if path.is_file() and path.stat().st_size and not overwrite:
         raise ArgumentError(f"{path} is there already; choose another file, or add --overwrite")
     return path
+
+
+def _new_path(folder: Path, stem: str) -> Path:
+    """Make an empty file, so that two runs with one seed in the same second do not share it."""
+    numbers = itertools.count(2)
+    path = folder / f"{stem}.jsonl"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        while True:
+            try:
+                path.open("x").close()
+            except FileExistsError:
+                path = folder / f"{stem}-{next(numbers)}.jsonl"
+            else:
+                return path
+    except OSError as error:
+        raise EpisodeFileError(
+            f"cannot write in {folder}: {error.strerror or error}; name another file by --out"
+        ) from error
