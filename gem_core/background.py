@@ -91,7 +91,14 @@ async def in_thread(function: Callable[..., T], *args: Any) -> T:
 
 def _serve(loop: asyncio.AbstractEventLoop) -> None:
     asyncio.set_event_loop(loop)
-    loop.run_forever()
+    while not loop.is_closed():
+        try:
+            loop.run_forever()
+        except (SystemExit, KeyboardInterrupt):
+            # asyncio lets these out of a task and so ends the loop, after it has noted them in the task. Whoever waits
+            # for the task gets them there; all others would wait for ever if the loop were not run on.
+            continue
+        return
 
 
 def _running_loop() -> asyncio.AbstractEventLoop | None:

@@ -183,3 +183,17 @@ def test_forked_child_has_a_loop_of_its_own() -> None:
     code = f"import warnings\nwarnings.simplefilter('ignore')\n{FORK}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout == "2\n"
+
+
+@pytest.mark.parametrize("error", [SystemExit(3), KeyboardInterrupt()])
+def test_exit_inside_a_coroutine_leaves_the_loop_running(error: BaseException) -> None:
+    """Whoever waits gets it, and the next coroutine runs as ever, instead of never."""
+
+    async def leave() -> None:
+        raise error
+
+    with pytest.raises(type(error)):
+        run_sync(leave())
+    ran = Future[bool]()
+    threading.Thread(target=lambda: ran.set_result(run_sync(where()) is background_loop()), daemon=True).start()
+    assert ran.result(timeout=30)
