@@ -190,7 +190,14 @@ def _answers(agent: Agent, running: list[_Running]) -> list[Response]:
 
 
 async def _gathered(awaitables: list[Awaitable[str]]) -> list[str]:
-    return await asyncio.gather(*awaitables)
+    tasks = [asyncio.ensure_future(awaitable) for awaitable in awaitables]
+    try:
+        return await asyncio.gather(*tasks)
+    finally:
+        # gather leaves the others running when one fails: requests that nobody waits for any more.
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
 
 
 def _as_vector(env: VectorEnv | AnyEnv | str | Sequence[str], seed: int | None) -> tuple[VectorEnv, bool]:

@@ -202,3 +202,22 @@ def test_unknown_agents_name_the_nearest(name: str, message: str) -> None:
     with pytest.raises(UnknownAgentError) as caught:
         load_agent(name)
     assert message in str(caught.value)
+
+
+def test_failing_asynchronous_agent_leaves_no_request_behind() -> None:
+    """The answers that others still wait for are cancelled before the error is raised."""
+    ended: list[str] = []
+
+    async def agent(observation: gem.Observation, context: Context) -> str:
+        if context.episode == "0.0":
+            await asyncio.sleep(0)
+            raise ValueError("the server is gone")
+        try:
+            await asyncio.Event().wait()
+        finally:
+            ended.append(context.episode)
+        return "never"
+
+    with pytest.raises(ValueError, match="the server is gone"):
+        list(gem.rollout(gem.make_vec(COUNTDOWN, 3, seed=0), agent, episodes=3))
+    assert sorted(ended) == ["1.0", "2.0"]
