@@ -17,7 +17,7 @@ from gem_core.errors import ArgumentError, StateNotSupported
 from gem_core.suggestions import did_you_mean
 from gem_core.tools import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, ToolResult, first_call
 from gem_core.types import Concurrency, Observation, ResetResult, StepResult
-from gem_core.wrapper import AnyEnv, Wrapper
+from gem_core.wrapper import AnyEnv, Wrapper, reset_needed
 from gem_core.wrappers.views import joined, told_apart
 
 T = TypeVar("T")
@@ -71,6 +71,7 @@ class ToolEnv(Wrapper):
         self.instructions = instructions
         self.needs = _needs(self.tools.values())
         self._answer_fences = {language.casefold() for language in getattr(env.unwrapped, "answer_fences", ())}
+        self._live = False
         self._suffix: Observation | None = None
         self._uses = self._successes = self._failures = 0
         self._sessions: dict[str, Any] = {}
@@ -81,6 +82,7 @@ class ToolEnv(Wrapper):
 
     def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> Awaitable[None] | None:
         """Close the sessions of the episode that is over."""
+        self._live = False
         self._uses = self._successes = self._failures = 0
         if not self._sessions:
             return None
@@ -92,6 +94,7 @@ class ToolEnv(Wrapper):
         observation, info = result
         feedback, suffix = told_apart(observation, info)
         self._suffix = suffix if "suffix" in info else None
+        self._live = True
         info["tools"] = [tool.schema() for tool in self.tools.values()]
         text = self.instructions if isinstance(self.instructions, str) else self._instructions()
         if self.instructions and text:
@@ -108,6 +111,8 @@ class ToolEnv(Wrapper):
         call = self.find_call(action)
         if call is None:
             return action
+        if not self._live:
+            raise reset_needed(self)
         self._uses += 1
         if call.error is not None:
             return self._answered(action, call, ToolResult(f"The call could not be read: {call.error}", failed=True))
@@ -118,6 +123,7 @@ class ToolEnv(Wrapper):
         """Remember how things stand, for the tool steps that follow."""
         info = result[4]
         self._suffix = info["suffix"] if "feedback" in info and "suffix" in info else None
+        self._live = not (result[2] or result[3])
         return result
 
     def close(self) -> None:
@@ -249,6 +255,7 @@ class ToolEnv(Wrapper):
         if self._suffix is not None and not isinstance(self._suffix, str):
             raise StateNotSupported("the task's suffix holds content parts, whose images are not plain data")
         return {
+            "live": self._live,
             "counters": [self._uses, self._successes, self._failures],
             "suffix": self._suffix,
             "sessions": {name: self.tools[name].get_session_state(s) for name, s in self._sessions.items()},
@@ -257,7 +264,7 @@ class ToolEnv(Wrapper):
     def _set_state(self, state: dict[str, Any]) -> None:
         _close_sessions(self.tools, self._take_sessions())
         self._uses, self._successes, self._failures = state["counters"]
-        self._suffix = state["suffix"]
+        self._suffix, self._live = state["suffix"], bool(state["live"])
         for name, session in state["sessions"].items():
             self._sessions[name] = self.tools[name].set_session_state(session)
 

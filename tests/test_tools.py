@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from toys import AsyncNotebook, Calculator, CountdownEnv, EchoEnv, Notebook
 
 import gem_core as gem
-from gem_core.errors import ArgumentError, UnknownToolError
+from gem_core.errors import ArgumentError, ResetNeededError, UnknownToolError
 from gem_core.testing.hostile import hostile_actions
 from gem_core.tool_env import ToolEnv
 from gem_core.wrapper import Guard
@@ -277,3 +277,20 @@ def test_parameters_without_exactly_one_text_have_no_text_form() -> None:
 
     assert Two().text_parameter is None
     assert Two().parse("<two>x</two>") is None
+
+
+def test_tools_are_refused_outside_an_episode() -> None:
+    """Before the first reset and after the end, as every other step is; the state knows it too."""
+    notebook = Notebook()
+    env = ToolEnv(CountdownEnv(), [notebook])
+    for _ in range(2):
+        with pytest.raises(ResetNeededError, match="the episode is over or has not begun"):
+            env.step("<note>a</note>")
+        env.reset(seed=1, options={"left": 1})
+        env.step("the answer")
+    other = ToolEnv(CountdownEnv(), [notebook])
+    other.reset(seed=1)
+    other.set_state(env.get_state())
+    with pytest.raises(ResetNeededError):
+        other.step("<note>a</note>")
+    assert notebook.opened == 0
