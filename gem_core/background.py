@@ -19,6 +19,8 @@ T = TypeVar("T")
 
 _lock = threading.Lock()
 _loop: asyncio.AbstractEventLoop | None = None
+_started: set[asyncio.Future[Any]] = set()
+"""Tasks that nobody waits for; a loop keeps only weak references to its own."""
 
 
 def background_loop() -> asyncio.AbstractEventLoop:
@@ -52,6 +54,19 @@ def run_sync(awaitable: Awaitable[T]) -> T:
     except BaseException:
         future.cancel()
         raise
+
+
+def finish_or_start(awaitable: Awaitable[object]) -> None:
+    """Wait in plain code for a coroutine; on the library's loop itself, start it there without waiting.
+
+    For cleaning up, which may be called anywhere: the garbage collector runs in whichever thread it likes.
+    """
+    if _running_loop() is background_loop():
+        task = asyncio.ensure_future(awaitable)
+        _started.add(task)
+        task.add_done_callback(_started.discard)
+    else:
+        run_sync(awaitable)
 
 
 async def on_library_loop(awaitable: Awaitable[T]) -> T:

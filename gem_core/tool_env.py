@@ -6,14 +6,15 @@ import inspect
 import json
 import logging
 import weakref
-from collections.abc import Awaitable, Coroutine, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 import pydantic
 
-from gem_core.background import in_thread, run_sync
+from gem_core.background import finish_or_start, in_thread
 from gem_core.env import observation_from
 from gem_core.errors import ArgumentError, StateNotSupported
+from gem_core.spaces import is_part
 from gem_core.suggestions import did_you_mean
 from gem_core.tools import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, ToolResult, first_call
 from gem_core.types import Concurrency, Observation, ResetResult, StepResult
@@ -174,28 +175,26 @@ class ToolEnv(Wrapper):
         tool = self.tools[call.name]
         try:
             arguments = tool.Parameters.model_validate(dict(call.arguments))
-        except (pydantic.ValidationError, RecursionError) as error:
+        except Exception as error:  # noqa: BLE001 - a validator of the tool's own may fail in any way
             return self._answered(action, call, ToolResult(_validation_message(error), failed=True))
         try:
             if call.name not in self._sessions:
-                self._sessions[call.name] = await _settled(tool.open())
+                self._sessions[call.name] = await _run(self.needs, tool, tool.open)
             result = await self._call(tool, arguments)
-        except Exception as error:  # noqa: BLE001 - a failing tool is an observation for the agent
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a failing tool is an observation for the agent
             message = f"{type(error).__name__}: {error}".strip()[:2000]
             result = ToolResult(f"The tool failed: {message}", failed=True)
         return self._answered(action, call, result)
 
     async def _call(self, tool: Tool, arguments: Any) -> ToolResult:
-        session = self._sessions[tool.name]
-        if self.needs == "async" and not inspect.iscoroutinefunction(tool.call) and tool.concurrency != "inline":
-            outcome: Any = await in_thread(tool.call, arguments, session)
-        else:
-            outcome = await _settled(tool.call(arguments, session))
-        if isinstance(outcome, ToolResult):
-            return outcome
-        if isinstance(outcome, str | list):
-            return ToolResult(outcome)
-        raise TypeError(f"{tool.name} returned {type(outcome).__name__}, not text, content parts or a ToolResult")
+        outcome = await _run(self.needs, tool, tool.call, arguments, self._sessions[tool.name])
+        result = outcome if isinstance(outcome, ToolResult) else ToolResult(outcome)
+        content = result.content
+        if isinstance(content, str) or (isinstance(content, list) and all(map(is_part, content))):
+            return result
+        raise TypeError(
+            f"{tool.name} returned {type(content).__name__}, not text, content parts or a ToolResult of them"
+        )
 
     def _answered(self, action: str, call: ToolCall, result: ToolResult) -> StepResult:
         readable = call.error is None
@@ -283,11 +282,23 @@ def _resolved(tool: Tool | str | tuple[str, Mapping[str, Any]]) -> Tool:
 
 
 def _needs(tools: Any) -> Concurrency:
-    wanted = {"async" if inspect.iscoroutinefunction(tool.call) else tool.concurrency for tool in tools}
+    wanted = {"async" if _has_coroutines(tool) else tool.concurrency for tool in tools}
     for need in ("process", "async", "thread"):
         if need in wanted:
             return need
     return "inline"
+
+
+def _has_coroutines(tool: Tool) -> bool:
+    return any(map(inspect.iscoroutinefunction, (tool.call, tool.open, tool.close)))
+
+
+async def _run(needs: Concurrency, tool: Tool, method: Callable[..., Any], *args: Any) -> Any:
+    """Run a method of a tool; on the loop, that of a tool that blocks goes into a thread."""
+    blocks = tool.concurrency != "inline" and not inspect.iscoroutinefunction(tool.call)
+    if needs == "async" and blocks and not inspect.iscoroutinefunction(method):
+        return await _settled(await in_thread(method, *args))
+    return await _settled(method(*args))
 
 
 async def _settled(value: Any) -> Any:
@@ -305,10 +316,11 @@ def _finish_now(coroutine: Coroutine[Any, Any, T]) -> T:
 
 
 async def _close_all(tools: Mapping[str, Tool], sessions: Mapping[str, Any]) -> None:
+    needs = _needs(tools.values())
     for name, session in sessions.items():
         try:
-            await _settled(tools[name].close(session))
-        except Exception:
+            await _run(needs, tools[name], tools[name].close, session)
+        except (Exception, SystemExit):
             logger.warning("gem: closing the session of tool %r failed", name, exc_info=True)
 
 
@@ -318,13 +330,15 @@ def _close_sessions(tools: Mapping[str, Tool], sessions: dict[str, Any]) -> None
     if taken:
         closing = _close_all(tools, taken)
         if _needs(tools.values()) == "async":
-            run_sync(closing)
+            finish_or_start(closing)
         else:
             _finish_now(closing)
 
 
 def _validation_message(error: Exception) -> str:
-    if not isinstance(error, pydantic.ValidationError):
+    if isinstance(error, RecursionError):
         return "The arguments are nested too deeply."
+    if not isinstance(error, pydantic.ValidationError):
+        return f"The arguments are not valid. {type(error).__name__}: {error}"[:2000]
     lines = [f"{'.'.join(map(str, item['loc'])) or 'arguments'}: {item['msg']}"[:300] for item in error.errors()[:10]]
     return "The arguments are not valid. " + "; ".join(lines)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import json
+import threading
 from typing import Any
 
 import pydantic
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from toys import AsyncNotebook, Calculator, CountdownEnv, EchoEnv, Notebook
 
 import gem_core as gem
+from gem_core.background import run_sync
 from gem_core.errors import ArgumentError, ResetNeededError, UnknownToolError
 from gem_core.testing.hostile import hostile_actions
 from gem_core.tool_env import ToolEnv
@@ -294,3 +296,99 @@ def test_tools_are_refused_outside_an_episode() -> None:
     with pytest.raises(ResetNeededError):
         other.step("<note>a</note>")
     assert notebook.opened == 0
+
+
+class Failing(Calculator):
+    """Fails in a way of its own."""
+
+    class Parameters(Calculator.Parameters):
+        """A validator that fails otherwise than pydantic expects."""
+
+        @pydantic.field_validator("operation")
+        @classmethod
+        def check(cls, value: str) -> str:
+            return value if value in ("add", "exit", "number", "parts") else {"a": value}["b"]
+
+    def call(self, arguments: Any, session: Any) -> Any:
+        if arguments.operation == "exit":
+            raise SystemExit(1)
+        return gem.ToolResult(3 if arguments.operation == "number" else ["part"])  # type: ignore[arg-type]  # the point
+
+
+@pytest.mark.parametrize(
+    ("operation", "message"),
+    [
+        ("exit", "The tool failed: SystemExit: 1"),
+        ("number", "The tool failed: TypeError: calculator returned int, not text"),
+        ("parts", "The tool failed: TypeError: calculator returned list, not text"),
+        ("other", "The arguments are not valid. KeyError: 'b'"),
+    ],
+)
+def test_a_tool_that_fails_in_odd_ways_is_an_observation(operation: str, message: str) -> None:
+    """An exit, content that is none, a validator that raises what it likes."""
+    env = tool_env(Failing())
+    assert message in str(env.step(json_call("calculator", left=1, right=1, operation=operation))[0])
+
+
+class ThreadNotebook(Notebook):
+    """Blocks in every method, and notes in which threads."""
+
+    concurrency = "thread"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.threads: set[str] = set()
+
+    def open(self) -> list[str]:
+        self.threads.add(threading.current_thread().name)
+        return super().open()
+
+    def close(self, session: list[str]) -> None:
+        self.threads.add(threading.current_thread().name)
+        super().close(session)
+
+
+def test_sessions_of_a_blocking_tool_never_block_the_loop() -> None:
+    """Beside an asynchronous tool, it opens and closes in threads as it calls."""
+
+    class Other(AsyncNotebook):
+        name = "other"
+
+    notebook = ThreadNotebook()
+    env = tool_env(notebook, Other())
+    env.step("<note>a</note>")
+    env.close()
+    assert (notebook.opened, notebook.closed, notebook.threads) == (1, 1, {"gem-blocking"})
+
+
+def test_only_the_session_may_be_asynchronous() -> None:
+    """A tool whose open() and close() alone are coroutine functions runs them on the loop."""
+
+    class Slow(Notebook):
+        async def open(self) -> list[str]:  # type: ignore[override]  # a coroutine is allowed in its place
+            await asyncio.sleep(0)
+            return super().open()
+
+        async def close(self, session: list[str]) -> None:  # type: ignore[override]  # as above
+            await asyncio.sleep(0)
+            super().close(session)
+
+    notebook = Slow()
+    env = tool_env(notebook)
+    assert "Output of note:\na" in str(env.step("<note>a</note>")[0])
+    env.close()
+    assert (notebook.opened, notebook.closed) == (1, 1)
+
+
+def test_sessions_are_closed_on_the_library_loop_too() -> None:
+    """Where close() cannot wait, as when the garbage collector runs there, closing is started at once."""
+    notebook = AsyncNotebook()
+    env = tool_env(notebook)
+    env.step("<note>a</note>")
+
+    async def close() -> None:
+        env.close()
+        await asyncio.sleep(0)
+
+    run_sync(close())
+    assert notebook.closed == 1
