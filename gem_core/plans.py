@@ -6,13 +6,14 @@ proportions, a group of episodes shares one start, and a run gives the same epis
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from gem_core.errors import ArgumentError
-from gem_core.seeding import fresh_seed, stable_hash
+from gem_core.seeding import checked_seed, fresh_seed, stable_hash
 
 
 @dataclass(frozen=True)
@@ -64,15 +65,34 @@ class DrawSource:
     """
 
     def __init__(self, plan: Iterable[PlanItem] | None, seed: int | None) -> None:
-        self.seed = fresh_seed() if seed is None else seed
+        self.seed = fresh_seed() if seed is None else checked_seed(seed)
         self.planned = plan is not None
+        self._plan = plan
+        self._begun = False
         self._lock = threading.Lock()
         self._draws = iter(()) if plan is None else self._expanded(plan)
         self._counts: dict[int, int] = {}
 
+    def restarted(self, seed: int | None = None) -> DrawSource:
+        """Return the same draws from the beginning.
+
+        Args:
+            seed: Another seed for the run; None keeps the present one.
+
+        Raises:
+            ArgumentError: The plan is an iterator that has been drawn from, which cannot begin anew.
+        """
+        if self._begun and isinstance(self._plan, Iterator):
+            raise ArgumentError(
+                "the plan is an iterator that has been drawn from, so it cannot start over; give a list, "
+                "or call reset() without a seed to go on with it"
+            )
+        return DrawSource(self._plan, self.seed if seed is None else seed)
+
     def draw(self, slot: int) -> Draw | None:
         """Return what the next episode of a slot starts from; None when the plan is exhausted."""
         with self._lock:
+            self._begun = True
             if self.planned:
                 return next(self._draws, None)
             count = self._counts.get(slot, 0)
@@ -83,8 +103,10 @@ class DrawSource:
         for index, item in enumerate(plan):
             if not isinstance(item, PlanItem):
                 raise ArgumentError(f"a plan yields PlanItem records, and item {index} is {item!r}")
-            if item.repeat < 1:
+            if type(item.repeat) is not int or item.repeat < 1:
                 raise ArgumentError(f"repeat must be a positive whole number, not {item.repeat!r} (plan item {index})")
+            if item.seed is not None:
+                item = replace(item, seed=_seed_of(item.seed, index))
             if item.repeat > 1 and item.group is None:
                 item = replace(item, group=str(index))
             for repeat in range(item.repeat):
@@ -93,6 +115,13 @@ class DrawSource:
     def _made(self, item: PlanItem, key: str, repeat: int, parts: tuple[int, ...]) -> Draw:
         seed = stable_hash(self.seed, "episode", *parts) if item.seed is None else item.seed
         return Draw(item, key, repeat, seed, stable_hash(self.seed, "actions", *parts, repeat))
+
+
+def _seed_of(seed: int, index: int) -> int:
+    try:
+        return checked_seed(seed)
+    except ArgumentError as error:
+        raise ArgumentError(f"{error} (plan item {index})") from None
 
 
 def count_plan(ids: Iterable[str | None], episodes: int) -> list[PlanItem]:
@@ -117,6 +146,8 @@ def cover_plan(env_id: str | None, num_tasks: int, *, episodes: int | None = Non
         episodes: Number of episodes: the first rows, or the rows over again; None for each row once.
     """
     count = num_tasks if episodes is None else episodes
+    if num_tasks < 1:
+        raise ArgumentError(f"there is no row to take: {env_id or 'the environment'} has {num_tasks} tasks")
     return [PlanItem(id=env_id, options={"index": index % num_tasks}) for index in range(count)]
 
 
@@ -132,7 +163,7 @@ def mixture_plan(weights: Mapping[str, float], episodes: int) -> list[PlanItem]:
     Source: the quota of the Balinski-Young apportionment keeps counts within one of their share.
     """
     total = sum(weights.values())
-    if not weights or any(not weight > 0 for weight in weights.values()):
+    if not weights or any(not 0 < weight < math.inf for weight in weights.values()):
         raise ArgumentError(f"a mixture needs positive weights, not {dict(weights)!r}")
     counts = dict.fromkeys(weights, 0)
     plan: list[PlanItem] = []

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -104,3 +106,46 @@ def test_counts_and_group_sizes_must_make_sense() -> None:
         count_plan(["a:A"], -1)
     with pytest.raises(ArgumentError):
         list(group_plan([], 0))
+
+
+@pytest.mark.parametrize(
+    ("item", "message"),
+    [
+        (PlanItem(seed=-1), "seed must be a whole number from 0 up, not -1 (plan item 0)"),
+        (PlanItem(seed="1"), "seed must be a whole number from 0 up, not '1' (plan item 0)"),  # type: ignore[arg-type]
+        (PlanItem(repeat=1.5), "repeat must be a positive whole number, not 1.5 (plan item 0)"),  # type: ignore[arg-type]
+    ],
+)
+def test_items_that_cannot_be_right_are_refused(item: PlanItem, message: str) -> None:
+    """They are the plan's mistake, not a fault of an environment."""
+    with pytest.raises(ArgumentError) as caught:
+        DrawSource([item], 0).draw(0)
+    assert str(caught.value) == message
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "abc"])
+def test_seed_of_a_run_is_a_whole_number(seed: Any) -> None:
+    """Whatever else is refused before the first episode."""
+    with pytest.raises(ArgumentError, match="seed must be a whole number from 0 up"):
+        DrawSource(None, seed)
+
+
+def test_seeds_of_numpy_become_plain() -> None:
+    """They stand in ``info`` and in files, which are plain JSON."""
+    source = DrawSource([PlanItem(seed=np.int64(4))], np.int64(3))  # type: ignore[arg-type]  # that is the point
+    draw = source.draw(0)
+    assert draw is not None
+    assert (type(draw.seed), draw.seed, type(source.seed)) == (int, 4, int)
+
+
+def test_data_set_without_rows_cannot_be_covered() -> None:
+    """The error says so, with a number of episodes and without."""
+    for episodes in (None, 3):
+        with pytest.raises(ArgumentError, match="there is no row to take: math:Empty has 0 tasks"):
+            cover_plan("math:Empty", 0, episodes=episodes)
+
+
+def test_mixture_refuses_weights_without_bound() -> None:
+    """No share can be computed from them."""
+    with pytest.raises(ArgumentError, match="a mixture needs positive weights"):
+        mixture_plan({"a": float("inf"), "b": 1.0}, 3)
