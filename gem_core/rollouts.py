@@ -12,7 +12,7 @@ from gem_core.agents.base import Agent, Context, as_agent
 from gem_core.background import run_sync
 from gem_core.episodes import Episode, Transition
 from gem_core.errors import AgentError, ArgumentError
-from gem_core.plans import Draw, PlanItem, count_plan, cover_plan
+from gem_core.plans import Draw, DrawSource, PlanItem, count_plan, cover_plan
 from gem_core.registry import make_vec, registry
 from gem_core.types import TERMINAL_STATE, Info, Observation, Response
 from gem_core.vector.base import VectorEnv, new_source
@@ -35,12 +35,14 @@ def rollout(
     The episodes are fixed before they start: the same plan and seed give the same ones, whatever the number of slots.
 
     Args:
-        env: A vector environment, an environment, an id or several. What was made here is closed at the end.
+        env: A vector environment, an environment, an id or several. What was made here is closed at the end; what was
+            given is left open.
         agent: Called as ``agent(observation, context)``, or with the observation alone; plain or a coroutine function.
             It returns a ``str`` or a ``Response``.
         plan: What episodes start from; see ``gem_core.plans``.
         episodes: Instead of a plan, the number of episodes for each environment; a data set gives its first rows. With
-            neither, each row of a data set is taken once, and ten episodes of an environment without rows.
+            neither, the vector environment's own plan is taken from the beginning; where it has none, each row of a
+            data set once, and ten episodes of an environment without rows.
         seed: Seed of the run; None takes the vector environment's, or draws one.
 
     Yields:
@@ -81,9 +83,7 @@ def _run(
 ) -> Iterator[Episode]:
     vector, made_here = _as_vector(env, seed)
     try:
-        source = new_source(
-            default_plan(vector, episodes) if plan is None else plan, vector.seed if seed is None else seed
-        )
+        source = _source(vector, plan, episodes, seed)
         observations, infos = vector.begin(source)
         running: dict[int, _Running] = {}
         for slot, (observation, info) in enumerate(zip(observations, infos, strict=True)):
@@ -106,6 +106,12 @@ def _run(
     finally:
         if made_here:
             vector.close()
+
+
+def _source(vector: VectorEnv, plan: Iterable[PlanItem] | None, episodes: int | None, seed: int | None) -> DrawSource:
+    if plan is None and episodes is None and vector.own_source.planned:
+        return vector.own_source.restarted(seed)
+    return new_source(default_plan(vector, episodes) if plan is None else plan, vector.seed if seed is None else seed)
 
 
 class _Running:
@@ -205,4 +211,4 @@ def _as_vector(env: VectorEnv | AnyEnv | str | Sequence[str], seed: int | None) 
         return env, False
     if isinstance(env, str) or (isinstance(env, Sequence) and all(isinstance(name, str) for name in env)):
         return make_vec(env, seed=seed), True
-    return SyncVectorEnv.around(cast("AnyEnv", env), seed=seed), False
+    return SyncVectorEnv.around(cast("AnyEnv", env), seed=seed, keep_open=True), True

@@ -221,3 +221,34 @@ def test_failing_asynchronous_agent_leaves_no_request_behind() -> None:
     with pytest.raises(ValueError, match="the server is gone"):
         list(gem.rollout(gem.make_vec(COUNTDOWN, 3, seed=0), agent, episodes=3))
     assert sorted(ended) == ["1.0", "2.0"]
+
+
+def test_environment_that_was_given_stays_open_and_its_replacement_does_not() -> None:
+    """Whoever made an environment closes it; also when the rollout is abandoned."""
+    made: list[CountdownEnv] = []
+
+    class Noted(CountdownEnv):
+        def __init__(self, fail_seeds: tuple[int, ...] = ()) -> None:
+            super().__init__(fail="step" if fail_seeds else "", fail_seeds=fail_seeds)
+            made.append(self)
+
+    list(gem.rollout(Noted(), sampling_agent, episodes=2))
+    assert [env.closed for env in made] == [0]
+    made.clear()
+    running = gem.rollout(Noted((1,)), sampling_agent, plan=[PlanItem(seed=1), PlanItem(seed=2, options={"left": 1})])
+    assert next(running).error is not None
+    next(running)
+    running.close()  # type: ignore[attr-defined]  # it is a generator
+    assert [env.closed for env in made] == [0, 1]
+
+
+def test_plan_of_a_vector_environment_is_used_from_its_beginning() -> None:
+    """As ``make_vec`` was told; afterwards the vector environment goes on with episodes of its own."""
+    vector = gem.make_vec(COUNTDOWN, 2, plan=[PlanItem(options={"left": 2})] * 3, seed=1)
+    vector.reset()
+    first = by_key(gem.rollout(vector, sampling_agent))
+    assert [episode.turns for episode in first] == [2, 2, 2]
+    assert by_key(gem.rollout(vector, sampling_agent)) == first
+    free = gem.make_vec(COUNTDOWN, 2, seed=1)
+    list(gem.rollout(free, sampling_agent, episodes=1))
+    assert not any(info.get("idle") for info in free.reset()[1])

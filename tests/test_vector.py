@@ -285,3 +285,33 @@ def test_tasks_of_a_data_set_are_counted() -> None:
     """Other environments have no number of tasks."""
     vector = gem.make_vec(["toy:Sums-v0", COUNTDOWN])
     assert (vector.num_tasks("toy:Sums-v0"), vector.num_tasks(COUNTDOWN)) == (7, None)
+
+
+def test_an_iterator_that_was_drawn_from_cannot_start_over() -> None:
+    """It could only go on, which would be another run under the same seed."""
+    vector = make(1, plan=iter(lasting(3, 9)))
+    start = vector.reset(seed=1)
+    assert make(1, plan=lasting(3, 9)).reset(seed=1) == start
+    with pytest.raises(
+        ArgumentError, match="the plan is an iterator that has been drawn from, so it cannot start over"
+    ):
+        vector.reset(seed=1)
+    assert vector.reset()[1][0]["seed"] != start[1][0]["seed"]
+
+
+def test_after_close_a_reset_is_needed() -> None:
+    """A closed slot is not one whose plan is exhausted."""
+    vector = make(1)
+    vector.reset(seed=1)
+    vector.close()
+    with pytest.raises(ResetNeededError):
+        vector.step(["a"])
+    assert vector.reset(seed=1)[0]
+
+
+def test_a_new_run_has_the_whole_budget_of_faults() -> None:
+    """Those of the run before are over with it."""
+    vector = make(1, fail="reset")
+    for _ in range(2):
+        with pytest.raises(FaultBudgetError, match=r"^17 faults in a row"):
+            vector.reset()

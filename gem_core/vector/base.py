@@ -66,6 +66,11 @@ class VectorEnv(ABC):
     def faults(self) -> int:
         """Number of environments that failed so far."""
 
+    @property
+    @abstractmethod
+    def own_source(self) -> DrawSource:
+        """What its own episodes start from, by the plan and seed that it was made with; see ``rollout``."""
+
     @abstractmethod
     def begin(self, source: DrawSource, options: dict[str, Any] | None = None) -> tuple[list[Observation], list[Info]]:
         """Begin an episode in every slot, drawn from a source."""
@@ -79,6 +84,9 @@ class VectorEnv(ABC):
         Args:
             seed: Start the run of this seed over; None goes on with the present one, as with a plan half done.
             options: Passed to the first episode of every slot.
+
+        Raises:
+            ArgumentError: The run cannot start over, because its plan is an iterator that has been drawn from.
         """
 
     @abstractmethod

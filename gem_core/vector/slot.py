@@ -105,6 +105,8 @@ class Slot:
         self.own_id = own_id
         self.source = source
         self.draw: Draw | None = None
+        self.borrowed: AnyEnv | None = None
+        """An environment that belongs to the caller, who closes it."""
         self._factory = factory
         self._budget = budget
         self._on_error = on_error
@@ -232,7 +234,7 @@ class Slot:
 
     def _discard(self) -> None:
         env, self._env, self._made_for = self._env, None, None
-        if env is None:
+        if env is None or env is self.borrowed:
             return
         try:
             env.close()

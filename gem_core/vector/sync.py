@@ -55,13 +55,20 @@ class SyncVectorEnv(VectorEnv):
         slot_ids = [ids[slot % len(ids)] for slot in range(num_envs)]
         self._set_up(list(slot_ids), [factory_of(env_id) for env_id in slot_ids], new_source(plan, seed), on_error)
         self.all_ids = list(dict.fromkeys(ids))
-        self._plan = plan
 
     @classmethod
-    def around(cls, env: AnyEnv, *, seed: int | None = None, on_error: str = "truncate") -> SyncVectorEnv:
+    def around(
+        cls, env: AnyEnv, *, seed: int | None = None, on_error: str = "truncate", keep_open: bool = False
+    ) -> SyncVectorEnv:
         """Return a vector environment of one slot, which begins with a given environment and does not make its own.
 
         A replacement, when it is needed, is the environment's own ``spawn``.
+
+        Args:
+            env: What the slot begins with.
+            seed: Seed of the run; None draws one.
+            on_error: ``"truncate"`` or ``"raise"``.
+            keep_open: Leave closing ``env`` to the caller; replacements are closed in any case.
         """
         spares = [env]
 
@@ -74,12 +81,12 @@ class SyncVectorEnv(VectorEnv):
 
         self = cls.__new__(cls)
         self._set_up([getattr(env.unwrapped, "env_id", None)], [factory], new_source(None, seed), on_error)
-        self._plan = None
+        self._slots[0].borrowed = env if keep_open else None
         return self
 
     def _set_up(self, ids: list[str | None], factories: list[EnvFactory], source: DrawSource, on_error: str) -> None:
         self.ids, self.all_ids = ids, list(dict.fromkeys(ids))
-        self._source = source
+        self._source = self._own_source = source
         self._budget = FaultBudget(limit=max(16, 2 * len(ids)))
         self._slots = [
             Slot(index, own_id, factory, source, self._budget, on_error)
@@ -97,17 +104,24 @@ class SyncVectorEnv(VectorEnv):
         """Number of environments that failed so far."""
         return self._budget.total
 
+    @property
+    def own_source(self) -> DrawSource:
+        """What its own episodes start from; see ``VectorEnv.own_source``."""
+        return self._own_source
+
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[list[Observation], list[Info]]:
         """Begin an episode in every slot; see ``VectorEnv.reset``."""
-        source = self._source if seed is None else new_source(self._plan, seed)
-        return self.begin(source, options)
+        if seed is not None:
+            self._own_source = self._own_source.restarted(seed)
+        return self.begin(self._own_source, options)
 
     def begin(self, source: DrawSource, options: dict[str, Any] | None = None) -> tuple[list[Observation], list[Info]]:
         """Begin an episode in every slot, drawn from a source."""
         self._source = source
         self._begun = True
+        self._budget.finished()
         results = []
         for slot in self._slots:
             slot.source = source
@@ -150,6 +164,7 @@ class SyncVectorEnv(VectorEnv):
         return self._slots[slot].sample_random_action()
 
     def close(self) -> None:
-        """Close every environment."""
+        """Close every environment; ``reset`` would make them again."""
+        self._begun = False
         for slot in self._slots:
             slot.close()
