@@ -17,6 +17,7 @@ from gem_core.errors import (
     UnknownBackendError,
     UnknownEnvError,
 )
+from gem_core.vector.base import new_source
 from gem_core.vector.sync import SyncVectorEnv
 
 COUNTDOWN = "toy:Countdown-v0"
@@ -60,6 +61,9 @@ def test_a_mapping_steps_some_slots_in_the_order_asked() -> None:
         ("ab", "one string for 2 slots"),
         ({2: "a"}, "no slot 2; there are slots 0 to 1"),
         ({"a": "a"}, "no slot 'a'"),
+        ({-1: "a"}, "no slot -1"),
+        (["a", None], "an action is a str or a Response, and that for slot 1 is a NoneType"),
+        ({0: b"a"}, "an action is a str or a Response, and that for slot 0 is a bytes"),
     ],
 )
 def test_actions_that_do_not_fit_are_refused(actions: Any, message: str) -> None:
@@ -226,6 +230,7 @@ def test_on_error_raise_shows_where_it_fails() -> None:
         (("a", "x", False, False, {}), "could not convert string to float"),
         (("a", 0.0, False, False, None), "info must be a dictionary"),
         (None, "step must return"),
+        ((None, 0.0, False, False, {}), "an observation must be text or a list, not NoneType"),
     ],
 )
 def test_results_that_are_none_are_faults(result: Any, message: str) -> None:
@@ -315,3 +320,62 @@ def test_a_new_run_has_the_whole_budget_of_faults() -> None:
     for _ in range(2):
         with pytest.raises(FaultBudgetError, match=r"^17 faults in a row"):
             vector.reset()
+
+
+def test_slots_may_be_whole_numbers_of_numpy() -> None:
+    """As ``np.flatnonzero`` gives them."""
+    vector = make(2, plan=lasting(3, 2))
+    vector.reset()
+    assert vector.step({slot: "a" for slot in np.flatnonzero([False, True])}).rewards.tolist() == [1.0]
+
+
+@pytest.mark.parametrize(
+    ("result", "message"),
+    [
+        (None, "reset must return (observation, info), not None"),
+        ("ab", "reset must return (observation, info), not 'ab'"),
+        ((3, {}), "an observation must be text or a list, not int"),
+        (("a", None), "info must be a dictionary, not NoneType"),
+    ],
+)
+def test_resets_that_are_none_are_faults(result: Any, message: str) -> None:
+    """What no reader of the episode could take is not recorded."""
+
+    class Odd(CountdownEnv):
+        def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+            super().reset(seed=seed)
+            return result
+
+    vector = SyncVectorEnv.around(Odd(), seed=0)
+    info = vector.begin(new_source(lasting(1, 1), 0))[1][0]
+    assert info["failed_resets"][0]["error"]["message"] == f"reset raised TypeError: {message}"
+
+
+def test_dictionary_that_an_environment_uses_again_changes_no_record() -> None:
+    """Each turn keeps the info that it had."""
+
+    class Sharing(CountdownEnv):
+        def __init__(self) -> None:
+            super().__init__()
+            self.shared: dict[str, Any] = {}
+
+        def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+            self.shared.update(left=3)
+            return super().reset(seed=seed, options=options)[0], self.shared
+
+        def step(self, action: str) -> Any:
+            self.shared.update(left=self.left - 1)
+            return (*super().step(action)[:4], self.shared)
+
+    (episode,) = gem.rollout(Sharing(), lambda observation: "a", plan=lasting(3, 1))
+    assert [episode.info["left"], *(turn.info["left"] for turn in episode.transitions)] == [3, 2, 1, 0]
+
+
+def test_slot_that_an_error_left_empty_is_not_idle() -> None:
+    """Whoever goes on after the error is told to reset."""
+    vector = make(1, fail="step", on_error="raise")
+    vector.reset()
+    with pytest.raises(EnvFaultError):
+        vector.step(["a"])
+    with pytest.raises(ResetNeededError, match="slot 0 has no environment since an error was raised"):
+        vector.step(["a"])

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import operator
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
@@ -123,14 +124,20 @@ class VectorEnv(ABC):
     def indices_and_actions(self, actions: Actions) -> list[tuple[int, str]]:
         """Return the slots that are stepped, each with its action, in the order asked."""
         if isinstance(actions, Mapping):
-            wrong = [slot for slot in actions if not isinstance(slot, int) or not 0 <= slot < self.num_envs]
-            if wrong:
-                raise ArgumentError(f"no slot {wrong[0]!r}; there are slots 0 to {self.num_envs - 1}")
-            return list(actions.items())
+            return [(self._checked_slot(slot), _checked_action(slot, action)) for slot, action in actions.items()]
         if isinstance(actions, str) or len(actions) != self.num_envs:
             given = "one string" if isinstance(actions, str) else f"{len(actions)} actions"
             raise ArgumentError(f"{given} for {self.num_envs} slots; give one for each, or a mapping of slot to action")
-        return list(enumerate(actions))
+        return [(slot, _checked_action(slot, action)) for slot, action in enumerate(actions)]
+
+    def _checked_slot(self, slot: SupportsIndex) -> int:
+        try:
+            index = operator.index(slot)  # whole numbers of NumPy too, as its index functions return them
+        except TypeError:
+            index = -1
+        if not 0 <= index < self.num_envs:
+            raise ArgumentError(f"no slot {slot!r}; there are slots 0 to {self.num_envs - 1}")
+        return index
 
     def __enter__(self) -> Self:
         return self
@@ -140,6 +147,12 @@ class VectorEnv(ABC):
 
     def __len__(self) -> int:
         return self.num_envs
+
+
+def _checked_action(slot: SupportsIndex, action: str) -> str:
+    if isinstance(action, str):
+        return action
+    raise ArgumentError(f"an action is a str or a Response, and that for slot {slot} is a {type(action).__name__}")
 
 
 def new_source(plan: Iterable[PlanItem] | None, seed: int | None) -> DrawSource:

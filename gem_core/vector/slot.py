@@ -16,6 +16,7 @@ from gem_core.errors import (
     FaultBudgetError,
     MissingRequirementError,
     RegistrationError,
+    ResetNeededError,
     UsageError,
 )
 from gem_core.plans import Draw, DrawSource
@@ -149,9 +150,15 @@ class Slot:
         return result
 
     def step(self, action: str) -> SlotStep:
-        """Step, and begin the next episode in the same call when this one ends."""
-        if self.draw is None or self._env is None:
+        """Step, and begin the next episode in the same call when this one ends.
+
+        Raises:
+            ResetNeededError: The slot was left without an environment, by an error that was raised.
+        """
+        if self.draw is None:
             return SlotStep(TERMINAL_STATE, 0.0, False, False, {"idle": True})
+        if self._env is None:
+            raise ResetNeededError(f"slot {self.index} has no environment since an error was raised; call reset()")
         try:
             observation, reward, terminated, truncated, info = checked_result(self._env.step(action))
         except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever an environment does stays in its slot
@@ -211,9 +218,9 @@ class Slot:
         env = cast("AnyEnv", self._env)
         chosen = {**(options or {}), **(draw.item.options or {})}
         if chosen:
-            observation, info = env.reset(seed=draw.seed, options=chosen)
+            observation, info = checked_reset(env.reset(seed=draw.seed, options=chosen))
         else:
-            observation, info = env.reset(seed=draw.seed)
+            observation, info = checked_reset(env.reset(seed=draw.seed))
         if hasattr(task := env.unwrapped, "seed_actions"):
             task.seed_actions(draw.action_seed)
         info["seed"] = draw.seed
@@ -248,14 +255,34 @@ def checked_result(result: object) -> StepResult:
     Raises:
         TypeError: It is not five values, or a value has a wrong type.
         ValueError: The reward is not finite.
+
+    The info is copied: what the environment does with its own dictionary later changes nothing that was recorded.
     """
     if not isinstance(result, tuple) or len(result) != 5:
         raise TypeError(f"step must return (observation, reward, terminated, truncated, info), not {result!r:.200}")
     observation, reward, terminated, truncated, info = result
-    if reward.__class__ is not float:
-        reward = float(reward)
+    reward = float(reward)
     if not math.isfinite(reward):
         raise ValueError(f"the reward must be a finite number, not {reward}")
-    if info.__class__ is not dict and not isinstance(info, dict):
+    _check_types(observation, info)
+    return observation, reward, bool(terminated), bool(truncated), info.copy()
+
+
+def checked_reset(result: object) -> ResetResult:
+    """Return a reset's result if it is one, its info copied as by ``checked_result``.
+
+    Raises:
+        TypeError: It is not two values, or a value has a wrong type.
+    """
+    if not isinstance(result, tuple) or len(result) != 2:
+        raise TypeError(f"reset must return (observation, info), not {result!r:.200}")
+    observation, info = result
+    _check_types(observation, info)
+    return observation, info.copy()
+
+
+def _check_types(observation: object, info: object) -> None:
+    if not isinstance(observation, str | list):
+        raise TypeError(f"an observation must be text or a list, not {type(observation).__name__}")
+    if not isinstance(info, dict):
         raise TypeError(f"info must be a dictionary, not {type(info).__name__}")
-    return observation, reward, bool(terminated), bool(truncated), info
