@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sized
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -120,7 +120,10 @@ class Episode:
         Args:
             images: Where images are written; None leaves their content out.
         """
-        record = {name: to_plain(value, images) for name, value in vars(self).items() if name != "transitions"}
+        fields = {name: value for name, value in vars(self).items() if name != "transitions"}
+        # By their number first: to write a data set out only to find it long would take its time for every episode.
+        fields["kwargs"] = {name: value for name, value in self.kwargs.items() if not _has_many_parts(value)}
+        record = {name: to_plain(value, images) for name, value in fields.items()}
         record["kwargs"] = {
             name: value for name, value in record["kwargs"].items() if len(str(value)) <= _LONG_ARGUMENT
         }
@@ -153,7 +156,7 @@ class Episode:
             turns = [_transition(turn, images) for turn in record["transitions"]]
             fields = {name: from_plain(record[name], images) for name in _FIELDS if name in record}
             episode = cls(**fields, transitions=turns)
-        except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
             raise EpisodeFileError(f"the record of an episode is damaged ({type(error).__name__}: {error})") from error
         episode._check()
         return episode
@@ -283,6 +286,10 @@ def _transition(record: Mapping[str, Any], images: ImageFolder | None) -> Transi
         truncated=bool(record["truncated"]),
         info=from_plain(record["info"], images),
     )
+
+
+def _has_many_parts(value: object) -> bool:
+    return isinstance(value, Sized) and len(value) > _LONG_ARGUMENT
 
 
 def _is_torn(path: Path) -> bool:

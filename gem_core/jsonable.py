@@ -21,6 +21,7 @@ _BETWEEN_SURROGATES = re.compile("(?<=[\ud800-\udbff])(?=[\udc00-\udfff])")
 _IMAGE_NAME = re.compile(r"[0-9a-f]{64}\.(png|tiff)", re.ASCII)
 _PNG_MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I;16")
 _MAX_DEPTH = 100
+_MAX_BITS = 14_000
 
 
 class ImageFolder:
@@ -67,7 +68,7 @@ class ImageFolder:
             with Image.open(self.path / name, formats=("PNG", "TIFF")) as image:
                 image.load()
                 return image.copy()
-        except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        except Exception as error:  # damaged files make Pillow fail in many ways
             raise EpisodeFileError(f"image {name} cannot be read: {error}") from error
 
 
@@ -83,19 +84,18 @@ def image_name(image: Any) -> str:
 def to_plain(value: Any, images: ImageFolder | None = None, depth: int = 0) -> Any:
     """Return a value as plain JSON.
 
-    Tuples and arrays become lists, numbers that are not finite their names, and what JSON does not know its ``repr``.
+    Tuples and arrays become lists, numbers that are not finite their names, whole numbers of over 4,200 digits their
+    hexadecimal form, and what JSON does not know its ``repr``.
 
     Args:
         value: Anything.
         images: Where images go; None keeps only their hash.
         depth: How deep inside the value it stands.
     """
-    if value is None or isinstance(value, bool | int):
-        return value
+    if value is None or isinstance(value, int | float):
+        return _plain_number(value)
     if isinstance(value, str):
         return _plain_text(str.__str__(value))
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else repr(float(value))
     if depth > _MAX_DEPTH:
         return f"<nested over {_MAX_DEPTH} deep>"
     if isinstance(value, Mapping):
@@ -109,7 +109,7 @@ def to_plain(value: Any, images: ImageFolder | None = None, depth: int = 0) -> A
         return to_plain(value.tolist(), images, depth + 1)
     if hasattr(value, "tobytes") and hasattr(value, "mode") and hasattr(value, "size"):
         return {_IMAGE_KEY: image_name(value) if images is None else images.write(value)}
-    return repr(value)[:1000]
+    return _shown(value)
 
 
 def from_plain(value: Any, images: ImageFolder | None = None) -> Any:
@@ -121,6 +121,20 @@ def from_plain(value: Any, images: ImageFolder | None = None) -> Any:
     if isinstance(value, list):
         return [from_plain(part, images) for part in value]
     return value
+
+
+def _plain_number(number: float | None) -> Any:
+    if isinstance(number, float):
+        return float(number) if math.isfinite(number) else repr(float(number))
+    # Python refuses to write or read longer numbers in decimals.
+    return number if number is None or number.bit_length() <= _MAX_BITS else hex(number)
+
+
+def _shown(value: object) -> Any:
+    try:
+        return _plain_text(repr(value)[:1000])
+    except Exception:  # noqa: BLE001 - an object of somebody else's may fail to show itself
+        return f"<{type(value).__name__}>"
 
 
 def _plain_text(text: str) -> Any:

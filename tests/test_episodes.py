@@ -225,3 +225,41 @@ def test_a_whole_file_gives_no_warning(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert len(list(read_episodes(path))) == 1
+
+
+class Shy:
+    """Cannot show itself."""
+
+    def __repr__(self) -> str:
+        raise RuntimeError("no")
+
+
+@pytest.mark.parametrize(
+    ("value", "plain"),
+    [(10**5000, hex(10**5000)), (-(10**5000), hex(-(10**5000))), (10**4000, 10**4000), (Shy(), "<Shy>")],
+    ids=["long", "negative", "not too long", "shy"],
+)
+def test_odd_values_never_stop_the_writing(value: Any, plain: Any, tmp_path: Path) -> None:
+    """Python refuses numbers of over 4,300 digits, and an object may refuse to show itself."""
+    path = tmp_path / "run.jsonl"
+    write_episodes(path, [Episode(id="a:b", seed=1, observation="", info={"value": value})])
+    assert next(read_episodes(path)).info["value"] == plain
+
+
+def test_reward_that_no_float_holds_is_a_damaged_record() -> None:
+    """It is passed over like every other damage."""
+    turn = {"observation": "", "action": {"text": ""}, "reward": 10**400, "terminated": True, "truncated": False}
+    record = {"schema_version": 1, "id": "a:b", "seed": 1, "observation": "", "transitions": [{**turn, "info": {}}]}
+    with pytest.raises(EpisodeFileError, match="damaged"):
+        Episode.from_dict({**record, "info": {}})
+
+
+def test_long_arguments_are_not_even_looked_through() -> None:
+    """A data set among them would be written out for every episode otherwise."""
+
+    class Rows(list[Any]):
+        def __iter__(self) -> Any:
+            raise AssertionError("looked through")
+
+    episode = Episode(id="a:b", seed=1, observation="", info={}, kwargs={"rows": Rows([1] * 5000), "high": 3})
+    assert episode.to_dict()["kwargs"] == {"high": 3}
