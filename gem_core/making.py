@@ -135,6 +135,22 @@ def make_from(record: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers, lo
     env = _construct(entry_point, (), arguments, f"environment {record.id!r}")
     if not isinstance(env, gymnasium.Env):
         raise RegistrationError(f"{record.id}: the entry point returned {type(env).__name__}, not an environment")
+    try:
+        return _dressed(env, record, arguments, render_mode, wrappers, look_up)
+    except BaseException:
+        env.close()  # it may have started a server or a container
+        raise
+
+
+def _dressed(
+    env: AnyEnv,
+    record: EnvSpec,
+    arguments: dict[str, Any],
+    render_mode: str | None,
+    wrappers: Wrappers,
+    look_up: LookUp,
+) -> AnyEnv:
+    """Give a task its render mode, record, guard and wrappers."""
     task = env.unwrapped
     if render_mode is not None:
         _set_render_mode(task, render_mode, record.id)

@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env
 
 import gem_core as gem
 from gem_core import registry
-from gem_core.errors import ArgumentError, ResetNeededError
+from gem_core.errors import ArgumentError, ResetNeededError, UnknownWrapperError
 from gem_core.making import MadeSpec, wrap
 
 
@@ -166,3 +166,17 @@ def test_reset_that_forgets_its_info_is_named() -> None:
     gem.register("test:Forgetful-v0", Forgetful)
     with pytest.raises(TypeError, match=r"Forgetful\.reset must return \(observation, info\), not 'Guess a number"):
         gem.make("test:Forgetful-v0").reset(seed=1)
+
+
+def test_environment_is_closed_when_its_wrappers_cannot_be_made() -> None:
+    """What its constructor started is not left behind by a misspelt name."""
+    closed: list[str] = []
+
+    class Started(GuessEnv):
+        def close(self) -> None:
+            closed.append("it")
+
+    gem.register("toy:Started-v0", Started)
+    with pytest.raises(UnknownWrapperError):
+        gem.make("toy:Started-v0", wrappers="concatt")
+    assert closed == ["it"]
