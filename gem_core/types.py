@@ -76,7 +76,13 @@ class Response(str):
         usage: Mapping[str, Any] | None = None,
         model: str | None = None,
     ) -> Response:
-        """Make a response; see the class."""
+        """Make a response; see the class.
+
+        Raises:
+            TypeError: The text is none, as a server's message that only calls tools has none: give ``""`` then.
+        """
+        if not isinstance(text, str):
+            raise TypeError(f"the text of a response is a str, not {type(text).__name__}; give '' where there is none")
         self = super().__new__(cls, text)
         self.token_ids = None if token_ids is None else list(token_ids)
         self.prompt_token_ids = None if prompt_token_ids is None else list(prompt_token_ids)

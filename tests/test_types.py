@@ -6,6 +6,7 @@ import copy
 import json
 import pickle
 import re
+from typing import Any
 
 import pytest
 
@@ -116,3 +117,10 @@ def test_of_keeps_a_response_and_wraps_text(response: Response) -> None:
     """``of`` returns a response itself, and makes one of plain text."""
     assert Response.of(response) is response
     assert type(Response.of("x")) is Response
+
+
+@pytest.mark.parametrize("text", [None, 3, b"a"])
+def test_text_of_a_response_is_a_string(text: Any) -> None:
+    """The content of a message may be None, and must not become the answer 'None'."""
+    with pytest.raises(TypeError, match="the text of a response is a str"):
+        Response(text)
