@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -139,9 +140,11 @@ class DatasetEnv(Env):
         if wrong:
             raise ArgumentError(f"no option {wrong[0]!r}.{did_you_mean(wrong[0], ['index'])} There is: index")
         index = options["index"]
-        if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < self.num_tasks:
+        # Samplers give whole numbers of NumPy too.
+        number = operator.index(index) if hasattr(index, "__index__") and not isinstance(index, bool) else -1
+        if not 0 <= number < self.num_tasks:
             raise ArgumentError(f"options['index'] must be from 0 to {self.num_tasks - 1}, not {index!r}")
-        return index
+        return number
 
     def _check_rows(self) -> None:
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 import gem_core as gem
@@ -118,3 +119,9 @@ def test_sampled_action_has_the_right_form() -> None:
     env = gem.DatasetEnv(ROWS)
     env.reset(seed=0)
     assert gem.extract_last_boxed_answer(env.sample_random_action()) in {row["answer"] for row in ROWS}
+
+
+def test_index_may_be_a_whole_number_of_numpy() -> None:
+    """As samplers give it; ``info`` holds a plain one."""
+    info = gem.DatasetEnv([{"question": "a", "answer": "b"}] * 3).reset(options={"index": np.int64(2)})[1]
+    assert (info["index"], type(info["index"])) == (2, int)
