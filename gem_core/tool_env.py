@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import logging
+import math
 import weakref
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from typing import Any, TypeVar, cast
@@ -151,7 +152,11 @@ class ToolEnv(Wrapper):
             return ToolCall("", start=start, error=f"{CALL_OPEN} is never closed by {CALL_CLOSE}")
         stop = end + len(CALL_CLOSE)
         try:
-            content = json.loads(action[start + len(CALL_OPEN) : end])
+            content = json.loads(
+                action[start + len(CALL_OPEN) : end], parse_float=_finite_number, parse_constant=_finite_number
+            )
+            if _is_deep(content):
+                raise RecursionError
         except (ValueError, RecursionError) as error:
             reason = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)[:200]
             return ToolCall(
@@ -279,6 +284,27 @@ def _resolved(tool: Tool | str | tuple[str, Mapping[str, Any]]) -> Tool:
     if not isinstance(made, Tool):
         raise ArgumentError(f"the entry point of tool {name!r} returned {type(made).__name__}, not a Tool")
     return made
+
+
+def _finite_number(text: str) -> float:
+    # Python reads NaN and 1e999, which no other reader of the recorded arguments would take.
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{text[:20]} is no finite number")
+    return number
+
+
+def _is_deep(value: object, limit: int = 100) -> bool:
+    """Tell whether lists and objects are nested deeper than what copies and writes them can follow."""
+    level = [value]
+    for _ in range(limit):
+        level = [
+            part
+            for item in level
+            if isinstance(item, dict | list)
+            for part in (item.values() if isinstance(item, dict) else item)
+        ]
+    return bool(level)
 
 
 def _needs(tools: Any) -> Concurrency:
