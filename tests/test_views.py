@@ -12,7 +12,7 @@ from toys import CountdownEnv, EchoEnv
 import gem_core as gem
 from gem_core.errors import ArgumentError, StateNotSupported
 from gem_core.wrapper import Guard
-from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView, joined, without_thinking
+from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView, Turn, joined, without_thinking
 
 VIEWS = [Latest, Concat, ConcatWithAction]
 
@@ -124,7 +124,7 @@ def test_state_with_images_is_refused() -> None:
     """Images are no plain data, and the error says so."""
     view = Concat(EchoEnv())
     view.reset()
-    view._turns.append(("a", [{"type": "image", "image": object()}]))
+    view._turns.append(Turn("a", [{"type": "image", "image": object()}]))
     with pytest.raises(StateNotSupported, match="content parts"):
         view._get_state()
 

@@ -7,12 +7,28 @@ and ``info["suffix"]`` stay as the task wrote them.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from gem_core.env import as_parts, observation_from
 from gem_core.errors import ArgumentError, StateNotSupported
 from gem_core.types import Observation, ResetResult, StepResult
 from gem_core.wrapper import AnyEnv, Wrapper
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """One turn of the history, as a view shows it.
+
+    Its fields are read by name, never unpacked: views of chat messages will need more of them.
+
+    Args:
+        action: What the agent wrote, without its thinking where that is dropped.
+        feedback: What happened then.
+    """
+
+    action: str
+    feedback: Observation
 
 
 class ObservationView(Wrapper):
@@ -45,15 +61,15 @@ class ObservationView(Wrapper):
         self.drop_thinking = drop_thinking
         self.thinking_tag = thinking_tag
         self._task: Observation = ""
-        self._turns: list[tuple[str, Observation]] = []
+        self._turns: list[Turn] = []
         self._suffix: Observation = ""
 
-    def show(self, task: Observation, turns: list[tuple[str, Observation]], suffix: Observation) -> Observation:
+    def show(self, task: Observation, turns: list[Turn], suffix: Observation) -> Observation:
         """Return the observation.
 
         Args:
             task: What the reset said.
-            turns: The action and the feedback of each turn that is to be shown, oldest first.
+            turns: The turns that are to be shown, oldest first.
             suffix: How things stand now; shown once, at the end.
         """
         raise NotImplementedError(f"{type(self).__name__} must define show(self, task, turns, suffix)")
@@ -71,7 +87,9 @@ class ObservationView(Wrapper):
         feedback, self._suffix = told_apart(observation, info)
         # A plain str: what the server reported about a response is kept by the rollout, not by the view.
         text = str.__str__(action)
-        self._turns.append((without_thinking(text, self.thinking_tag) if self.drop_thinking else text, feedback))
+        if self.drop_thinking:
+            text = without_thinking(text, self.thinking_tag)
+        self._turns.append(Turn(text, feedback))
         return self._rendered(), reward, terminated, truncated, info
 
     def _rendered(self) -> Observation:
@@ -79,40 +97,44 @@ class ObservationView(Wrapper):
         return self.show(self._task, turns, self._suffix)
 
     def _get_state(self) -> dict[str, Any]:
-        outputs = [self._task, self._suffix, *(feedback for _, feedback in self._turns)]
+        outputs = [self._task, self._suffix, *(turn.feedback for turn in self._turns)]
         if not all(isinstance(output, str) for output in outputs):
             raise StateNotSupported(f"{type(self).__name__} holds content parts, whose images are not plain data")
-        return {"task": self._task, "turns": [list(turn) for turn in self._turns], "suffix": self._suffix}
+        return {
+            "task": self._task,
+            "turns": [[turn.action, turn.feedback] for turn in self._turns],
+            "suffix": self._suffix,
+        }
 
     def _set_state(self, state: dict[str, Any]) -> None:
         self._task, self._suffix = state["task"], state["suffix"]
-        self._turns = [(action, feedback) for action, feedback in state["turns"]]
+        self._turns = [Turn(action, feedback) for action, feedback in state["turns"]]
 
 
 class Latest(ObservationView):
     """Shows only the newest output, and how things stand now."""
 
-    def show(self, task: Observation, turns: list[tuple[str, Observation]], suffix: Observation) -> Observation:
+    def show(self, task: Observation, turns: list[Turn], suffix: Observation) -> Observation:
         """Return the newest feedback and the suffix."""
-        return observation_from(turns[-1][1] if turns else task, suffix)
+        return observation_from(turns[-1].feedback if turns else task, suffix)
 
 
 class Concat(ObservationView):
     """Shows all outputs so far, and how things stand now once, at the end."""
 
-    def show(self, task: Observation, turns: list[tuple[str, Observation]], suffix: Observation) -> Observation:
+    def show(self, task: Observation, turns: list[Turn], suffix: Observation) -> Observation:
         """Return the feedback of every turn and the suffix."""
-        return observation_from(joined([task, *(feedback for _, feedback in turns)]), suffix)
+        return observation_from(joined([task, *(turn.feedback for turn in turns)]), suffix)
 
 
 class ConcatWithAction(ObservationView):
     """Shows all outputs and actions so far, and how things stand now once, at the end."""
 
-    def show(self, task: Observation, turns: list[tuple[str, Observation]], suffix: Observation) -> Observation:
+    def show(self, task: Observation, turns: list[Turn], suffix: Observation) -> Observation:
         """Return action and feedback of every turn, and the suffix."""
         pieces = [task]
-        for action, feedback in turns:
-            pieces += [action, feedback]
+        for turn in turns:
+            pieces += [turn.action, turn.feedback]
         return observation_from(joined(pieces), suffix)
 
 
