@@ -252,3 +252,21 @@ def test_plan_of_a_vector_environment_is_used_from_its_beginning() -> None:
     free = gem.make_vec(COUNTDOWN, 2, seed=1)
     list(gem.rollout(free, sampling_agent, episodes=1))
     assert not any(info.get("idle") for info in free.reset()[1])
+
+
+def test_option_of_an_agent_is_not_its_context() -> None:
+    """A function of the observation may have options of its own; one that is named context gets it."""
+    given: list[Any] = []
+
+    def optional(observation: gem.Observation, temperature: float = 0.7) -> str:
+        given.append(temperature)
+        return "a"
+
+    def named(observation: gem.Observation, context: Context | None = None) -> str:
+        given.append(type(context))
+        return "a"
+
+    plan = [PlanItem(options={"left": 1})]
+    for agent in (optional, named):
+        list(gem.rollout(COUNTDOWN, agent, plan=plan))
+    assert given == [0.7, Context]

@@ -60,6 +60,9 @@ Agent = Callable[[Observation, Context], Answer]
 def as_agent(agent: Any) -> Agent:
     """Return a callable of (observation, context) for any callable of one or two arguments.
 
+    A second argument that has a default, as ``temperature=0.7``, is an option of the callable's own, unless its name
+    is ``context``.
+
     Raises:
         AgentError: It cannot be called so.
     """
@@ -76,8 +79,14 @@ def as_agent(agent: Any) -> Agent:
             signature.bind(*[None] * count)
         except TypeError:
             continue
-        return agent if count == 2 else (lambda observation, context: agent(observation))
+        return agent if count == 2 and _wants_context(signature) else (lambda observation, context: agent(observation))
     raise AgentError(f"an agent takes (observation, context) or (observation), and {agent!r:.100} takes {signature}")
+
+
+def _wants_context(signature: inspect.Signature) -> bool:
+    """Tell whether the second argument is the context; one with a default is so only by its name."""
+    second = list(signature.parameters.values())[1:2]
+    return not second or second[0].default is inspect.Parameter.empty or second[0].name == "context"
 
 
 def load_agent(name: str) -> Agent:
