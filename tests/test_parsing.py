@@ -223,7 +223,7 @@ def naive_blocks(text: str) -> list[tuple[str, str]]:
         mark = body[:1]
         run = body[: len(body) - len(body.lstrip(mark))] if mark in ("`", "~") else ""
         info = body[len(run) :]
-        if margin > 3 or len(run) < 3 or (mark == "`" and "`" in info):
+        if len(run) < 3 or (mark == "`" and "`" in info):
             run = ""
         if not fence:
             if run:
