@@ -9,7 +9,6 @@ import queue
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
@@ -25,6 +24,9 @@ _MODULE = "gem_core.testing.other_process"
 
 class HelperError(Exception):
     """The other process did not get through an episode; the message says how it ended."""
+
+    records = 0
+    """How many records it gave before."""
 
 
 class OtherProcess:
@@ -57,11 +59,14 @@ class OtherProcess:
             place = {"number": self._number, "path": sys.path, "directory": os.getcwd()}
             self._send({**place, **request})
             records: list[dict[str, Any]] = []
-            made = False
+            limit_s = reset_timeout_s
             while True:
-                first = not made or (not records and request["state"] is None)
-                answer = self._receive(reset_timeout_s if first else step_timeout_s)
-                made = True
+                try:
+                    answer = self._receive(limit_s)
+                except HelperError as error:
+                    error.records = len(records)
+                    raise
+                limit_s = reset_timeout_s if answer.get("resets") else step_timeout_s
                 end = answer.get("end")
                 if isinstance(answer.get("record"), dict):
                     records.append(answer["record"])
@@ -71,7 +76,7 @@ class OtherProcess:
                     raise NotTriedError(f"in another process {answer.get('message')}")
                 elif end == "failed":
                     raise HelperError(f"it raised {answer.get('message')}")
-                elif answer.get("made") is not True:
+                elif answer.get("ready") is not True:
                     self.stop()
                     raise HelperError(f"it said {str(answer)[:200]!r}, which is no answer")
 
@@ -123,12 +128,11 @@ class OtherProcess:
         return answer
 
     def _next_line(self, timeout_s: float) -> dict[str, Any]:
-        started_s = time.monotonic()
         try:
             line = self._lines.get(timeout=timeout_s)
         except queue.Empty:
             self.stop()
-            raise HelperError(f"it gave no answer within {time.monotonic() - started_s:.1f} s") from None
+            raise HelperError(f"it gave no answer within {timeout_s:g} s") from None
         if line is None:
             process = self._process
             code = None if process is None else process.wait()

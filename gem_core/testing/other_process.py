@@ -4,9 +4,12 @@ Requests and answers are lines of JSON. Every request has a number, which every 
 
     {"number": 1, "path": […], "directory": "…", "recipe": {…}, "seed": 3, "state": null, "actions": ["…"]}
 
-    {"number": 1, "made": true}                     the environment could be made
+    {"number": 1, "ready": true, "resets": true}    the environment could be made, and a reset comes next
     {"number": 1, "record": {…}}                    one for the reset, and one for each step
     {"number": 1, "end": "done"}                    or "unavailable" or "failed", with a "message"
+
+With ``"actions": null`` it is asked to survive the hostile actions of that seed: every step gives an empty record, and
+whatever ends or breaks an episode is followed by the next.
 """
 
 from __future__ import annotations
@@ -23,6 +26,8 @@ from gem_core.env import Env
 from gem_core.testing.comparing import play
 from gem_core.testing.contract import NotTriedError
 from gem_core.testing.handing_over import build, encoded
+from gem_core.testing.hostile import hostile_actions
+from gem_core.wrapper import AnyEnv
 
 _GRACE_S = 5.0
 """How long an environment may take to close once nobody listens any more."""
@@ -93,19 +98,39 @@ def _answer(request: Mapping[str, Any], say: Say) -> None:
     except (Exception, SystemExit) as error:  # noqa: BLE001 - foreign code; the other side is told
         return end("unavailable", f"it cannot be made there: {type(error).__name__}: {error}")
     try:
-        say({"number": number, "made": True})
-        reset = None
-        if request["state"] is None:
-            reset = lambda: env.reset(seed=request["seed"])  # noqa: E731 - a name for one expression
-        else:
-            cast("Env", env).set_state(request["state"])
-        for record in play(reset, env.step, request["actions"]):
-            say({"number": number, "record": record})
+        say({"number": number, "ready": True, "resets": request["state"] is None})
+        for answer in _survived(env, request["seed"]) if request["actions"] is None else _played(env, request):
+            say({"number": number, **answer})
     except (Exception, SystemExit) as error:  # noqa: BLE001 - foreign code; the other side is told
         return end("failed", f"{type(error).__name__}: {error}")
     finally:
         _close(env)
     return end("done")
+
+
+def _played(env: AnyEnv, request: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    reset = None
+    if request["state"] is None:
+        reset = lambda: env.reset(seed=request["seed"])  # noqa: E731 - a name for one expression
+    else:
+        cast("Env", env).set_state(request["state"])
+    for record in play(reset, env.step, request["actions"]):
+        yield {"record": record}
+
+
+def _survived(env: AnyEnv, seed: int) -> Iterator[dict[str, Any]]:
+    env.reset(seed=seed)
+    yield {"ready": True}
+    for number, action in enumerate(hostile_actions(seed=seed)):
+        try:
+            result = env.step(action)
+            over = bool(result[2] or result[3])
+        except (Exception, SystemExit):  # noqa: BLE001 - foreign code; whoever asked tries the same and names it
+            over = True
+        yield {"record": {}, "resets": over}
+        if over:
+            env.reset(seed=number)
+            yield {"ready": True}
 
 
 def _close(env: Any) -> None:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from gem_core.errors import SamplingNotSupported
 from gem_core.testing.comparing import first_difference, json_loss, shown
-from gem_core.testing.contract import promise
+from gem_core.testing.contract import NotTriedError, promise
+from gem_core.testing.helper import HelperError
 from gem_core.testing.hostile import hostile_actions
 from gem_core.testing.promises_interface import problems_of
 from gem_core.testing.subject import Subject
 from gem_core.types import Response
+from gem_core.wrapper import AnyEnv
 
 
 @promise("override sample_random_action, and return text that the task understands in its present state.")
@@ -53,8 +55,13 @@ def hostile_actions_(subject: Subject) -> Iterator[str]:
     """Any string at all gives an observation and a reward in bounded time, and the episode goes on."""
     script = subject.scripts[0]
     env = subject.new()
+    actions = hostile_actions(seed=subject.limits.seed)
+    fatal = _fatal_action(subject, env, actions)
+    if fatal is not None:
+        yield fatal
+        return
     subject.reset(env, subject.limits.seed)
-    for number, action in enumerate(hostile_actions(seed=subject.limits.seed)):
+    for number, action in enumerate(actions):
         try:
             result = subject.step(env, action)
         except (Exception, SystemExit) as error:  # noqa: BLE001 - foreign code, and no error is allowed
@@ -78,3 +85,21 @@ def hostile_actions_(subject: Subject) -> Iterator[str]:
     difference = None if expected is None else first_difference(expected, after)
     if difference is not None:
         yield f"with seed {script.seed}, the episode after all of them differs {difference}"
+
+
+def _fatal_action(subject: Subject, env: AnyEnv, actions: Sequence[str]) -> str | None:
+    """Find the action that ends or hangs a whole process, in a process that can be spared.
+
+    A time limit here does not hold against a regular expression, which lets no other thread run. What blocks on input
+    and output does let them run, and can be slow to reset: it is not tried twice.
+    """
+    if getattr(env.unwrapped, "concurrency", None) in ("thread", "async"):
+        return None
+    try:
+        subject.elsewhere(None, seed=subject.limits.seed)
+    except NotTriedError:
+        return None
+    except HelperError as error:
+        where = f"step({shown(actions[error.records])})" if error.records < len(actions) else "reset()"
+        return f"{where}, tried in another process: {error}"
+    return None

@@ -18,6 +18,7 @@ from gem_core.testing.comparing import play, shown
 from gem_core.testing.contract import NotTriedError
 from gem_core.testing.handing_over import guarded, layers_of, recipe_of, remade
 from gem_core.testing.helper import other_process
+from gem_core.testing.hostile import hostile_actions
 from gem_core.testing.watch import Watch
 from gem_core.wrapper import AnyEnv, Wrapper
 
@@ -223,20 +224,21 @@ class Subject:
             raise NotTriedError(str(error)) from error
 
     def elsewhere(
-        self, actions: tuple[str, ...], *, seed: int | None = None, state: Mapping[str, Any] | None = None
+        self, actions: tuple[str, ...] | None, *, seed: int | None = None, state: Mapping[str, Any] | None = None
     ) -> list[Record]:
-        """Play in another process, from a seed or a state.
+        """Play in another process, from a seed or a state; None stands for the hostile actions of that seed.
 
         Raises:
             NotTriedError: This environment cannot be made there.
             HelperError: It was made there, and did not get to the end.
         """
         recipe = recipe_of(self.new())
-        request = {"recipe": recipe, "seed": seed, "state": state, "actions": list(actions)}
+        request = {"recipe": recipe, "seed": seed, "state": state, "actions": actions}
+        steps = len(hostile_actions() if actions is None else actions)
         # The helper has a time limit of its own for every call; this one is for all of them.
         records: list[Record] = self._limited(
             lambda: "the other process",
-            (len(actions) + 2) * self.limits.reset_timeout_s,
+            (steps + 2) * self.limits.reset_timeout_s,
             other_process().play,
             request,
             step_timeout_s=self.limits.step_timeout_s,

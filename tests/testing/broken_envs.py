@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import random
+import re
 import secrets
 import sys
 import threading
@@ -364,6 +365,23 @@ class NullHangsEnv(GoodEnv):
         if "\x00" in action:
             self.released.wait()
         return super().step(action)
+
+
+class BacktrackingEnv(GoodEnv):
+    """It reads with a regular expression whose time grows with the square of the text."""
+
+    def parse(self, action: str) -> int | None:
+        re.search("<python>(.*?)</python>", action, re.DOTALL)
+        return super().parse(action)
+
+
+class DyingEnv(GoodEnv):
+    """A NUL byte ends its process."""
+
+    def parse(self, action: str) -> int | None:
+        if "\x00" in action:
+            os._exit(3)
+        return super().parse(action)
 
 
 class OtherProcessEnv(GoodEnv):

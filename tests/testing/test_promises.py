@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from broken_envs import BROKEN, NullHangsEnv, UnrepeatableEnv
+from broken_envs import BROKEN, BacktrackingEnv, DyingEnv, NullHangsEnv, UnrepeatableEnv
 from reference_envs import CountingWrapper, GoodAsyncEnv, GoodEnv, PictureEnv, ReverseStringEnv, ThreadEnv
 
 from gem_core import register
@@ -121,6 +121,22 @@ def test_step_that_hangs_is_named_with_its_action() -> None:
     assert list(broken) == ["hostile-actions"]
     assert "x00" in broken["hostile-actions"]
     assert "gave no answer within 2 s" in broken["hostile-actions"]
+
+
+def test_step_that_lets_no_other_thread_run_is_named() -> None:
+    """A regular expression that never ends would hang the check as well, if it were tried only in this process."""
+    broken = broken_by(BacktrackingEnv, step_timeout_s=1.0)
+    assert list(broken) == ["hostile-actions"]
+    assert broken["hostile-actions"].startswith("step('<python><python>")
+    assert broken["hostile-actions"].endswith("tried in another process: it gave no answer within 1 s")
+
+
+def test_step_that_ends_the_process_is_named() -> None:
+    """A crash on hostile text is found where it does not take the check along."""
+    broken = broken_by(DyingEnv)
+    assert list(broken) == ["hostile-actions"]
+    assert "exit code 3" in broken["hostile-actions"]
+    assert "x00" in broken["hostile-actions"]
 
 
 def test_given_instance_is_left_alone() -> None:
