@@ -52,7 +52,10 @@ def episode(subject: Subject) -> Iterator[str]:
     subject.record_scripts()
 
 
-@promise("return an observation of the observation space, a finite float, two bools and a dictionary.")
+@promise(
+    "return an observation of the observation space (gem_core.spaces.Content() for content parts), a finite float, "
+    "two bools and a dictionary."
+)
 def types(subject: Subject) -> Iterator[str]:
     """Observations lie in the observation space, rewards are finite numbers, flags are bools and info is a dict."""
     for where, env, result in _results(subject):
@@ -141,13 +144,19 @@ def suffix(subject: Subject) -> Iterator[str]:
 def fresh_objects(subject: Subject) -> Iterator[str]:
     """Every call returns objects of its own, so that what a caller keeps is not changed by later calls."""
     seen: dict[int, tuple[str, Any]] = {}
+    kept: list[tuple[str, Any, Any]] = []
     for where, _, result in _results(subject):
+        given = [result[0], result[-1]]
+        kept.append((where, given, plain(given)))
         own: dict[int, tuple[str, Any]] = {}
         for part in (*mutable_parts(result[0]), *mutable_parts(result[-1])):
             if id(part) in seen:
                 yield f"{where} returned the same object as {seen[id(part)][0]}: {shown(part)}"
             own[id(part)] = where, part
         seen |= own
+    for where, given, before in kept:
+        if plain(given) != before:
+            yield f"what {where} returned was changed by later calls: {shown(before)}, then {shown(plain(given))}"
 
 
 @promise("let gem_core.make put its guard around the task, and no wrapper catch ResetNeededError.")

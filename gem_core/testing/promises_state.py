@@ -10,7 +10,7 @@ from typing import Any, cast
 from gem_core.env import Env
 from gem_core.errors import StateNotSupported
 from gem_core.testing.comparing import first_difference, json_loss, plain, shown
-from gem_core.testing.contract import promise
+from gem_core.testing.contract import NotTriedError, promise
 from gem_core.testing.helper import HelperError
 from gem_core.testing.subject import Record, Script, Subject
 from gem_core.wrapper import AnyEnv
@@ -36,22 +36,29 @@ def state_json(subject: Subject) -> Iterator[str]:
 @promise("put all that decides the rest of the episode into _get_state, and copy it in _set_state.")
 def state_instance(subject: Subject) -> Iterator[str]:
     """Another instance goes on from a saved state as the first one does, as often as wanted."""
+    sampling = subject.can_sample()
     for script, expected in subject.references:
         for steps in subject.cuts(script):
             original = subject.new()
             _advance(subject, original, script, steps)
+            if sampling:
+                subject.sample(original)
             state = _carried(subject.saved(original))
+            samples = [subject.sample(original)] if sampling else []
             mine = _continued(subject, original, script, steps)
             busy = subject.new()
             subject.reset(busy, script.seed + 1)
             for kind, other in (("new", subject.new()), ("busy", busy), ("third", subject.new())):
                 subject.called("set_state(state)", cast("Env", other).set_state, state)
+                samples += [subject.sample(other)] if sampling else []
                 theirs = _continued(subject, other, script, steps)
                 difference = first_difference(mine, theirs, steps + 1) or first_difference(
                     expected[steps + 1 :], theirs[: len(expected) - steps - 1], steps + 1
                 )
                 if difference is not None:
                     yield f"with seed {script.seed}, restored after {steps} steps, a {kind} one differs {difference}"
+            if len(set(samples)) > 1:
+                yield f"with seed {script.seed}, after {steps} steps, restored ones sample other actions: {samples}"
 
 
 @promise("save values rather than objects, and depend on nothing that only this process has.")
@@ -76,7 +83,10 @@ def state_process(subject: Subject) -> Iterator[str]:
 def spawn(subject: Subject) -> Iterator[str]:
     """Spawn gives an independent sibling that plays the same episodes, and with same_state goes on from here."""
     env = subject.new()
-    sibling = _spawned(subject, env)
+    try:
+        sibling = _spawned(subject, env)
+    except StateNotSupported as error:
+        raise NotTriedError(str(error)) from error
     if sibling is env or type(sibling) is not type(env):
         yield f"spawn() gave {shown(sibling)} for a {type(env).__name__}"
         return

@@ -123,6 +123,15 @@ class SharedListEnv(GoodEnv):
         return observation, {**info, "guesses": self.guesses}
 
 
+@breaks("fresh-objects", may=("gymnasium",))
+class SharedHistoryEnv(GoodEnv):
+    """It gives its list away once, at reset, and goes on writing into it."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        observation, info = super().reset(seed)
+        return observation, {**info, "guesses": self.guesses}
+
+
 class ForgivingWrapper(Wrapper):
     """Answers a step outside an episode instead of refusing it."""
 
@@ -246,7 +255,7 @@ class EpisodeCountEnv(GoodEnv):
         self.number = state["number"]
 
 
-@breaks("action-sampling")
+@breaks("action-sampling", may=("state-instance",))
 class TaskGeneratorSamplingEnv(GoodEnv):
     """It samples actions from the task's generator."""
 
@@ -254,7 +263,7 @@ class TaskGeneratorSamplingEnv(GoodEnv):
         return f"\\boxed{{{int(self.np_random.integers(1, self.limit + 1))}}}"
 
 
-@breaks("action-sampling")
+@breaks("action-sampling", may=("state-instance",))
 class EntropySamplingEnv(GoodEnv):
     """It samples other actions each time."""
 
@@ -318,6 +327,14 @@ class AdoptedStateEnv(GoodEnv):
     def _set_state(self, state: dict[str, Any]) -> None:
         self.secret = state["secret"]
         self.guesses = state["guesses"]
+
+
+@breaks("state-instance")
+class ForgetfulSamplesEnv(GoodEnv):
+    """Its state lacks the generator of sampled actions."""
+
+    def get_state(self) -> dict[str, Any]:
+        return {**super().get_state(), "actions": None, "action_seed": None}
 
 
 @breaks("state-instance", "state-process", "spawn")

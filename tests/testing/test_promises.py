@@ -19,6 +19,7 @@ from gem_core import register
 from gem_core.errors import ArgumentError, GemError, UnknownEnvError
 from gem_core.testing import ContractError, check_env
 from gem_core.testing.contract import PROMISES
+from gem_core.wrapper import Guard
 
 
 def broken_by(target: Any, **options: Any) -> dict[str, str]:
@@ -187,6 +188,13 @@ def test_foreign_environment_is_refused() -> None:
 def test_gymnasium_wrapper_outside_is_taken_off_and_noted() -> None:
     report = check_env(gymnasium.wrappers.TimeLimit(GoodEnv(), max_episode_steps=3))
     assert report.notes == ("checked inside Gymnasium's TimeLimit, which has none of GEM's methods",)
+
+
+def test_gymnasium_wrapper_within_cannot_spawn_and_is_not_asked_to() -> None:
+    """What cannot be spawned or saved is left out with the reason, and is no broken promise."""
+    target = CountingWrapper(gymnasium.wrappers.TransformReward(Guard(GoodEnv(limit=5)), float))
+    report = check_env(target)
+    assert "wrapper of Gymnasium's, which cannot save its state or spawn" in report.skipped["spawn"]
 
 
 def test_images_in_observations_and_info_are_compared() -> None:
