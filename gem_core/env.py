@@ -153,9 +153,11 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
     @property
     def np_random_seed(self) -> int:
         """The seed of the present episode; -1 after ``np_random`` was set from outside."""
-        if self._np_random_seed is None:
-            # Gymnasium's own property would start a generator of another kind here.
-            _ = self.np_random
+        seed = self._np_random_seed
+        if seed is not None:
+            return seed
+        # Gymnasium's own property would start a generator of another kind here.
+        _ = self.np_random
         return cast("int", self._np_random_seed)
 
     def _own_generator(self) -> np.random.Generator | None:

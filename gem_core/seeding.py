@@ -113,12 +113,13 @@ class Draws:
             limit: From 1 to 2**256.
         """
         # Each draw is a digit in base `limit` of one large random number, as long as that is large enough.
-        if self._pool < limit << 64:
+        pool = self._pool
+        if not pool or pool < limit << 64:
             # 64 bytes of BLAKE2b have nothing in common with the 32 bytes that start np_random.
             text = b"%d/%d" % (self._seed, self._block) if self._block else b"%d" % self._seed
-            self._pool = int.from_bytes(blake2b(text).digest(), "little")
+            pool = int.from_bytes(blake2b(text).digest(), "little")
             self._block += 1
-        self._pool, number = divmod(self._pool, limit)
+        self._pool, number = divmod(pool, limit)
         return number
 
 
