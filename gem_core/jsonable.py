@@ -81,7 +81,7 @@ def image_name(image: Any) -> str:
     return f"{digest.hexdigest()}.{'png' if image.mode in _PNG_MODES else 'tiff'}"
 
 
-def to_plain(value: Any, images: ImageFolder | None = None, depth: int = 0) -> Any:
+def to_plain(value: Any, images: ImageFolder | None = None, above: tuple[int, ...] = ()) -> Any:
     """Return a value as plain JSON.
 
     Tuples and arrays become lists, numbers that are not finite their names, whole numbers of over 4,200 digits their
@@ -90,23 +90,26 @@ def to_plain(value: Any, images: ImageFolder | None = None, depth: int = 0) -> A
     Args:
         value: Anything.
         images: Where images go; None keeps only their hash.
-        depth: How deep inside the value it stands.
+        above: Identities of the containers that it stands in, outermost first.
     """
     if value is None or isinstance(value, int | float):
         return _plain_number(value)
     if isinstance(value, str):
         return _plain_text(str.__str__(value))
-    if depth > _MAX_DEPTH:
+    if len(above) > _MAX_DEPTH:
         return f"<nested over {_MAX_DEPTH} deep>"
+    if id(value) in above:
+        return "<contains itself>"
+    above = (*above, id(value))
     if isinstance(value, Mapping):
-        plain = {str(key): to_plain(part, images, depth + 1) for key, part in value.items()}
+        plain = {str(key): to_plain(part, images, above) for key, part in value.items()}
         return {_PLAIN_KEY: plain} if len(plain) == 1 and not _MARKS.isdisjoint(plain) else plain
     if isinstance(value, list | tuple):
-        return [to_plain(part, images, depth + 1) for part in value]
+        return [to_plain(part, images, above) for part in value]
     if isinstance(value, set | frozenset):
-        return sorted((to_plain(part, images, depth + 1) for part in value), key=repr)
+        return sorted((to_plain(part, images, above) for part in value), key=repr)
     if isinstance(value, np.ndarray | np.generic):
-        return to_plain(value.tolist(), images, depth + 1)
+        return to_plain(value.tolist(), images, above)
     if hasattr(value, "tobytes") and hasattr(value, "mode") and hasattr(value, "size"):
         return {_IMAGE_KEY: image_name(value) if images is None else images.write(value)}
     return _shown(value)

@@ -125,3 +125,20 @@ def test_index_may_be_a_whole_number_of_numpy() -> None:
     """As samplers give it; ``info`` holds a plain one."""
     info = gem.DatasetEnv([{"question": "a", "answer": "b"}] * 3).reset(options={"index": np.int64(2)})[1]
     assert (info["index"], type(info["index"])) == (2, int)
+
+
+def test_state_names_the_row() -> None:
+    """Another instance grades against the row of the saved episode."""
+    env, other = gem.DatasetEnv(ROWS), gem.DatasetEnv(ROWS)
+    env.reset(seed=0, options={"index": 3})
+    other.reset(seed=0, options={"index": 1})
+    other.set_state(env.get_state())
+    assert other.step("\\boxed{4}")[1] == 1.0
+
+
+def test_what_was_read_is_the_parsed_action() -> None:
+    """A response without an answer has none."""
+    env = gem.DatasetEnv(ROWS)
+    env.reset(options={"index": 3})
+    assert env.step("so \\boxed{ 9 }")[4]["parsed_action"] == "9"
+    assert env.step("nine")[4]["parsed_action"] is None

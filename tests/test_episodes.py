@@ -168,9 +168,10 @@ def test_values_that_json_does_not_know_do_not_stop_a_run(tmp_path: Path) -> Non
     (read,) = written(tmp_path / "run.jsonl", episode(info=info))
     assert read.info["nan"] == "nan"
     assert (read.info["array"], read.info["set"], read.info["3"], read.info["f"]) == ([0, 1, 2], [1, 2], [1, 2], 1.5)
-    loop: list[Any] = []
-    loop.append(loop)
-    assert "nested over" in json.dumps(to_plain(loop))
+    deep: list[Any] = []
+    for _ in range(5000):
+        deep = [deep]
+    assert "nested over" in json.dumps(to_plain(deep))
 
 
 def test_long_arguments_are_left_out_of_the_file(tmp_path: Path) -> None:
@@ -263,3 +264,18 @@ def test_long_arguments_are_not_even_looked_through() -> None:
 
     episode = Episode(id="a:b", seed=1, observation="", info={}, kwargs={"rows": Rows([1] * 5000), "high": 3})
     assert episode.to_dict()["kwargs"] == {"high": 3}
+
+
+def test_folders_above_the_file_are_made(tmp_path: Path) -> None:
+    """A run may name a folder that is not there yet."""
+    path = tmp_path / "runs" / "today" / "run.jsonl"
+    assert written(path, episode()) == [episode()]
+
+
+def test_what_contains_itself_is_cut_off_at_once() -> None:
+    """Going down two ways at once would never end; what only recurs is written each time."""
+    circle: dict[str, Any] = {}
+    circle |= {"a": circle, "b": [circle]}
+    assert to_plain(circle) == {"a": "<contains itself>", "b": ["<contains itself>"]}
+    shared = [1]
+    assert to_plain([shared, shared]) == [[1], [1]]

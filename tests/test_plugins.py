@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 import gem_core
+from gem_core import plugins
 
 FIXTURES = Path(__file__).parent / "plugin_fixtures"
 
@@ -314,3 +315,8 @@ def test_import_gem_core_loads_no_plugin(sites: dict[str, Path]) -> None:
     """Importing the package alone imports no plugin and nothing heavy."""
     code = "import sys, gem_core\nprint([m for m in ('gem_fine', 'gymnasium', 'numpy', 'pluggy') if m in sys.modules])"
     assert python(code, [sites["fine"]]).stdout == "[]\n"
+
+
+def test_long_error_is_cut() -> None:
+    """A plugin's error cannot fill the screen; the whole of it stays in the report."""
+    assert plugins.one_line(ValueError("x" * 5_000)) == f"ValueError: {'x' * 500}…"

@@ -18,6 +18,7 @@ from gem_core.episodes import read_episodes, write_episodes
 from gem_core.errors import AgentError, ArgumentError, UnknownAgentError
 from gem_core.plans import PlanItem, group_plan
 from gem_core.tool_env import ToolEnv
+from gem_core.vector.sync import SyncVectorEnv
 
 COUNTDOWN = "toy:Countdown-v0"
 SUMS = "toy:Sums-v0"
@@ -270,3 +271,14 @@ def test_option_of_an_agent_is_not_its_context() -> None:
     for agent in (optional, named):
         list(gem.rollout(COUNTDOWN, agent, plan=plan))
     assert given == [0.7, Context]
+
+
+def test_what_was_made_for_the_run_is_closed_and_what_was_given_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever makes a vector environment closes it."""
+    closed: list[str] = []
+    close = SyncVectorEnv.close
+    monkeypatch.setattr(SyncVectorEnv, "close", lambda self: (closed.append("closed"), close(self))[1])
+    list(gem.rollout(gem.make_vec(COUNTDOWN, 1), sampling_agent, episodes=1))
+    assert closed == []
+    list(gem.rollout(COUNTDOWN, sampling_agent, episodes=1))
+    assert closed == ["closed"]

@@ -16,10 +16,13 @@ from toys import AsyncNotebook, Calculator, CountdownEnv, EchoEnv, Notebook
 
 import gem_core as gem
 from gem_core.background import run_sync
-from gem_core.errors import ArgumentError, ResetNeededError, UnknownToolError
+from gem_core.errors import ArgumentError, ResetNeededError, StateNotSupported, UnknownToolError
+from gem_core.registry import registry
 from gem_core.testing.hostile import hostile_actions
 from gem_core.tool_env import ToolEnv
 from gem_core.wrapper import Guard
+
+TOOLS = (Calculator, Notebook)
 
 
 def tool_env(*tools: gem.Tool, **options: Any) -> ToolEnv:
@@ -207,6 +210,44 @@ def test_state_holds_counters_and_sessions() -> None:
     env.step("<note>a</note>")
     other.set_state(json.loads(json.dumps(env.get_state())))
     assert other.step("<note>b</note>") == env.step("<note>b</note>")
+
+
+def test_open_session_that_cannot_be_saved_says_so() -> None:
+    """A state without the session would go on with another one."""
+
+    class Forgetful(Notebook):
+        get_session_state = gem.Tool.get_session_state
+
+    env = tool_env(Forgetful())
+    env.get_state()
+    env.step("<note>a</note>")
+    with pytest.raises(StateNotSupported, match="the tool 'note' cannot save its session"):
+        env.get_state()
+
+
+def test_state_holds_how_things_stand() -> None:
+    """A tool step after a restore shows the board of the saved episode, not that of the one before."""
+    env, other = tool_env(), tool_env()
+    env.step("a turn of the task")
+    other.set_state(env.get_state())
+    assert other.step("<note>a</note>")[0].endswith("Left: 8.")
+
+
+def test_tools_and_wrappers_are_made_by_name_in_one_list(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neighbouring tools share one ToolEnv; a wrapper behind them, and a tool that comes last, are what they are."""
+    gem.list_envs()
+    tools = {tool.name: gem.ToolSpec(name=tool.name, entry_point=f"toys:{tool.__name__}") for tool in TOOLS}
+    monkeypatch.setitem(registry()._named, "wrapper", {**registry()._named["wrapper"], **tools})
+    env = gem.make("toy:Countdown-v0", wrappers="calculator,note,concat")
+    assert [type(layer).__name__ for layer in (env, env.env)] == ["Concat", "ToolEnv"]
+    assert list(env.env.tools) == ["calculator", "note"]
+    assert type(gem.make("toy:Countdown-v0", wrappers="concat,note")) is ToolEnv
+
+
+@pytest.mark.parametrize("uses", [-1, 1.5, "2"])
+def test_a_limit_of_uses_is_a_whole_number(uses: Any) -> None:
+    with pytest.raises(ArgumentError, match="max_tool_uses must be a whole number from 0 up or None"):
+        ToolEnv(EchoEnv(), [Notebook()], max_tool_uses=uses)
 
 
 def test_tools_by_name_need_a_registered_tool() -> None:
