@@ -21,6 +21,16 @@ def gem_register_wrappers() -> Iterable[WrapperSpec]:
             summary="Show all outputs and actions so far.",
         ),
         WrapperSpec(
+            name="messages",
+            entry_point="gem_core.wrappers.chat:Messages",
+            summary="Show the history as a list of chat messages.",
+        ),
+        WrapperSpec(
+            name="concat_chat",
+            entry_point="gem_core.wrappers.chat:ConcatChat",
+            summary="Show the history as the text of a tokenizer's chat template.",
+        ),
+        WrapperSpec(
             name="episode_stats",
             entry_point="gem_core.wrappers.episode_stats:EpisodeStats",
             summary="Report return, length and duration in info['episode'] at the end.",

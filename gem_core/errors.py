@@ -24,6 +24,7 @@
     ├── BridgeError                synchronous call from the library's own event loop
     ├── EnvFaultError              an environment failed and on_error="raise"
     ├── FaultBudgetError           replacements fail again and again
+    ├── RequestError               a model server did not answer, whatever the answer would have been
     ├── AgentError                 an agent that cannot be called, or did not return text
     ├── GradingError               a verdict could not be reached; never a reward of 0
     ├── DatasetError               rows that are missing, empty or without a needed column
@@ -128,6 +129,10 @@ class EnvFaultError(GemError):
 
 class FaultBudgetError(GemError):
     """Environments fail again and again without finishing an episode."""
+
+
+class RequestError(GemError):
+    """A model server did not answer a request, whatever the answer would have been: an error of that episode."""
 
 
 class AgentError(GemError, TypeError):

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import asyncio
-import inspect
-from collections.abc import Awaitable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, cast
 
 from gem_core import __version__
-from gem_core.agents.base import Agent, Context, as_agent
-from gem_core.background import run_sync
+from gem_core.agents.asking import Asking, Outcome
+from gem_core.agents.base import Agent, Context, as_agent, prepare_agent
 from gem_core.episodes import Episode, Transition
-from gem_core.errors import AgentError, ArgumentError
+from gem_core.errors import ArgumentError, RequestError
 from gem_core.plans import Draw, DrawSource, PlanItem, count_plan, cover_plan
 from gem_core.registry import make_vec, registry
 from gem_core.types import TERMINAL_STATE, Info, Observation, Response
@@ -33,6 +31,8 @@ def rollout(
     """Let an agent act, and yield each episode as it finishes.
 
     The episodes are fixed before they start: the same plan and seed give the same ones, whatever the number of slots.
+    A plain agent is asked for one slot after another; an asynchronous one for each slot as soon as it is ready, so that
+    a slow answer holds up nothing but its own slot.
 
     Args:
         env: A vector environment, an environment, an id or several. What was made here is closed at the end; what was
@@ -82,28 +82,23 @@ def _run(
     seed: int | None,
 ) -> Iterator[Episode]:
     vector, made_here = _as_vector(env, seed)
+    asking = Asking(agent)
+    running: dict[int, _Running] = {}
     try:
-        source = _source(vector, plan, episodes, seed)
-        observations, infos = vector.begin(source)
-        running: dict[int, _Running] = {}
+        prepare_agent(agent)
+        observations, infos = vector.begin(_source(vector, plan, episodes, seed))
         for slot, (observation, info) in enumerate(zip(observations, infos, strict=True)):
             yield from _started(vector, running, slot, observation, info)
+        for slot, current in running.items():
+            asking.ask(slot, current.observation, current.context)
         while running:
-            slots = list(running)
-            answers = _answers(agent, [running[slot] for slot in slots])
-            step = vector.step(dict(zip(slots, answers, strict=True)))
-            for place, (slot, answer) in enumerate(zip(slots, answers, strict=True)):
-                observation, info = step.observations[place], step.infos[place]
-                reward, current = float(step.rewards[place]), running[slot]
-                terminated, truncated = bool(step.terminated[place]), bool(step.truncated[place])
-                if not (terminated or truncated):
-                    current.add(answer, reward, False, False, observation, info)
-                    continue
-                current.add(answer, reward, terminated, truncated, info.pop("final_obs"), info.pop("final_info"))
-                del running[slot]
-                yield current.episode
-                yield from _started(vector, running, slot, observation, info)
+            answers = asking.answers()
+            yield from _stepped(vector, running, answers)
+            for slot in answers:
+                if slot in running:
+                    asking.ask(slot, running[slot].observation, running[slot].context)
     finally:
+        asking.close()
         if made_here:
             vector.close()
 
@@ -112,6 +107,29 @@ def _source(vector: VectorEnv, plan: Iterable[PlanItem] | None, episodes: int | 
     if plan is None and episodes is None and vector.own_source.planned:
         return vector.own_source.restarted(seed)
     return new_source(default_plan(vector, episodes) if plan is None else plan, vector.seed if seed is None else seed)
+
+
+def _stepped(vector: VectorEnv, running: dict[int, _Running], answers: Mapping[int, Outcome]) -> Iterator[Episode]:
+    """Step the slots whose agent has answered; yield the episodes that ended."""
+    responses = {slot: answer for slot, answer in answers.items() if isinstance(answer, Response)}
+    step = vector.step(responses)
+    for place, (slot, answer) in enumerate(responses.items()):
+        observation, info = step.observations[place], step.infos[place]
+        reward, current = float(step.rewards[place]), running[slot]
+        terminated, truncated = bool(step.terminated[place]), bool(step.truncated[place])
+        if not (terminated or truncated):
+            current.add(answer, reward, False, False, observation, info)
+            continue
+        current.add(answer, reward, terminated, truncated, info.pop("final_obs"), info.pop("final_info"))
+        del running[slot]
+        yield current.episode
+        yield from _started(vector, running, slot, observation, info)
+    for slot, failure in answers.items():
+        if isinstance(failure, RequestError):
+            episode = running.pop(slot).give_up(failure)
+            observation, info = vector.give_up(slot, str(failure))
+            yield episode
+            yield from _started(vector, running, slot, observation, info)
 
 
 class _Running:
@@ -138,6 +156,16 @@ class _Running:
         self.observation = self.episode.final_observation = observation
         self.context.turn += 1
         self.context.info = info
+
+    def give_up(self, error: RequestError) -> Episode:
+        """End the episode because its agent could not be asked; return it."""
+        reported = {"error": {"kind": "agent", "message": str(error)}}
+        if self.episode.transitions:
+            last = self.episode.transitions[-1]
+            last.truncated, last.info = True, {**last.info, **reported}
+        else:
+            self.episode.info = {**self.episode.info, **reported}
+        return self.episode
 
 
 def _started(
@@ -180,30 +208,6 @@ def _versions(env_id: str) -> dict[str, str]:
     if provider is not None:
         versions[provider.distribution] = provider.version
     return versions
-
-
-def _answers(agent: Agent, running: list[_Running]) -> list[Response]:
-    answers: list[Any] = [agent(episode.observation, episode.context) for episode in running]
-    waiting = [index for index, answer in enumerate(answers) if inspect.isawaitable(answer)]
-    if waiting:
-        settled = run_sync(_gathered([answers[index] for index in waiting]))
-        for index, answer in zip(waiting, settled, strict=True):
-            answers[index] = answer
-    for answer in answers:
-        if not isinstance(answer, str):
-            raise AgentError(f"an agent returns a str or a Response, and this one returned {type(answer).__name__}")
-    return [Response.of(answer) for answer in answers]
-
-
-async def _gathered(awaitables: list[Awaitable[str]]) -> list[str]:
-    tasks = [asyncio.ensure_future(awaitable) for awaitable in awaitables]
-    try:
-        return await asyncio.gather(*tasks)
-    finally:
-        # gather leaves the others running when one fails: requests that nobody waits for any more.
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
 
 
 def _as_vector(env: VectorEnv | AnyEnv | str | Sequence[str], seed: int | None) -> tuple[VectorEnv, bool]:

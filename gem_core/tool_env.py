@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import inspect
-import json
 import logging
-import math
 import weakref
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from typing import Any, TypeVar, cast
@@ -16,9 +14,9 @@ from gem_core.background import finish_or_start, in_thread
 from gem_core.env import observation_from
 from gem_core.errors import ArgumentError, StateNotSupported
 from gem_core.spaces import is_part
-from gem_core.suggestions import did_you_mean
+from gem_core.tool_calls import json_call, native_calls
 from gem_core.tools import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, ToolResult, first_call
-from gem_core.types import Concurrency, Observation, ResetResult, StepResult
+from gem_core.types import Concurrency, Observation, ResetResult, Response, StepResult
 from gem_core.wrapper import AnyEnv, Wrapper, reset_needed
 from gem_core.wrappers.views import joined, told_apart
 
@@ -32,11 +30,14 @@ class ToolEnv(Wrapper):
 
     A response that calls a tool is answered by the tool; any other goes to the task. Calls are read as tags and fenced
     blocks (see ``Tool``) and as ``<tool_call>{"name": …, "arguments": …}</tool_call>``. The first complete call of a
-    response is executed; what follows it is left out of ``info["parsed_action"]``. A call that fails or cannot be read
-    is told to the agent, and never reaches the task as an answer.
+    response is executed; what follows it is left out of ``info["parsed_action"]``. Native calls
+    (``Response.tool_calls``) win over text: all are executed, in order, and answered under their ids in
+    ``info["messages"]``. A call that fails or cannot be read is told to the agent, and never reaches the task as an
+    answer.
 
-    ``info["tool"]`` says what a tool step did: ``name``, ``arguments``, ``failed``, ``error``, and the counters
-    ``uses``, ``successes`` and ``failures`` of the episode. ``info["tools"]`` holds the schemas at reset.
+    ``info["tool"]`` says what a tool step did: ``name``, ``arguments``, ``failed`` and ``error`` of the call, the last
+    of several; ``calls``, the same for each; and the counters ``uses``, ``successes`` and ``failures`` of the episode.
+    ``info["tools"]`` holds the schemas at reset.
 
     Args:
         env: The task.
@@ -107,18 +108,18 @@ class ToolEnv(Wrapper):
         return observation, info
 
     def before_step(self, action: str) -> str | StepResult | Awaitable[str | StepResult]:
-        """Answer a response that calls a tool."""
-        if self.max_tool_uses is not None and self._uses >= self.max_tool_uses:
+        """Answer a response that calls tools."""
+        if self._uses_left() == 0:
             return action
-        call = self.find_call(action)
-        if call is None:
-            return action
+        calls = native_calls(Response.of(action).tool_calls or [], self.tools)
+        if not calls:
+            call = self.find_call(action)
+            if call is None:
+                return action
+            calls = [call]
         if not self._live:
             raise reset_needed(self)
-        self._uses += 1
-        if call.error is not None:
-            return self._answered(action, call, ToolResult(f"The call could not be read: {call.error}", failed=True))
-        answering = self._answer(action, call)
+        answering = self._answer(action, calls)
         return answering if self.needs == "async" else _finish_now(answering)
 
     def after_step(self, action: str, result: StepResult) -> StepResult:
@@ -137,59 +138,44 @@ class ToolEnv(Wrapper):
 
     def find_call(self, action: str) -> ToolCall | None:
         """Return the first complete call in a response, or the first that is begun; None for an answer to the task."""
-        found = [self._json_call(action)]
+        found = [json_call(action, self.tools)]
         for tool in self.tools.values():
             fences = not any(language.casefold() in self._answer_fences for language in tool.fences)
             found.append(tool.parse(action, fences=fences))
         return first_call(found)
 
-    def _json_call(self, action: str) -> ToolCall | None:
-        start = action.find(CALL_OPEN)
-        if start < 0:
-            return None
-        end = action.find(CALL_CLOSE, start)
-        if end < 0:
-            return ToolCall("", start=start, error=f"{CALL_OPEN} is never closed by {CALL_CLOSE}")
-        stop = end + len(CALL_CLOSE)
-        try:
-            content = json.loads(
-                action[start + len(CALL_OPEN) : end], parse_float=_finite_number, parse_constant=_finite_number
-            )
-            if _is_deep(content):
-                raise RecursionError
-        except (ValueError, RecursionError) as error:
-            reason = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)[:200]
-            return ToolCall(
-                "", start=start, end=stop, error=f"between {CALL_OPEN} and {CALL_CLOSE} is no valid JSON: {reason}"
-            )
-        if not isinstance(content, dict) or not isinstance(content.get("name"), str):
-            form = '{"name": "…", "arguments": {…}}'
-            return ToolCall("", start=start, end=stop, error=f"a call must be an object of the form {form}")
-        name, arguments = content["name"], content.get("arguments", {})
-        if name not in self.tools:
-            known = ", ".join(self.tools)
-            hint = did_you_mean(name, self.tools)
-            return ToolCall(
-                name[:100], start=start, end=stop, error=f"no tool {name[:100]!r}.{hint} There are: {known}"
-            )
-        if not isinstance(arguments, dict):
-            return ToolCall(name, start=start, end=stop, error="its arguments must be an object of names and values")
-        return ToolCall(name, arguments, start, stop)
+    async def _answer(self, action: str, calls: list[ToolCall]) -> StepResult:
+        outcomes, reward = [], 0.0
+        for call in calls:
+            if self._uses_left() == 0:
+                outcomes.append((call, ToolResult("No tool calls were left: this one was not executed.", failed=True)))
+                continue
+            self._uses += 1
+            result = await self._outcome(call)
+            if result.failed:
+                self._failures += 1
+            else:
+                self._successes += 1
+            reward += self.tool_reward if call.error is None else 0.0
+            reward += self.tool_error_reward if result.failed else self.tool_success_reward
+            outcomes.append((call, result))
+        return self._answered(action, outcomes, reward)
 
-    async def _answer(self, action: str, call: ToolCall) -> StepResult:
+    async def _outcome(self, call: ToolCall) -> ToolResult:
+        if call.error is not None:
+            return ToolResult(f"The call could not be read: {call.error}", failed=True)
         tool = self.tools[call.name]
         try:
             arguments = tool.Parameters.model_validate(dict(call.arguments))
         except Exception as error:  # noqa: BLE001 - a validator of the tool's own may fail in any way
-            return self._answered(action, call, ToolResult(_validation_message(error), failed=True))
+            return ToolResult(_validation_message(error), failed=True)
         try:
             if call.name not in self._sessions:
                 self._sessions[call.name] = await _run(self.needs, tool, tool.open)
-            result = await self._call(tool, arguments)
+            return await self._call(tool, arguments)
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a failing tool is an observation for the agent
             message = f"{type(error).__name__}: {error}".strip()[:2000]
-            result = ToolResult(f"The tool failed: {message}", failed=True)
-        return self._answered(action, call, result)
+            return ToolResult(f"The tool failed: {message}", failed=True)
 
     async def _call(self, tool: Tool, arguments: Any) -> ToolResult:
         outcome = await _run(self.needs, tool, tool.call, arguments, self._sessions[tool.name])
@@ -201,40 +187,45 @@ class ToolEnv(Wrapper):
             f"{tool.name} returned {type(content).__name__}, not text, content parts or a ToolResult of them"
         )
 
-    def _answered(self, action: str, call: ToolCall, result: ToolResult) -> StepResult:
-        readable = call.error is None
-        if result.failed:
-            self._failures += 1
-        else:
-            self._successes += 1
-        reward = (self.tool_reward if readable else 0.0) + (
-            self.tool_error_reward if result.failed else self.tool_success_reward
-        )
-        title = f"{'Error from' if result.failed else 'Output of'} {call.name or 'the tool call'}:"
-        feedback = joined([title, result.content, f"{self._uses_left()}\n"])
+    def _answered(self, action: str, outcomes: list[tuple[ToolCall, ToolResult]], reward: float) -> StepResult:
+        outputs = [joined([_title(call, result), result.content]) for call, result in outcomes]
+        feedback = joined([*outputs, f"{self._what_is_left()}\n"])
         suffix: Observation = "" if self._suffix is None else self._suffix
+        last = outcomes[-1][0]
+        calls = [_described(call, result) for call, result in outcomes]
         info: dict[str, Any] = {
             "feedback": feedback,
             "suffix": suffix,
-            "parsed_action": str(action)[: call.end] if call.end else None,
+            "parsed_action": _parsed_action(str(action), last),
             "tool": {
-                **result.info,
-                "name": call.name or None,
-                "arguments": dict(call.arguments),
-                "failed": result.failed,
-                "error": call.error,
+                **calls[-1],
+                "calls": calls,
                 "uses": self._uses,
                 "successes": self._successes,
                 "failures": self._failures,
             },
         }
-        return observation_from(feedback, suffix), float(reward), False, False, info
+        if last.id is not None:
+            info["messages"] = self._messages(outcomes)
+        return observation_from(feedback, suffix), reward, False, False, info
 
-    def _uses_left(self) -> str:
-        if self.max_tool_uses is None:
+    def _messages(self, outcomes: list[tuple[ToolCall, ToolResult]]) -> list[dict[str, Any]]:
+        messages = []
+        for number, (call, result) in enumerate(outcomes, start=1):
+            pieces: list[Observation] = [_title(call, result), result.content] if result.failed else [result.content]
+            if number == len(outcomes):
+                pieces.append(self._what_is_left())
+            messages.append({"role": "tool", "tool_call_id": call.id, "content": joined(pieces)})
+        return messages
+
+    def _uses_left(self) -> int | None:
+        return None if self.max_tool_uses is None else max(self.max_tool_uses - self._uses, 0)
+
+    def _what_is_left(self) -> str:
+        left = self._uses_left()
+        if left is None:
             return "You may call a tool again, or give your answer."
-        left = self.max_tool_uses - self._uses
-        if left <= 0:
+        if left == 0:
             return "No tool calls are left. Give your answer to the task now."
         return f"Tool calls left: {left}. Call a tool again, or give your answer."
 
@@ -273,6 +264,26 @@ class ToolEnv(Wrapper):
             self._sessions[name] = self.tools[name].set_session_state(session)
 
 
+def _title(call: ToolCall, result: ToolResult) -> str:
+    return f"{'Error from' if result.failed else 'Output of'} {call.name or 'the tool call'}:"
+
+
+def _described(call: ToolCall, result: ToolResult) -> dict[str, Any]:
+    return {
+        **result.info,
+        "name": call.name or None,
+        "arguments": dict(call.arguments),
+        "failed": result.failed,
+        "error": call.error,
+    }
+
+
+def _parsed_action(action: str, call: ToolCall) -> str | None:
+    if call.id is not None:
+        return action
+    return action[: call.end] if call.end else None
+
+
 def _resolved(tool: Tool | str | tuple[str, Mapping[str, Any]]) -> Tool:
     if isinstance(tool, Tool):
         return tool
@@ -284,27 +295,6 @@ def _resolved(tool: Tool | str | tuple[str, Mapping[str, Any]]) -> Tool:
     if not isinstance(made, Tool):
         raise ArgumentError(f"the entry point of tool {name!r} returned {type(made).__name__}, not a Tool")
     return made
-
-
-def _finite_number(text: str) -> float:
-    # Python reads NaN and 1e999, which no other reader of the recorded arguments would take.
-    number = float(text)
-    if not math.isfinite(number):
-        raise ValueError(f"{text[:20]} is no finite number")
-    return number
-
-
-def _is_deep(value: object, limit: int = 100) -> bool:
-    """Tell whether lists and objects are nested deeper than what copies and writes them can follow."""
-    level = [value]
-    for _ in range(limit):
-        level = [
-            part
-            for item in level
-            if isinstance(item, dict | list)
-            for part in (item.values() if isinstance(item, dict) else item)
-        ]
-    return bool(level)
 
 
 def _needs(tools: Any) -> Concurrency:

@@ -26,6 +26,7 @@ class ToolCall:
         start: Index in the response where the call begins.
         end: Index behind its last character.
         error: Why it cannot be read; None for a complete call.
+        id: Under which a native call is answered; None for a call in the text.
     """
 
     name: str
@@ -33,6 +34,7 @@ class ToolCall:
     start: int = 0
     end: int = 0
     error: str | None = None
+    id: str | None = None
 
 
 @dataclass(frozen=True)

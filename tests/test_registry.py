@@ -92,8 +92,8 @@ def test_unknown_wrapper_names_the_nearest() -> None:
     """A misspelt wrapper gives the nearest and all that exist."""
     gem.register("word:Guess-v0", WordEnv)
     assert message(gem.make, "word:Guess-v0", wrappers="conct") == (
-        "UnknownWrapperError: no wrapper or tool 'conct'. Did you mean 'concat'? "
-        "There are: concat, concat_with_action, episode_stats, latest, tools, turn_limit."
+        "UnknownWrapperError: no wrapper or tool 'conct'. Did you mean 'concat' or 'concat_chat'? "
+        "There are: concat, concat_chat, concat_with_action, episode_stats, latest, messages, tools, turn_limit."
     )
 
 

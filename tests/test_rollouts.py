@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,9 @@ from hypothesis import strategies as st
 from toys import CountdownEnv, Notebook, sampling_agent
 
 import gem_core as gem
-from gem_core.agents.base import Context, as_agent, load_agent
+from gem_core.agents.base import Context, as_agent, close_agent, load_agent
 from gem_core.episodes import read_episodes, write_episodes
-from gem_core.errors import AgentError, ArgumentError, UnknownAgentError
+from gem_core.errors import AgentError, ArgumentError, FaultBudgetError, RequestError, UnknownAgentError
 from gem_core.plans import PlanItem, group_plan
 from gem_core.tool_env import ToolEnv
 from gem_core.vector.sync import SyncVectorEnv
@@ -115,6 +116,98 @@ def test_asynchronous_agents_answer_all_slots_at_once() -> None:
     vector = gem.make_vec(COUNTDOWN, 5, seed=0)
     assert len(list(gem.rollout(vector, agent, episodes=5))) == 5
     assert most == 5
+
+
+def test_a_slow_answer_holds_up_only_its_own_slot() -> None:
+    """The other slots finish all their episodes while one waits."""
+    release = threading.Event()
+    finished: list[str] = []
+
+    async def agent(observation: gem.Observation, context: Context) -> str:
+        while context.episode == "0.0" and not release.is_set():
+            await asyncio.sleep(0)
+        return "a"
+
+    for episode in gem.rollout(gem.make_vec(COUNTDOWN, 3, seed=0), agent, episodes=9):
+        finished.append(episode.key)
+        if len(finished) == 8:
+            release.set()
+    assert finished[-1] == "0"
+    assert sorted(finished) == [str(key) for key in range(9)]
+
+
+@pytest.mark.parametrize("asynchronous", [True, False])
+def test_a_request_that_fails_is_an_error_of_its_episode(asynchronous: bool) -> None:
+    """Counted apart, with the turns that were taken; every plan item still gives one episode."""
+
+    def plain(observation: gem.Observation, context: Context) -> str:
+        if context.episode == "1.0" or (context.episode == "2.0" and context.turn == 1):
+            raise RequestError("the server is down")
+        return "a"
+
+    async def waiting(observation: gem.Observation, context: Context) -> str:
+        return plain(observation, context)
+
+    plan = [PlanItem(options={"left": 3})] * 4
+    run = gem.rollout(gem.make_vec(COUNTDOWN, 2, seed=0), waiting if asynchronous else plain, plan=plan)
+    episodes = by_key(run)
+    assert [episode.turns for episode in episodes] == [3, 0, 1, 3]
+    assert [episode.error for episode in episodes] == [
+        None,
+        {"kind": "agent", "message": "the server is down"},
+        {"kind": "agent", "message": "the server is down"},
+        None,
+    ]
+    assert episodes[2].transitions[-1].truncated is True
+
+
+def test_a_server_that_never_answers_stops_the_run() -> None:
+    """Under the budget of faults."""
+
+    def agent(observation: gem.Observation) -> str:
+        raise RequestError("the server is down")
+
+    with pytest.raises(FaultBudgetError, match="the server is down"):
+        list(gem.rollout(COUNTDOWN, agent, episodes=100, seed=0))
+
+
+def test_prepare_is_called_before_the_first_episode() -> None:
+    """Plain or a coroutine function; what it raises is raised at the start."""
+    called: list[str] = []
+
+    class Prepared:
+        async def prepare(self) -> None:
+            called.append("prepare")
+
+        def __call__(self, observation: gem.Observation) -> str:
+            called.append("ask")
+            return "a"
+
+        def close(self) -> None:
+            called.append("close")
+
+    agent = as_agent(Prepared())
+    list(gem.rollout(COUNTDOWN, agent, episodes=1, seed=0))
+    close_agent(agent)
+    assert (called[0], set(called[1:-1]), called[-1]) == ("prepare", {"ask"}, "close")
+
+
+def test_an_abandoned_run_cancels_what_is_open() -> None:
+    """No coroutine is left behind."""
+    cancelled = threading.Event()
+
+    async def agent(observation: gem.Observation, context: Context) -> str:
+        if context.episode != "0.0":
+            try:
+                await asyncio.Event().wait()
+            finally:
+                cancelled.set()
+        return "a"
+
+    run = gem.rollout(gem.make_vec(COUNTDOWN, 2, seed=0), agent, episodes=2)
+    next(run)
+    run.close()  # type: ignore[attr-defined]  # it is a generator
+    assert cancelled.wait(30)
 
 
 def test_failed_resets_and_steps_are_episodes_with_an_error() -> None:

@@ -43,11 +43,10 @@ def test_json_call_is_executed() -> None:
         "Output of calculator:\n5.0\nTool calls left: 4. Call a tool again, or give your answer.\nLeft: 9."
     )
     assert (reward, terminated, truncated) == (0.0, False, False)
+    call = {"name": "calculator", "arguments": {"left": 2, "right": 3}, "failed": False, "error": None}
     assert info["tool"] == {
-        "name": "calculator",
-        "arguments": {"left": 2, "right": 3},
-        "failed": False,
-        "error": None,
+        **call,
+        "calls": [call],
         "uses": 1,
         "successes": 1,
         "failures": 0,
@@ -113,6 +112,61 @@ def test_a_call_that_cannot_be_read_or_fails_is_told_to_the_agent(action: str, m
     assert (reward, terminated, truncated) == (-0.25, False, False)
     assert (info["tool"]["uses"], info["tool"]["failures"], info["tool"]["failed"]) == (1, 1, True)
     assert "Left: 9." in str(observation)
+
+
+def native(name: str, arguments: object, call_id: str = "c1") -> dict[str, Any]:
+    return {"id": call_id, "type": "function", "function": {"name": name, "arguments": arguments}}
+
+
+def test_native_calls_are_all_executed_in_order() -> None:
+    """And win over calls in the text, which is then only text."""
+    env = tool_env(tool_reward=0.5, tool_success_reward=1.0, tool_error_reward=-2.0)
+    calls = [native("note", '{"line": "a"}', "c1"), native("nte", "{}", "c2"), native("note", {"line": "b"}, "c3")]
+    observation, reward, _, _, info = env.step(gem.Response("<note>text</note>", tool_calls=calls))
+    assert str(observation).startswith("Output of note:\na\nError from nte:\n")
+    assert [m["tool_call_id"] for m in info["messages"]] == ["c1", "c2", "c3"]
+    assert [call["failed"] for call in info["tool"]["calls"]] == [False, True, False]
+    assert (info["tool"]["uses"], info["tool"]["successes"], info["tool"]["failures"]) == (3, 2, 1)
+    assert reward == 0.5 * 2 + 1.0 * 2 - 2.0
+    assert info["parsed_action"] == "<note>text</note>"
+
+
+def test_native_calls_beyond_the_limit_are_answered_with_an_error() -> None:
+    """Every call gets its answer, and the one that was not executed is not counted."""
+    env = tool_env(max_tool_uses=1)
+    calls = [native("note", '{"line": "a"}', "c1"), native("note", '{"line": "b"}', "c2")]
+    info = env.step(gem.Response("", tool_calls=calls))[4]
+    assert info["messages"][1]["content"] == (
+        "Error from note:\nNo tool calls were left: this one was not executed.\n"
+        "No tool calls are left. Give your answer to the task now."
+    )
+    assert info["tool"]["uses"] == 1
+    assert env.step(gem.Response("7", tool_calls=calls))[0] == "You said '7'.\nLeft: 8."
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (native("note", "{"), "its arguments are no valid JSON"),
+        (native("note", "[1]"), "its arguments must be an object of names and values"),
+        (native("note", "[" * 100_000), "its arguments are no valid JSON: it is nested too deeply"),
+        (native("nte", "{}"), "no tool 'nte'. Did you mean 'note'? There are: calculator, note"),
+        (native("note", None), "The arguments are not valid. line: Field required"),
+        ({"id": "c1"}, "a native call must name a function"),
+        ({"function": {"name": 3}}, "a native call must name a function"),
+    ],
+)
+def test_native_calls_that_cannot_be_read_are_answered(call: Any, message: str) -> None:
+    """Whatever the server passes on."""
+    info = tool_env().step(gem.Response("", tool_calls=[call]))[4]
+    assert message in info["messages"][0]["content"]
+    assert info["tool"]["failed"] is True
+
+
+def test_custom_tools_of_the_api_take_plain_text() -> None:
+    """Which goes to the one text parameter."""
+    call = {"id": "c1", "type": "custom", "custom": {"name": "note", "input": "a line"}}
+    assert tool_env().step(gem.Response("", tool_calls=[call]))[4]["tool"]["lines"] == 1
 
 
 def test_rewards_of_tool_steps() -> None:

@@ -136,21 +136,6 @@ def test_max_turns_must_be_a_positive_number(limit: object) -> None:
         Concat(EchoEnv(), max_turns=limit)  # type: ignore[arg-type]  # that is the point
 
 
-@pytest.mark.parametrize("view_class", VIEWS)
-@given(actions=st.lists(st.text(max_size=10), max_size=5))
-def test_append_only_is_kept(view_class: type[ObservationView], actions: list[str]) -> None:
-    """A view that declares it extends the previous observation and the raw response; the others do not."""
-    observations = played(view_class(CountdownEnv()), actions)
-    extends = all(
-        str(later).startswith(str(earlier) + action)
-        for earlier, action, later in zip(observations, actions, observations[1:], strict=False)
-    )
-    if view_class.append_only:
-        assert extends
-    elif actions:
-        assert not extends
-
-
 def test_views_are_made_by_name_with_arguments() -> None:
     """``make`` puts them around a task, and the spec records how."""
     env = gem.make("toy:Countdown-v0", wrappers=["episode_stats", ("concat", {"max_turns": 2})])

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from gem_core.background import run_sync
 from gem_core.episodes import Transition
 from gem_core.errors import AgentError, UnknownAgentError
 from gem_core.specs import AgentSpec
@@ -54,7 +55,12 @@ class Context:
 
 Answer = str | Awaitable[str]
 Agent = Callable[[Observation, Context], Answer]
-"""Returns a response; plain or a coroutine function. One agent serves many episodes at once."""
+"""Returns a response; plain or a coroutine function. One agent serves many episodes at once.
+
+It may have ``prepare()``, called before the first episode, which raises what must be said at the start, and ``close()``
+or ``aclose()``; each plain or a coroutine function. It raises ``RequestError`` where the machinery behind it failed and
+only that episode is lost.
+"""
 
 
 def as_agent(agent: Any) -> Agent:
@@ -73,13 +79,13 @@ def as_agent(agent: Any) -> Agent:
     try:
         signature = inspect.signature(agent)
     except (TypeError, ValueError):  # a callable of C code may not tell its signature
-        return lambda observation, context: agent(observation)
+        return _OfObservation(agent)
     for count in (2, 1):
         try:
             signature.bind(*[None] * count)
         except TypeError:
             continue
-        return agent if count == 2 and _wants_context(signature) else (lambda observation, context: agent(observation))
+        return agent if count == 2 and _wants_context(signature) else _OfObservation(agent)
     raise AgentError(f"an agent takes (observation, context) or (observation), and {agent!r:.100} takes {signature}")
 
 
@@ -87,6 +93,40 @@ def _wants_context(signature: inspect.Signature) -> bool:
     """Tell whether the second argument is the context; one with a default is so only by its name."""
     second = list(signature.parameters.values())[1:2]
     return not second or second[0].default is inspect.Parameter.empty or second[0].name == "context"
+
+
+class _OfObservation:
+    """An agent that takes the observation alone."""
+
+    def __init__(self, function: Callable[[Observation], Answer]) -> None:
+        self.function = function
+
+    def __call__(self, observation: Observation, context: Context) -> Answer:
+        return self.function(observation)
+
+    def __getattr__(self, name: str) -> Any:
+        # Only these: with all attributes of a function, an object would be taken for one.
+        if name not in ("prepare", "close", "aclose"):
+            raise AttributeError(name)
+        return getattr(self.function, name)
+
+
+def prepare_agent(agent: Agent) -> None:
+    """Call the agent's ``prepare()``, if it has one."""
+    _call_if_there(agent, "prepare")
+
+
+def close_agent(agent: Agent) -> None:
+    """Call the agent's ``aclose()`` or ``close()``, if it has one."""
+    _call_if_there(agent, "aclose" if hasattr(agent, "aclose") else "close")
+
+
+def _call_if_there(agent: Agent, name: str) -> None:
+    method = getattr(agent, name, None)
+    if callable(method):
+        waited = method()
+        if inspect.isawaitable(waited):
+            run_sync(waited)
 
 
 def load_agent(name: str) -> Agent:

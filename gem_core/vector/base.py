@@ -102,6 +102,10 @@ class VectorEnv(ABC):
         """
 
     @abstractmethod
+    def give_up(self, slot: int, reason: str) -> tuple[Observation, Info]:
+        """Begin the next episode of a slot in the middle of one, whose agent failed; this counts as a fault."""
+
+    @abstractmethod
     def draw_of(self, slot: int) -> Draw | None:
         """Return what the present episode of a slot started from; None when it is idle."""
 

@@ -173,6 +173,11 @@ class Slot:
         first_info["final_obs"], first_info["final_info"] = observation, info
         return SlotStep(first_observation, reward, terminated, truncated, first_info)
 
+    def give_up(self, reason: str) -> ResetResult:
+        """Begin the next episode in the middle of one, whose agent failed; this spends the budget of faults."""
+        self._budget.spend({"kind": "agent", "message": reason}, self._name())
+        return self.begin()
+
     def sample_random_action(self) -> str:
         """Return a valid action for the present state."""
         if self._env is None:

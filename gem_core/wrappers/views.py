@@ -1,34 +1,44 @@
 """Observation views: how much of the history an agent is shown.
 
 A view keeps the list of turns and renders it; limits work on that list, never on rendered text. ``info["feedback"]``
-and ``info["suffix"]`` stay as the task wrote them.
+and ``info["suffix"]`` stay as the task wrote them. The chat views are in ``gem_core.wrappers.chat``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
 from gem_core.env import as_parts, observation_from
 from gem_core.errors import ArgumentError, StateNotSupported
-from gem_core.types import Observation, ResetResult, StepResult
+from gem_core.types import Observation, ResetResult, Response, StepResult
 from gem_core.wrapper import AnyEnv, Wrapper
 
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """One turn of the history, as a view shows it.
-
-    Its fields are read by name, never unpacked: views of chat messages will need more of them.
+    """One turn as a view remembers it. Its fields are read by name, never unpacked: there may be more of them.
 
     Args:
-        action: What the agent wrote, without its thinking where that is dropped.
-        feedback: What happened then.
+        action: The response's text, to the letter.
+        feedback: What happened.
+        suffix: How things stood after it.
+        tool_calls: Native calls of the response; None without any.
+        reasoning: Thinking that the server took out of the text; None without any.
+        messages: What the environment appends to a chat, where it says so in ``info["messages"]``.
     """
 
     action: str
     feedback: Observation
+    suffix: Observation = ""
+    tool_calls: list[dict[str, Any]] | None = None
+    reasoning: str | None = None
+    messages: list[dict[str, Any]] | None = None
+
+
+Summarizer = Callable[[str, list[Turn]], str]
+"""Called with the summary so far and the turns that are to be dropped next, returns the new summary."""
 
 
 class ObservationView(Wrapper):
@@ -41,10 +51,15 @@ class ObservationView(Wrapper):
         max_turns: Show only this many of the newest turns, after the task itself, which is always shown; None for all.
         drop_thinking: Leave thinking blocks out of the actions of earlier turns.
         thinking_tag: Name of the tag around thinking.
+        max_tokens: Drop the oldest turns while the observation has more tokens than this. When the task and the newest
+            turn alone have more, the context overflows: the episode is truncated, with ``info["context_overflow"]``.
+        count_tokens: How tokens are counted: a tokenizer with ``encode``, or a function of a text. Images are not.
+        summarize: Called with the summary so far and the turns that are dropped next; what it returns is shown after
+            the task in their stead.
     """
 
-    append_only: ClassVar[bool] = False
-    """Whether the next observation always is the previous one, the raw response, and more."""
+    can_append_only: ClassVar[bool] = False
+    """Whether the view is append-only as long as nothing is dropped."""
 
     def __init__(
         self,
@@ -53,22 +68,38 @@ class ObservationView(Wrapper):
         max_turns: int | None = None,
         drop_thinking: bool = False,
         thinking_tag: str = "think",
+        max_tokens: int | None = None,
+        count_tokens: Any = None,
+        summarize: Summarizer | None = None,
     ) -> None:
         super().__init__(env)
-        if max_turns is not None and (not isinstance(max_turns, int) or max_turns < 1):
-            raise ArgumentError(f"max_turns must be a positive whole number or None, not {max_turns!r}")
+        for name, limit in (("max_turns", max_turns), ("max_tokens", max_tokens)):
+            if limit is not None and (type(limit) is not int or limit < 1):
+                raise ArgumentError(f"{name} must be a positive whole number or None, not {limit!r}")
+        if max_tokens is not None and count_tokens is None:
+            raise ArgumentError("max_tokens needs count_tokens: a tokenizer with encode(), or a function of a text")
+        if summarize is not None and max_turns is None and max_tokens is None:
+            raise ArgumentError("summarize needs max_turns or max_tokens, which say what is dropped")
         self.max_turns = max_turns
         self.drop_thinking = drop_thinking
         self.thinking_tag = thinking_tag
-        self._task: Observation = ""
-        self._turns: list[Turn] = []
-        self._suffix: Observation = ""
+        self.max_tokens = max_tokens
+        self.count_tokens = count_tokens
+        self.summarize = summarize
+        if summarize is not None:
+            self.needs = "thread"
+        self._begin("", "")
+
+    @property
+    def append_only(self) -> bool:
+        """Whether the next observation always is the previous one, the raw response, and more."""
+        return self.can_append_only and self.max_turns is None and self.max_tokens is None and not self.drop_thinking
 
     def show(self, task: Observation, turns: list[Turn], suffix: Observation) -> Observation:
         """Return the observation.
 
         Args:
-            task: What the reset said.
+            task: What the reset said, and the summary of what is left out.
             turns: The turns that are to be shown, oldest first.
             suffix: How things stand now; shown once, at the end.
         """
@@ -77,38 +108,93 @@ class ObservationView(Wrapper):
     def after_reset(self, result: ResetResult) -> ResetResult:
         """Begin a new list of turns."""
         observation, info = result
-        self._task, self._suffix = told_apart(observation, info)
-        self._turns = []
-        return self._rendered(), info
+        self._begin(*told_apart(observation, info))
+        shown = self._shown()
+        if self._is_too_long(shown):
+            raise ArgumentError(
+                f"the task alone has {self._length(shown)} tokens, and max_tokens is {self.max_tokens}; raise it"
+            )
+        return shown, info
 
     def after_step(self, action: str, result: StepResult) -> StepResult:
         """Add the turn and render the list."""
         observation, reward, terminated, truncated, info = result
         feedback, self._suffix = told_apart(observation, info)
+        self._turns.append(self._turn(action, feedback, info))
+        shown = self._fitted()
+        if self._is_too_long(shown):
+            info["context_overflow"] = True
+            truncated = truncated or not terminated
+        return shown, reward, terminated, truncated, info
+
+    def _begin(self, task: Observation, suffix: Observation) -> None:
+        self._task, self._suffix = task, suffix
+        self._turns: list[Turn] = []
+        self._dropped = 0
+        self._summary = ""
+
+    def _turn(self, action: str, feedback: Observation, info: dict[str, Any]) -> Turn:
         # A plain str: what the server reported about a response is kept by the rollout, not by the view.
         text = str.__str__(action)
-        if self.drop_thinking:
-            text = without_thinking(text, self.thinking_tag)
-        self._turns.append(Turn(text, feedback))
-        return self._rendered(), reward, terminated, truncated, info
+        response = Response.of(action)
+        return Turn(
+            action=without_thinking(text, self.thinking_tag) if self.drop_thinking else text,
+            feedback=feedback,
+            suffix=self._suffix,
+            tool_calls=response.tool_calls,
+            reasoning=None if self.drop_thinking else response.reasoning,
+            messages=info.get("messages"),
+        )
 
-    def _rendered(self) -> Observation:
-        turns = self._turns if self.max_turns is None else self._turns[-self.max_turns :]
-        return self.show(self._task, turns, self._suffix)
+    def _fitted(self) -> Observation:
+        """Drop turns until the rest fits, and return what is shown."""
+        count = len(self._turns)
+        wanted = 0 if self.max_turns is None else count - self.max_turns
+        while True:
+            self._drop(max(wanted, self._dropped))
+            shown = self._shown()
+            if not self._is_too_long(shown) or self._dropped >= count - 1:
+                return shown
+            wanted = self._dropped + 1
+
+    def _drop(self, count: int) -> None:
+        if count > self._dropped:
+            if self.summarize is not None:
+                self._summary = self.summarize(self._summary, self._turns[self._dropped : count])
+            self._dropped = count
+
+    def _shown(self) -> Observation:
+        task = self._task
+        if self._summary:
+            task = joined([task, f"Summary of the earlier turns:\n{self._summary}\n"])
+        return self.show(task, self._turns[self._dropped :], self._suffix)
+
+    def _is_too_long(self, observation: Observation) -> bool:
+        return self.max_tokens is not None and self._length(observation) > self.max_tokens
+
+    def _length(self, observation: Observation) -> int:
+        text = "\n".join(texts_of(observation))
+        encode = getattr(self.count_tokens, "encode", None)
+        return len(encode(text)) if encode is not None else int(self.count_tokens(text))
 
     def _get_state(self) -> dict[str, Any]:
-        outputs = [self._task, self._suffix, *(turn.feedback for turn in self._turns)]
+        outputs = [self._task, self._suffix]
+        for turn in self._turns:
+            outputs += [turn.feedback, turn.suffix, *(m.get("content") or "" for m in turn.messages or ())]
         if not all(isinstance(output, str) for output in outputs):
             raise StateNotSupported(f"{type(self).__name__} holds content parts, whose images are not plain data")
         return {
             "task": self._task,
-            "turns": [[turn.action, turn.feedback] for turn in self._turns],
+            "turns": [asdict(turn) for turn in self._turns],
             "suffix": self._suffix,
+            "dropped": self._dropped,
+            "summary": self._summary,
         }
 
     def _set_state(self, state: dict[str, Any]) -> None:
         self._task, self._suffix = state["task"], state["suffix"]
-        self._turns = [Turn(action, feedback) for action, feedback in state["turns"]]
+        self._turns = [Turn(**turn) for turn in state["turns"]]
+        self._dropped, self._summary = int(state["dropped"]), str(state["summary"])
 
 
 class Latest(ObservationView):
@@ -158,6 +244,19 @@ def joined(pieces: Iterable[Observation]) -> Observation:
             parts[-1] = {**parts[-1], "text": parts[-1]["text"] + "\n"}
         parts.extend(as_parts(piece))
     return parts
+
+
+def texts_of(observation: Observation) -> list[str]:
+    """Return every text of an observation: of text itself, of content parts, or of messages."""
+    if isinstance(observation, str):
+        return [observation]
+    texts = []
+    for part in observation:
+        if part.get("type") == "text":
+            texts.append(str(part["text"]))
+        elif part.get("content"):
+            texts += texts_of(part["content"])
+    return texts
 
 
 def without_thinking(action: str, tag: str = "think") -> str:

@@ -1,0 +1,258 @@
+"""Chat views: messages, the text of a template, budgets and summaries."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from toys import CountdownEnv, EchoEnv, Notebook
+
+import gem_core as gem
+from gem_core.errors import ArgumentError
+from gem_core.tool_env import ToolEnv
+from gem_core.wrapper import Guard
+from gem_core.wrappers.chat import ConcatChat, Messages
+from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView, Turn
+
+
+class Template:
+    """A tokenizer with a small chat template in the manner of ChatML, which drops thinking of earlier turns."""
+
+    eos_token = "<|end|>"
+
+    def apply_chat_template(
+        self, messages: list[dict[str, Any]], *, tokenize: bool, add_generation_prompt: bool, **options: Any
+    ) -> str:
+        assert tokenize is False
+        lines = []
+        for message in messages:
+            content = str(message["content"]).rpartition("</think>")[2]
+            lines.append(f"<|{message['role']}|>{content}<|end|>\n")
+        return "".join(lines) + ("<|assistant|>" if add_generation_prompt else "") + options.get("more", "")
+
+    def encode(self, text: str) -> list[str]:
+        return text.split()
+
+
+def played(view: Any, actions: list[str]) -> list[Any]:
+    observations = [view.reset(seed=1, options={"left": 100})[0]]
+    return observations + [view.step(action)[0] for action in actions]
+
+
+def test_messages_are_a_chat() -> None:
+    """System first where there is one, then user and assistant in turn, each answer as it was then."""
+    assert played(Messages(CountdownEnv(), system="Be brief."), ["a", "b"])[-1] == [
+        {"role": "system", "content": "Be brief."},
+        {"role": "user", "content": "Count down.\nLeft: 100."},
+        {"role": "assistant", "content": "a"},
+        {"role": "user", "content": "You said 'a'.\nLeft: 99."},
+        {"role": "assistant", "content": "b"},
+        {"role": "user", "content": "You said 'b'.\nLeft: 98."},
+    ]
+
+
+def test_messages_may_show_how_things_stand_once() -> None:
+    """At the end, as the other views of the history do."""
+    assert [m["content"] for m in played(Messages(CountdownEnv(), repeat_suffix=False), ["a"])[-1]] == [
+        "Count down.\n",
+        "a",
+        "You said 'a'.\nLeft: 99.",
+    ]
+
+
+def test_the_system_message_of_a_task_is_taken() -> None:
+    """From ``info["system"]``, unless the view has its own."""
+
+    class WithSystem(EchoEnv):
+        def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+            observation, info = super().reset(seed, options)
+            return observation, {**info, "system": "You echo."}
+
+    assert Messages(WithSystem()).reset()[0][0] == {"role": "system", "content": "You echo."}
+    assert Messages(WithSystem(), system="Mine.").reset()[0][0] == {"role": "system", "content": "Mine."}
+
+
+def test_native_calls_are_answered_under_their_ids() -> None:
+    """Assistant message with its calls, then one tool message for each; a text call is answered as the user."""
+    env = Messages(ToolEnv(CountdownEnv(), [Notebook()]))
+    env.reset(seed=1, options={"left": 9})
+    calls = [
+        {"id": f"c{n}", "type": "function", "function": {"name": "note", "arguments": json.dumps({"line": f"l{n}"})}}
+        for n in range(2)
+    ]
+    chat = env.step(gem.Response("thinking", tool_calls=calls))[0]
+    assert chat[1] == {"role": "assistant", "content": "thinking", "tool_calls": calls}
+    assert [(m["role"], m["tool_call_id"], m["content"]) for m in chat[2:]] == [
+        ("tool", "c0", "l0"),
+        ("tool", "c1", "l0\nl1\nTool calls left: 3. Call a tool again, or give your answer."),
+    ]
+    chat = env.step("<note>x</note>")[0]
+    assert chat[-1]["role"] == "user"
+    assert chat[-1]["content"].startswith("Output of note:\nl0\nl1\nx\n")
+    assert "tool_calls" not in chat[-2]
+
+
+def test_reasoning_is_kept_on_request() -> None:
+    """Some servers want it back."""
+    env = Messages(EchoEnv(), keep_reasoning=True)
+    env.reset()
+    assert env.step(gem.Response("hi", reasoning="because"))[0][1] == {
+        "role": "assistant",
+        "content": "hi",
+        "reasoning_content": "because",
+    }
+
+
+def test_concat_chat_appends_the_raw_response_and_the_bridge() -> None:
+    """The template would drop earlier thinking; the text keeps what was sampled."""
+    texts = played(ConcatChat(CountdownEnv(), Template()), ["<think>hm</think>a", "b"])
+    assert texts[-1] == (
+        "<|user|>Count down.\nLeft: 100.<|end|>\n<|assistant|><think>hm</think>a<|end|>\n"
+        "<|user|>You said '<think>hm</think>a'.\nLeft: 99.<|end|>\n<|assistant|>b<|end|>\n"
+        "<|user|>You said 'b'.\nLeft: 98.<|end|>\n<|assistant|>"
+    ).replace("You said '<think>hm</think>a'", "a'")
+    assert texts[-1].startswith(texts[-2] + "b")
+
+
+def test_an_end_of_turn_in_the_response_is_not_written_twice() -> None:
+    """Some trainers keep special tokens in the text."""
+    texts = played(ConcatChat(EchoEnv(), Template()), ["hi<|end|>"])
+    assert "hi<|end|>\n<|user|>" in texts[-1]
+
+
+def test_concat_chat_with_a_limit_renders_the_whole_chat() -> None:
+    """Then nothing can be appended to."""
+    view = ConcatChat(CountdownEnv(), Template(), max_turns=1, template_options={"more": "!"})
+    assert not view.append_only
+    assert played(view, ["a", "b"])[-1] == (
+        "<|user|>Count down.\nLeft: 100.<|end|>\n<|assistant|>b<|end|>\n"
+        "<|user|>You said 'b'.\nLeft: 98.<|end|>\n<|assistant|>!"
+    )
+
+
+def test_a_tokenizer_must_have_a_template() -> None:
+    """The error says what it lacks."""
+    with pytest.raises(ArgumentError, match=r"a tokenizer has apply_chat_template\(\)"):
+        ConcatChat(EchoEnv(), object())
+
+
+def extends(earlier: Any, action: str, later: Any) -> bool:
+    if isinstance(earlier, str):
+        return bool(later.startswith(earlier + action))
+    return bool(later[: len(earlier)] == earlier and later[len(earlier)] == {"role": "assistant", "content": action})
+
+
+CHAT = [
+    Messages,
+    lambda env: Messages(env, repeat_suffix=False),
+    lambda env: Messages(env, max_turns=2),
+    lambda env: ConcatChat(env, Template()),
+    lambda env: ConcatChat(env, Template(), drop_thinking=True),
+]
+
+
+@pytest.mark.parametrize("make", [*CHAT, Latest, Concat, ConcatWithAction])
+@given(actions=st.lists(st.text(max_size=10), min_size=3, max_size=5))
+def test_append_only_is_kept(make: Any, actions: list[str]) -> None:
+    """A view that declares it extends the previous observation and the raw response; the others need not."""
+    view = make(CountdownEnv())
+    observations = played(view, actions)
+    if view.append_only:
+        assert all(map(extends, observations, actions, observations[1:]))
+
+
+@pytest.mark.parametrize("make", CHAT[1:3])
+def test_what_drops_is_not_append_only(make: Any) -> None:
+    """It does not declare it, and rightly so."""
+    view = make(CountdownEnv())
+    observations = played(view, ["a", "b", "c"])
+    assert not view.append_only
+    assert not all(map(extends, observations, "abc", observations[1:]))
+
+
+def test_one_chat_view_is_append_only() -> None:
+    """What single-sequence trainers need."""
+    assert Messages(EchoEnv()).append_only
+    assert ConcatChat(EchoEnv(), Template()).append_only
+
+
+def words(text: str) -> int:
+    return len(text.split())
+
+
+@pytest.mark.parametrize("count_tokens", [words, Template()])
+def test_the_budget_drops_the_oldest_turns(count_tokens: Any) -> None:
+    """As few as needed, and the task stays."""
+    view = ConcatWithAction(CountdownEnv(), max_tokens=13, count_tokens=count_tokens)
+    observations = played(view, ["a", "b", "c"])
+    assert observations[2] == "Count down.\na\nYou said 'a'.\nb\nYou said 'b'.\nLeft: 98."
+    assert observations[3] == "Count down.\nb\nYou said 'b'.\nc\nYou said 'c'.\nLeft: 97."
+    assert all(words(observation) <= 13 for observation in observations)
+
+
+def test_a_context_that_overflows_truncates_and_is_scored() -> None:
+    """It is the agent's doing: no error."""
+    view = ConcatWithAction(EchoEnv(), max_tokens=6, count_tokens=words)
+    view.reset()
+    _, reward, terminated, truncated, info = view.step("one two three four five")
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert info == {"context_overflow": True}
+
+
+def test_a_budget_that_not_even_the_task_fits_is_refused() -> None:
+    """At the first reset, with both numbers."""
+    with pytest.raises(ArgumentError, match="the task alone has 4 tokens, and max_tokens is 3; raise it"):
+        Concat(CountdownEnv(), max_tokens=3, count_tokens=words).reset()
+
+
+def test_dropped_turns_are_summarised() -> None:
+    """Each turn once, with the summary so far."""
+    seen: list[tuple[str, list[str]]] = []
+
+    def summarize(summary: str, turns: list[Turn]) -> str:
+        seen.append((summary, [turn.action for turn in turns]))
+        return f"{summary}{''.join(turn.action for turn in turns)}"
+
+    view = ConcatWithAction(CountdownEnv(), max_turns=1, summarize=summarize)
+    assert played(view, ["a", "b", "c"])[-1] == (
+        "Count down.\nSummary of the earlier turns:\nab\nc\nYou said 'c'.\nLeft: 97."
+    )
+    assert seen == [("", ["a"]), ("a", ["b"])]
+    assert view.concurrency == "thread"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"max_tokens": 3}, "max_tokens needs count_tokens"),
+        ({"max_tokens": 0, "count_tokens": words}, "max_tokens must be a positive whole number or None, not 0"),
+        ({"summarize": lambda summary, turns: ""}, "summarize needs max_turns or max_tokens"),
+    ],
+)
+def test_options_that_cannot_work_are_refused(options: dict[str, Any], message: str) -> None:
+    """At once."""
+    with pytest.raises(ArgumentError, match=message):
+        Concat(EchoEnv(), **options)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [*CHAT, lambda env: Concat(env, max_turns=1, summarize=lambda summary, turns: summary + turns[0].action)],
+)
+def test_state_goes_on_in_another_instance(make: Any) -> None:
+    """After a JSON round trip the other instance shows the same chat."""
+    view, other = make(Guard(CountdownEnv())), make(Guard(CountdownEnv()))
+    played(view, ["a", "b"])
+    other.set_state(json.loads(json.dumps(view.get_state())))
+    assert other.step("c") == view.step("c")
+
+
+def test_views_are_in_their_space() -> None:
+    """A list of messages is no text."""
+    view: ObservationView = Messages(EchoEnv())
+    assert view.observation_space.contains(view.reset()[0])
+    text_view = ConcatChat(EchoEnv(), Template())
+    assert text_view.observation_space.contains(text_view.reset()[0])
