@@ -15,6 +15,8 @@ import pytest
 import gem_core as gem
 from gem_core.cli import main
 from gem_core.episodes import read_episodes
+from gem_core.registry import registry
+from gem_core.specs import ToolSpec
 
 COUNTDOWN = "toy:Countdown-v0"
 
@@ -199,6 +201,18 @@ def test_max_turns_truncates(run_gem) -> None:
     assert [(e.turns, e.transitions[-1].truncated, e.transitions[-1].terminated) for e in read_episodes("a.jsonl")] == [
         (3, True, False)
     ] * 2
+
+
+def test_max_turns_counts_calls_of_tools(run_gem, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A call is a turn, so the limit stands outside the tools and inside the views."""
+    note = ToolSpec(name="note", entry_point="toys:Notebook")
+    records = registry()._named.setdefault("wrapper", {})
+    monkeypatch.setitem(records, "note", note)
+    Path("noting.py").write_text("def act(observation): return '<note>a</note>'\n")
+    run_gem("run", "toy:Echo-v0", "-n", "1", "-t", "3", "-a", "noting:act", "-w", "note,concat", "-o", "a.jsonl")
+    (episode,) = read_episodes("a.jsonl")
+    assert (episode.turns, episode.transitions[-1].truncated) == (3, True)
+    assert [name for name, _ in episode.wrappers] == ["tools", "turn_limit", "concat"]
 
 
 def test_errors_are_counted_apart_and_give_exit_code_1(run_gem) -> None:

@@ -19,6 +19,7 @@ from gem_core.episodes import EpisodeWriter
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.registry import make_vec, registry
 from gem_core.rollouts import default_plan, rollout
+from gem_core.specs import ToolSpec
 from gem_core.summary import RunSummary
 
 _DEFAULT_SLOTS = 8
@@ -87,7 +88,9 @@ def command(
     acting = load_agent(agent)
     stack: list[Any] = [name.strip() for name in wrappers.split(",") if name.strip()]
     if max_turns is not None:
-        stack.insert(0, ("turn_limit", {"max_turns": max_turns}))
+        # Outside the tools, whose calls are turns too, and inside the views and statistics, which see the end.
+        place = max((number for number, name in enumerate(stack, start=1) if _is_tool(name)), default=0)
+        stack.insert(place, ("turn_limit", {"max_turns": max_turns}))
     with closing(make_vec(env_ids, num_envs or max(_DEFAULT_SLOTS, len(env_ids)), wrappers=stack, seed=seed)) as vector:
         plan = default_plan(vector, episodes)
         path = _out_path(out, vector.seed, overwrite)
@@ -118,6 +121,10 @@ def command(
     if stopped_by is not None:
         raise stopped_by
     ctx.exit(1 if summary.first_error is not None else 0)
+
+
+def _is_tool(name: str) -> bool:
+    return name == "tools" or isinstance(registry().wrapper(name), ToolSpec)
 
 
 def _expanded(ids: tuple[str, ...]) -> list[str]:
