@@ -18,6 +18,9 @@ from gem_core.types import ResetResult, StepResult
 FORMAT_ERROR_REWARD = -0.1
 
 _NOT_BEGUN, _PLAYING, _WON, _LOST = "not begun", "playing", "won", "lost"
+_OUTCOME_COLOURS = {_WON: "green", _LOST: "red"}
+# Select Graphic Rendition, ECMA-48 section 8.3.117. The basic eight follow the reader's own palette.
+_COLOURS = {"bold": 1, "dim": 2, "red": 31, "green": 32, "yellow": 33, "blue": 34, "magenta": 35, "cyan": 36}
 _LONGEST_NUMBER = 100  # characters: beyond every range a game can have, and far below what int() refuses
 _LONGEST_LIST = 1_000  # characters
 _LONGEST_QUOTE = 40
@@ -117,15 +120,16 @@ class Game(Env):
         return f"\\boxed{{{self._random_answer()}}}"
 
     def render(self) -> str | None:
-        """Draw the game as text, if it was made with ``render_mode="ansi"``."""
+        """Draw the game as text with ANSI colours, if it was made with ``render_mode="ansi"``."""
         if self.render_mode != "ansi":
             return None
         if self.outcome == _NOT_BEGUN:
             return "The game has not begun."
-        return f"{self._drawing()}\nturn {self.turn} of {self.max_turns} · {self.outcome}"
+        outcome = painted(self.outcome, _OUTCOME_COLOURS.get(self.outcome, "bold"))
+        return f"{self._drawing()}\nturn {self.turn} of {self.max_turns} · {outcome}"
 
     def _drawing(self) -> str:
-        """Draw the present state for a person, over several lines."""
+        """Draw the present state for a person, over several lines, ``painted`` where it helps."""
         raise NotImplementedError
 
     # The verdicts.
@@ -211,6 +215,11 @@ def whole_numbers(text: str) -> list[int] | None:
         return list(map(int, pieces))
     numbers = [number for number in map(whole_number, pieces) if number is not None]
     return numbers if 0 < len(numbers) == len(pieces) else None
+
+
+def painted(text: str, colour: str) -> str:
+    """Return text in a colour for a terminal; text without anything to see stays as it is."""
+    return f"\x1b[{_COLOURS[colour]}m{text}\x1b[0m" if text.strip() else text
 
 
 def quote(text: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
-from gem_games.game import Game, check_whole, quote, whole_number
+from gem_games.game import Game, check_whole, painted, quote, whole_number
 
 _FARTHEST = 10**15
 
@@ -135,7 +135,8 @@ class GuessTheNumberEnv(Game):
         share = width / (self.max_number - self.min_number + 1)
         first = int((self._low - self.min_number) * share)
         last = max(first + 1, int((self._high - self.min_number + 1) * share))
-        line = "·" * first + "█" * (last - first) + "·" * (width - last)
+        closed = painted("·" * first, "dim"), painted("·" * (width - last), "dim")
+        line = painted("█" * (last - first), "cyan").join(closed)
         guesses = ", ".join(map(str, self.guesses)) or "none"
         return f"{self.min_number} {line} {self.max_number}\nopen: {self._low} to {self._high} · guesses: {guesses}"
 

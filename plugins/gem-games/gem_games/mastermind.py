@@ -10,7 +10,7 @@ from typing import Any
 from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
-from gem_games.game import Game, check_whole, quote, whole_numbers
+from gem_games.game import Game, check_whole, painted, quote, whole_numbers
 
 _SIZES = (2, 4, 10), (4, 6, 20), (4, 8, 30)
 _LONGEST_CODE, _MOST_NUMBERS = 20, 100
@@ -160,7 +160,7 @@ class MastermindEnv(Game):
         for turn, guess in enumerate(self.guesses, start=1):
             black, white = count_pegs(guess, self.code)
             numbers = "  ".join(f"{number:>2}" for number in guess)
-            rows.append(f"{turn:>3}. {numbers}   {'●' * black}{'○' * white}")
+            rows.append(f"{turn:>3}. {numbers}   {painted('●' * black, 'green')}{painted('○' * white, 'yellow')}")
         return "\n".join(rows)
 
     def _get_state(self) -> dict[str, Any]:

@@ -9,10 +9,11 @@ from typing import Any
 from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
-from gem_games.game import Game, check_whole, quote
+from gem_games.game import Game, check_whole, painted, quote
 
 _SIZES = (3, 10), (4, 20), (5, 35)
 _MOST_DISKS = 20
+_DISK_COLOURS = "cyan", "yellow", "magenta", "green", "blue", "red"
 _TOWERS = ["".join(f" {disk}" for disk in range(height, 0, -1)) for height in range(_MOST_DISKS + 1)]
 # Possessive (*+): with plain stars, a few thousand spaces would take seconds to refuse.
 _MOVE = re.compile(r"([ABCabc])\s*+,?\s*+([ABCabc])", re.ASCII)
@@ -131,7 +132,7 @@ class TowerOfHanoiEnv(Game):
         rows = []
         for level in range(self.num_disks - 1, -1, -1):
             sizes = [peg[level] if level < len(peg) else 0 for peg in self.pegs.values()]
-            rows.append(" ".join(("█" * (2 * size + 1) if size else "│").center(width) for size in sizes))
+            rows.append(" ".join(_disk(size, width) for size in sizes))
         rows.append(" ".join("─" * width for _ in self.pegs))
         rows.append(" ".join(peg.center(width) for peg in self.pegs))
         return "\n".join(row.rstrip() for row in rows)
@@ -149,3 +150,11 @@ class TowerOfHanoiEnv(Game):
         self.num_disks, self.max_turns = int(state["num_disks"]), int(state["max_turns"])
         self.pegs = {name: list(map(int, peg)) for name, peg in zip("ABC", state["pegs"], strict=True)}
         self._rows = {name: "".join(f" {disk}" for disk in peg) for name, peg in self.pegs.items()}
+
+
+def _disk(size: int, width: int) -> str:
+    """Draw a disk, or the bare peg for size 0, in the middle of a width."""
+    if not size:
+        return painted("│", "dim").join([" " * (width // 2)] * 2)
+    margin = " " * ((width - 2 * size - 1) // 2)
+    return painted("█" * (2 * size + 1), _DISK_COLOURS[size % len(_DISK_COLOURS)]).join([margin, margin])

@@ -307,10 +307,29 @@ def test_render_draws_only_when_asked_to(env_id: str) -> None:
     assert env.render() == "The game has not begun."
     env.reset(seed=0)
     env.step(env.sample_random_action())
-    assert re.search(r"^turn 1 of \d+ · (playing|won)$", str(env.render()), re.MULTILINE)
+    assert re.search(r"^turn 1 of \d+ · (playing|won)$", uncoloured(env), re.MULTILINE)
     plain = gem.make(env_id)
     plain.reset(seed=0)
     assert plain.render() is None
+
+
+def uncoloured(env: Any) -> str:
+    """Return what an environment draws without its colours."""
+    return re.sub(r"\x1b\[\d+m", "", str(env.render()))
+
+
+def test_drawings_are_coloured() -> None:
+    """As the render mode "ansi" of Gymnasium allows; every colour is ended on its line."""
+    code = MastermindEnv(2, 4, 5)
+    code.render_mode = "ansi"
+    code.reset(seed=0)
+    code.code = [1, 2]
+    code.step("\\boxed{1 1}")
+    code.step("\\boxed{2 4}")
+    assert code.render() == (
+        "      ?   ?\n  1.  1   1   \x1b[32m●\x1b[0m\n  2.  2   4   \x1b[33m○\x1b[0m\n"
+        "turn 2 of 5 · \x1b[1mplaying\x1b[0m"
+    )
 
 
 def test_drawings() -> None:
@@ -319,7 +338,7 @@ def test_drawings() -> None:
     tower.render_mode = "ansi"
     tower.reset(seed=0)
     tower.step("\\boxed{A C}")
-    assert tower.render() == (
+    assert uncoloured(tower) == (
         "  │     │     │\n█████   │    ███\n───── ───── ─────\n  A     B     C\nturn 1 of 5 · playing"
     )
     code = MastermindEnv(2, 4, 5)
@@ -327,13 +346,13 @@ def test_drawings() -> None:
     code.reset(seed=0)
     code.code = [1, 2]
     code.step("\\boxed{2 4}")
-    assert code.render() == "      ?   ?\n  1.  2   4   ○\nturn 1 of 5 · playing"
+    assert uncoloured(code) == "      ?   ?\n  1.  2   4   ○\nturn 1 of 5 · playing"
     number = GuessTheNumberEnv(1, 10, 5)
     number.render_mode = "ansi"
     number.reset(seed=0)
     number.number = 3
     number.step("\\boxed{5}")
-    assert number.render() == f"1 {'█' * 20}{'·' * 30} 10\nopen: 1 to 4 · guesses: 5\nturn 1 of 5 · playing"
+    assert uncoloured(number) == f"1 {'█' * 20}{'·' * 30} 10\nopen: 1 to 4 · guesses: 5\nturn 1 of 5 · playing"
 
 
 @settings(deadline=None)
