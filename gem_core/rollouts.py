@@ -136,7 +136,7 @@ class _Running:
     """An episode that is under way in a slot."""
 
     def __init__(self, vector: VectorEnv, slot: int, draw: Draw, observation: Observation, info: Info) -> None:
-        self.episode = _new_episode(vector.describe(slot), draw, observation, info)
+        self.episode = new_episode(vector.describe(slot), draw, observation, info)
         self.observation = observation
         self.context = Context(
             episode=f"{draw.key}.{draw.repeat}",
@@ -178,13 +178,21 @@ def _started(
         reported = {"seed": draw.seed, "error": failed["error"]}
         if draw.item.group is not None:
             reported["group"] = draw.item.group
-        yield _new_episode(described, draw, TERMINAL_STATE, reported)
+        yield new_episode(described, draw, TERMINAL_STATE, reported)
     draw_or_none = vector.draw_of(slot)
     if draw_or_none is not None:
         running[slot] = _Running(vector, slot, draw_or_none, observation, info)
 
 
-def _new_episode(described: dict[str, Any], draw: Draw, observation: Observation, info: Info) -> Episode:
+def new_episode(described: dict[str, Any], draw: Draw, observation: Observation, info: Info) -> Episode:
+    """Return the record of an episode that begins.
+
+    Args:
+        described: ``id``, ``kwargs`` and ``wrappers`` of its environment.
+        draw: What it starts from.
+        observation: What ``reset`` returned, with ``info``.
+        info: See above.
+    """
     return Episode(
         id=described["id"],
         seed=draw.seed,

@@ -42,7 +42,7 @@ def test_python_examples_run(code: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [line for b in blocks("console") for line in b.code.splitlines() if line.startswith("gem ")]
+    "command", [line for b in blocks("console") for line in b.code.splitlines() if line.startswith(("gem ", "printf "))]
 )
 def test_gem_commands_run(command: str, tmp_path: Path) -> None:
     """Typed into a shell."""

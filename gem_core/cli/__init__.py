@@ -18,6 +18,7 @@ from gem_core.suggestions import did_you_mean
 _COMMANDS = {
     "list": ("gem_core.cli.list_command", "List the environments that can be made."),
     "info": ("gem_core.cli.info_command", "Describe one environment."),
+    "play": ("gem_core.cli.play_command", "Play an environment yourself, in the terminal."),
     "run": ("gem_core.cli.run_command", "Let an agent act in environments and record its episodes."),
     "plugins": ("gem_core.cli.plugins_command", "List the installed plugins, and what is wrong with them."),
 }
@@ -26,6 +27,7 @@ _EPILOG = """\b
 Examples:
   gem list 'game:*-easy'
   gem info game:Mastermind-v0-hard
+  gem play game:GuessTheNumber-v0
   gem run game:GuessTheNumber-v0 --agent bisect --episodes 50
   gem run 'game:*' --agent my_module:my_agent --num-envs 16 --out runs/mine.jsonl
 """

@@ -140,6 +140,15 @@ def _expanded(ids: tuple[str, ...]) -> list[str]:
 def _out_path(out: str | None, seed: int, overwrite: bool) -> Path:
     if out is None:
         return _new_path(Path("runs"), f"{time.strftime('%Y%m%d-%H%M%S')}-{seed}")
+    return free_path(out, overwrite)
+
+
+def free_path(out: str, overwrite: bool) -> Path:
+    """Return the path of a file that may be written.
+
+    Raises:
+        ArgumentError: It is there already, and ``overwrite`` was not asked for; or it is no name of a file.
+    """
     if out in ("", "-"):
         raise ArgumentError(f"--out takes the name of a file, not {out!r}; leave it out for one in runs/")
     path = Path(out)

@@ -1,0 +1,75 @@
+"""A command in a terminal of its own, for tests of what a person sees and types."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import subprocess
+import sys
+from pathlib import Path
+
+PROGRAM = "from toys import register_toys; register_toys(); from gem_core.cli import main; main()"
+DEADLINE_S = 60
+"""Far more than is ever needed: what is waited for is text, not time."""
+
+
+class InTerminal:
+    """The command in a terminal of its own."""
+
+    def __init__(self, arguments: list[str], cwd: Path, **env: str) -> None:
+        self._leader, follower = pty.openpty()
+        inherited = {name: value for name, value in os.environ.items() if name != "NO_COLOR"}
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, *arguments],
+            cwd=cwd,
+            env={**inherited, "PYTHONPATH": str(Path(__file__).parent), "TERM": "xterm", **env},
+            stdin=follower,
+            stdout=follower,
+            stderr=follower,
+            start_new_session=True,
+            preexec_fn=_take_terminal,
+        )
+        os.close(follower)
+        self.output = ""
+        self._seen = 0
+
+    def wait_for(self, text: str) -> None:
+        """Read until a text comes that was not waited for before."""
+        while (found := self.output.find(text, self._seen)) < 0:
+            assert self._read(), f"it ended without {text!r}:\n{self.output}"
+        self._seen = found + len(text)
+
+    def type(self, keys: str) -> None:
+        """Press keys."""
+        os.write(self._leader, keys.encode())
+
+    def end(self) -> int:
+        """Read all that is left and return the exit code."""
+        while self._read():
+            pass
+        return self._process.wait(DEADLINE_S)
+
+    def close(self) -> None:
+        """End the process if it is still there."""
+        if self._process.poll() is None:
+            self._process.kill()
+            self._process.wait()
+        os.close(self._leader)
+
+    def _read(self) -> bool:
+        assert select.select([self._leader], [], [], DEADLINE_S)[0], f"nothing more came:\n{self.output}"
+        try:
+            chunk = os.read(self._leader, 65536)
+        except OSError:  # how Linux reports that the other end is closed
+            return False
+        self.output += chunk.decode().replace("\r\n", "\n")
+        return bool(chunk)
+
+
+def _take_terminal() -> None:
+    # Ctrl-C reaches the process only if the terminal is its controlling one.
+    import fcntl
+    import termios
+
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)

@@ -1,0 +1,351 @@
+"""``gem play``: a person, or a pipe, is the agent."""
+
+from __future__ import annotations
+
+import io
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_cli import Outcome
+from toys import Calculator
+
+import gem_core as gem
+from gem_core.cli import main
+from gem_core.cli.play_session import PlaySession
+from gem_core.cli.terminal import BLOCK, observation_text
+from gem_core.episodes import read_episodes
+from gem_core.errors import ArgumentError, StateNotSupported
+
+COUNTDOWN, ECHO, SUMS = "toy:Countdown-v0", "toy:Echo-v0", "toy:Sums-v0"
+BOARD = "play:Board-v0"
+
+
+class BoardEnv(gem.Env):
+    """Asks for four letters in boxes; draws them in red, and shows them as an image if asked to."""
+
+    metadata = {"render_modes": ["ansi"]}  # noqa: RUF012 - as in Gymnasium
+
+    def __init__(self, image: bool = False) -> None:
+        super().__init__()
+        self.image, self.letters = image, ""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        super().reset(seed=seed)
+        self.letters = ""
+        return self._observed("Write a letter.\n")
+
+    def step(self, action: str) -> Any:
+        answer = gem.extract_last_boxed_answer(action)
+        self.letters += (answer or "?")[:1]
+        over = len(self.letters) == 4
+        observation, info = self._observed("Noted.\n")
+        if over:
+            info["correct"] = self.letters == "abcd"
+        return observation, 0.25, over, False, info
+
+    def _observed(self, feedback: str) -> Any:
+        suffix = f"Letters: {self.letters!r}."
+        info = {"feedback": feedback, "suffix": suffix}
+        if not self.image:
+            return feedback + suffix, info
+        from PIL import Image
+
+        return [{"type": "text", "text": feedback}, {"type": "image", "image": Image.new("RGB", (4, 3))}], {}
+
+    def sample_random_action(self) -> str:
+        return f"\\boxed{{{'abcd'[int(self.action_random.integers(4))]}}}"
+
+    def render(self) -> Any:
+        return f"[\x1b[31m{self.letters:<4}\x1b[0m]"
+
+    def _get_state(self) -> dict[str, Any]:
+        return {"letters": self.letters}
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self.letters = state["letters"]
+
+
+gem.register(BOARD, BoardEnv, summary="Write letters.")
+
+
+@pytest.fixture
+def play(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Call ``gem play`` in this process, in an empty folder, with input from a pipe."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: str, typed: str = "", command: str = "play") -> Outcome:
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(typed.encode("utf-8", "surrogateescape"))))
+        with pytest.raises(SystemExit) as caught:
+            main([command, *arguments])
+        captured = capsys.readouterr()
+        return Outcome(int(caught.value.code or 0), captured.out, captured.err)
+
+    return call
+
+
+# Piped.
+
+
+def test_a_piped_episode_from_beginning_to_end(play) -> None:
+    """What a reader sees: no prompt, no colours, and one line for each turn."""
+    outcome = play(BOARD, "--seed", "1", typed="a\nb\n\\boxed{c}\nd\n")
+    assert (outcome.code, outcome.err) == (0, "")
+    before, _, after = outcome.out.partition("turn 2")
+    assert before == (
+        "\nplay:Board-v0 · episode 1\nWrite letters.\nAn answer is sent as \\boxed{…}. Type ? for help.\n"
+        "\nWrite a letter.\n\n  [    ]\n\nLetters: ''.\n\n"
+        "turn 1 · \\boxed{a} · reward 0.25 · return 0.25\n\nNoted.\n\n  [a   ]\n\nLetters: 'a'.\n\n"
+    )
+    assert after.endswith("\nWon after 4 turns. Return 1.\nThe same again: gem play play:Board-v0 --seed 1\n")
+    assert "\x1b" not in outcome.out
+    assert ">" not in outcome.out
+
+
+def test_the_end_of_the_input_is_no_error(play) -> None:
+    """What was left unfinished is said, and is in no record."""
+    outcome = play(BOARD, "-o", "a.jsonl", typed="a\nb")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert "Left unfinished after 2 turns, return 0.5; it is not recorded.\n" in outcome.out
+    assert list(read_episodes("a.jsonl")) == []
+    assert "Left unfinished after 0 turns, return 0.\n" in play(BOARD).out
+
+
+def test_episodes_are_those_of_a_run_with_the_same_seed(play) -> None:
+    """So that a person and a model can be compared, start for start."""
+    played = play(COUNTDOWN, "-s", "5", "-n", "3", "-t", "2", "-o", "a.jsonl", typed="x\n" * 6)
+    assert played.code == 0
+    assert re.search(r"^3 episodes, .*mean return", played.out, re.MULTILINE)
+    Path("says_x.py").write_text("def act(observation): return 'x'\n")
+    play(COUNTDOWN, "-s", "5", "-n", "3", "-t", "2", "-a", "says_x:act", "-k", "1", "-o", "b.jsonl", command="run")
+    assert list(read_episodes("a.jsonl")) == list(read_episodes("b.jsonl"))
+
+
+def test_a_data_set_is_played_row_by_row(play) -> None:
+    """As a run does; the example in the help is no answer of a row."""
+    outcome = play(SUMS, "-n", "2", typed="?\n1\n<answer>3</answer>\n")
+    assert "The form of an answer: \\boxed{…}\n\n0+1\n" in outcome.out
+    assert "Won after 1 turn. Return 1.\n" in outcome.out
+    assert "\n1+1\n" in outcome.out
+    assert "Lost after 1 turn. Return 0.\n" in outcome.out
+    assert "<episode over>" not in outcome.out
+    assert "2 episodes, 1 won, mean return 0.5.\n" in outcome.out
+
+
+def test_answers_over_several_lines(play) -> None:
+    """After a backslash, and in a block, where nothing is a command."""
+    typed = f'one\\\ntwo\n{BLOCK}\n?\n    """\n!undo\n{BLOCK}\n{BLOCK}a\nb{BLOCK}\n{BLOCK * 2}\n!!x\n\nback\\\\\nstop\n'
+    play(ECHO, "-o", "a.jsonl", typed=typed)
+    (episode,) = read_episodes("a.jsonl")
+    assert [str(turn.action) for turn in episode.transitions] == [
+        "one\ntwo",
+        '?\n    """\n!undo',
+        "a\nb",
+        "",
+        "!x",
+        "back\\\\",
+        "stop",
+    ]
+
+
+def test_an_unfinished_block_is_no_answer(play) -> None:
+    """It may be half of what was meant."""
+    assert "Left unfinished after 0 turns" in play(ECHO, typed=f"{BLOCK}\nstop\n").out
+
+
+def test_raw_sends_what_is_typed(play) -> None:
+    """Without the expected form."""
+    out = play(BOARD, "--raw", typed="a\n").out
+    assert "An answer is sent as you type it." in out
+    assert "turn 1 · a · reward" in out
+
+
+def test_wrappers_show_observations_to_the_letter(play) -> None:
+    """What the rollout would hand to a model, and nothing drawn or broken into lines."""
+    long = "word " * 40
+    out = play(ECHO, "-w", "concat_with_action", typed=f"{long.strip()}\nhi \x1b[1m\nstop\n").out
+    seen: list[str] = []
+
+    def agent(observation: str) -> str:
+        seen.append(observation)
+        return [long.strip(), "hi \x1b[1m", "stop"][len(seen) - 1]
+
+    (episode,) = gem.rollout(gem.make(ECHO, wrappers="concat_with_action"), agent, episodes=1)
+    for observation in (*seen, episode.final_observation):
+        assert f"─\n{observation}\n─" in out
+    assert "  [    ]" not in play(BOARD, "-w", "").out
+    assert "─\nWrite a letter.\nLetters: ''.\n─" in play(BOARD, "-w", "").out
+
+
+def test_control_characters_are_shown_and_not_obeyed(play) -> None:
+    """Laid out for a person, text of an environment cannot move the cursor."""
+    out = play(ECHO, typed="\x1b]0;title\x07\n").out
+    assert "Heard: \\x1b]0;title\\x07" in out
+
+
+def test_input_that_is_no_text_is_an_answer(play) -> None:
+    """Broken bytes are replaced, and half a character can be printed."""
+    outcome = play(ECHO, typed="\udcff\nstop\n")
+    assert outcome.code == 0
+    assert "Heard: �" in outcome.out
+
+
+# Commands.
+
+
+def test_undone_turns_are_in_no_record(play) -> None:
+    """The board and the return are as before, and the record replays."""
+    out = play(BOARD, "-o", "a.jsonl", typed="x\na\n!u\n!undo\n!undo\na\nb\nc\nd\n").out
+    assert "Taken back: \\boxed{a}\n\nNoted.\n\n  [x   ]\n" in out
+    assert "there is no turn to take back.\n" in out
+    assert "Turns taken back, which are in no record: 2.\n" in out
+    (episode,) = read_episodes("a.jsonl")
+    assert [str(turn.action) for turn in episode.transitions] == [f"\\boxed{{{letter}}}" for letter in "abcd"]
+    (replayed,) = gem.rollout(
+        gem.make(BOARD),
+        lambda observation, context: str(episode.transitions[context.turn].action),
+        plan=[gem.PlanItem(seed=episode.seed)],
+    )
+    assert replayed == episode
+
+
+def test_undo_where_the_environment_cannot(play) -> None:
+    """A line says why, and play goes on."""
+    outcome = play(ECHO, typed="a\n!undo\nstop\n")
+    assert outcome.code == 0
+    assert "turns of this environment cannot be taken back: EchoEnv cannot save its state" in outcome.out
+    assert "Over after 2 turns." in outcome.out
+
+
+def test_random_restart_and_next(play) -> None:
+    """A restarted or left episode is in no record; the next one has the next seed."""
+    play(BOARD, "-s", "3", "-o", "a.jsonl", typed="x\n!restart\n!ran\n!ran\n!ran\n!ran\n")
+    (first,) = read_episodes("a.jsonl")
+    assert first.key == "0"
+    assert all(re.fullmatch(r"\\boxed\{[abcd]\}", turn.action) for turn in first.transitions)
+    play(BOARD, "-s", "3", "-o", "b.jsonl", typed="x\n!next\na\nb\nc\nd\n")
+    (second,) = read_episodes("b.jsonl")
+    assert (second.key, second.seed == first.seed) == ("1", False)
+
+
+def test_random_where_the_environment_cannot_sample(play) -> None:
+    """A line says so."""
+    assert "EchoEnv does not say what a valid action is" in play(ECHO, typed="!random\n").out
+
+
+def test_unknown_and_ambiguous_commands_are_named(play) -> None:
+    """With what there is."""
+    out = play(BOARD, typed="!undoo\n!r\n!\n").out
+    assert "no command '!undoo'. Did you mean 'undo'? There are: !help, !undo, " in out
+    assert "no command '!r'. There are: !random, !restart, and ?.\n" in out
+
+
+def test_help_shows_keys_rules_and_an_example(play) -> None:
+    """Whatever happened since."""
+    out = play(BOARD, typed="a\n?\n").out.partition("return 0.25")[2]
+    assert "!undo        take the last turn back" in out
+    assert re.search(r"A valid action, for example: \\boxed\{[abcd]\}\n\nWrite a letter\.\n", out)
+    assert "The form of an answer: any text\n\nSay something.\n" in play(ECHO, typed="?\n").out
+
+
+def test_quit_ends_as_the_end_of_input_does(play) -> None:
+    """Exit code 0."""
+    outcome = play(BOARD, typed="a\n!quit\nb\n")
+    assert outcome.code == 0
+    assert "Left unfinished after 1 turn, return 0.25.\n" in outcome.out
+
+
+# Other environments, and mistakes.
+
+
+def test_tools_can_be_called(play) -> None:
+    """A call is sent as it is typed, beside answers in their form."""
+    gem.register(
+        "play:Tools-v0", lambda: gem.ToolEnv(gem.DatasetEnv([{"question": "1+1", "answer": "2"}]), [Calculator()])
+    )
+    call = '<tool_call>{"name": "calculator", "arguments": {"left": 1, "right": 1}}</tool_call>'
+    out = play("play:Tools-v0", typed=f"?\n{call}\n2\n").out
+    assert "Tools: calculator. A call is sent as you type it." in out
+    assert "Output of calculator:\n2.0\n" in out
+    assert "turn 2 · \\boxed{2} · reward 1" in out
+
+
+def test_images_are_named_and_written_beside_the_record(play) -> None:
+    """A person can open them while playing."""
+    pytest.importorskip("PIL")
+    gem.register("play:Images-v0", BoardEnv, image=True)
+    assert "Write a letter.\n\n[image 4x3]\n" in play("play:Images-v0").out
+    (path,) = set(re.findall(r"\[image 4x3 (.+)\]", play("play:Images-v0", "-o", "a.jsonl").out))
+    assert Path(path).is_file()
+
+
+def test_messages_are_shown_with_their_roles() -> None:
+    """As the chat views return them."""
+    call = {"id": "1", "function": {"name": "f", "arguments": "{}"}}
+    messages = [
+        {"role": "user", "content": [{"type": "text", "text": "hi"}]},
+        {"role": "assistant", "content": None, "tool_calls": [call]},
+    ]
+    assert observation_text(messages) == (
+        '[user]\nhi\n[assistant]\n\n[{"id": "1", "function": {"name": "f", "arguments": "{}"}}]'
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["toy:Cuntdown-v0"], "no environment 'toy:Cuntdown-v0'. Did you mean 'toy:Countdown-v0'"),
+        ([COUNTDOWN, "-w", "conct"], "no wrapper or tool 'conct'. Did you mean 'concat'"),
+        ([COUNTDOWN, "-o", "there.jsonl"], "there.jsonl is there already; choose another file, or add --overwrite"),
+        ([], "Missing argument 'ID'"),
+    ],
+)
+def test_what_is_asked_wrongly_gets_one_line_and_exit_code_2(play, arguments: list[str], message: str) -> None:
+    """As the other commands do."""
+    Path("there.jsonl").write_text("{}\n")
+    outcome = play(*arguments)
+    assert (outcome.code, outcome.out) == (2, "")
+    assert outcome.err.count("\n") == 1
+    assert message in outcome.err
+
+
+def test_an_environment_that_fails_ends_play_with_what_was_finished(play) -> None:
+    """One line on standard error, exit code 1."""
+    gem.register("play:Fails-v0", "toys:CountdownEnv", fail="step")
+    outcome = play("play:Fails-v0", typed="a\n")
+    assert (outcome.code, outcome.err) == (
+        1,
+        "gem: RuntimeError: broken in step. Run 'gem --traceback …' for the whole\n",
+    )
+    assert "Left unfinished after 0 turns" in outcome.out
+
+
+# The session without a terminal.
+
+
+def test_session_takes_back_several_turns_under_wrappers() -> None:
+    """The views forget them too."""
+    session = PlaySession(gem.make(BOARD, wrappers="concat"), seed=1)
+    session.begin()
+    first = session.observation
+    session.act(session.formed("a"))
+    second = session.observation
+    session.act(session.formed("b"))
+    session.undo()
+    assert session.observation == second
+    session.undo()
+    assert (session.observation, session.taken_back, session.episode.turns) == (first, 2, 0)
+    with pytest.raises(ArgumentError):
+        session.undo()
+
+
+def test_session_names_the_wrapper_of_gymnasium_that_cannot_save() -> None:
+    """Its state would be left behind."""
+    choice = ("gymnasium.wrappers:TimeLimit", {"max_episode_steps": 3})
+    session = PlaySession(gem.make(BOARD, wrappers=[choice]))
+    session.begin()
+    session.act("a")
+    with pytest.raises(StateNotSupported, match="TimeLimit is a wrapper of Gymnasium's"):
+        session.undo()
