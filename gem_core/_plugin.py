@@ -68,5 +68,10 @@ def gem_register_agents() -> Iterable[AgentSpec]:
             name="random",
             entry_point="gem_core.agents.random:RandomAgent",
             summary="Draws a valid action in every state.",
-        )
+        ),
+        AgentSpec(
+            name="human",
+            entry_point="gem_core.agents.human:HumanAgent",
+            summary="Asks a person at the terminal.",
+        ),
     ]

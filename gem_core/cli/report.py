@@ -27,17 +27,19 @@ class Progress:
     Args:
         total: Number of episodes.
         title: Shown before the bar.
+        quiet: Show nothing, as when a person answers.
     """
 
-    def __init__(self, total: int, title: str) -> None:
+    def __init__(self, total: int, title: str, *, quiet: bool = False) -> None:
         self._total = total
         self._title = title
+        self._quiet = quiet
         self._bar: RichProgress | None = None
         self._task: TaskID | None = None
         self._last = time.monotonic()
 
     def __enter__(self) -> Self:
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() and not self._quiet:
             self._start_bar()
         return self
 
@@ -52,7 +54,7 @@ class Progress:
         done = total.episodes + total.errors
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=done, status=_status(total))
-        elif time.monotonic() - self._last > _PLAIN_EVERY_S:
+        elif not self._quiet and time.monotonic() - self._last > _PLAIN_EVERY_S:
             self._last = time.monotonic()
             with suppress(OSError):  # nobody reads it any more; the run goes on
                 click.echo(f"gem: {done} of {self._total} episodes, {_status(total)}", err=True)

@@ -56,7 +56,12 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     type=_AtLeast(min=1),
     help="Episodes of each environment.  [default: each row of a data set once, else 10]",
 )
-@click.option("-k", "--num-envs", type=_AtLeast(min=1), help="Environments at once.  [default: 8, or one for each ID]")
+@click.option(
+    "-k",
+    "--num-envs",
+    type=_AtLeast(min=1),
+    help="Environments at once.  [default: 8, or one for each ID; 1 for 'human']",
+)
 @click.option("-s", "--seed", type=_AtLeast(min=0), help="Seed of the run: the same seed, the same episodes.")
 @click.option("-t", "--max-turns", type=_AtLeast(min=1), help="Truncate an episode after so many turns.")
 @click.option(
@@ -91,13 +96,17 @@ def command(
         # Outside the tools, whose calls are turns too, and inside the views and statistics, which see the end.
         place = max((number for number, name in enumerate(stack, start=1) if _is_tool(name)), default=0)
         stack.insert(place, ("turn_limit", {"max_turns": max_turns}))
-    with closing(make_vec(env_ids, num_envs or max(_DEFAULT_SLOTS, len(env_ids)), wrappers=stack, seed=seed)) as vector:
+    interactive = getattr(acting, "interactive", False)
+    if interactive and num_envs not in (None, 1):
+        raise ArgumentError(f"the agent {agent!r} answers one episode at a time; use --num-envs 1, not {num_envs}")
+    slots = num_envs or (1 if interactive else max(_DEFAULT_SLOTS, len(env_ids)))
+    with closing(make_vec(env_ids, slots, wrappers=stack, seed=seed)) as vector:
         plan = default_plan(vector, episodes)
         path = _out_path(out, vector.seed, overwrite)
         summary = RunSummary(env_ids)
         started = time.perf_counter()
         stopped_by: BaseException | None = None
-        with EpisodeWriter(path) as writer, Progress(len(plan), f"seed {vector.seed}") as progress:
+        with EpisodeWriter(path) as writer, Progress(len(plan), f"seed {vector.seed}", quiet=interactive) as progress:
             try:
                 for episode in rollout(vector, acting, plan=plan):
                     writer.write(episode)

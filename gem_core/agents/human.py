@@ -1,0 +1,90 @@
+"""The agent that is a person at the terminal."""
+
+from __future__ import annotations
+
+from gem_core.agents.base import Context
+from gem_core.answer_form import AnswerForm
+from gem_core.cli.terminal import EndOfInput, Terminal, observation_text
+from gem_core.errors import AgentError, SamplingNotSupported
+from gem_core.types import Observation
+
+_HELP = """\
+  ?         this help                              !random   play a random valid action
+  !quit     end the run, as Ctrl-D does            !!text    is no command but the answer '!text'
+  A backslash at the end of a line goes on in the next; \"\"\" begins and ends a block of lines.
+  'gem play' also takes turns back, and draws the board."""
+
+
+class HumanAgent:
+    """Shows each observation to the letter, on standard error, and reads the response from standard input.
+
+    A plain answer is put into the form that the environment expects, as ``gem play`` does.
+    """
+
+    interactive = True
+    """Whether it answers one episode at a time, and shares the terminal with no progress bar."""
+
+    def __init__(self) -> None:
+        self._terminal = Terminal(err=True)
+        self._previous: Context | None = None
+        self._has_read = False
+
+    def __call__(self, observation: Observation, context: Context) -> str:
+        """Return what the person answers.
+
+        Raises:
+            AgentError: The input ended.
+        """
+        self._show(observation, context)
+        while True:
+            try:
+                typed = self._terminal.ask(f"turn {context.turn + 1}> ")
+            except EndOfInput:
+                raise self._ended(context) from None
+            self._has_read = True
+            if not typed.is_command:
+                return _form(observation, context).around(
+                    typed.text, [tool["function"]["name"] for tool in context.tools]
+                )
+            if typed.text == "quit":
+                raise self._ended(context)
+            if typed.text == "random":
+                try:
+                    return context.sample_random_action()
+                except SamplingNotSupported as error:
+                    self._terminal.show(f"{error}.", fg="yellow")
+            elif typed.text == "help":
+                self._terminal.show(f"{_HELP}\n  The form of an answer: {_form(observation, context) or 'any text'}")
+            else:
+                self._terminal.show(f"no command '!{typed.text}'. There are: !help, !random, !quit, and ?", fg="yellow")
+
+    def _show(self, observation: Observation, context: Context) -> None:
+        previous = self._previous
+        if previous is not None and previous.transitions:
+            turn = previous.transitions[-1]
+            total = sum(each.reward for each in previous.transitions)
+            over = turn.terminated or turn.truncated
+            if over and "feedback" in previous.info:
+                self._terminal.show_exactly(observation_text(previous.info["feedback"]))
+            ending = ", and the episode is over" if over else ""
+            self._terminal.show(f"reward {turn.reward:.4g} · return {total:.4g}{ending}", bold=True)
+        self._previous = context
+        title = f"{context.env_id} · episode {context.episode} · turn {context.turn + 1}"
+        self._terminal.show(f"──── {title} ────", dim=True)
+        self._terminal.show_exactly(observation_text(observation))
+
+    def _ended(self, context: Context) -> AgentError:
+        where = f"episode {context.episode} of {context.env_id} waited for the answer of turn {context.turn + 1}"
+        if not self._has_read and not self._terminal.interactive:
+            return AgentError(
+                f"the agent 'human' reads standard input, which ended while {where}; run it in a terminal"
+            )
+        return AgentError(f"the input ended while {where}")
+
+
+def _form(observation: Observation, context: Context) -> AnswerForm:
+    try:
+        return AnswerForm.of_example(context.sample_random_action())
+    except SamplingNotSupported:
+        first = context.transitions[0].observation if context.transitions else observation
+        return AnswerForm.of_instructions(first) if isinstance(first, str) else AnswerForm()
