@@ -71,7 +71,7 @@ def subprocess_gem(*arguments: str, cwd: Path, code: str = "") -> subprocess.Com
     [
         (["--vesion"], "gem: No such option '--vesion'. Did you mean '--version'? Run 'gem --help'\n"),
         (["run", COUNTDOWN, "--agent"], "Option '--agent' requires an argument. Run 'gem run --help'\n"),
-        (["lst"], "no command 'lst'. Did you mean 'list'? There are: list, info, play, run, plugins"),
+        (["lst"], "no command 'lst'. Did you mean 'list'? There are: list, info, play, run, show, plugins"),
         (["run", "--agnt", "x", COUNTDOWN], "No such option '--agnt'. Did you mean '--agent'?"),
         (["run", "toy:Cuntdown-v0"], "no environment 'toy:Cuntdown-v0'. Did you mean 'toy:Countdown-v0'"),
         (["run", "toy:nothing*"], "no environment matches 'toy:nothing*'"),
@@ -105,14 +105,7 @@ def test_what_is_asked_wrongly_gets_one_line_and_exit_code_2(run_gem, arguments:
 def test_version_and_help(run_gem) -> None:
     """Help has examples, for the command and each subcommand."""
     assert run_gem("--version").out == f"gem-core {gem.__version__}\n"
-    for arguments in (
-        ["--help"],
-        ["list", "-h"],
-        ["info", "--help"],
-        ["play", "-h"],
-        ["run", "--help"],
-        ["plugins", "--help"],
-    ):
+    for arguments in (["--help"], ["list", "-h"], *([name, "--help"] for name in ("info", "play", "run", "show", "plugins"))):
         outcome = run_gem(*arguments)
         assert outcome.code == 0
         assert "Examples:" in outcome.out

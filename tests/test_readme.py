@@ -42,13 +42,20 @@ def test_python_examples_run(code: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [line for b in blocks("console") for line in b.code.splitlines() if line.startswith(("gem ", "printf "))]
+    "commands",
+    [
+        commands
+        for block in blocks("console")
+        if (commands := [line for line in block.code.splitlines() if line.startswith(("gem ", "printf "))])
+    ],
+    ids=lambda commands: commands[0],
 )
-def test_gem_commands_run(command: str, tmp_path: Path) -> None:
-    """Typed into a shell."""
+def test_gem_commands_run(commands: list[str], tmp_path: Path) -> None:
+    """Typed into a shell, those of one block one after the other in an empty folder."""
     bin_folder = str(Path(sys.executable).parent)
-    done = run(["sh", "-c", command], tmp_path, PATH=f"{bin_folder}{os.pathsep}{os.environ['PATH']}")
-    assert done.stdout
+    for command in commands:
+        done = run(["sh", "-c", command], tmp_path, PATH=f"{bin_folder}{os.pathsep}{os.environ['PATH']}")
+        assert done.stdout, command
 
 
 def test_the_plugin_of_the_readme_is_found(tmp_path: Path) -> None:

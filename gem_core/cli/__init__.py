@@ -20,6 +20,7 @@ _COMMANDS = {
     "info": ("gem_core.cli.info_command", "Describe one environment."),
     "play": ("gem_core.cli.play_command", "Play an environment yourself, in the terminal."),
     "run": ("gem_core.cli.run_command", "Let an agent act in environments and record its episodes."),
+    "show": ("gem_core.cli.show_command", "Show recorded episodes: a list, one of them, two compared, or a page."),
     "plugins": ("gem_core.cli.plugins_command", "List the installed plugins, and what is wrong with them."),
 }
 
@@ -30,6 +31,7 @@ Examples:
   gem play game:GuessTheNumber-v0
   gem run game:GuessTheNumber-v0 --agent bisect --episodes 50
   gem run 'game:*' --agent my_module:my_agent --num-envs 16 --out runs/mine.jsonl
+  gem show runs/mine.jsonl --failure
 """
 
 INTERRUPTED = 130
