@@ -41,7 +41,13 @@ class InTerminal:
         self._seen = found + len(text)
 
     def type(self, keys: str) -> None:
-        """Press keys."""
+        """Press keys, once the program waits for them.
+
+        A signal that comes between the prompt and the wait for a key is noticed by Python only at the next key.
+        """
+        status = Path(f"/proc/{self._process.pid}/stat")
+        while status.exists() and status.read_text().rpartition(")")[2].split()[0] != "S":
+            os.sched_yield()
         os.write(self._leader, keys.encode())
 
     def end(self) -> int:

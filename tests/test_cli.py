@@ -105,7 +105,11 @@ def test_what_is_asked_wrongly_gets_one_line_and_exit_code_2(run_gem, arguments:
 def test_version_and_help(run_gem) -> None:
     """Help has examples, for the command and each subcommand."""
     assert run_gem("--version").out == f"gem-core {gem.__version__}\n"
-    for arguments in (["--help"], ["list", "-h"], *([name, "--help"] for name in ("info", "play", "run", "show", "plugins"))):
+    for arguments in (
+        ["--help"],
+        ["list", "-h"],
+        *([name, "--help"] for name in ("info", "play", "run", "show", "plugins")),
+    ):
         outcome = run_gem(*arguments)
         assert outcome.code == 0
         assert "Examples:" in outcome.out
