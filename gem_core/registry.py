@@ -146,6 +146,11 @@ class Registry:
         self.load()
         return list(self._plugins)
 
+    def contested(self) -> list[str]:
+        """Return one line for each id or name that two plugins claim, and that is refused to both."""
+        self.load()
+        return list(self._contested.values())
+
     # Taking in.
 
     def load(self) -> None:

@@ -22,6 +22,7 @@ _COMMANDS = {
     "run": ("gem_core.cli.run_command", "Let an agent act in environments and record its episodes."),
     "show": ("gem_core.cli.show_command", "Show recorded episodes: a list, one of them, two compared, or a page."),
     "plugins": ("gem_core.cli.plugins_command", "List the installed plugins, and what is wrong with them."),
+    "doctor": ("gem_core.cli.doctor_command", "Find out what is broken, and what is missing to run the rest."),
 }
 
 _EPILOG = """\b

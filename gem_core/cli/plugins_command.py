@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
-from typing import Any
 
 import click
 
+from gem_core.diagnosis import described, listed
 from gem_core.plugins import Plugin
 from gem_core.registry import registry
-from gem_core.specs import EnvSpec
 
 
 @click.command(
@@ -30,7 +28,7 @@ def command(ctx: click.Context, name: str | None, check: bool, as_json: bool) ->
     """List the installed plugins, what each offers and how long it took to load."""
     plugins = registry().plugins() if name is None else [registry().plugin(name)]
     if as_json:
-        click.echo(json.dumps([_described(plugin) for plugin in plugins], indent=1))
+        click.echo(json.dumps([described(plugin) for plugin in plugins], indent=1))
     else:
         for plugin in plugins:
             _print(plugin, check)
@@ -48,22 +46,5 @@ def _print(plugin: Plugin, with_traceback: bool) -> None:
         if with_traceback:
             click.echo("".join(f"    {line}\n" for line in plugin.failure.traceback.splitlines()), nl=False)
     else:
-        offers = ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in _offers(plugin).items())
         click.echo(f"{head}  {click.style('works', fg='green')}, {plugin.load_time_s * 1000:.1f} ms")
-        click.echo(f"    {offers or 'offers nothing'}")
-
-
-def _described(plugin: Plugin) -> dict[str, Any]:
-    return {
-        "name": plugin.name,
-        "distribution": plugin.distribution,
-        "version": plugin.version,
-        "disabled": plugin.disabled,
-        "load_time_ms": round(plugin.load_time_s * 1000, 3),
-        "offers": dict(_offers(plugin)),
-        "failure": None if plugin.failure is None else vars(plugin.failure),
-    }
-
-
-def _offers(plugin: Plugin) -> Counter[str]:
-    return Counter("environment" if isinstance(record, EnvSpec) else record.kind for record in plugin.records)
+        click.echo(f"    {listed(plugin)}")

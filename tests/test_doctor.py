@@ -1,0 +1,263 @@
+"""``gem doctor``: what it finds, says and exits with."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from distributions import install, python
+
+import gem_core as gem
+from gem_core import diagnosis, requirements
+from gem_core.registry import Registry
+
+if TYPE_CHECKING:
+    import subprocess
+
+DOCTOR = "import sys\nfrom gem_core.cli import main\nmain(['doctor', *ARGUMENTS])"
+
+
+def doctor(*arguments: str, paths: list[Path], **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run the command in an interpreter that sees some distributions."""
+    return python(f"ARGUMENTS = {arguments!r}\n{DOCTOR}", paths, **variables)
+
+
+def found(paths: list[Path], **variables: str) -> dict[str, Any]:
+    """Return what ``gem doctor --json`` finds."""
+    return json.loads(doctor("--json", paths=paths, **variables).stdout)
+
+
+@pytest.fixture(scope="module")
+def sites(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A fine plugin, one that fails, one that claims an id of the first, and one that points to nothing."""
+    target = tmp_path_factory.mktemp("sites")
+    return {case: install(case, target) for case in ("fine", "hook_raises", "taken_id", "heavy_neighbour")}
+
+
+def test_nothing_broken_exits_with_0(sites: dict[str, Path]) -> None:
+    """A fine installation, with whatever requirements unmet."""
+    done = doctor(paths=[sites["fine"]])
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "nothing that is installed is broken" in done.stdout
+    assert "ok      fine (gem-fine 1.0), " in done.stdout
+    assert "1 environment, 1 tool, 1 wrapper, 1 vector backend, 1 agent" in " ".join(done.stdout.split())
+
+
+def test_it_fits_80_columns_without_colours_when_piped(sites: dict[str, Path]) -> None:
+    """No line is longer, and nothing but text is written into a pipe."""
+    done = doctor(paths=[sites["fine"]])
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    assert "\x1b" not in done.stdout
+
+
+def test_broken_plugin_exits_with_1_and_shows_its_traceback(sites: dict[str, Path]) -> None:
+    """The whole traceback stands in the report, once, and nothing on standard error."""
+    done = doctor(paths=[sites["fine"], sites["hook_raises"]])
+    assert (done.returncode, done.stderr) == (1, "")
+    assert done.stdout.count("Traceback (most recent call last)") == 1
+    assert "broken  hook_raises (gem-hook-raises 1.0), " in done.stdout
+    assert "ok      fine (gem-fine 1.0), " in done.stdout
+
+
+def test_strict_mode_does_not_stop_the_doctor(sites: dict[str, Path]) -> None:
+    """GEM_PLUGINS_STRICT=1 raises everywhere else; here all failures are wanted."""
+    assert len(found([sites["hook_raises"], sites["heavy_neighbour"]], GEM_PLUGINS_STRICT="1")["broken"]) == 2
+
+
+def test_contested_ids_are_named_with_both_plugins(sites: dict[str, Path]) -> None:
+    """An id that two plugins claim."""
+    assert found([sites["fine"], sites["taken_id"]])["contested"] == [
+        "env 'fine:One-v0' is offered by both plugin 'fine' (gem-fine 1.0) and plugin 'taken_id' (gem-taken-id 1.0)"
+    ]
+
+
+def test_record_of_a_missing_module_is_broken(sites: dict[str, Path]) -> None:
+    """Found without importing any implementation."""
+    assert found([sites["heavy_neighbour"]])["broken"] == [
+        "plugin 'heavy_neighbour' (gem-heavy-neighbour 1.0) points to the module 'gem_heavy_missing', "
+        "which is not there: heavy:One-v0"
+    ]
+
+
+def test_disabled_plugin_and_misspelt_one_are_shown(sites: dict[str, Path]) -> None:
+    """What GEM_PLUGINS_DISABLE did, and what it could not do."""
+    report = found([sites["fine"]], GEM_PLUGINS_DISABLE="fine,fin")
+    assert [plugin["disabled"] for plugin in report["plugins"] if plugin["name"] == "fine"] == [True]
+    assert report["notes"] == ["GEM_PLUGINS_DISABLE names 'fin', and no such plugin is installed. Did you mean 'fine'?"]
+
+
+def test_json_has_versions_and_load_times(sites: dict[str, Path]) -> None:
+    """What a report of a bug needs."""
+    report = found([sites["fine"]])
+    assert report["gem_core"] == gem.__version__
+    assert {"gymnasium", "numpy", "pydantic"} <= {name for name, version in report["packages"].items() if version}
+    assert all(plugin["load_time_ms"] > 0 for plugin in report["plugins"])
+    assert {"images"} <= {extra["extra"] for extra in report["extras"]}
+
+
+def test_diagnosis_loads_nothing_heavy(sites: dict[str, Path]) -> None:
+    """Versions are read, not imported."""
+    heavy = "[m for m in ('gymnasium', 'numpy', 'pydantic', 'gem_fine_env') if m in sys.modules]"
+    done = python(f"import sys\nfrom gem_core.diagnosis import diagnose\ndiagnose()\nprint({heavy})", [sites["fine"]])
+    assert done.stdout == "[]\n"
+
+
+@pytest.fixture
+def needy(own_registry: Registry) -> Registry:
+    """Environments that require things, met and unmet."""
+    for number in range(3):
+        gem.register(f"need:Key{number}", "toys:CountdownEnv", requires=("key:GEMT_SECRET", "network"))
+    gem.register("need:Word", "toys:CountdownEnv", requires=("quantum:4",))
+    gem.register("need:Docker", "toys:CountdownEnv", requires=("docker",))
+    return own_registry
+
+
+def row(report: list[dict[str, Any]], requirement: str) -> dict[str, Any]:
+    """Return what is said of one requirement."""
+    return next(entry for entry in report if entry["requirement"] == requirement)
+
+
+def test_requirements_are_grouped_with_number_and_example(needy: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One row for a requirement, however many environments have it; the unmet ones first."""
+    monkeypatch.delenv("GEMT_SECRET", raising=False)
+    rows = diagnosis.requirements(needy)
+    assert rows[0]["status"] == "unmet"
+    assert row(rows, "key:GEMT_SECRET") == {
+        "requirement": "key:GEMT_SECRET",
+        "status": "unmet",
+        "detail": "is not set",
+        "advice": "it needs a key: set the environment variable GEMT_SECRET",
+        "environments": 3,
+        "example": "need:Key0",
+    }
+
+
+def test_value_of_a_key_is_never_in_the_report(needy: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only that it is set."""
+    monkeypatch.setenv("GEMT_SECRET", "pssst")
+    report = diagnosis.diagnose()
+    assert row(report["requirements"], "key:GEMT_SECRET")["detail"] == "is set"
+    assert "pssst" not in json.dumps(report)
+
+
+def test_words_of_a_third_party_are_unknown(needy: Registry) -> None:
+    """A requirement that the core does not know is shown, and is not unmet."""
+    assert row(diagnosis.requirements(needy), "quantum:4")["status"] == "unknown"
+
+
+def test_network_is_untried(needy: Registry) -> None:
+    """Nothing is sent anywhere to find out."""
+    assert row(diagnosis.requirements(needy), "network")["status"] == "untried"
+
+
+@pytest.mark.parametrize(
+    ("value", "detail"),
+    [("1", "offline by HF_HUB_OFFLINE: only what is in the cache"), ("0", "online, and not tried here")],
+)
+def test_hub_says_whether_it_is_offline(value: str, detail: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the variables that the hub's own library reads."""
+    for name in ("HF_DATASETS_OFFLINE", "TRANSFORMERS_OFFLINE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HF_HUB_OFFLINE", value)
+    assert requirements.find("hub").detail == detail
+
+
+def serve_once(answer: bytes) -> str:
+    """Answer one connection on this machine, and return its address as DOCKER_HOST has it."""
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        with server, server.accept()[0] as connection:
+            connection.recv(1024)
+            connection.sendall(answer)
+
+    threading.Thread(target=serve, daemon=True).start()
+    return f"tcp://127.0.0.1:{server.getsockname()[1]}"
+
+
+@pytest.mark.parametrize(
+    ("answer", "status", "detail"),
+    [
+        (b"HTTP/1.0 200 OK\r\n\r\nOK", "met", "the engine answers"),
+        (b"SSH-2.0", "unmet", "what listens there is no container engine"),
+    ],
+)
+def test_engine_is_asked_whether_it_answers(
+    answer: bytes, status: str, detail: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A closer look than ``make`` takes, which believes DOCKER_HOST."""
+    monkeypatch.delenv("DOCKER_TLS_VERIFY", raising=False)
+    monkeypatch.setenv("DOCKER_HOST", serve_once(answer))
+    finding = requirements.find("docker", closely=True)
+    assert (finding.status, finding.detail) == (status, detail)
+
+
+def test_engine_that_is_down_is_unmet(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A socket that nobody listens to."""
+    monkeypatch.setenv("DOCKER_HOST", f"unix://{tmp_path}/none.sock")
+    finding = requirements.find("docker", closely=True)
+    assert (finding.status, finding.detail) == ("unmet", "the engine cannot be reached (FileNotFoundError)")
+    assert finding.advice == "start the container engine"
+
+
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [("ssh://somebody@engine", "untried"), ("tcp://no-port-at-all:x", "unmet"), ("nonsense", "untried")],
+)
+def test_odd_docker_hosts_are_no_traceback(host: str, status: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever stands in the variable."""
+    monkeypatch.delenv("DOCKER_TLS_VERIFY", raising=False)
+    monkeypatch.setenv("DOCKER_HOST", host)
+    assert requirements.find("docker", closely=True).status == status
+
+
+@pytest.mark.parametrize(
+    ("script", "status", "detail"),
+    [
+        ("#!/bin/sh\nexit 0\n", "met", "a sandbox starts"),
+        ("#!/bin/sh\necho 'bwrap: no permission' >&2\nexit 1\n", "unmet", "it fails: bwrap: no permission"),
+    ],
+)
+def test_bubblewrap_is_tried(
+    script: str, status: str, detail: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Being on the PATH is not enough: many systems refuse user namespaces."""
+    bwrap = tmp_path / "bwrap"
+    bwrap.write_text(script)
+    bwrap.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    finding = requirements.find("bubblewrap", closely=True)
+    assert (finding.status, finding.detail) == (status, detail)
+
+
+@pytest.mark.parametrize(
+    ("script", "status", "end"),
+    [
+        ("#!/usr/bin/env ruby\nrequire 'rubygems'\n", "unmet", "is another program called 'gem'"),
+        ("#!/usr/bin/env python\nfrom gem_core.cli import main\n", "met", "of another installation of GEM"),
+    ],
+)
+def test_another_gem_on_the_path_is_told(
+    script: str, status: str, end: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """RubyGems has a command of this name."""
+    gem_script = tmp_path / "gem"
+    gem_script.write_text(script)
+    gem_script.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    finding = requirements.which_gem()
+    assert finding.status == status
+    assert finding.detail.endswith(end)
+
+
+def test_a_file_called_runs_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """``gem run`` could not write there."""
+    monkeypatch.chdir(tmp_path)
+    assert diagnosis._runs_folder() == {"status": "met", "detail": "can be made"}
+    (tmp_path / "runs").touch()
+    assert diagnosis._runs_folder() == {"status": "unmet", "detail": "cannot be written to"}
