@@ -6,13 +6,16 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from gem_core import __version__
 from gem_core.errors import GemError
 from gem_core.suggestions import did_you_mean
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 # Name, module and help of each subcommand, so that `gem --help` imports none of them.
 _COMMANDS = {
@@ -23,6 +26,7 @@ _COMMANDS = {
     "show": ("gem_core.cli.show_command", "Show recorded episodes: a list, one of them, two compared, or a page."),
     "plugins": ("gem_core.cli.plugins_command", "List the installed plugins, and what is wrong with them."),
     "doctor": ("gem_core.cli.doctor_command", "Find out what is broken, and what is missing to run the rest."),
+    "completion": ("gem_core.cli.completion_command", "Print the script that completes words in your shell."),
 }
 
 _EPILOG = """\b
@@ -82,11 +86,20 @@ class _Commands(click.Group):
             )
         return super().resolve_command(ctx, args)
 
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Complete the names of commands from the table, where click would import every one of them."""
+        from click.shell_completion import CompletionItem
+
+        items = [CompletionItem(name, help=summary) for name, summary in self._rows() if name.startswith(incomplete)]
+        return [*items, *click.Command.shell_complete(self, ctx, incomplete)]
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        rows = [(name, summary) for name, (_, summary) in _COMMANDS.items()]
-        rows += [(name, record.summary) for name, record in _plugin_commands().items() if name not in _COMMANDS]
         with formatter.section("Commands"):
-            formatter.write_dl(rows)
+            formatter.write_dl(self._rows())
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [(name, summary) for name, (_, summary) in _COMMANDS.items()]
+        return rows + [(name, record.summary) for name, record in _plugin_commands().items() if name not in _COMMANDS]
 
 
 @click.command(
@@ -108,6 +121,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     arguments = sys.argv[1:] if arguments is None else arguments
     with_traceback = "--traceback" in arguments
     arguments = [argument for argument in arguments if argument != "--traceback"]
+    if "_GEM_COMPLETE" in os.environ:
+        from gem_core.cli import completion  # noqa: F401 - bash needs a completer of its own, which it registers
     try:
         code = cli.main(list(arguments), prog_name="gem", standalone_mode=False)
         sys.stdout.flush()

@@ -7,6 +7,7 @@ import json
 
 import click
 
+from gem_core.cli.completion import complete_env_ids
 from gem_core.cli.list_command import described
 from gem_core.registry import registry
 from gem_core.requirements import unmet
@@ -21,7 +22,7 @@ Examples:
   gem info game:Mastermind-v0-hard --json
 """,
 )
-@click.argument("env_id", metavar="ID")
+@click.argument("env_id", metavar="ID", shell_complete=complete_env_ids)
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON object.")
 def command(env_id: str, as_json: bool) -> None:
     """Describe one environment: its task, its arguments, what it needs, and what an agent sees first."""

@@ -9,6 +9,7 @@ import sys
 
 import click
 
+from gem_core.cli.completion import complete_env_ids
 from gem_core.errors import UnknownEnvError
 from gem_core.registry import registry
 from gem_core.specs import EnvSpec
@@ -25,7 +26,7 @@ Examples:
   gem list --json | python -m json.tool
 """,
 )
-@click.argument("pattern", required=False)
+@click.argument("pattern", required=False, shell_complete=complete_env_ids)
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON list, with all that is known of each.")
 def command(pattern: str | None, as_json: bool) -> None:
     """List the environments that can be made.

@@ -6,6 +6,7 @@ import json
 
 import click
 
+from gem_core.cli.completion import complete_plugins
 from gem_core.diagnosis import described, listed
 from gem_core.plugins import Plugin
 from gem_core.registry import registry
@@ -20,7 +21,7 @@ Examples:
   gem plugins --check     exit code 1 and the whole traceback when one is broken
 """,
 )
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=complete_plugins)
 @click.option("--check", is_flag=True, help="Show tracebacks, and exit with 1 when a plugin is broken.")
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON list.")
 @click.pass_context

@@ -11,16 +11,12 @@ from typing import Any
 
 import click
 
-from gem_core.agents.base import load_agent
 from gem_core.cli import INTERRUPTED
+from gem_core.cli.completion import complete_agents, complete_env_ids, complete_wrappers
 from gem_core.cli.list_command import matching
-from gem_core.cli.report import Progress, print_table
-from gem_core.episodes import EpisodeWriter
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.registry import make_vec, registry
-from gem_core.rollouts import default_plan, rollout
 from gem_core.specs import ToolSpec
-from gem_core.summary import RunSummary
 
 _DEFAULT_SLOTS = 8
 
@@ -48,8 +44,15 @@ that returns text:
 Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument, 130 after Ctrl-C.
 """,
 )
-@click.argument("ids", nargs=-1, required=True, metavar="ID...")
-@click.option("-a", "--agent", default="random", show_default=True, help="A built-in agent, or MODULE:CALLABLE.")
+@click.argument("ids", nargs=-1, required=True, metavar="ID...", shell_complete=complete_env_ids)
+@click.option(
+    "-a",
+    "--agent",
+    default="random",
+    show_default=True,
+    shell_complete=complete_agents,
+    help="A built-in agent, or MODULE:CALLABLE.",
+)
 @click.option(
     "-n",
     "--episodes",
@@ -65,7 +68,11 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
 @click.option("-s", "--seed", type=_AtLeast(min=0), help="Seed of the run: the same seed, the same episodes.")
 @click.option("-t", "--max-turns", type=_AtLeast(min=1), help="Truncate an episode after so many turns.")
 @click.option(
-    "-w", "--wrappers", default="", help="Wrappers and tools by name, innermost first: 'concat,episode_stats'."
+    "-w",
+    "--wrappers",
+    default="",
+    shell_complete=complete_wrappers,
+    help="Wrappers and tools by name, innermost first: 'concat,episode_stats'.",
 )
 @click.option("-o", "--out", type=click.Path(dir_okay=False), help="File of episodes.  [default: runs/TIME-SEED.jsonl]")
 @click.option("--overwrite", is_flag=True, help="Write the file anew if it is there.")
@@ -89,6 +96,13 @@ def command(
     Each ID is an environment, or a glob in quotes such as 'game:*'. Prints a table; episodes with an error are counted
     apart, and are in no mean.
     """
+    # Imported here, so that help and the completion of options need not wait for them.
+    from gem_core.agents.base import load_agent
+    from gem_core.cli.report import Progress, print_table
+    from gem_core.episodes import EpisodeWriter
+    from gem_core.rollouts import default_plan, rollout
+    from gem_core.summary import RunSummary
+
     env_ids = _expanded(ids)
     acting = load_agent(agent)
     stack: list[Any] = [name.strip() for name in wrappers.split(",") if name.strip()]

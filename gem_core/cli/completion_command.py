@@ -1,0 +1,49 @@
+"""``gem completion``: the script that lets a shell complete the words of ``gem``."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import click
+from click.shell_completion import get_completion_class
+
+from gem_core.cli.completion import SHELLS
+
+PROGRAMS = ("gem", "gem-core")
+
+
+@click.command(
+    "completion",
+    epilog="""\b
+To switch it on, once:
+  bash  echo 'eval "$(gem completion bash)"' >> ~/.bashrc
+  zsh   echo 'eval "$(gem completion zsh)"' >> ~/.zshrc
+  fish  gem completion fish > ~/.config/fish/completions/gem.fish
+\b
+Completed are commands, options, the ids of environments, agents, wrappers and tools (also behind a
+comma), and the names of plugins. Start a new shell, then try:
+  gem info <Tab>
+\b
+Where another program is called gem, complete gem-core instead:
+  eval "$(gem-core completion bash --program gem-core)"
+""",
+)
+@click.argument("shell", type=click.Choice(SHELLS), required=False)
+@click.option("--program", type=click.Choice(PROGRAMS), help="Which command to complete.  [default: as it was called]")
+def command(shell: str | None, program: str | None) -> None:
+    """Print the script that completes words in bash, zsh or fish.
+
+    SHELL is by default the one that $SHELL names.
+    """
+    if shell is None:
+        shell = os.path.basename(os.environ.get("SHELL", ""))
+        if shell not in SHELLS:
+            raise click.UsageError(f"name a shell: {', '.join(SHELLS)}")
+    called = os.path.basename(sys.argv[0])
+    program = program or (called if called in PROGRAMS else PROGRAMS[0])
+    root = click.get_current_context().find_root().command
+    completion = get_completion_class(shell)
+    if completion is None:
+        raise click.UsageError(f"this version of click cannot complete in {shell}; try a newer one")
+    click.echo(completion(root, {}, program, "_GEM_COMPLETE").source(), nl=False)

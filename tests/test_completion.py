@@ -1,0 +1,149 @@
+"""What a shell completes, asked as the shells ask."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.shell_completion import ShellComplete
+
+import gem_core as gem
+from gem_core import registry
+from gem_core.cli import cli
+from gem_core.errors import PluginError
+from gem_core.plugins import Plugin
+from gem_core.registry import Registry
+
+
+@pytest.fixture(autouse=True)
+def few(own_registry: Registry) -> None:
+    """Environments of two namespaces, and what the core offers."""
+    gem.register("one:Alpha-v0", "toys:CountdownEnv", summary="The first.")
+    gem.register("one:Beta-v0", "toys:CountdownEnv")
+    gem.register("two:Alpha-v0", "toys:CountdownEnv")
+
+
+def completed(*words: str) -> list[str]:
+    """Return what is offered for the last word."""
+    *args, incomplete = words
+    completer = ShellComplete(cli, {}, "gem", "_GEM_COMPLETE")
+    return [item.value for item in completer.get_completions(list(args), incomplete)]
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        (("inf",), ["info"]),
+        (("new",), ["new-plugin"]),
+        (("--tra",), ["--traceback"]),
+        (("info", ""), ["one:", "two:"]),
+        (("info", "one:"), ["one:Alpha-v0", "one:Beta-v0"]),
+        (("info", "tw"), ["two:Alpha-v0"]),
+        (("list", "one:B"), ["one:Beta-v0"]),
+        (("run", "two:"), ["two:Alpha-v0"]),
+        (("run", "two:Alpha-v0", "one:A"), ["one:Alpha-v0"]),
+        (("run", "--agent", "ran"), ["random"]),
+        (("run", "--wrappers", "concat_w"), ["concat_with_action"]),
+        (("run", "-w", "latest,episode_stats,tur"), ["latest,episode_stats,turn_limit"]),
+        (("plugins", "c"), ["core"]),
+        (("completion", "z"), ["zsh"]),
+        (("doctor", "--js"), ["--json"]),
+        (("info", "three:"), []),
+    ],
+)
+def test_words_are_completed(words: tuple[str, ...], offered: list[str]) -> None:
+    """Commands, options, ids, agents, wrappers and plugins."""
+    assert completed(*words) == offered
+
+
+def test_summary_is_the_help_of_an_id() -> None:
+    """Shells that can show it do."""
+    (item,) = ShellComplete(cli, {}, "gem", "_GEM_COMPLETE").get_completions(["info"], "one:A")
+    assert item.help == "The first."
+
+
+def test_broken_plugin_says_nothing_while_somebody_types(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Not even in strict mode; the command itself will tell."""
+
+    def fail() -> list[Plugin]:
+        raise PluginError("a plugin failed")
+
+    monkeypatch.setattr(registry, "load_plugins", fail)
+    monkeypatch.setattr(registry, "_registry", Registry())
+    assert completed("info", "one") == []
+    assert capfd.readouterr() == ("", "")
+
+
+TRY = """
+source "$1"
+compopt() { :; }
+COMP_LINE=$2 COMP_POINT=${#2}
+_gem_completion gem
+printf '%s\\n' "${COMPREPLY[@]}"
+"""
+
+
+@pytest.fixture
+def gem_on_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A command ``gem`` that knows the toys."""
+    script = tmp_path / "gem"
+    code = f"import sys\nsys.path.insert(0, {str(Path(__file__).parent)!r})\nfrom toys import register_toys"
+    script.write_text(f"#!{sys.executable}\n{code}\nregister_toys()\nfrom gem_core.cli import main\nmain()\n")
+    script.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    return script
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [
+        ("gem inf", ["info"]),
+        ("gem info toy:Countd", ["Countdown-v0"]),
+        ("gem run --agent ran", ["random"]),
+        ("gem run -w latest,concat_w", ["latest,concat_with_action"]),
+        ("gem run toy:Countdown-v0 --see", ["--seed"]),
+    ],
+)
+def test_bash_completes_words_with_colons(gem_on_path: Path, tmp_path: Path, line: str, offered: list[str]) -> None:
+    """The script as bash runs it: for bash the word begins behind the last colon."""
+    script = tmp_path / "completion.bash"
+    script.write_text(subprocess.run([gem_on_path, "completion", "bash"], capture_output=True, text=True).stdout)
+    done = subprocess.run(
+        ["bash", "-c", TRY, "bash", script, line], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stderr == ""
+    assert [word for word in done.stdout.splitlines() if "-v0-" not in word] == offered
+
+
+@pytest.mark.parametrize(
+    ("shell", "mark"),
+    [("bash", "complete -o nosort -F _gem_completion gem"), ("zsh", "#compdef gem"), ("fish", "complete --no-files")],
+)
+def test_completion_prints_the_script(shell: str, mark: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """One script for each shell."""
+    cli.main(["completion", shell], prog_name="gem", standalone_mode=False)
+    assert mark in capsys.readouterr().out
+
+
+def test_completion_of_the_other_name(capsys: pytest.CaptureFixture[str]) -> None:
+    """Where gem is another program, gem-core is completed."""
+    cli.main(["completion", "bash", "--program", "gem-core"], prog_name="gem", standalone_mode=False)
+    assert "complete -o nosort -F _gem_core_completion gem-core" in capsys.readouterr().out
+
+
+def test_completing_options_of_run_loads_nothing_heavy() -> None:
+    """A shell asks at every press of the key."""
+    code = (
+        "import sys\nfrom click.shell_completion import ShellComplete\nfrom gem_core.cli import cli\n"
+        "ShellComplete(cli, {}, 'gem', '_GEM_COMPLETE').get_completions(['run', '--wrappers'], 'c')\n"
+        "print([name for name in ('gymnasium', 'numpy', 'pydantic', 'rich') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout == "[]\n"
