@@ -7,6 +7,9 @@
     def test_my_env_keeps_the_contract():
         check_env("mine:MyEnv-v0")
 
+``check_tool``, ``check_wrapper`` and ``check_plugin`` do the same for what they are called after, and
+``pytest --gem-envs 'mine:*'`` runs ``check_env`` on each environment that matches.
+
 Neither pytest nor hypothesis is needed. Every promise is one small function: see ``promises_*.py``.
 """
 
@@ -18,16 +21,33 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from gem_core.testing.conformance import check_env
     from gem_core.testing.contract import ContractError, Report
+    from gem_core.testing.findings import CheckError
     from gem_core.testing.hostile import hostile_actions
+    from gem_core.testing.plugin_check import check_plugin
+    from gem_core.testing.tool_check import check_tool
+    from gem_core.testing.wrapper_check import check_wrapper
 
 _MODULE_OF = {
     "check_env": "conformance",
+    "check_plugin": "plugin_check",
+    "check_tool": "tool_check",
+    "check_wrapper": "wrapper_check",
+    "CheckError": "findings",
     "ContractError": "contract",
     "Report": "contract",
     "hostile_actions": "hostile",
 }
 
-__all__ = ["ContractError", "Report", "check_env", "hostile_actions"]
+__all__ = [
+    "CheckError",
+    "ContractError",
+    "Report",
+    "check_env",
+    "check_plugin",
+    "check_tool",
+    "check_wrapper",
+    "hostile_actions",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,0 +1,103 @@
+"""``check_tool``: tries what a tool promises, alone and around a task."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import pydantic
+
+from gem_core.dataset import DatasetEnv
+from gem_core.errors import StateNotSupported
+from gem_core.testing.findings import Findings
+from gem_core.testing.hostile import hostile_actions
+from gem_core.tool_env import ToolEnv
+from gem_core.tools import CALL_CLOSE, CALL_OPEN, Tool
+
+_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
+_ROWS = ({"question": "What is 1 + 1?", "answer": "2"},)
+
+
+def check_tool(tool: Tool | str | Callable[[], Tool], arguments: Mapping[str, Any] | None = None) -> list[str]:
+    """Try everything that a tool promises.
+
+    Args:
+        tool: A tool, a class that needs no options, or the name of a registered one.
+        arguments: Those of a call that succeeds; without them no call is tried that should.
+
+    Returns:
+        The promises that were kept, in one sentence each.
+
+    Raises:
+        CheckError: Promises are broken; the message names each, with what was seen.
+        GemError: The tool cannot be made, as with an unknown name.
+    """
+    chosen = tool if isinstance(tool, Tool | str) else tool()
+    env = ToolEnv(DatasetEnv(_ROWS), [chosen], max_tool_uses=None)
+    try:
+        ((name, made),) = env.tools.items()
+        findings = Findings(f"tool {name!r}")
+        _check_description(findings, made)
+        env.reset(seed=0)
+        if arguments is not None:
+            _check_call(findings, env, name, dict(arguments))
+        _check_hostile(findings, env, name)
+        env.close()
+        findings.attempt("Closing twice is harmless.", env.close)
+    finally:
+        env.close()
+    return findings.result()
+
+
+def _check_description(findings: Findings, tool: Tool) -> None:
+    findings.expect("Its name is one that model servers take.", bool(_NAME.fullmatch(tool.name)), repr(tool.name))
+    findings.expect("It has a description.", bool(tool.description.strip()), "an empty one")
+    parameters = tool.Parameters
+    model = isinstance(parameters, type) and issubclass(parameters, pydantic.BaseModel)
+    if findings.expect("Its Parameters are a pydantic model.", model, repr(parameters)):
+        findings.attempt("Its schema is plain JSON.", lambda: json.dumps(tool.schema()))
+        findings.expect("Its instructions are one line.", "\n" not in tool.instructions(), tool.instructions())
+
+
+def _check_call(findings: Findings, env: ToolEnv, name: str, arguments: dict[str, Any]) -> None:
+    call = f"{CALL_OPEN}{json.dumps({'name': name, 'arguments': arguments})}{CALL_CLOSE}"
+    observation, _, terminated, truncated, info = env.step(call)
+    seen = info.get("tool", {}).get("error") or observation
+    if not findings.expect("A call succeeds.", not info.get("tool", {}).get("failed", True), seen):
+        return
+    findings.expect("A call does not end the episode.", not (terminated or truncated), "it did")
+    findings.attempt("What a call reports is plain JSON.", lambda: json.dumps(info["tool"], allow_nan=False))
+    try:
+        state = env.get_state()
+    except StateNotSupported:
+        return
+    kept = json.loads(json.dumps(state))
+    if findings.expect("Its session is plain data.", kept == state, "JSON changes it"):
+        sibling = env.spawn()
+        try:
+            sibling.set_state(kept)
+            findings.expect("Its session is restored as it was.", sibling.get_state() == state, "another state")
+            env.reset(seed=0)
+            env.step(call)
+            findings.expect("A new episode has a new session.", env.get_state()["own"] == kept["own"], "it remembers")
+        finally:
+            sibling.close()
+
+
+def _check_hostile(findings: Findings, env: ToolEnv, name: str) -> None:
+    def call_with_anything() -> None:
+        for text in hostile_actions(0):
+            for action in (
+                text,
+                f"<{name}>{text}",
+                f'{CALL_OPEN}{{"name": "{name}", "arguments": {text}}}{CALL_CLOSE}',
+            ):
+                env.reset(seed=0)
+                env.find_call(action)
+        for arguments in ({}, {"no such parameter": 1}, {"": None}):
+            env.reset(seed=0)
+            env.step(f"{CALL_OPEN}{json.dumps({'name': name, 'arguments': arguments})}{CALL_CLOSE}")
+
+    findings.attempt("Any text is read, and any arguments are answered.", call_with_anything)

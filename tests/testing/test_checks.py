@@ -1,0 +1,174 @@
+"""``check_tool``, ``check_wrapper`` and ``check_plugin``: what they let pass, and what they name."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint
+
+import pydantic
+import pytest
+
+import gem_core as gem
+from gem_core.errors import UnknownPluginError
+from gem_core.testing import CheckError, ContractError, check_plugin, check_tool, check_wrapper, plugin_check
+from gem_core.wrappers.episode_stats import EpisodeStats
+from gem_core.wrappers.turn_limit import TurnLimit
+from gem_core.wrappers.views import Concat, ConcatWithAction, Latest
+
+
+class Notes(gem.Tool):
+    """A tool that keeps all promises."""
+
+    name = "notes"
+    description = "Keeps notes."
+    concurrency = "inline"
+
+    class Parameters(pydantic.BaseModel):
+        """One text."""
+
+        text: str
+
+    def call(self, arguments, session):
+        session.append(arguments.text)
+        return " ".join(session)
+
+    def open(self):
+        return []
+
+    def get_session_state(self, session):
+        return session
+
+    def set_session_state(self, state):
+        return state
+
+
+class Shared(Notes):
+    """Keeps one session for all episodes."""
+
+    everything: list[str] = []  # noqa: RUF012 - the mistake under test
+
+    def open(self):
+        return self.everything
+
+
+class Nameless(Notes):
+    """Has a name that servers refuse."""
+
+    name = "two words"
+    description = ""
+
+
+class Failing(Notes):
+    """Never succeeds."""
+
+    def call(self, arguments, session):
+        raise ValueError("out of order")
+
+
+class Forgetful(Notes):
+    """Loses what it is given back."""
+
+    def set_session_state(self, state):
+        return []
+
+
+@pytest.mark.parametrize("tool", [Notes, Notes()])
+def test_good_tool_passes(tool) -> None:
+    """A class or an instance."""
+    assert "A call succeeds." in check_tool(tool, {"text": "x"})
+
+
+@pytest.mark.parametrize(
+    ("tool", "line"),
+    [
+        (Shared, "A new episode has a new session. Seen: it remembers"),
+        (Nameless, "Its name is one that model servers take. Seen: 'two words'"),
+        (Nameless, "It has a description. Seen: an empty one"),
+        (Failing, "A call succeeds. Seen: Error from notes: The tool failed: ValueError: out of order"),
+        (Forgetful, "Its session is restored as it was. Seen: another state"),
+    ],
+)
+def test_broken_promise_of_a_tool_is_named(tool, line: str) -> None:
+    """In one line each, with what was seen."""
+    with pytest.raises(CheckError) as caught:
+        check_tool(tool, {"text": "x"})
+    assert f"\n  {line}" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "make_wrapper", [EpisodeStats, Latest, Concat, ConcatWithAction, lambda env: TurnLimit(env, max_turns=2)]
+)
+def test_wrappers_of_the_core_pass(make_wrapper) -> None:
+    """All that the core offers."""
+    assert check_wrapper(make_wrapper).broken == {}
+
+
+class Hiding(gem.Wrapper):
+    """Has an attribute of its own."""
+
+    answer = "its own"
+
+
+class OnlyPlain(gem.Wrapper):
+    """Says something else to coroutines."""
+
+    def reset_async(self, seed=None, options=None):
+        return self.env.reset_async(seed)
+
+    def after_reset(self, result):
+        return "plain", result[1]
+
+
+class Counting(gem.Wrapper):
+    """Remembers something, and does not save it."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        self.turns = 0
+
+    def before_reset(self, seed, options):
+        self.turns = 0
+
+    def after_step(self, action, result):
+        self.turns += 1
+        observation, _, *rest = result
+        return observation, float(self.turns), *rest
+
+
+@pytest.mark.parametrize(
+    ("wrapper", "error", "part"),
+    [
+        (Hiding, CheckError, "Attributes of the task are read through it. Seen: 'its own'"),
+        (OnlyPlain, CheckError, "Its coroutines give what its plain methods give. Seen: "),
+        (Counting, ContractError, "state"),
+        (lambda env: env, CheckError, "It derives from gem_core.Wrapper. Seen: a SmallTask"),
+    ],
+)
+def test_broken_promise_of_a_wrapper_is_named(wrapper, error: type[Exception], part: str) -> None:
+    """Its own, and those of environments that it breaks around one."""
+    with pytest.raises(error) as caught:
+        check_wrapper(wrapper)
+    assert part in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["games", "gem-games", "gem_games", "gem_games._plugin"])
+def test_plugin_is_found_by_each_of_its_names(name: str) -> None:
+    """Entry point, distribution, package and module."""
+    pytest.importorskip("gem_games")
+    assert plugin_check._find(name).name == "games"
+
+
+def test_good_plugin_passes() -> None:
+    """The games declare only, and all that they declare is there."""
+    pytest.importorskip("gem_games")
+    assert len(check_plugin("games")) == 6
+
+
+def test_unknown_plugin_names_the_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the nearest, and how to install one's own."""
+    points = [EntryPoint("games", "gem_games._plugin", "gem.plugins")]
+    monkeypatch.setattr(plugin_check, "entry_points", lambda group: points)
+    with pytest.raises(UnknownPluginError) as caught:
+        check_plugin("gmes")
+    assert str(caught.value) == (
+        "no plugin 'gmes'. Did you mean 'games'? Installed: games. Install yours first, as with 'pip install -e .'"
+    )
