@@ -1,0 +1,164 @@
+"""A plugin for pytest: ``pytest --gem-envs 'mine:*'`` runs ``check_env`` on each environment that matches.
+
+pytest imports this module at every start, so it imports nothing before the option is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import pytest
+
+MARKER = "gem_envs"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the options and their counterparts of the configuration file."""
+    group = parser.getgroup("gem", "environments of GEM")
+    group.addoption(
+        "--gem-envs",
+        action="append",
+        default=[],
+        metavar="PATTERN",
+        help="Run check_env on each environment that matches: an id, a namespace, or a glob such as 'mine:*'. "
+        "May be given several times; select by '-m gem_envs' or '-k ID'.",
+    )
+    group.addoption(
+        "--gem-skip",
+        action="append",
+        default=[],
+        metavar="SLUG=REASON",
+        help="Do not try one promise of the contract, for this reason. May be given several times.",
+    )
+    parser.addini("gem_envs", "Patterns as of --gem-envs, one on each line.", type="linelist", default=[])
+    parser.addini("gem_skip", "Promises not to try as of --gem-skip, one on each line.", type="linelist", default=[])
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Start the collection of environments where somebody asked for it."""
+    config.addinivalue_line("markers", f"{MARKER}: the check of an environment that --gem-envs asked for.")
+    # The command line stands in for the file, as it does for pytest's own options.
+    patterns = config.getoption("gem_envs") or config.getini("gem_envs")
+    if patterns:
+        skip = dict(_skipped([*config.getini("gem_skip"), *config.getoption("gem_skip")]))
+        config.pluginmanager.register(_Collection(list(patterns), skip), "gem-collection")
+
+
+def _skipped(entries: Iterable[str]) -> Iterator[tuple[str, str]]:
+    for entry in entries:
+        slug, equals, reason = (part.strip() for part in entry.partition("="))
+        if not slug or not equals or not reason:
+            raise pytest.UsageError(f"--gem-skip takes SLUG=REASON, not {entry!r}")
+        yield slug, reason
+
+
+class _Collection:
+    """Adds one item for each environment behind whatever else was collected."""
+
+    def __init__(self, patterns: list[str], skip: dict[str, str]) -> None:
+        self.patterns = patterns
+        self.skip = skip
+
+    @pytest.hookimpl(tryfirst=True)  # before -k and -m take away what does not match
+    def pytest_collection_modifyitems(
+        self, session: pytest.Session, config: pytest.Config, items: list[pytest.Item]
+    ) -> None:
+        """Look the ids up now that every conftest.py and test module may have registered its own."""
+        from gem_core.errors import GemError
+
+        ids: list[str] = []
+        message = ""
+        try:
+            ids = _matching(self.patterns)
+        except GemError as error:
+            if not hasattr(config, "workerinput"):
+                raise pytest.UsageError(str(error)) from None
+            message = str(error)  # a usage error in a worker of xdist would read as a crash
+        parent = _Environments.from_parent(
+            session, name="gem-envs", nodeid="gem-envs", ids=ids, skip=self.skip, message=message
+        )
+        items.extend(session.genitems(parent))
+
+
+def _matching(patterns: list[str]) -> list[str]:
+    from gem_core.errors import UnknownEnvError
+    from gem_core.registry import registry
+    from gem_core.suggestions import did_you_mean
+
+    found: dict[str, None] = {}
+    for pattern in patterns:
+        records = registry().envs(pattern)
+        exact = [record for record in records if record.id == pattern]
+        if not records:
+            names = [record.id for record in registry().envs()]
+            namespaces = sorted({record.namespace for record in registry().envs()})
+            hint = did_you_mean(pattern, [*namespaces, *names])
+            listed = ", ".join(namespaces) or "none"
+            raise UnknownEnvError(f"--gem-envs: no environment matches {pattern!r}.{hint} Namespaces: {listed}")
+        found.update(dict.fromkeys(record.id for record in exact or records))
+    return list(found)
+
+
+class _Environments(pytest.Collector):
+    """What the items stand under."""
+
+    def __init__(self, *, ids: list[str], skip: dict[str, str], message: str, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self.ids = ids
+        self.skip = skip
+        self.message = message
+
+    def collect(self) -> Iterable[pytest.Item]:
+        """Give one item for each id, or one that fails with the message."""
+        if self.message:
+            return [_Failure.from_parent(self, name="gem-envs", message=self.message)]
+        return [EnvItem.from_parent(self, name=env_id, skip=self.skip) for env_id in self.ids]
+
+
+class EnvItem(pytest.Item):
+    """The check of one environment."""
+
+    def __init__(self, *, skip: dict[str, str], **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self.skip = skip
+        self.add_marker(MARKER)
+
+    def runtest(self) -> None:
+        """Try every promise of the contract."""
+        from gem_core.errors import MissingRequirementError
+        from gem_core.testing.conformance import check_env
+
+        try:
+            report = check_env(self.name, skip=self.skip)
+        except MissingRequirementError as error:
+            pytest.skip(str(error))
+        self.add_report_section("call", "gem", str(report))
+
+    def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
+        """Show the broken promises alone: a traceback through the check says nothing more."""
+        from gem_core.errors import GemError
+
+        if isinstance(excinfo.value, GemError):
+            return str(excinfo.value)
+        return super().repr_failure(excinfo, style)
+
+    def reportinfo(self) -> tuple[Any, int | None, str]:
+        """Name the item in the summary."""
+        return self.config.rootpath, None, f"check_env({self.name!r})"
+
+
+class _Failure(pytest.Item):
+    """A pattern that matches nothing, told by a worker."""
+
+    def __init__(self, *, message: str, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self.message = message
+
+    def runtest(self) -> None:
+        """Fail with the message."""
+        pytest.fail(self.message, pytrace=False)
+
+    def reportinfo(self) -> tuple[Any, int | None, str]:
+        """Name the item in the summary."""
+        return self.config.rootpath, None, "--gem-envs"
