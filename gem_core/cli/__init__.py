@@ -26,6 +26,7 @@ _COMMANDS = {
     "show": ("gem_core.cli.show_command", "Show recorded episodes: a list, one of them, two compared, or a page."),
     "plugins": ("gem_core.cli.plugins_command", "List the installed plugins, and what is wrong with them."),
     "doctor": ("gem_core.cli.doctor_command", "Find out what is broken, and what is missing to run the rest."),
+    "new-plugin": ("gem_core.cli.new_plugin_command", "Start a plugin that installs and passes its own tests."),
     "completion": ("gem_core.cli.completion_command", "Print the script that completes words in your shell."),
 }
 

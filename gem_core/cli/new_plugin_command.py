@@ -1,0 +1,66 @@
+"""``gem new-plugin``: starts a plugin."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from shlex import quote
+
+import click
+
+from gem_core.errors import ArgumentError
+from gem_core.new_plugin import KINDS, LICENSES, first_steps, names_of, render, write
+
+
+@click.command(
+    "new-plugin",
+    epilog="""\b
+Examples:
+  gem new-plugin riddles                       an environment, in the folder gem-riddles
+  gem new-plugin riddles --tool                a tool
+  gem new-plugin riddles --env --tool --wrapper
+  gem new-plugin riddles --dataset --into ~/projects/riddles
+\b
+NAME becomes the namespace of the ids (riddles:Letters-v0), the distribution gem-NAME and the package
+gem_NAME. What is written is small, and made to be changed.
+\b
+Exit code: 0 if it was written, 2 where NAME or the folder cannot be used. Nothing is overwritten.
+""",
+)
+@click.argument("name")
+@click.option("--env", "kinds", flag_value="env", multiple=True, help="A game of several turns.  [default]")
+@click.option("--tool", "kinds", flag_value="tool", multiple=True, help="A tool with a session.")
+@click.option("--wrapper", "kinds", flag_value="wrapper", multiple=True, help="A wrapper that changes rewards.")
+@click.option("--dataset", "kinds", flag_value="dataset", multiple=True, help="Questions in a JSONL file, graded.")
+@click.option("--into", type=click.Path(file_okay=False, path_type=Path), help="Folder to write.  [default: gem-NAME]")
+@click.option("--license", "license_name", type=click.Choice(LICENSES), default=LICENSES[0], show_default=True)
+def command(name: str, kinds: tuple[str, ...], into: Path | None, license_name: str) -> None:
+    """Start a plugin: a distribution that installs, registers, and passes its own conformance tests.
+
+    Several kinds may be combined. Prints the three commands to go on with.
+    """
+    names = names_of(name)
+    chosen = [kind for kind in KINDS if kind in kinds] or ["env"]
+    target = into or Path(names.distribution)
+    _refuse_taken(names.name, names.distribution)
+    texts = render(names, chosen, license_name)
+    write(target, texts)
+    click.echo(f"Wrote {len(texts)} files to {target}. Go on with:")
+    click.echo(f"  python -m pip install -e {quote(f'{_dotted(target)}[test]')}")
+    click.echo(f"  {first_steps(names, chosen)}")
+    click.echo(f"  python -m pytest {quote(str(target))}")
+
+
+def _refuse_taken(name: str, distribution: str) -> None:
+    from gem_core.registry import registry
+
+    for plugin in registry().plugins():
+        if name == plugin.name or distribution == plugin.distribution:
+            raise ArgumentError(f"{plugin} is installed already; choose another name")
+    for record in registry().envs():
+        if record.namespace == name:
+            raise ArgumentError(f"the namespace {name!r} is in use already, by {record.id!r}; choose another name")
+
+
+def _dotted(target: Path) -> str:
+    # Without ./ pip would take a relative folder for the name of a distribution.
+    return str(target) if target.is_absolute() else f"./{target.as_posix()}"

@@ -1,0 +1,1 @@
+"""What ``gem new-plugin`` writes: files with words such as ``@package@``, which are replaced."""

@@ -1,0 +1,185 @@
+"""``gem new-plugin``: what it writes is right as it stands, and what it refuses."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import gem_core
+from gem_core.cli import main
+from gem_core.errors import ArgumentError
+from gem_core.new_plugin import KINDS, names_of, render, write
+
+ROOT = Path(__file__).parent.parent
+CHOICES = [*([kind] for kind in KINDS), ["tool", "wrapper"], list(KINDS)]
+LONGEST = "a-plugin-of-the-longest-name-0"
+
+
+def ids(kinds: object) -> str:
+    return "+".join(kinds) if isinstance(kinds, list) else str(kinds)
+
+
+def installed(folder: Path) -> Path:
+    """Do what an editable installation does, in the folder itself."""
+    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    info = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.4\nName: {project['name']}\nVersion: {project['version']}\n")
+    points = project["entry-points"]["gem.plugins"]
+    (info / "entry_points.txt").write_text("[gem.plugins]\n" + "".join(f"{k} = {v}\n" for k, v in points.items()))
+    return folder
+
+
+def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run a module of Python in the folder of a plugin."""
+    variables = {name: value for name, value in os.environ.items() if not name.startswith(("GEM_", "PYTEST_"))}
+    path = os.pathsep.join([str(cwd), str(Path(gem_core.__file__).parent.parent)])
+    command = [sys.executable, "-W", "error", "-m", *arguments]
+    return subprocess.run(
+        command, cwd=cwd, env={**variables, "PYTHONPATH": path}, capture_output=True, text=True, timeout=300
+    )
+
+
+@pytest.mark.parametrize("kinds", CHOICES, ids=ids)
+@pytest.mark.parametrize("name", ["x", LONGEST])
+@pytest.mark.skipif(shutil.which("ruff", path=str(Path(sys.executable).parent)) is None, reason="ruff is not installed")
+def test_what_is_written_is_formatted_and_clean(kinds: list[str], name: str, tmp_path: Path) -> None:
+    """By the rules of this repository, whatever the name."""
+    write(tmp_path / "new", render(names_of(name), kinds))
+    (tmp_path / "new" / "pyproject.toml").rename(tmp_path / "kept.toml")  # its settings would stand in for ours
+    ruff = [str(Path(sys.executable).parent / "ruff")]
+    for command in (["format", "--diff"], ["check", "--no-cache"]):
+        config = ["--config", str(ROOT / "pyproject.toml")]
+        done = subprocess.run([*ruff, *command, *config, "new"], cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("kinds", CHOICES, ids=ids)
+def test_generated_tests_pass(kinds: list[str], tmp_path: Path) -> None:
+    """Installed, it is found, declares only, and keeps every promise that it is held to, without a warning."""
+    folder = tmp_path / "gem-mine"
+    write(folder, render(names_of("mine"), kinds))
+    arguments = ["pytest", "-q", "-p", "no:cacheprovider"]
+    if len(kinds) == 1:  # the conformance of each is tried in the combination of all
+        arguments += ["-k", "not contract"]
+    done = run(*arguments, cwd=installed(folder))
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_no_word_is_left_over(tmp_path: Path) -> None:
+    """Every word between at signs is filled in."""
+    for kinds in CHOICES:
+        texts = render(names_of("mine"), kinds)
+        assert [path for path, text in texts.items() if "@mine" in text or "@package" in text or "@ " in text] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "distribution", "package"),
+    [
+        ("mine", "gem-mine", "gem_mine"),
+        ("gem-mine", "gem-mine", "gem_mine"),
+        ("My_Games", "gem-my-games", "gem_my_games"),
+        ("a.b", "gem-a-b", "gem_a_b"),
+    ],
+)
+def test_names_are_made_normal(name: str, distribution: str, package: str) -> None:
+    """As the packaging standards compare names."""
+    names = names_of(name)
+    assert (names.distribution, names.package) == (distribution, package)
+
+
+@pytest.mark.parametrize(
+    "name", ["", "-", "a b", "1a", "a--b", "a-", "é", "a/b", "../x", "x" * 31, "a\n", "gem-", "@name@"]
+)
+def test_impossible_names_are_refused(name: str) -> None:
+    """With what a name looks like."""
+    with pytest.raises(ArgumentError) as caught:
+        names_of(name)
+    assert str(caught.value) == (
+        f"{name!r} cannot be the name of a plugin; "
+        "take letters, digits and hyphens, beginning with a letter, as in 'my-games'"
+    )
+
+
+@pytest.mark.parametrize("name", ["class", "core", "gem", "gem-core", "import"])
+def test_words_with_a_meaning_are_refused(name: str) -> None:
+    """Keywords, and GEM's own names."""
+    with pytest.raises(ArgumentError, match="is a word with a meaning of its own; choose another name"):
+        names_of(name)
+
+
+def test_license_may_be_left_out() -> None:
+    """Apache-2.0, or nothing."""
+    with_license = tomllib.loads(render(names_of("mine"), ["env"])["pyproject.toml"])["project"]
+    without = tomllib.loads(render(names_of("mine"), ["env"], "none")["pyproject.toml"])["project"]
+    assert with_license["license"] == "Apache-2.0"
+    assert "license" not in without
+
+
+def call(*arguments: str) -> int:
+    """Call the command and return its exit code."""
+    with pytest.raises(SystemExit) as caught:
+        main(["new-plugin", *arguments])
+    return int(caught.value.code or 0)
+
+
+def test_command_prints_three_commands_to_go_on_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Install, try, test; without an option, an environment."""
+    monkeypatch.chdir(tmp_path)
+    assert call("mine") == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "Wrote 9 files to gem-mine. Go on with:",
+        "  python -m pip install -e './gem-mine[test]'",
+        "  gem run mine:Letters-v0 --episodes 5 --seed 1",
+        "  python -m pytest gem-mine",
+    ]
+    assert (tmp_path / "gem-mine" / "gem_mine" / "env.py").is_file()
+
+
+def test_nothing_is_overwritten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A folder that has anything in it is left alone."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "gem-mine").mkdir()
+    (tmp_path / "gem-mine" / "notes").touch()
+    assert call("mine") == 2
+    assert [path.name for path in (tmp_path / "gem-mine").iterdir()] == ["notes"]
+    assert capsys.readouterr().err == (
+        "gem: the folder gem-mine is there already, and is not empty; choose another with --into\n"
+    )
+
+
+def test_a_file_in_the_way_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And is not replaced."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "gem-mine").write_text("mine")
+    assert call("mine") == 2
+    assert capsys.readouterr().err == "gem: gem-mine is there already, and is no folder; choose another with --into\n"
+
+
+def test_installed_plugin_is_not_begun_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Neither its name nor its namespace can be had twice."""
+    monkeypatch.chdir(tmp_path)
+    assert call("toy") == 2
+    assert capsys.readouterr().err == (
+        "gem: the namespace 'toy' is in use already, by 'toy:Alpha-v0'; choose another name\n"
+    ).replace("toy:Alpha-v0", sorted(i for i in gem_core.list_envs() if i.startswith("toy:"))[0])
+
+
+def test_wheel_would_hold_the_templates() -> None:
+    """They are files of the package, read as such."""
+    for kind in KINDS:
+        assert (Path(gem_core.__file__).parent / "templates" / "plugin" / "package" / f"{kind}.py.tmpl").is_file()
