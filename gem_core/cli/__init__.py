@@ -123,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     with_traceback = "--traceback" in arguments
     arguments = [argument for argument in arguments if argument != "--traceback"]
     if "_GEM_COMPLETE" in os.environ:
-        from gem_core.cli import completion  # noqa: F401 - bash needs a completer of its own, which it registers
+        from gem_core.cli import completion  # noqa: F401 - it registers completers of our own
     try:
         code = cli.main(list(arguments), prog_name="gem", standalone_mode=False)
         sys.stdout.flush()

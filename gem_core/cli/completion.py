@@ -1,4 +1,4 @@
-"""What a shell completes: ids, agents, wrappers and plugins, and a script for bash that can handle colons."""
+"""What a shell completes, and scripts for bash and fish that can handle the colons and commas in it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,13 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from click.shell_completion import BashComplete, CompletionItem, add_completion_class, split_arg_string
+from click.shell_completion import (
+    BashComplete,
+    CompletionItem,
+    FishComplete,
+    add_completion_class,
+    split_arg_string,
+)
 
 if TYPE_CHECKING:
     import click
@@ -119,4 +125,11 @@ complete -o nosort -F %(complete_func)s %(prog_name)s
         return (words, "") if not words or line[-1:].isspace() else (words[:-1], words[-1])
 
 
+class CommaFish(FishComplete):
+    """Completion for fish where words have commas, as lists of wrappers do: click's script would cut them there."""
+
+    source_template = FishComplete.source_template.replace('string split ","', 'string split --max 1 ","')
+
+
 add_completion_class(ColonBash)
+add_completion_class(CommaFish)
