@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 from distributions import FIXTURES, install, python
 
-import gem_core
 from gem_core import plugins
 
 REPORT = """
