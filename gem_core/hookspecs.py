@@ -81,6 +81,9 @@ def gem_register_vector_backends() -> Iterable[VectorBackendSpec]:  # type: igno
 def gem_register_agents() -> Iterable[AgentSpec]:  # type: ignore[empty-body]
     """Offer agents, chosen by ``gem run --agent name`` or ``--agent name:argument``.
 
+    Options that were given, such as ``--temperature 0.7``, reach the entry point by keyword. What an agent's
+    ``prepare()`` raises is said before the first episode; ``aclose()`` is called at the end of the run.
+
     Example::
 
         @hookimpl

@@ -151,7 +151,8 @@ class VectorBackendSpec(NamedSpec):
 class AgentSpec(NamedSpec):
     """A built-in agent: the entry point returns an agent when it is called.
 
-    It gets what stands after the colon of ``--agent name:argument`` as its one argument, where there is any.
+    It gets what stands after the colon of ``--agent name:argument`` as its one positional argument, where there is any,
+    and the options that were given, as ``--temperature``, by keyword.
     """
 
     kind: ClassVar[str] = "agent"

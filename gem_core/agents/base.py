@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from gem_core.arguments import check_arguments
 from gem_core.background import run_sync
 from gem_core.episodes import Transition
-from gem_core.errors import AgentError, UnknownAgentError
+from gem_core.errors import AgentError, ArgumentError, UnknownAgentError
 from gem_core.specs import AgentSpec
 from gem_core.suggestions import did_you_mean
 from gem_core.types import Info, Observation, Response
@@ -129,13 +130,18 @@ def _call_if_there(agent: Agent, name: str) -> None:
             run_sync(waited)
 
 
-def load_agent(name: str) -> Agent:
+def load_agent(name: str, **options: Any) -> Agent:
     """Return the agent of a name: a registered one, or ``MODULE:CALLABLE``.
 
     What stands behind the colon is the argument of a registered agent; modules are also looked for in the current
     folder.
 
+    Args:
+        name: As in ``"random"``, ``"openai:MODEL"``, ``"my_module:MyAgent"``.
+        options: Keyword arguments for what makes the agent: a registered entry point, or a class.
+
     Raises:
+        ArgumentError: It does not take these options; the message says what it takes.
         UnknownAgentError: There is no such agent, module or callable.
     """
     from gem_core.making import construct
@@ -146,7 +152,7 @@ def load_agent(name: str) -> Agent:
     if colon and not (head and rest):
         raise UnknownAgentError(f"no agent {name!r}: name one as MODULE:CALLABLE, or one of {', '.join(registered)}")
     if head in registered:
-        return as_agent(construct(registry().agent(head), *([rest] if colon else [])))
+        return as_agent(construct(registry().agent(head), *([rest] if colon else []), **options))
     if not colon:
         listed = ", ".join(registered)
         raise UnknownAgentError(
@@ -157,7 +163,14 @@ def load_agent(name: str) -> Agent:
         raise UnknownAgentError(
             f"no agent {name!r}: an agent is a callable of (observation, context), and this is {target!r:.100}"
         )
-    return as_agent(target)
+    if not options:
+        return as_agent(target)
+    if not isinstance(target, type):
+        raise ArgumentError(
+            f"the agent {name!r} is not a class, so it takes no options, and was given: {', '.join(options)}"
+        )
+    check_arguments(target, (), options, f"agent {name!r}")
+    return as_agent(target(**options))
 
 
 def _imported(name: str, module_name: str, path: str, registered: list[str]) -> Any:
