@@ -62,7 +62,7 @@ def gem_register_vector_backends() -> Iterable[VectorBackendSpec]:
 
 @hookimpl
 def gem_register_agents() -> Iterable[AgentSpec]:
-    """Agents that need no model."""
+    """An agent that needs no model, and one for any model behind an OpenAI-compatible server."""
     return [
         AgentSpec(
             name="random",
@@ -73,5 +73,10 @@ def gem_register_agents() -> Iterable[AgentSpec]:
             name="human",
             entry_point="gem_core.agents.human:HumanAgent",
             summary="Asks a person at the terminal.",
+        ),
+        AgentSpec(
+            name="openai",
+            entry_point="gem_core.agents.openai:OpenAIAgent",
+            summary="Asks a model behind an OpenAI-compatible server, as openai:MODEL.",
         ),
     ]

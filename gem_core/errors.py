@@ -10,6 +10,7 @@
     │   │   ├── UnknownWrapperError
     │   │   ├── UnknownBackendError
     │   │   ├── UnknownAgentError
+    │   │   ├── UnknownModelError
     │   │   └── UnknownPluginError
     │   └── ArgumentError          a keyword, value or option that is not accepted
     ├── RegistrationError          a record that cannot be taken, or a name taken twice
@@ -26,6 +27,7 @@
     ├── FaultBudgetError           replacements fail again and again
     ├── RequestError               a model server did not answer, whatever the answer would have been
     ├── AgentError                 an agent that cannot be called, or did not return text
+    ├── RequestError               a model server did not answer one request; that episode ends
     ├── GradingError               a verdict could not be reached; never a reward of 0
     ├── DatasetError               rows that are missing, empty or without a needed column
     └── EpisodeFileError           a file of episodes that cannot be read at all
@@ -73,6 +75,10 @@ class UnknownBackendError(UnknownNameError):
 
 class UnknownAgentError(UnknownNameError):
     """No agent and no importable module has this name."""
+
+
+class UnknownModelError(UnknownNameError):
+    """The model server has no model of this name."""
 
 
 class UnknownPluginError(UnknownNameError):
@@ -137,6 +143,10 @@ class RequestError(GemError):
 
 class AgentError(GemError, TypeError):
     """An agent that cannot be called, or that did not return text."""
+
+
+class RequestError(GemError):
+    """The model server did not answer this request, whatever the answer would have been."""
 
 
 class GradingError(GemError):

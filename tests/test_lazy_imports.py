@@ -13,7 +13,7 @@ import pytest
 import gem_core
 
 HEAVY = [
-    "datasets", "docker", "gymnasium", "math_verify", "mcp", "numpy", "openai", "ray", "reasoning_gym",
+    "aiohttp", "datasets", "docker", "gymnasium", "math_verify", "mcp", "numpy", "openai", "ray", "reasoning_gym",
     "textarena", "torch",
 ]  # fmt: skip
 """Packages that listing must not load."""

@@ -110,7 +110,7 @@ def test_unknown_backend_and_agent(own_registry: registry.Registry) -> None:
         "UnknownBackendError: no vector backend 'snc'. Did you mean 'sync'? There are: sync."
     )
     assert message(own_registry.agent, "randm") == (
-        "UnknownAgentError: no agent 'randm'. Did you mean 'random'? There are: human, random."
+        "UnknownAgentError: no agent 'randm'. Did you mean 'random'? There are: human, openai, random."
     )
 
 

@@ -1,0 +1,55 @@
+"""Options of agents that are named on the command line or in code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from chat_server import context
+
+from gem_core.agents.base import load_agent
+from gem_core.errors import ArgumentError
+
+MODULE = """
+class Mine:
+    def __init__(self, temperature=1.0):
+        self.temperature = temperature
+    def __call__(self, observation):
+        return str(self.temperature)
+
+def act(observation):
+    return "a"
+"""
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.chdir(tmp_path)
+    Path("agent_with_options.py").write_text(MODULE, encoding="utf-8")
+    return "agent_with_options"
+
+
+def test_a_class_gets_the_options(module: str) -> None:
+    """By keyword."""
+    assert load_agent(f"{module}:Mine", temperature=0.5)("x", context()) == "0.5"
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("random", "agent 'random': got an unexpected keyword argument 'tempo'. It accepts: no arguments"),
+        (
+            "agent_with_options:Mine",
+            "agent 'agent_with_options:Mine': got an unexpected keyword argument 'tempo'. It accepts: temperature",
+        ),
+        (
+            "agent_with_options:act",
+            "the agent 'agent_with_options:act' is not a class, so it takes no options, and was given: tempo",
+        ),
+    ],
+)
+def test_an_option_that_is_not_taken_is_refused(module: str, name: str, message: str) -> None:
+    """With what would be."""
+    with pytest.raises(ArgumentError) as caught:
+        load_agent(name, tempo=1)
+    assert str(caught.value) == message
