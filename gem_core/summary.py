@@ -10,7 +10,9 @@ from gem_core.episodes import Episode
 
 @dataclass
 class EnvSummary:
-    """Counts and sums over the episodes of one environment. Episodes with an error count apart, and in nothing else.
+    """Counts and sums over the episodes of one environment.
+
+    Episodes with an error count apart, and in nothing else but the tokens, which were spent on them all the same.
 
     Args:
         id: The environment; ``"all"`` for the sum of several.
@@ -20,6 +22,8 @@ class EnvSummary:
         successes: Number of those that did.
         total_return: Sum of their returns.
         turns: Sum of their turns.
+        prompt_tokens: Tokens that the model read, as its server counts them; None where no response says.
+        completion_tokens: Tokens that it wrote.
     """
 
     id: str
@@ -29,9 +33,15 @@ class EnvSummary:
     successes: int = 0
     total_return: float = 0.0
     turns: int = 0
+    prompt_tokens: int | None = None
+    completion_tokens: int | None = None
 
     def add(self, episode: Episode) -> None:
         """Count an episode."""
+        for turn in episode.transitions:
+            if turn.action.usage is not None:
+                self.prompt_tokens = _plus(self.prompt_tokens, turn.action.usage.get("prompt_tokens"))
+                self.completion_tokens = _plus(self.completion_tokens, turn.action.usage.get("completion_tokens"))
         if episode.error is not None:
             self.errors += 1
             return
@@ -97,3 +107,8 @@ class RunSummary:
                 for row in self.rows()
             ],
         }
+
+
+def _plus(total: int | None, count: object) -> int | None:
+    """Add what a server reported, if it is a count."""
+    return (total or 0) + count if type(count) is int else total

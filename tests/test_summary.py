@@ -43,6 +43,19 @@ def test_several_environments_get_a_row_for_all() -> None:
     assert [row.id for row in RunSummary(["a:A"]).rows()] == ["a:A"]
 
 
+def test_tokens_are_counted_also_where_an_episode_failed() -> None:
+    """They were spent; where none are reported the count is unknown, and not 0."""
+    summary = RunSummary(["a:A", "b:B"])
+    for env_id, info in (("a:A", {}), ("a:A", {"error": {"message": "broken"}}), ("b:B", {})):
+        record = episode(env_id, 1.0, **info)
+        if env_id == "a:A":
+            record.transitions[0].action.usage = {"prompt_tokens": 1500, "completion_tokens": 4}
+        summary.add(record)
+    counts = [(row.prompt_tokens, row.completion_tokens) for row in summary.rows()]
+    assert counts == [(3000, 8), (None, None), (3000, 8)]
+    assert summary.to_dict(1.0)["environments"][0]["prompt_tokens"] == 3000
+
+
 def test_a_run_without_episodes_has_no_figures() -> None:
     """Nothing is divided by zero."""
     row = RunSummary(["a:A"]).to_dict(0.0)["environments"][0]
