@@ -58,9 +58,10 @@ Answer = str | Awaitable[str]
 Agent = Callable[[Observation, Context], Answer]
 """Returns a response; plain or a coroutine function. One agent serves many episodes at once.
 
-It may have ``prepare()``, called before the first episode, which raises what must be said at the start, and ``close()``
-or ``aclose()``; each plain or a coroutine function. It raises ``RequestError`` where the machinery behind it failed and
-only that episode is lost.
+It may have ``prepare()``, called before the first episode, perhaps more than once, which raises what must be said at the
+start, and ``close()`` or ``aclose()``; each plain or a coroutine function. It raises ``RequestError`` where the machinery
+behind it failed and only that episode is lost. ``max_concurrency`` says how many episodes keep it busy; ``interactive``,
+that it answers one at a time.
 """
 
 
@@ -107,7 +108,7 @@ class _OfObservation:
 
     def __getattr__(self, name: str) -> Any:
         # Only these: with all attributes of a function, an object would be taken for one.
-        if name not in ("prepare", "close", "aclose"):
+        if name not in ("prepare", "close", "aclose", "interactive", "max_concurrency"):
             raise AttributeError(name)
         return getattr(self.function, name)
 

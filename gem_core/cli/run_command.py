@@ -5,18 +5,23 @@ from __future__ import annotations
 import itertools
 import json
 import time
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from gem_core.cli import INTERRUPTED
+from gem_core.cli.agent_options import agent_options, given
 from gem_core.cli.completion import complete_agents, complete_env_ids, complete_wrappers
 from gem_core.cli.list_command import matching
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.registry import make_vec, registry
 from gem_core.specs import ToolSpec
+
+if TYPE_CHECKING:
+    from gem_core.agents.base import Agent
 
 _DEFAULT_SLOTS = 8
 
@@ -34,12 +39,17 @@ Examples:
   gem run game:GuessTheNumber-v0 --agent bisect --episodes 100
   gem run 'game:*-easy' --agent random --num-envs 16 --seed 7
   gem run game:Mastermind-v0-easy --agent my_module:my_agent --wrappers concat_with_action
+  gem run game:GuessTheNumber-v0 --agent openai:gpt-5-mini --max-tokens 2000
+  gem run game:GuessTheNumber-v0 --agent openai:my-model --base-url http://localhost:8000/v1
 \b
 An agent is a callable of (observation, context), or of the observation alone, plain or async,
 that returns text:
   # my_module.py
   def my_agent(observation, context):
       return context.sample_random_action()
+\b
+openai:MODEL asks any OpenAI-compatible server; its key is read from OPENAI_API_KEY. Options from
+--base-url on are passed to the agent, which may be a class of your own, by keyword.
 \b
 Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument, 130 after Ctrl-C.
 """,
@@ -51,7 +61,7 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     default="random",
     show_default=True,
     shell_complete=complete_agents,
-    help="A built-in agent, or MODULE:CALLABLE.",
+    help="A built-in agent, openai:MODEL, or MODULE:CALLABLE.",
 )
 @click.option(
     "-n",
@@ -63,7 +73,7 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     "-k",
     "--num-envs",
     type=_AtLeast(min=1),
-    help="Environments at once.  [default: 8, or one for each ID; 1 for 'human']",
+    help="Environments at once.  [default: 8, or one for each ID, or --max-concurrency; 1 for 'human']",
 )
 @click.option("-s", "--seed", type=_AtLeast(min=0), help="Seed of the run: the same seed, the same episodes.")
 @click.option("-t", "--max-turns", type=_AtLeast(min=1), help="Truncate an episode after so many turns.")
@@ -77,9 +87,11 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
 @click.option("-o", "--out", type=click.Path(dir_okay=False), help="File of episodes.  [default: runs/TIME-SEED.jsonl]")
 @click.option("--overwrite", is_flag=True, help="Write the file anew if it is there.")
 @click.option("--json", "as_json", is_flag=True, help="Write the table as JSON.")
+@agent_options
 @click.pass_context
 def command(
     ctx: click.Context,
+    /,
     ids: tuple[str, ...],
     agent: str,
     episodes: int | None,
@@ -90,6 +102,7 @@ def command(
     out: str | None,
     overwrite: bool,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Let an agent act in environments, and record its episodes.
 
@@ -104,7 +117,7 @@ def command(
     from gem_core.summary import RunSummary
 
     env_ids = _expanded(ids)
-    acting = load_agent(agent)
+    acting = load_agent(agent, **given(options))
     stack: list[Any] = [name.strip() for name in wrappers.split(",") if name.strip()]
     if max_turns is not None:
         # Outside the tools, whose calls are turns too, and inside the views and statistics, which see the end.
@@ -113,8 +126,8 @@ def command(
     interactive = getattr(acting, "interactive", False)
     if interactive and num_envs not in (None, 1):
         raise ArgumentError(f"the agent {agent!r} answers one episode at a time; use --num-envs 1, not {num_envs}")
-    slots = num_envs or (1 if interactive else max(_DEFAULT_SLOTS, len(env_ids)))
-    with closing(make_vec(env_ids, slots, wrappers=stack, seed=seed)) as vector:
+    slots = num_envs or (1 if interactive else _slots(acting, len(env_ids), episodes))
+    with _ready(acting), closing(make_vec(env_ids, slots, wrappers=stack, seed=seed)) as vector:
         plan = default_plan(vector, episodes)
         path = _out_path(out, vector.seed, overwrite)
         summary = RunSummary(env_ids)
@@ -148,6 +161,24 @@ def command(
 
 def _is_tool(name: str) -> bool:
     return name == "tools" or isinstance(registry().wrapper(name), ToolSpec)
+
+
+@contextmanager
+def _ready(agent: Agent) -> Iterator[None]:
+    """Let an agent say at the start what would fail later, before environments are made; and close it at the end."""
+    from gem_core.agents.base import close_agent, prepare_agent
+
+    prepare_agent(agent)
+    try:
+        yield
+    finally:
+        close_agent(agent)
+
+
+def _slots(agent: Agent, ids: int, episodes: int | None) -> int:
+    """Return how many environments keep an agent busy: as many as it answers at once, but no more than episodes."""
+    wanted: int = getattr(agent, "max_concurrency", _DEFAULT_SLOTS)
+    return max(ids, wanted if episodes is None else min(wanted, max(_DEFAULT_SLOTS, ids * episodes)))
 
 
 def _expanded(ids: tuple[str, ...]) -> list[str]:
