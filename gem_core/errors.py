@@ -27,7 +27,6 @@
     ├── FaultBudgetError           replacements fail again and again
     ├── RequestError               a model server did not answer, whatever the answer would have been
     ├── AgentError                 an agent that cannot be called, or did not return text
-    ├── RequestError               a model server did not answer one request; that episode ends
     ├── GradingError               a verdict could not be reached; never a reward of 0
     ├── DatasetError               rows that are missing, empty or without a needed column
     └── EpisodeFileError           a file of episodes that cannot be read at all
@@ -143,10 +142,6 @@ class RequestError(GemError):
 
 class AgentError(GemError, TypeError):
     """An agent that cannot be called, or that did not return text."""
-
-
-class RequestError(GemError):
-    """The model server did not answer this request, whatever the answer would have been."""
 
 
 class GradingError(GemError):

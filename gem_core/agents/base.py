@@ -58,10 +58,10 @@ Answer = str | Awaitable[str]
 Agent = Callable[[Observation, Context], Answer]
 """Returns a response; plain or a coroutine function. One agent serves many episodes at once.
 
-It may have ``prepare()``, called before the first episode, perhaps more than once, which raises what must be said at the
-start, and ``close()`` or ``aclose()``; each plain or a coroutine function. It raises ``RequestError`` where the machinery
-behind it failed and only that episode is lost. ``max_concurrency`` says how many episodes keep it busy; ``interactive``,
-that it answers one at a time.
+It may have ``prepare()``, called before the first episode, perhaps more than once, which raises what must be said at
+the start, and ``close()`` or ``aclose()``; each plain or a coroutine function. It raises ``RequestError`` where the
+machinery behind it failed and only that episode is lost. ``max_concurrency`` says how many episodes keep it busy;
+``interactive``, that it answers one at a time.
 """
 
 
@@ -150,10 +150,10 @@ def load_agent(name: str, **options: Any) -> Agent:
 
     head, colon, rest = name.partition(":")
     registered = [record.name for record in registry().named(AgentSpec)]
-    if colon and not (head and rest):
-        raise UnknownAgentError(f"no agent {name!r}: name one as MODULE:CALLABLE, or one of {', '.join(registered)}")
     if head in registered:
         return as_agent(construct(registry().agent(head), *([rest] if colon else []), **options))
+    if colon and not (head and rest):
+        raise UnknownAgentError(f"no agent {name!r}: name one as MODULE:CALLABLE, or one of {', '.join(registered)}")
     if not colon:
         listed = ", ".join(registered)
         raise UnknownAgentError(
