@@ -35,11 +35,11 @@ def test_interaction_loop_runs() -> None:
 class ReverseStringEnv(Env):
     """The paper's environment to the letter: it draws from global random and ends with both flags."""
 
-    def __init__(self, str_len: int = 5) -> None:
+    def __init__(self, str_len: int = 5):
         super().__init__()
         self.str_len = str_len
 
-    def _get_instructions(self) -> str:
+    def _get_instructions(self):
         return (
             "You are tasked to reverse a given string.\n"
             "You may provide your response in any manner. Only the content wrapped inside \\boxed{} will be considered "
@@ -47,15 +47,18 @@ class ReverseStringEnv(Env):
             f"Please reverse the string: {self.gt_str}.\n"
         )
 
-    def reset(self, seed: int | None = None) -> Any:  # type: ignore[override]
+    def reset(self, seed=None):
         super().reset(seed)
         characters = string.ascii_letters + string.digits
         self.gt_str = "".join(random.choices(characters, k=self.str_len))
         return self._get_instructions(), {}
 
-    def step(self, action: str) -> Any:
+    def step(self, action):
         clean_action = extract_last_boxed_answer(action)
-        reward = 0.0 if clean_action is None else float(clean_action == self.gt_str[::-1])
+        if clean_action is None:  # noqa: SIM108 - the paper writes it so
+            reward = 0
+        else:
+            reward = float(clean_action[::-1] == self.gt_str)
         return TERMINAL_STATE, reward, True, True, {}
 
 
