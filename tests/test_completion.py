@@ -45,6 +45,8 @@ def completed(*words: str) -> list[str]:
         (("info", "tw"), ["two:Alpha-v0"]),
         (("list", "one:B"), ["one:Beta-v0"]),
         (("run", "two:"), ["two:Alpha-v0"]),
+        (("play", "two:"), ["two:Alpha-v0"]),
+        (("play", "one:Alpha-v0", "-w", "latest,tur"), ["latest,turn_limit"]),
         (("run", "two:Alpha-v0", "one:A"), ["one:Alpha-v0"]),
         (("run", "--agent", "ran"), ["random"]),
         (("run", "--wrappers", "concat_w"), ["concat_with_action"]),

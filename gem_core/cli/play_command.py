@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from gem_core.cli import INTERRUPTED
+from gem_core.cli.completion import complete_env_ids, complete_wrappers
 from gem_core.cli.play_session import PlaySession
 from gem_core.cli.play_view import PlayView, in_one_line
 from gem_core.cli.run_command import free_path
@@ -55,7 +56,7 @@ Colours are left out without a terminal, and where NO_COLOR is set.
 Exit code: 0 at the end or at the end of input, 2 for a wrong argument, 130 after Ctrl-C.
 """,
 )
-@click.argument("env_id", metavar="ID")
+@click.argument("env_id", metavar="ID", shell_complete=complete_env_ids)
 @click.option("-s", "--seed", type=click.IntRange(min=0), help="The same episodes as 'gem run' with this seed.")
 @click.option(
     "-n",
@@ -67,6 +68,7 @@ Exit code: 0 at the end or at the end of input, 2 for a wrong argument, 130 afte
 @click.option(
     "-w",
     "--wrappers",
+    shell_complete=complete_wrappers,
     help="Wrappers and tools by name, innermost first; each observation is then shown exactly as a model gets it. "
     "With '' it is that of the bare environment.",
 )
