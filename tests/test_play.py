@@ -179,6 +179,15 @@ def test_wrappers_show_observations_to_the_letter(play) -> None:
     assert "─\nWrite a letter.\nLetters: ''.\n─" in play(BOARD, "-w", "").out
 
 
+def test_the_command_that_plays_it_again_has_the_same_options(play) -> None:
+    """Without them the same seed would show something else."""
+    end = "The same again: gem play play:Board-v0 --seed 1"
+    assert play(BOARD, "--seed", "1").out.endswith(f"{end}\n")
+    assert play(BOARD, "--seed", "1", "-w", "").out.endswith(f"{end} --wrappers ''\n")
+    options = ("--max-turns", "2", "--wrappers", "concat,episode_stats", "--raw")
+    assert play(BOARD, "--seed", "1", *options).out.endswith(f"{end} {' '.join(options)}\n")
+
+
 def test_control_characters_are_shown_and_not_obeyed(play) -> None:
     """Laid out for a person, text of an environment cannot move the cursor."""
     out = play(ECHO, typed="\x1b]0;title\x07\n").out

@@ -26,6 +26,7 @@ def test_prompt_colours_and_another_episode(terminal, tmp_path: Path) -> None:
     session.type("9\n")
     session.wait_for("Play another? [Y/n]")
     session.type("what?\n")
+    session.wait_for("Type y or n; Enter is y.")
     session.wait_for("Play another? [Y/n]")
     session.type("n\n")
     session.wait_for("2 episodes written to a.jsonl.")

@@ -90,6 +90,11 @@ def written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     return call
 
 
+def test_a_page_of_one_episode_says_so(written) -> None:
+    """In good English, as the command play does."""
+    assert written("1")[1] == "1 episode written to out/page.html\n"
+
+
 def test_the_page_needs_nothing_but_itself(written) -> None:
     """No element names anything outside, and neither script nor style does."""
     page, out = written()

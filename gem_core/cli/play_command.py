@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from contextlib import ExitStack, closing
 from typing import Any
 
@@ -113,7 +114,7 @@ def command(
             interrupted = True
         finally:
             if session.started:
-                view.farewell(player.finished, out)
+                view.farewell(player.finished, out, _options_again(max_turns, wrappers, raw))
     if interrupted:
         click.echo("gem: interrupted", err=True)
         ctx.exit(INTERRUPTED)
@@ -197,6 +198,13 @@ class _Player:
 
     def _quit(self) -> None:
         raise EndOfInput
+
+
+def _options_again(max_turns: int | None, wrappers: str | None, raw: bool) -> str:
+    """Return the options without which the same seed would look different."""
+    turns = [] if max_turns is None else ["--max-turns", str(max_turns)]
+    around = [] if wrappers is None else ["--wrappers", wrappers]
+    return "".join(f" {shlex.quote(word)}" for word in [*turns, *around, *["--raw"] * raw])
 
 
 def _draw_boards(env: AnyEnv) -> None:

@@ -98,7 +98,7 @@ class PlayView:
         if session.taken_back:
             show(f"Turns taken back, which are in no record: {session.taken_back}.", dim=True)
 
-    def farewell(self, episodes: list[Episode], path: str | None) -> None:
+    def farewell(self, episodes: list[Episode], path: str | None, options: str = "") -> None:
         """Say what was played, what was left unfinished, and where the rest was written."""
         show, session = self._terminal.show, self._session
         if not session.over:
@@ -112,7 +112,7 @@ class PlayView:
             show(f"{len(episodes)} episodes{solved}, mean return {_number(mean)}.")
         if path:
             show(f"{len(episodes)} episode{'s' if len(episodes) != 1 else ''} written to {path}.")
-        show(f"The same again: gem play {session.env_id} --seed {session.seed}", dim=True)
+        show(f"The same again: gem play {session.env_id} --seed {session.seed}{options}", dim=True)
 
     def help(self) -> None:
         """Show the keys, the rules and an example of an action."""

@@ -44,8 +44,8 @@ move the cursor or hide text is shown as its code. Images are named; --html show
 A file of some size gets an index beside it, FILE.index, so that it opens at once the next time; it
 may be deleted. A line that is cut off or damaged is passed over, and named on standard error.
 \b
-Exit code: 0 if something could be shown, 1 if the file holds no whole episode or the one asked for
-is damaged, 2 for a wrong argument.
+Exit code: 0 if the file could be read, even where no episode fits, 1 if it holds no whole episode or
+the one asked for is damaged, 2 for a wrong argument.
 """,
 )
 @click.argument("path", metavar="FILE", type=click.Path(exists=True, dir_okay=False))
@@ -179,7 +179,7 @@ def _write_page(file: EpisodeFile, entries: Iterator[Entry], out: str, limit: in
         page.notes.append(f"{len(file.damaged):,} lines of the file hold no whole episode.")
     page.write(out)
     rest = f" ({left_out:,} more left out: raise --limit)" if left_out else ""
-    click.echo(f"{count} episodes written to {out}{rest}")
+    click.echo(f"{count} episode{'s' if count != 1 else ''} written to {out}{rest}")
 
 
 def _whole(file: EpisodeFile, number: int) -> Entry:

@@ -126,6 +126,7 @@ class Terminal:
                 return True
             if answer in ("n", "no", "q", "!quit"):
                 return False
+            self.show("Type y or n; Enter is y.", dim=True)
 
     def _line(self, prompt: str) -> str:
         if self._edited:
