@@ -76,7 +76,7 @@ def test_options_reach_the_server(server: ChatServer, run: Run) -> None:
     ("arguments", "message"),
     [
         (["--agent", "random", "--top-p", "1"], "unexpected keyword argument 'top_p'. It accepts: no arguments"),
-        (["--agent", "openai"], "agent 'openai': missing a required argument: 'model'. It accepts: model, base_url, "),
+        (["--agent", "openai"], "the agent 'openai' needs the name of a model, as in openai:MODEL"),
         (["--agent", "openai:"], "the agent 'openai' needs the name of a model, as in openai:MODEL"),
         (["--agent", "toys:CountdownEnv.step", "--top-p", "1"], "is not a class, so it takes no options"),
         (["--agent", "openai:m", "--system", "@none.txt"], "--system: cannot read 'none.txt': No such file"),

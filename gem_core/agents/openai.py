@@ -64,7 +64,7 @@ class OpenAIAgent:
 
     def __init__(
         self,
-        model: str,
+        model: str = "",
         *,
         base_url: str | None = None,
         api_key_env: str = "OPENAI_API_KEY",
