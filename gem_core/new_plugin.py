@@ -94,7 +94,7 @@ def render(names: Names, kinds: Sequence[str], license_name: str = "Apache-2.0")
         f"{package}/__init__.py": filled("package", "__init__.py.tmpl"),
         f"{package}/_plugin.py": filled("package", "_plugin.py.tmpl"),
         f"{package}/py.typed": "",
-        "tests/test_plugin.py": filled("tests", "test_plugin.py.tmpl")
+        f"tests/test_{package}.py": filled("tests", "test_plugin.py.tmpl")
         + "".join(filled("tests", f"{kind}.tmpl") for kind in chosen),
     }
     for kind in chosen:
