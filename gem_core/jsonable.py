@@ -63,7 +63,7 @@ class ImageFolder:
         try:
             from PIL import Image
         except ModuleNotFoundError as error:
-            raise EpisodeFileError("reading images needs Pillow: 'pip install gem-core[images]'") from error
+            raise EpisodeFileError("reading images needs Pillow: pip install 'gem-core[images]'") from error
         try:
             with Image.open(self.path / name, formats=("PNG", "TIFF")) as image:
                 image.load()

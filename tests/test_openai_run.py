@@ -121,7 +121,7 @@ def test_without_the_extra_the_command_to_install_it_is_given(run: Run, monkeypa
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert run(COUNTDOWN, "--agent", "openai:m")[::2] == (
         1,
-        "gem: the agent 'openai' needs aiohttp: 'pip install gem-core[openai]'\n",
+        "gem: the agent 'openai' needs aiohttp: pip install 'gem-core[openai]'\n",
     )
 
 

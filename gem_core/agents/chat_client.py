@@ -400,4 +400,4 @@ def check_installed() -> None:
     import importlib.util
 
     if importlib.util.find_spec("aiohttp") is None:
-        raise MissingRequirementError("the agent 'openai' needs aiohttp: 'pip install gem-core[openai]'")
+        raise MissingRequirementError("the agent 'openai' needs aiohttp: pip install 'gem-core[openai]'")
