@@ -26,6 +26,10 @@ A requirement is met, unmet, untried (known only when it is used, as the network
 of a plugin's own). Of keys only the presence is looked at, and nothing is sent anywhere but a ping to
 the container engine.
 \b
+Modules of implementations are looked for and not imported, as that may take long; that one works is
+shown by 'gem info ID', and by 'pytest --gem-envs ID', which tries all that it promises.
+
+\b
 Exit code: 1 when something installed is broken, 0 otherwise, whatever requirements are unmet.
 """,
 )
