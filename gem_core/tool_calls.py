@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from gem_core.nesting import is_deep
 from gem_core.suggestions import did_you_mean
 from gem_core.tools import CALL_CLOSE, CALL_OPEN, Tool, ToolCall
 
@@ -78,7 +79,7 @@ def _problem(name: str, arguments: Any, tools: Mapping[str, Tool]) -> str | None
 def _loaded(text: str) -> tuple[Any, str | None]:
     try:
         content = json.loads(text, parse_float=_finite_number, parse_constant=_finite_number)
-        return (None, "it is nested too deeply") if _is_deep(content) else (content, None)
+        return (None, "it is nested too deeply") if is_deep(content) else (content, None)
     except RecursionError:
         return None, "it is nested too deeply"
     except ValueError as error:
@@ -91,16 +92,3 @@ def _finite_number(text: str) -> float:
     if not math.isfinite(number):
         raise ValueError(f"{text[:20]} is no finite number")
     return number
-
-
-def _is_deep(value: object, limit: int = 100) -> bool:
-    """Tell whether lists and objects are nested deeper than what copies and writes them can follow."""
-    level = [value]
-    for _ in range(limit):
-        level = [
-            part
-            for item in level
-            if isinstance(item, dict | list)
-            for part in (item.values() if isinstance(item, dict) else item)
-        ]
-    return bool(level)

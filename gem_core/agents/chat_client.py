@@ -12,6 +12,8 @@ import asyncio
 import json
 import os
 import re
+import urllib.parse
+import urllib.request
 import weakref
 from collections.abc import AsyncIterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -31,6 +33,9 @@ CONNECT_TIMEOUT_S = 10.0
 _KEEP_ALIVE_S = 4.0  # below the 5 s of uvicorn and others, which close a connection while we begin to write
 _SHOWN = 300
 _REAL_KEY = 16
+_SECRET = 6
+"""What is shorter, as the "x" that local servers are given, is no secret, and blotted out it would garble words."""
+
 _MASKED_KEY = re.compile(r"\bsk-[\w*.-]{4,}")
 
 
@@ -74,6 +79,7 @@ class _Link(NamedTuple):
     loop: asyncio.AbstractEventLoop
     session: ClientSession
     places: asyncio.Semaphore
+    proxy: str | None
 
 
 class _Request(NamedTuple):
@@ -171,7 +177,7 @@ class ChatClient:
         return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
 
     def _bare(self, text: str) -> str:
-        if key := self.key():
+        if len(key := self.key()) >= _SECRET:
             text = text.replace(key, "***").replace(json.dumps(key)[1:-1], "***")
         return _MASKED_KEY.sub("***", text)
 
@@ -209,9 +215,9 @@ class ChatClient:
             return ServerFault("the deadline passed before it was sent", transient=False)
         try:
             async with self.clock.timeout(limit):
-                return await self._once(link.session, request)
+                return await self._once(link, request)
         except ServerFault as fault:
-            return fault
+            return fault.with_traceback(None)  # whose frames hold the headers
         except aiohttp.ClientConnectorCertificateError as error:
             reason = f"its certificate is not accepted ({self.shown(str(error.certificate_error))})"
             return ServerFault(reason, transient=False, unreachable=True)
@@ -228,17 +234,18 @@ class ChatClient:
         except (aiohttp.ClientError, OSError) as error:
             return ServerFault(self.shown(f"the connection broke ({type(error).__name__})"))
 
-    async def _once(self, session: ClientSession, request: _Request) -> Any:
+    async def _once(self, link: _Link, request: _Request) -> Any:
         headers = {"Content-Type": "application/json"} if request.body is not None else {}
         if key := self.key():
             headers["Authorization"] = f"Bearer {key}"
         # A redirect would take the key elsewhere, and make a GET of a POST.
-        async with session.request(
+        async with link.session.request(
             "GET" if request.body is None else "POST",
             self.base_url + request.path,
             data=request.body,
             headers=headers,
             allow_redirects=False,
+            proxy=link.proxy,
         ) as response:
             if response.status != 200:
                 raise self._refusal(response, await response.read())
@@ -246,10 +253,13 @@ class ChatClient:
                 answer = await self._joined(response)
             else:
                 answer = _parsed(await response.read())
-        answer = self._checked(answer)
+        try:
+            answer = self._checked(answer)
+            completed = None if request.body is None else response_from(answer)
+        except RecursionError:
+            raise ServerFault("the answer is nested too deeply") from None
         if request.body is None:
             return answer
-        completed = response_from(answer)
         if completed is None:
             raise ServerFault("the answer has no choices")
         return completed
@@ -315,9 +325,9 @@ class ChatClient:
                 cookie_jar=aiohttp.DummyCookieJar(),
                 headers={"User-Agent": f"gem-core/{__version__}"},
                 read_bufsize=2**20,
-                trust_env=not _is_loopback(self.base_url),  # proxies
             )
-            self._link = _Link(loop, session, asyncio.Semaphore(self._max_concurrency))
+            proxy = None if _is_loopback(self.base_url) else _proxy_for(self.base_url)
+            self._link = _Link(loop, session, asyncio.Semaphore(self._max_concurrency), proxy)
             weakref.finalize(self, _close_later, session, loop)
         return self._link
 
@@ -373,6 +383,17 @@ def _reason(error: Exception) -> str:
 
 def _is_loopback(url: str) -> bool:
     return re.match(r"https?://(localhost|127\.[\d.]+|\[::1\])(:\d+)?(/|$)", url) is not None
+
+
+def _proxy_for(url: str) -> str | None:
+    """Return the proxy that the environment names, which may hold a password.
+
+    aiohttp's own ``trust_env`` also reads ``~/.netrc``, sends what it finds there, and raises beside a key.
+    """
+    parts = urllib.parse.urlsplit(url)
+    if urllib.request.proxy_bypass(parts.netloc):
+        return None
+    return urllib.request.getproxies().get(parts.scheme)
 
 
 def _close_later(session: ClientSession, loop: asyncio.AbstractEventLoop) -> None:

@@ -13,6 +13,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from gem_core.nesting import is_deep
 from gem_core.types import Observation, Response
 
 _PNG_MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I;16")
@@ -26,7 +27,9 @@ def messages_from(observation: Observation, system: str | None = None) -> list[d
         system: System prompt; put first unless the observation brings one.
     """
     if is_messages(observation):
-        messages = [_with_plain_content(message) for message in observation if isinstance(message, dict)]
+        messages = _with_images_behind(
+            [_with_plain_content(message) for message in observation if isinstance(message, dict)]
+        )
     else:
         messages = [{"role": "user", "content": _content(observation)}]
     if system is not None and not any(message.get("role") in ("system", "developer") for message in messages):
@@ -75,7 +78,7 @@ def response_from(completion: Mapping[str, Any]) -> Response | None:
         finish_reason=_text_or_none(choice.get("finish_reason")),
         tool_calls=_tool_calls(message.get("tool_calls")),
         reasoning=_text_or_none(message.get("reasoning")) or _text_or_none(message.get("reasoning_content")),
-        usage=completion["usage"] if isinstance(completion.get("usage"), dict) else None,
+        usage=_usage(completion.get("usage")),
         model=_text_or_none(completion.get("model")),
     )
 
@@ -143,6 +146,24 @@ def _with_plain_content(message: Mapping[str, Any]) -> dict[str, Any]:
     return {**message, "content": _content(content)} if isinstance(content, list) else dict(message)
 
 
+def _with_images_behind(messages: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Move the images of tools into a message of the user behind them: the API takes only text in those of tools."""
+    moved: list[dict[str, Any]] = []
+    images: list[dict[str, Any]] = []
+    for message in [*messages, {}]:
+        if images and message.get("role") != "tool":
+            moved.append({"role": "user", "content": images})
+            images = []
+        if message.get("role") == "tool" and isinstance(message.get("content"), list):
+            found = [part for part in message["content"] if part.get("type") == "image_url"]
+            rest = [part for part in message["content"] if part.get("type") != "image_url"]
+            if found:
+                images += found
+                message = {**message, "content": rest or "(an image, shown below)"}
+        moved.append(message)
+    return moved[:-1]
+
+
 def _content(content: Observation) -> str | list[dict[str, Any]]:
     return content if isinstance(content, str) else [_part(part) for part in content]
 
@@ -172,6 +193,10 @@ def _text_or_none(value: Any) -> str | None:
     return value if isinstance(value, str) else None
 
 
+def _usage(usage: Any) -> dict[str, Any] | None:
+    return usage if isinstance(usage, dict) and not is_deep(usage) else None
+
+
 def _numbers(values: Any, kind: type | tuple[type, ...]) -> list[Any] | None:
     if not isinstance(values, list):
         return None
@@ -197,6 +222,8 @@ def _tool_calls(calls: Any) -> list[dict[str, Any]] | None:
         if not isinstance(arguments, str):
             arguments = "" if arguments is None else json.dumps(arguments)
         name = function.get("name")
+        if is_deep(call):  # no record could hold it
+            call, function = {"id": call.get("id")}, {}
         found.append(
             {
                 **call,

@@ -168,6 +168,8 @@ class OpenAIAgent:
         """Send a request; where the server does not know a field that can be spared, do without it from then on."""
         while True:
             sent = {name: value for name, value in self._extras.items() if name not in self._refused} | payload
+            if not sent.get("stream"):
+                sent.pop("stream_options", None)  # the request of the start is not streamed
             if "max_tokens" in self._refused and "max_tokens" in sent:
                 sent["max_completion_tokens"] = sent.pop("max_tokens")  # its name for newer models of OpenAI
             try:
@@ -236,8 +238,9 @@ class OpenAIAgent:
             wants = f"refuses the key in {key_name}" if self.client.key() else f"wants a key: set {key_name}"
             return MissingRequirementError(f"{where} {wants} ({fault.message})")
         if named or (fault.status == 404 and names is not None) or fault.code == "model_not_found":
-            hint = did_you_mean(self.model, names) if names else ""
-            known = f" It has: {', '.join(names[:10])}{', …' if len(names) > 10 else ''}." if names else ""
+            hint = did_you_mean(self.model, list(map(self.client.shown, names))) if names else ""
+            listed = self.client.shown(f"{', '.join(names[:10])}{', …' if len(names) > 10 else ''}") if names else ""
+            known = f" It has: {listed}." if names else ""
             return UnknownModelError(f"{where} refuses the model {self.model!r}.{hint}{known} ({fault.message})")
         if fault.status is not None and (fault.status == 404 or 300 <= fault.status < 400):
             return MissingRequirementError(
