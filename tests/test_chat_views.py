@@ -15,7 +15,7 @@ from gem_core.errors import ArgumentError
 from gem_core.tool_env import ToolEnv
 from gem_core.wrapper import Guard
 from gem_core.wrappers.chat import ConcatChat, Messages
-from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView, Turn
+from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView, Turn, texts_of
 
 
 class Template:
@@ -256,3 +256,27 @@ def test_views_are_in_their_space() -> None:
     assert view.observation_space.contains(view.reset()[0])
     text_view = ConcatChat(EchoEnv(), Template())
     assert text_view.observation_space.contains(text_view.reset()[0])
+
+
+def test_native_calls_count_towards_the_budget() -> None:
+    """A server counts what a model wrote into its calls, and its thinking where that is sent back."""
+    call = {"id": "a", "type": "function", "function": {"name": "note", "arguments": '{"line": "one two three four"}'}}
+    message = {"role": "assistant", "content": "", "tool_calls": [call], "reasoning_content": "well"}
+    assert texts_of([message]) == ["well", "note", '{"line": "one two three four"}']
+    env = Messages(
+        ToolEnv(CountdownEnv(), [Notebook()], max_tool_uses=None),
+        max_tokens=150,
+        count_tokens=lambda text: len(text.split()),
+    )
+    env.reset(seed=1, options={"left": 100})
+    long = {**call, "function": {"name": "note", "arguments": json.dumps({"line": "x"}) + " " * 5 + "y " * 200}}
+    assert env.step(gem.Response("", tool_calls=[long]))[4]["context_overflow"] is True
+
+
+def test_a_task_may_say_what_the_bridge_is_found_by() -> None:
+    """The text stays append-only, and nothing of the task is lost."""
+    env = ConcatChat(EchoEnv(), Template())
+    first = env.reset(seed=1)[0]
+    assert env.step("GEM-BRIDGE-MARK!")[0] == (
+        f"{first}GEM-BRIDGE-MARK!<|end|>\n<|user|>Heard: GEM-BRIDGE-MARK!<|end|>\n<|assistant|>"
+    )

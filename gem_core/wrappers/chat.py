@@ -150,7 +150,7 @@ class ConcatChat(Messages):
         """Return what the template writes behind a response, up to the place of the next."""
         dummy = [{"role": "user", "content": "…"}, {"role": "assistant", "content": _MARK}]
         rendered = self._render([*dummy, *self._answers(turn, turn.suffix, with_suffix=True)])
-        _, found, bridge = rendered.rpartition(_MARK)
+        _, found, bridge = rendered.partition(_MARK)  # the first: what the task says may hold another
         if not found:
             raise ArgumentError("the chat template leaves earlier responses out, so that nothing can follow them")
         end_of_turn = getattr(self.tokenizer, "eos_token", None)

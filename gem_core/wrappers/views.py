@@ -247,15 +247,21 @@ def joined(pieces: Iterable[Observation]) -> Observation:
 
 
 def texts_of(observation: Observation) -> list[str]:
-    """Return every text of an observation: of text itself, of content parts, or of messages."""
+    """Return every text of an observation: of text itself, of content parts, or of messages with their calls."""
     if isinstance(observation, str):
         return [observation]
     texts = []
     for part in observation:
         if part.get("type") == "text":
             texts.append(str(part["text"]))
-        elif part.get("content"):
+            continue
+        if part.get("content"):
             texts += texts_of(part["content"])
+        if part.get("reasoning_content"):
+            texts.append(str(part["reasoning_content"]))
+        for call in part.get("tool_calls") or ():
+            called = call.get("function", call.get("custom"))
+            texts += map(str, called.values() if isinstance(called, dict) else ())
     return texts
 
 
