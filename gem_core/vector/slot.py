@@ -73,9 +73,12 @@ class FaultBudget:
             self.total += 1
             self._in_a_row += 1
             if self._in_a_row > self.limit:
+                advice = "Mend the environment, or use on_error='raise' to see where it fails"
+                if error.get("kind") == "agent":
+                    advice = "It is the agent that fails, or the server that it asks, not the environment"
                 raise FaultBudgetError(
                     f"{self._in_a_row} faults in a row without one finished episode; the last, in {what}: "
-                    f"{error['message']}. Mend the environment, or use on_error='raise' to see where it fails"
+                    f"{error['message']}. {advice}"
                 )
 
 
