@@ -10,6 +10,7 @@ from typing import Any
 from gem_core.nesting import is_deep
 from gem_core.suggestions import did_you_mean
 from gem_core.tools import CALL_CLOSE, CALL_OPEN, Tool, ToolCall
+from gem_core.wrappers.views import call_id
 
 _FORM = '{"name": "…", "arguments": {…}}'
 
@@ -43,11 +44,10 @@ def native_calls(calls: Sequence[Mapping[str, Any]], tools: Mapping[str, Tool]) 
 
     Source: ``tool_calls`` of the OpenAI chat API, whose ``arguments`` are a string of JSON, possibly invalid.
     """
-    return [_native_call(call, tools) for call in calls]
+    return [_native_call(call, call_id(call, place), tools) for place, call in enumerate(calls)]
 
 
-def _native_call(call: Any, tools: Mapping[str, Tool]) -> ToolCall:
-    call_id = str(call.get("id") or "") if isinstance(call, Mapping) else ""
+def _native_call(call: Any, call_id: str, tools: Mapping[str, Tool]) -> ToolCall:
     function = call.get("function", call.get("custom")) if isinstance(call, Mapping) else None
     if not isinstance(function, Mapping) or not isinstance(function.get("name"), str):
         return ToolCall("", id=call_id, error="a native call must name a function")
@@ -63,7 +63,10 @@ def _native_arguments(function: Mapping[str, Any], tool: Tool | None) -> tuple[A
         return {tool.text_parameter: function["input"]}, None
     arguments = function.get("arguments") or {}
     if not isinstance(arguments, str):
-        return arguments, None
+        try:
+            arguments = json.dumps(arguments)  # what is no JSON could not be recorded
+        except (TypeError, ValueError, RecursionError) as error:
+            return None, f"its arguments are no valid JSON: {error}"[:200]
     content, problem = _loaded(arguments)
     return content, None if problem is None else f"its arguments are no valid JSON: {problem}"
 

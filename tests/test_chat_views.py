@@ -280,3 +280,24 @@ def test_a_task_may_say_what_the_bridge_is_found_by() -> None:
     assert env.step("GEM-BRIDGE-MARK!")[0] == (
         f"{first}GEM-BRIDGE-MARK!<|end|>\n<|user|>Heard: GEM-BRIDGE-MARK!<|end|>\n<|assistant|>"
     )
+
+
+@pytest.mark.parametrize("given", [{}, {"id": None}, {"id": ""}, {"id": 5}])
+def test_calls_without_a_usable_id_are_answered_all_the_same(given: dict[str, Any]) -> None:
+    """Servers demand that each call has an id, and that the messages of tools name it."""
+    env = Messages(ToolEnv(CountdownEnv(), [Notebook()]))
+    env.reset(seed=1, options={"left": 100})
+    call = {**given, "type": "function", "function": {"name": "note", "arguments": '{"line": "x"}'}}
+    *_, assistant, first, second = env.step(gem.Response("", tool_calls=[call, {**call, "id": "b"}]))[0]
+    ids = [called["id"] for called in assistant["tool_calls"]]
+    assert ids == [first["tool_call_id"], second["tool_call_id"]] == ["5" if given.get("id") else "call_0", "b"]
+
+
+@pytest.mark.parametrize("value", [float("nan"), object(), {1, 2}])
+def test_arguments_that_are_no_json_are_told_to_the_agent(value: object) -> None:
+    """``info`` stays plain JSON, whatever an agent of one's own hands over."""
+    env = ToolEnv(CountdownEnv(), [Notebook()])
+    env.reset(seed=1, options={"left": 100})
+    call = {"id": "a", "type": "function", "function": {"name": "note", "arguments": {"line": value}}}
+    info = env.step(gem.Response("", tool_calls=[call]))[4]
+    assert "no valid JSON" in json.dumps(info, allow_nan=False)

@@ -10,7 +10,7 @@ from gem_core.errors import ArgumentError, StateNotSupported
 from gem_core.spaces import Messages as MessagesSpace
 from gem_core.types import Observation, ResetResult
 from gem_core.wrapper import AnyEnv
-from gem_core.wrappers.views import ObservationView, Turn
+from gem_core.wrappers.views import ObservationView, Turn, call_id
 
 Message = dict[str, Any]
 
@@ -84,7 +84,7 @@ class Messages(ObservationView):
     def _assistant(self, turn: Turn) -> Message:
         message: Message = {"role": "assistant", "content": turn.action}
         if turn.tool_calls and turn.messages is not None:
-            message["tool_calls"] = [dict(call) for call in turn.tool_calls]
+            message["tool_calls"] = [{**call, "id": call_id(call, place)} for place, call in enumerate(turn.tool_calls)]
         if self.keep_reasoning and turn.reasoning:
             message["reasoning_content"] = turn.reasoning
         return message

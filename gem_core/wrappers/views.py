@@ -6,7 +6,7 @@ and ``info["suffix"]`` stay as the task wrote them. The chat views are in ``gem_
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
@@ -263,6 +263,12 @@ def texts_of(observation: Observation) -> list[str]:
             called = call.get("function", call.get("custom"))
             texts += map(str, called.values() if isinstance(called, dict) else ())
     return texts
+
+
+def call_id(call: object, place: int) -> str:
+    """Return the id of a native call, or one by its place where it has none, so that it can be answered."""
+    given = call.get("id") if isinstance(call, Mapping) else None
+    return str(given) if given else f"call_{place}"
 
 
 def without_thinking(action: str, tag: str = "think") -> str:
