@@ -155,3 +155,10 @@ def test_the_proxy_of_the_environment_is_used(
     with pytest.raises(RequestError, match=r"no host of this name|no connection"):
         ask(make_agent(base_url="http://near.invalid/v1", max_retries=0))
     assert ask(make_agent()) == "ok"
+
+
+@pytest.mark.parametrize("url", ["http://[::1/v1", "http://a..b/v1", f"http://{'a' * 64}/v1"])
+def test_hosts_that_cannot_be_are_refused_at_the_start(make_agent: MakeAgent, url: str) -> None:
+    """Else the look-up raises what is no error of ours."""
+    with pytest.raises(gem.errors.ArgumentError, match="the base URL must look like"):
+        make_agent(base_url=url)

@@ -319,6 +319,7 @@ class ChatClient:
         if self._link is None or self._link.loop is not loop:
             import aiohttp
 
+            proxy = None if _is_loopback(self.base_url) else _proxy_for(self.base_url)
             session = aiohttp.ClientSession(
                 connector=aiohttp.TCPConnector(limit=0, keepalive_timeout=_KEEP_ALIVE_S),
                 timeout=aiohttp.ClientTimeout(total=None, sock_connect=CONNECT_TIMEOUT_S),
@@ -326,7 +327,6 @@ class ChatClient:
                 headers={"User-Agent": f"gem-core/{__version__}"},
                 read_bufsize=2**20,
             )
-            proxy = None if _is_loopback(self.base_url) else _proxy_for(self.base_url)
             self._link = _Link(loop, session, asyncio.Semaphore(self._max_concurrency), proxy)
             weakref.finalize(self, _close_later, session, loop)
         return self._link

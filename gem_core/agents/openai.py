@@ -6,6 +6,7 @@ import json
 import math
 import os
 import re
+import urllib.parse
 import weakref
 from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
@@ -258,12 +259,20 @@ def _model_names(listing: Mapping[str, Any]) -> list[str] | None:
 
 def _checked_url(url: str) -> str:
     url = url.strip().rstrip("/")
-    if not re.fullmatch(r"https?://[^\s/@?#]+(/[^\s@?#]*)?", url):
+    if not re.fullmatch(r"https?://[^\s/@?#]+(/[^\s@?#]*)?", url) or not _has_host(url):
         # It is not shown: it may hold a password.
         raise ArgumentError(
             "the base URL must look like http://localhost:8000/v1, without a user, a query or a key in it"
         )
     return url
+
+
+def _has_host(url: str) -> bool:
+    """Tell whether the host can be looked up: a bracket may be open, or a label empty or too long."""
+    try:
+        return bool((urllib.parse.urlsplit(url).hostname or "").encode("idna"))
+    except ValueError:
+        return False
 
 
 def _checked_key_name(name: str) -> str:
