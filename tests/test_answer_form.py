@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gem_core.answer_form import AnswerForm
+from gem_core.agents.answer_form import AnswerForm
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,8 @@ import pytest
 from distributions import install, python
 
 import gem_core as gem
-from gem_core import diagnosis, requirements
+from gem_core import requirements
+from gem_core.cli import diagnosis
 from gem_core.registry import Registry
 
 if TYPE_CHECKING:
@@ -103,7 +104,9 @@ def test_json_has_versions_and_load_times(sites: dict[str, Path]) -> None:
 def test_diagnosis_loads_nothing_heavy(sites: dict[str, Path]) -> None:
     """Versions are read, not imported."""
     heavy = "[m for m in ('gymnasium', 'numpy', 'pydantic', 'gem_fine_env') if m in sys.modules]"
-    done = python(f"import sys\nfrom gem_core.diagnosis import diagnose\ndiagnose()\nprint({heavy})", [sites["fine"]])
+    done = python(
+        f"import sys\nfrom gem_core.cli.diagnosis import diagnose\ndiagnose()\nprint({heavy})", [sites["fine"]]
+    )
     assert done.stdout == "[]\n"
 
 

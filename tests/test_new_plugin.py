@@ -13,8 +13,8 @@ import pytest
 
 import gem_core
 from gem_core.cli import main
+from gem_core.cli.new_plugin import KINDS, names_of, render, write
 from gem_core.errors import ArgumentError
-from gem_core.new_plugin import KINDS, names_of, render, write
 
 ROOT = Path(__file__).parent.parent
 CHOICES = [*([kind] for kind in KINDS), ["tool", "wrapper"], list(KINDS)]
@@ -190,4 +190,6 @@ def test_installed_plugin_is_not_begun_again(
 def test_wheel_would_hold_the_templates() -> None:
     """They are files of the package, read as such."""
     for kind in KINDS:
-        assert (Path(gem_core.__file__).parent / "templates" / "plugin" / "package" / f"{kind}.py.tmpl").is_file()
+        assert (
+            Path(gem_core.__file__).parent / "cli" / "templates" / "plugin" / "package" / f"{kind}.py.tmpl"
+        ).is_file()

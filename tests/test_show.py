@@ -16,14 +16,14 @@ from hypothesis import strategies as st
 from recorded import broken, failed, hostile, maze, turn, write_all
 
 from gem_core.cli import main
+from gem_core.cli.viewing.diff import diff_lines
+from gem_core.cli.viewing.filters import matches_id, parse_comparison
+from gem_core.cli.viewing.pages import episode_lines
+from gem_core.cli.viewing.terminal import Paint, escaped, one_line
+from gem_core.cli.viewing.turns import parts_of, turn_views
 from gem_core.episodes import Episode, write_episodes
 from gem_core.errors import ArgumentError
 from gem_core.types import Response
-from gem_core.viewing.diff import diff_lines
-from gem_core.viewing.filters import matches_id, parse_comparison
-from gem_core.viewing.pages import episode_lines
-from gem_core.viewing.terminal import Paint, escaped, one_line
-from gem_core.viewing.turns import parts_of, turn_views
 
 ANY_TEXT = st.text(st.characters(codec=None, categories=None), max_size=60)
 PLAIN = Paint(False)

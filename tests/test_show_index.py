@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import broken, failed, maze, write_all
 
+from gem_core.cli.viewing.index import Entry, EpisodeFile
 from gem_core.episodes import Episode, read_episodes, write_episodes
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.viewing.index import Entry, EpisodeFile
 
 GOOD = json.dumps(maze().to_dict()).encode()
 LINES = st.one_of(
@@ -179,7 +179,7 @@ def test_a_folder_that_cannot_be_written_is_no_obstacle(tmp_path: Path, monkeypa
     def refuse(**options: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("gem_core.viewing.index.tempfile.mkstemp", refuse)
+    monkeypatch.setattr("gem_core.cli.viewing.index.tempfile.mkstemp", refuse)
     assert len(entries(path)) == 1
     assert [*tmp_path.iterdir()] == [path]
 

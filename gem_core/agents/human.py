@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from gem_core.agents.answer_form import AnswerForm
 from gem_core.agents.base import Context
-from gem_core.answer_form import AnswerForm
 from gem_core.cli.terminal import EndOfInput, Terminal, observation_text
 from gem_core.errors import AgentError, SamplingNotSupported
 from gem_core.types import Observation

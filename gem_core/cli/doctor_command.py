@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from gem_core.diagnosis import diagnose, listed
+from gem_core.cli.diagnosis import diagnose, listed
 
 _WIDTH = 80
 _INDENT = 4

@@ -7,8 +7,8 @@ from shlex import quote
 
 import click
 
+from gem_core.cli.new_plugin import KINDS, LICENSES, first_steps, names_of, render, write
 from gem_core.errors import ArgumentError
-from gem_core.new_plugin import KINDS, LICENSES, first_steps, names_of, render, write
 
 
 @click.command(

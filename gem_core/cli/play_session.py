@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from itertools import count
 from typing import TYPE_CHECKING, Any, cast
 
-from gem_core.answer_form import AnswerForm
+from gem_core.agents.answer_form import AnswerForm
 from gem_core.env import Env
 from gem_core.episodes import Episode, Transition
 from gem_core.errors import ArgumentError, NotSupportedError, SamplingNotSupported, StateNotSupported

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from gem_core.answer_form import AnswerForm
+from gem_core.agents.answer_form import AnswerForm
 from gem_core.cli.play_session import PlaySession
 from gem_core.cli.terminal import BLOCK, Terminal, observation_text, printable
 from gem_core.episodes import Episode, Transition

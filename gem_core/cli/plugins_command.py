@@ -7,7 +7,7 @@ import json
 import click
 
 from gem_core.cli.completion import complete_plugins
-from gem_core.diagnosis import described, listed
+from gem_core.cli.diagnosis import described, listed
 from gem_core.plugins import Plugin
 from gem_core.registry import registry
 

@@ -13,12 +13,12 @@ from typing import Any
 
 import click
 
+from gem_core.cli.viewing.filters import SORTS, Filters, chosen
+from gem_core.cli.viewing.index import Entry, EpisodeFile
+from gem_core.cli.viewing.pages import episode_lines, list_lines
+from gem_core.cli.viewing.terminal import Paint, in_terminal, one_line, wants_colours
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.jsonable import ImageFolder, to_plain
-from gem_core.viewing.filters import SORTS, Filters, chosen
-from gem_core.viewing.index import Entry, EpisodeFile
-from gem_core.viewing.pages import episode_lines, list_lines
-from gem_core.viewing.terminal import Paint, in_terminal, one_line, wants_colours
 
 _HTML_LIMIT = 500
 _SILENT_S = 2.0
@@ -144,14 +144,14 @@ def _show_episode(file: EpisodeFile, number: int, full: bool, as_json: bool) -> 
 
 
 def _show_diff(file: EpisodeFile, numbers: tuple[int, int]) -> None:
-    from gem_core.viewing.diff import diff_lines
+    from gem_core.cli.viewing.diff import diff_lines
 
     one, other = (file.read(_whole(file, number)) for number in numbers)
     _print(diff_lines(numbers, (one, other), Paint(wants_colours())))
 
 
 def _write_page(file: EpisodeFile, entries: Iterator[Entry], out: str, limit: int) -> None:
-    from gem_core.viewing.html import PageWriter
+    from gem_core.cli.viewing.html import PageWriter
 
     if os.path.realpath(out) == os.path.realpath(file.path):
         raise ArgumentError(f"--html {out} is the file of episodes itself; name another")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from itertools import chain, islice
 
+from gem_core.cli.viewing.index import Entry
+from gem_core.cli.viewing.terminal import Paint, one_line
+from gem_core.cli.viewing.turns import Part, TurnView, error_text, outcome_of, parts_of, start_of, turn_views
 from gem_core.episodes import Episode
-from gem_core.viewing.index import Entry
-from gem_core.viewing.terminal import Paint, one_line
-from gem_core.viewing.turns import Part, TurnView, error_text, outcome_of, parts_of, start_of, turn_views
 
 _HEADERS = ("number", "environment", "outcome", "return", "turns", "seed", "group", "error")
 _TO_THE_RIGHT = {0, 3, 4, 5}

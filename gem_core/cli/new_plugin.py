@@ -74,7 +74,7 @@ def names_of(name: str) -> Names:
 
 def render(names: Names, kinds: Sequence[str], license_name: str = "Apache-2.0") -> dict[str, str]:
     """Return the text of every file of a new plugin, by its path in the distribution."""
-    folder = files("gem_core.templates") / "plugin"
+    folder = files("gem_core.cli.templates") / "plugin"
     chosen = [kind for kind in KINDS if kind in kinds]
     words = {**vars(names), **_words(names, folder, chosen, license_name)}
 

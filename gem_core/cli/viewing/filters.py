@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
+from gem_core.cli.viewing.index import Entry, EpisodeFile
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.viewing.index import Entry, EpisodeFile
 
 _OPERATORS: dict[str, Callable[[float, float], bool]] = {
     ">=": operator.ge,

@@ -16,11 +16,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from gem_core.cli.viewing.terminal import escaped
+from gem_core.cli.viewing.turns import Part, TurnView, error_text, outcome_of, parts_of, start_of, turn_views
 from gem_core.episodes import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.jsonable import ImageFolder
-from gem_core.viewing.terminal import escaped
-from gem_core.viewing.turns import Part, TurnView, error_text, outcome_of, parts_of, start_of, turn_views
 
 MOST_TEXT = 100_000
 """Characters of one text that go into the page; a browser is slow with more."""
@@ -73,7 +73,7 @@ class PageWriter:
             count = len(self._left_out_images)
             notes.append(f"Images that cannot be read, or would be too much: {count}. Their names stand instead.")
         data = {"title": escaped(self.title), "notes": notes, "episodes": self._episodes, "images": self._image_data}
-        assets = resources.files("gem_core.viewing") / "assets"
+        assets = resources.files("gem_core.cli.viewing") / "assets"
         style, script, page = (
             (assets / name).read_text(encoding="utf-8").replace("\r\n", "\n")
             for name in ("page.css", "page.js", "page.html")
