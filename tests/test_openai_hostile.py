@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import traceback
 from pathlib import Path
 from typing import Any
@@ -117,14 +118,21 @@ def test_names_of_models_are_shown_on_one_line(server: ChatServer, make_agent: M
 
 
 @pytest.mark.parametrize("raw", [NESTED, VERY_NESTED])
-def test_nested_chunks_are_a_fault(server: ChatServer, make_agent: MakeAgent, raw: bytes) -> None:
-    """Of a stream, too."""
+def test_nested_chunks_are_a_fault_or_left_out(server: ChatServer, make_agent: MakeAgent, raw: bytes) -> None:
+    """Of a stream, too. How deep Python itself reads JSON differs between its versions."""
     whole = json.dumps({"choices": [{"delta": {"content": "a"}, "finish_reason": "stop"}], "usage": "RAW"}).encode()
     body = b"data: " + whole.replace(b'"RAW"', b'{"a":' + raw + b"}") + b"\n\ndata: [DONE]\n\n"
     server.otherwise = Reply(body, headers={"Content-Type": "text/event-stream"})
     agent = make_agent(stream=True, max_retries=0)
-    with pytest.raises(RequestError, match=r"no valid JSON|nested too deeply"):
-        ask(agent)
+    outcome: gem.Response | RequestError
+    try:
+        outcome = ask(agent)
+    except RequestError as error:
+        outcome = error
+    if isinstance(outcome, RequestError):
+        assert re.search(r"no valid JSON|nested too deeply", str(outcome))
+    else:
+        assert (outcome, outcome.usage) == ("a", None)
 
 
 def test_passwords_in_netrc_are_neither_sent_nor_in_the_way(
