@@ -213,6 +213,22 @@ def test_errors_that_an_environment_reports_spend_the_budget_too() -> None:
         vector.step(["a"])
 
 
+@pytest.mark.parametrize("error", ["out of order", {"kind": "out of order"}])
+def test_a_reported_error_of_any_form_spends_the_budget(error: Any) -> None:
+    """A plain text is one too, and one without a message is shown whole."""
+
+    class Terse(CountdownEnv):
+        def step(self, action: str) -> Any:
+            return gem.TERMINAL_STATE, 0.0, False, True, {"error": error}
+
+    vector = SyncVectorEnv.around(Terse(), seed=0)
+    vector.reset()
+    for _ in range(16):
+        vector.step(["a"])
+    with pytest.raises(FaultBudgetError, match="out of order"):
+        vector.step(["a"])
+
+
 def test_on_error_raise_shows_where_it_fails() -> None:
     """For debugging, with the cause attached."""
     vector = make(1, fail="step", on_error="raise")

@@ -78,7 +78,7 @@ class FaultBudget:
                     advice = "It is the agent that fails, or the server that it asks, not the environment"
                 raise FaultBudgetError(
                     f"{self._in_a_row} faults in a row without one finished episode; the last, in {what}: "
-                    f"{error['message']}. {advice}"
+                    f"{error.get('message', error)}. {advice}"
                 )
 
 
