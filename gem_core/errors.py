@@ -26,6 +26,7 @@
     ├── EnvFaultError              an environment failed and on_error="raise"
     ├── FaultBudgetError           replacements fail again and again
     ├── RequestError               a model server did not answer, whatever the answer would have been
+    │   └── ContextOverflowError   the history is longer than the model takes: truncated, and scored
     ├── AgentError                 an agent that cannot be called, or did not return text
     ├── GradingError               a verdict could not be reached; never a reward of 0
     ├── DatasetError               rows that are missing, empty or without a needed column
@@ -138,6 +139,10 @@ class FaultBudgetError(GemError):
 
 class RequestError(GemError):
     """A model server did not answer a request, whatever the answer would have been: an error of that episode."""
+
+
+class ContextOverflowError(RequestError):
+    """The history has grown beyond what the model takes: the episode is truncated and scored, and is no error."""
 
 
 class AgentError(GemError, TypeError):

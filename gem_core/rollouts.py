@@ -9,7 +9,7 @@ from gem_core import __version__
 from gem_core.agents.asking import Asking, Outcome
 from gem_core.agents.base import Agent, Context, as_agent, prepare_agent
 from gem_core.episodes import Episode, Transition
-from gem_core.errors import ArgumentError, RequestError
+from gem_core.errors import ArgumentError, ContextOverflowError, RequestError
 from gem_core.plans import Draw, DrawSource, PlanItem, count_plan, cover_plan
 from gem_core.registry import make_vec, registry
 from gem_core.types import TERMINAL_STATE, Info, Observation, Response
@@ -127,7 +127,8 @@ def _stepped(vector: VectorEnv, running: dict[int, _Running], answers: Mapping[i
     for slot, failure in answers.items():
         if isinstance(failure, RequestError):
             episode = running.pop(slot).give_up(failure)
-            observation, info = vector.give_up(slot, str(failure))
+            fault = None if isinstance(failure, ContextOverflowError) else str(failure)
+            observation, info = vector.give_up(slot, fault)
             yield episode
             yield from _started(vector, running, slot, observation, info)
 
@@ -158,8 +159,10 @@ class _Running:
         self.context.info = info
 
     def give_up(self, error: RequestError) -> Episode:
-        """End the episode because its agent could not be asked; return it."""
-        reported = {"error": {"kind": "agent", "message": str(error)}}
+        """End the episode because its agent could not be asked, or its history has grown too long; return it."""
+        reported: Info = {"error": {"kind": "agent", "message": str(error)}}
+        if isinstance(error, ContextOverflowError):
+            reported = {"context_overflow": True}
         if self.episode.transitions:
             last = self.episode.transitions[-1]
             last.truncated, last.info = True, {**last.info, **reported}

@@ -29,7 +29,7 @@ from chat_server import (
 
 import gem_core as gem
 from gem_core.background import run_sync
-from gem_core.errors import RequestError
+from gem_core.errors import ContextOverflowError, RequestError
 
 # What is sent.
 
@@ -328,15 +328,16 @@ def test_refused_extras_are_dropped_once_and_remembered(server: ChatServer, make
         assert chat["max_completion_tokens"] == 9
 
 
-def test_a_history_that_overflows_ends_in_silence_and_is_scored(server: ChatServer, make_agent: MakeAgent) -> None:
+def test_a_history_that_overflows_truncates_and_is_scored(server: ChatServer, make_agent: MakeAgent) -> None:
     """But a first prompt that is too long is an error: it may be a wrong max_tokens."""
     overflow = error(400, "This model's maximum context length is 8 tokens", "context_length_exceeded")
     server.script = [overflow, overflow]
     agent = make_agent()
-    response = ask(agent, turn=1)
-    assert (response, response.finish_reason) == ("", "length")
-    with pytest.raises(RequestError, match="maximum context length"):
+    with pytest.raises(ContextOverflowError, match="the history is longer than"):
+        ask(agent, turn=1)
+    with pytest.raises(RequestError, match="maximum context length") as caught:
         ask(agent, turn=0)
+    assert not isinstance(caught.value, ContextOverflowError)
 
 
 # Concurrency.

@@ -16,7 +16,7 @@ from toys import CountdownEnv
 import gem_core as gem
 from gem_core.background import run_sync
 from gem_core.episodes import EpisodeWriter, read_episodes
-from gem_core.errors import RequestError
+from gem_core.errors import ContextOverflowError, RequestError
 
 NESTED = b"[" * 900 + b"]" * 900
 VERY_NESTED = b"[" * 100_000 + b"]" * 100_000
@@ -85,7 +85,8 @@ def test_a_short_key_hides_nothing_that_matters(
     """Local servers are given any word for a key."""
     monkeypatch.setenv("OPENAI_API_KEY", "x")
     server.otherwise = error(400, "This model's maximum context length is 10 tokens.")
-    assert ask(make_agent(max_retries=0), turn=3).finish_reason == "length"
+    with pytest.raises(ContextOverflowError):
+        ask(make_agent(max_retries=0), turn=3)
 
 
 def test_images_of_tools_follow_as_a_message_of_the_user(server: ChatServer, make_agent: MakeAgent) -> None:

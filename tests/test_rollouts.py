@@ -16,7 +16,14 @@ from toys import CountdownEnv, Notebook, sampling_agent
 import gem_core as gem
 from gem_core.agents.base import Context, as_agent, close_agent, load_agent
 from gem_core.episodes import read_episodes, write_episodes
-from gem_core.errors import AgentError, ArgumentError, FaultBudgetError, RequestError, UnknownAgentError
+from gem_core.errors import (
+    AgentError,
+    ArgumentError,
+    ContextOverflowError,
+    FaultBudgetError,
+    RequestError,
+    UnknownAgentError,
+)
 from gem_core.plans import PlanItem, group_plan
 from gem_core.tool_env import ToolEnv
 from gem_core.vector.sync import SyncVectorEnv
@@ -157,6 +164,22 @@ def test_a_request_that_fails_is_an_error_of_its_episode(asynchronous: bool) -> 
         None,
     ]
     assert episodes[2].transitions[-1].truncated is True
+
+
+def test_a_history_too_long_for_the_model_truncates_and_is_scored() -> None:
+    """No error, no fault, and no action that was never sampled, however many episodes end so."""
+
+    def agent(observation: gem.Observation, context: Context) -> str:
+        if context.turn == 1:
+            raise ContextOverflowError("too long")
+        return "a"
+
+    plan = [PlanItem(options={"left": 3})] * 40
+    episodes = list(gem.rollout(COUNTDOWN, agent, plan=plan, seed=0))
+    assert len(episodes) == 40
+    for episode in episodes:
+        assert (episode.turns, episode.error, episode.episode_return) == (1, None, 1.0)
+        assert (episode.transitions[-1].truncated, episode.final_info["context_overflow"]) == (True, True)
 
 
 def test_a_server_that_never_answers_stops_the_run() -> None:

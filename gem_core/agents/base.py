@@ -60,8 +60,8 @@ Agent = Callable[[Observation, Context], Answer]
 
 It may have ``prepare()``, called before the first episode, perhaps more than once, which raises what must be said at
 the start, and ``close()`` or ``aclose()``; each plain or a coroutine function. It raises ``RequestError`` where the
-machinery behind it failed and only that episode is lost. ``max_concurrency`` says how many episodes keep it busy;
-``interactive``, that it answers one at a time.
+machinery behind it failed and only that episode is lost, and ``ContextOverflowError`` where the history is too long for
+it. ``max_concurrency`` says how many episodes keep it busy; ``interactive``, that it answers one at a time.
 """
 
 

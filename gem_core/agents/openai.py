@@ -15,7 +15,14 @@ from gem_core.agents.base import Context
 from gem_core.agents.chat_client import ChatClient, ServerFault, check_installed
 from gem_core.agents.chat_format import has_images, messages_from
 from gem_core.background import in_thread, on_library_loop
-from gem_core.errors import ArgumentError, GemError, MissingRequirementError, RequestError, UnknownModelError
+from gem_core.errors import (
+    ArgumentError,
+    ContextOverflowError,
+    GemError,
+    MissingRequirementError,
+    RequestError,
+    UnknownModelError,
+)
 from gem_core.suggestions import did_you_mean
 from gem_core.types import Observation, Response
 
@@ -157,8 +164,7 @@ class OpenAIAgent:
             response = await self._ask(payload, self._timeout_s, context.deadline)
         except ServerFault as fault:
             if context.turn > 0 and fault.status == 400 and _OVERFLOW.search(fault.body):
-                # The history has grown beyond what the model takes: it has nothing more to say, and that is scored.
-                return Response("", finish_reason="length", model=self.model)
+                raise ContextOverflowError(f"the history is longer than {self.model} takes") from None
             self._raise(fault)
         self._answered = True
         return response

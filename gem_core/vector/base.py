@@ -102,8 +102,14 @@ class VectorEnv(ABC):
         """
 
     @abstractmethod
-    def give_up(self, slot: int, reason: str) -> tuple[Observation, Info]:
-        """Begin the next episode of a slot in the middle of one, whose agent failed; this counts as a fault."""
+    def give_up(self, slot: int, fault: str | None) -> tuple[Observation, Info]:
+        """Begin the next episode of a slot in the middle of one.
+
+        Args:
+            slot: Number of the slot.
+            fault: What failed in the machinery of its agent, counted as a fault; None where nothing failed, as when
+                the history is longer than the model takes.
+        """
 
     @abstractmethod
     def draw_of(self, slot: int) -> Draw | None:

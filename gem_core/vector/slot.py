@@ -176,9 +176,12 @@ class Slot:
         first_info["final_obs"], first_info["final_info"] = observation, info
         return SlotStep(first_observation, reward, terminated, truncated, first_info)
 
-    def give_up(self, reason: str) -> ResetResult:
-        """Begin the next episode in the middle of one, whose agent failed; this spends the budget of faults."""
-        self._budget.spend({"kind": "agent", "message": reason}, self._name())
+    def give_up(self, fault: str | None) -> ResetResult:
+        """Begin the next episode in the middle of one; what failed spends the budget of faults, None does not."""
+        if fault is None:
+            self._budget.finished()
+        else:
+            self._budget.spend({"kind": "agent", "message": fault}, self._name())
         return self.begin()
 
     def sample_random_action(self) -> str:

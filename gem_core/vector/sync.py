@@ -140,9 +140,9 @@ class SyncVectorEnv(VectorEnv):
         observations, rewards, terminated, truncated, infos = zip(*results, strict=True)
         return VectorStep(list(observations), np.array(rewards), np.array(terminated), np.array(truncated), list(infos))
 
-    def give_up(self, slot: int, reason: str) -> tuple[Observation, Info]:
+    def give_up(self, slot: int, fault: str | None) -> tuple[Observation, Info]:
         """Begin the next episode of a slot in the middle of one; see ``VectorEnv.give_up``."""
-        return self._slots[slot].give_up(reason)
+        return self._slots[slot].give_up(fault)
 
     def draw_of(self, slot: int) -> Draw | None:
         """Return what the present episode of a slot started from."""
