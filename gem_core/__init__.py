@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from gem_core.parsing import extract_code_blocks, extract_last_boxed_answer, extract_last_tagged_answer
     from gem_core.plans import PlanItem
     from gem_core.registry import list_envs, make, make_vec, print_envs, register, spec
-    from gem_core.rollouts import rollout
+    from gem_core.rollouts import arollout, rollout
     from gem_core.specs import AgentSpec, CommandSpec, EnvSpec, ToolSpec, VectorBackendSpec, WrapperSpec
     from gem_core.tool_env import ToolEnv
     from gem_core.tools import Tool, ToolCall, ToolResult
     from gem_core.types import TERMINAL_STATE, Observation, Response
-    from gem_core.vector.base import VectorEnv
+    from gem_core.vector.env import VectorEnv
     from gem_core.wrapper import Wrapper
 
 __version__ = "0.1.0"
@@ -44,12 +44,12 @@ _HOME = {
     "parsing": ("extract_code_blocks", "extract_last_boxed_answer", "extract_last_tagged_answer"),
     "plans": ("PlanItem",),
     "registry": ("list_envs", "make", "make_vec", "print_envs", "register", "spec"),
-    "rollouts": ("rollout",),
+    "rollouts": ("arollout", "rollout"),
     "specs": ("AgentSpec", "CommandSpec", "EnvSpec", "ToolSpec", "VectorBackendSpec", "WrapperSpec"),
     "tool_env": ("ToolEnv",),
     "tools": ("Tool", "ToolCall", "ToolResult"),
     "types": ("TERMINAL_STATE", "Observation", "Response"),
-    "vector.base": ("VectorEnv",),
+    "vector.env": ("VectorEnv",),
     "wrapper": ("Wrapper",),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
@@ -79,6 +79,7 @@ __all__ = [
     "Wrapper",
     "WrapperSpec",
     "__version__",
+    "arollout",
     "extract_code_blocks",
     "extract_last_boxed_answer",
     "extract_last_tagged_answer",

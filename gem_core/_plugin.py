@@ -51,12 +51,23 @@ def gem_register_wrappers() -> Iterable[WrapperSpec]:
 @hookimpl
 def gem_register_vector_backends() -> Iterable[VectorBackendSpec]:
     """The backends that need nothing but the core."""
+    backends = "gem_core.vector.backends"
     return [
         VectorBackendSpec(
             name="sync",
-            entry_point="gem_core.vector.sync:SyncVectorEnv",
+            entry_point=f"{backends}:sync",
             summary="Steps one environment after another, in this thread.",
-        )
+        ),
+        VectorBackendSpec(
+            name="async",
+            entry_point=f"{backends}:asynchronous",
+            summary="Steps environments in place, in threads or on an event loop, as each asks for.",
+        ),
+        VectorBackendSpec(
+            name="process",
+            entry_point=f"{backends}:processes",
+            summary="Steps environments in worker processes, which can be killed.",
+        ),
     ]
 
 

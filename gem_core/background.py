@@ -9,7 +9,10 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import contextvars
+import functools
+import queue
 import threading
+import weakref
 from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar
 
@@ -104,6 +107,65 @@ async def in_thread(function: Callable[..., T], *args: Any) -> T:
     return await asyncio.wrap_future(future)
 
 
+class DaemonPool:
+    """Threads that take work in turn, as many as are needed at once, and that hold up nothing at exit.
+
+    The threads of ``concurrent.futures`` are joined at exit, so that one hung job would keep the interpreter alive.
+
+    Args:
+        name: Of its threads.
+        most: Threads at once; further work waits for one.
+    """
+
+    def __init__(self, name: str, most: int = 1024) -> None:
+        self._name, self._most = name, most
+        self._pool_lock = threading.Lock()
+        self._open_queue()
+
+    def _open_queue(self) -> None:
+        self._work: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
+        self._threads = self._open = 0
+        # Threads that wait hold the queue alone, so that a pool nobody uses any more is collected, and ends them.
+        self._finalizer = weakref.finalize(self, _end_threads, self._work, self._most)
+        self._finalizer.atexit = False
+
+    def submit(self, work: Callable[[], object]) -> None:
+        """Do some work, which sees to its own errors, in a thread."""
+        with self._pool_lock:
+            self._open += 1
+            if self._open > self._threads < self._most:
+                self._threads += 1
+                threading.Thread(target=_work_off, args=(self._work,), name=self._name, daemon=True).start()
+        self._work.put(functools.partial(self._do, work))
+
+    def close(self) -> None:
+        """Let the threads end once they have nothing to do; the pool can be used again."""
+        with self._pool_lock:
+            if self._threads:
+                self._finalizer()
+                self._open_queue()
+
+    def _do(self, work: Callable[[], object]) -> None:
+        queue_of_work = self._work
+        try:
+            work()
+        finally:
+            with self._pool_lock:
+                if self._work is queue_of_work:
+                    self._open -= 1
+
+
+def _work_off(work: queue.SimpleQueue[Callable[[], object] | None]) -> None:
+    while (job := work.get()) is not None:
+        job()
+        del job  # while it waits, a thread holds nothing of what it did
+
+
+def _end_threads(work: queue.SimpleQueue[Callable[[], object] | None], count: int) -> None:
+    for _ in range(count):
+        work.put(None)
+
+
 def _serve(loop: asyncio.AbstractEventLoop) -> None:
     asyncio.set_event_loop(loop)
     while not loop.is_closed():
@@ -114,6 +176,11 @@ def _serve(loop: asyncio.AbstractEventLoop) -> None:
             # for the task gets them there; all others would wait for ever if the loop were not run on.
             continue
         return
+
+
+def on_background_loop() -> bool:
+    """Tell whether the caller runs on the library's own event loop."""
+    return _loop is not None and _running_loop() is _loop
 
 
 def _running_loop() -> asyncio.AbstractEventLoop | None:

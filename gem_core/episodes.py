@@ -67,6 +67,7 @@ class Episode:
         group: Shared by episodes that started alike.
         key: The item's place in the plan.
         repeat: Which of the item's episodes it is, from 0.
+        run_seed: Seed of the run.
         versions: Version of each distribution that took part.
         schema_version: Version of this record's form.
     """
@@ -84,6 +85,7 @@ class Episode:
     group: str | None = None
     key: str = "0"
     repeat: int = 0
+    run_seed: int | None = None
     versions: dict[str, str] = field(default_factory=dict)
     schema_version: int = SCHEMA_VERSION
 
@@ -167,10 +169,11 @@ class Episode:
                 raise EpisodeFileError(f"the record of an episode is damaged: {name} is {getattr(self, name)!r:.100}")
 
     def __eq__(self, other: object) -> bool:
-        """Compare all but durations (``info["episode"]["t"]``)."""
+        """Compare all but durations (``info["episode"]["t"]``) and the run that it belongs to."""
         if not isinstance(other, Episode):
             return NotImplemented
-        return bool(_without_durations(self.to_dict()) == _without_durations(other.to_dict()))
+        first, second = ({**_without_durations(each.to_dict()), "run_seed": None} for each in (self, other))
+        return bool(first == second)
 
     __hash__ = None  # type: ignore[assignment]  # records are mutable
 

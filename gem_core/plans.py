@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any, overload
 
 from gem_core.errors import ArgumentError
 from gem_core.seeding import checked_seed, fresh_seed, stable_hash
@@ -38,7 +38,12 @@ class PlanItem:
     repeat: int = 1
 
 
-class Draw(NamedTuple):
+_ANY = PlanItem()
+"""What an episode without a plan starts from."""
+
+
+@dataclass(slots=True)
+class Draw:
     """One episode of a plan, as a slot draws it.
 
     Args:
@@ -46,14 +51,19 @@ class Draw(NamedTuple):
         key: The item's place in the plan; without a plan, ``"slot.count"``.
         repeat: Which of the item's episodes it is, from 0.
         seed: Seed of the episode, shared by the item's repeats.
-        action_seed: Seed of ``sample_random_action``, different for each repeat.
+        run_seed: Seed of the run.
     """
 
     item: PlanItem
     key: str
     repeat: int
     seed: int
-    action_seed: int
+    run_seed: int
+
+    @property
+    def action_seed(self) -> int:
+        """Seed of ``sample_random_action``, different for each repeat."""
+        return stable_hash(self.run_seed, "actions", *map(int, self.key.split(".")), self.repeat)
 
 
 class DrawSource:
@@ -72,6 +82,25 @@ class DrawSource:
         self._lock = threading.Lock()
         self._draws = iter(()) if plan is None else self._expanded(plan)
         self._counts: dict[int, int] = {}
+        self._skipped: Mapping[tuple[str, int], int | None] = {}
+
+    @property
+    def total(self) -> int | None:
+        """Number of episodes of a plan that has a length; None for any other."""
+        if not isinstance(self._plan, Collection):
+            return None
+        return len(self._plan) if isinstance(self._plan, _Items) else sum(item.repeat for item in self._plan)
+
+    def skip(self, done: Mapping[tuple[str, int], int | None]) -> None:
+        """Leave episodes out.
+
+        Args:
+            done: The seed of each, by key and repeat.
+
+        Raises:
+            ArgumentError: While drawing, an episode that is left out has another seed: it is of another run.
+        """
+        self._skipped = done
 
     def restarted(self, seed: int | None = None) -> DrawSource:
         """Return the same draws from the beginning.
@@ -97,7 +126,7 @@ class DrawSource:
                 return next(self._draws, None)
             count = self._counts.get(slot, 0)
             self._counts[slot] = count + 1
-            return self._made(PlanItem(), f"{slot}.{count}", 0, (slot, count))
+            return self._made(_ANY, f"{slot}.{count}", 0, (slot, count))
 
     def _expanded(self, plan: Iterable[PlanItem]) -> Iterator[Draw]:
         for index, item in enumerate(plan):
@@ -110,11 +139,18 @@ class DrawSource:
             if item.repeat > 1 and item.group is None:
                 item = replace(item, group=str(index))
             for repeat in range(item.repeat):
-                yield self._made(item, str(index), repeat, (index,))
+                draw = self._made(item, str(index), repeat, (index,))
+                if (draw.key, repeat) not in self._skipped:
+                    yield draw
+                elif self._skipped[draw.key, repeat] != draw.seed:
+                    raise ArgumentError(
+                        f"the episode with the key {draw.key!r} was started from another seed than this plan gives it: "
+                        "it is of another run; resume with the plan and the seed of the first time"
+                    )
 
     def _made(self, item: PlanItem, key: str, repeat: int, parts: tuple[int, ...]) -> Draw:
         seed = stable_hash(self.seed, "episode", *parts) if item.seed is None else item.seed
-        return Draw(item, key, repeat, seed, stable_hash(self.seed, "actions", *parts, repeat))
+        return Draw(item, key, repeat, seed, self.seed)
 
 
 def _seed_of(seed: int, index: int) -> int:
@@ -124,7 +160,60 @@ def _seed_of(seed: int, index: int) -> int:
         raise ArgumentError(f"{error} (plan item {index})") from None
 
 
-def count_plan(ids: Iterable[str | None], episodes: int) -> list[PlanItem]:
+class _Items(Sequence[PlanItem]):
+    """The items of a plan, each made when it is asked for, so that millions take no memory.
+
+    Args:
+        count: Number of items, of one episode each.
+        item: Makes the item at a place.
+    """
+
+    def __init__(self, count: int, item: Callable[[int], PlanItem]) -> None:
+        self._count, self._item = count, item
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, place: int) -> PlanItem: ...
+    @overload
+    def __getitem__(self, place: slice) -> list[PlanItem]: ...
+    def __getitem__(self, place: int | slice) -> PlanItem | list[PlanItem]:
+        if isinstance(place, slice):
+            return [self._item(index) for index in range(*place.indices(self._count))]
+        if not -self._count <= place < self._count:
+            raise IndexError(f"there are {self._count} items, and none at {place}")
+        return self._item(place % self._count)
+
+    def __eq__(self, other: object) -> bool:
+        return list(self) == other if isinstance(other, list) else self is other
+
+    __hash__ = None  # type: ignore[assignment]  # it equals a list
+
+
+def interleaved(parts: Sequence[Sequence[PlanItem]]) -> Sequence[PlanItem]:
+    """Return a plan that takes the items of several in turn, until each is exhausted."""
+    if len(parts) == 1:
+        return parts[0]
+    # From each length on at which a part ends, fewer take turns.
+    lengths = sorted({len(part) for part in parts})
+    starts: list[tuple[int, int, list[Sequence[PlanItem]]]] = []
+    begun = row = 0
+    for length in lengths:
+        present = [part for part in parts if len(part) >= length]
+        starts.append((begun, row, present))
+        begun += (length - row) * len(present)
+        row = length
+
+    def item(place: int) -> PlanItem:
+        begun, row, present = next(start for start in reversed(starts) if start[0] <= place)
+        rows, part = divmod(place - begun, len(present))
+        return present[part][row + rows]
+
+    return _Items(begun, item)
+
+
+def count_plan(ids: Iterable[str | None], episodes: int) -> Sequence[PlanItem]:
     """Return a plan of so many episodes for each id, taking the ids in turn.
 
     Args:
@@ -133,11 +222,11 @@ def count_plan(ids: Iterable[str | None], episodes: int) -> list[PlanItem]:
     """
     if episodes < 0:
         raise ArgumentError(f"episodes must be a whole number from 0 up, not {episodes!r}")
-    ids = list(ids)
-    return [PlanItem(id=env_id) for _ in range(episodes) for env_id in ids]
+    items = [PlanItem(id=env_id) for env_id in ids]
+    return _Items(episodes * len(items), lambda place: items[place % len(items)])
 
 
-def cover_plan(env_id: str | None, num_tasks: int, *, episodes: int | None = None) -> list[PlanItem]:
+def cover_plan(env_id: str | None, num_tasks: int, *, episodes: int | None = None) -> Sequence[PlanItem]:
     """Return a plan that takes the rows of a data set in order.
 
     Args:
@@ -148,7 +237,7 @@ def cover_plan(env_id: str | None, num_tasks: int, *, episodes: int | None = Non
     count = num_tasks if episodes is None else episodes
     if num_tasks < 1:
         raise ArgumentError(f"there is no row to take: {env_id or 'the environment'} has {num_tasks} tasks")
-    return [PlanItem(id=env_id, options={"index": index % num_tasks}) for index in range(count)]
+    return _Items(count, lambda place: PlanItem(id=env_id, options={"index": place % num_tasks}))
 
 
 def mixture_plan(weights: Mapping[str, float], episodes: int) -> list[PlanItem]:

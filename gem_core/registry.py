@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -26,7 +26,8 @@ from gem_core.suggestions import did_you_mean
 if TYPE_CHECKING:
     from gem_core.making import MadeSpec, Wrappers
     from gem_core.plans import PlanItem
-    from gem_core.vector.base import VectorEnv
+    from gem_core.vector.env import VectorEnv
+    from gem_core.vector.slot import Autoreset, OnError
     from gem_core.wrapper import AnyEnv
 
 N = TypeVar("N", bound=NamedSpec)
@@ -331,11 +332,13 @@ def make_vec(
     ids: str | Sequence[str],
     num_envs: int | None = None,
     *,
-    backend: str = "auto",
+    backend: str | tuple[str, Mapping[str, Any]] = "auto",
+    autoreset: Autoreset = "same_step",
     wrappers: Wrappers = (),
     seed: int | None = None,
     plan: Iterable[PlanItem] | None = None,
-    on_error: str = "truncate",
+    step_timeout: float | None = None,
+    on_error: OnError = "truncate",
     **kwargs: Any,
 ) -> VectorEnv:
     """Make several environments that are reset and stepped together.
@@ -344,10 +347,19 @@ def make_vec(
         ids: One id, or several for a mixed batch; the slots take them in turn. Where there are fewer slots than ids, a
             plan reaches them all, as that of ``rollout`` does.
         num_envs: Number of slots; by default one for each id.
-        backend: ``"auto"``, or the name of a backend.
+        backend: Where environments live: ``"sync"``, ``"async"``, ``"process"``, one that a plugin brings, or
+            ``"auto"``, which chooses by each environment's ``concurrency``. Its options go along as in
+            ``("process", {"workers": 4})``.
+        autoreset: When the next episode begins. ``"same_step"``: in the step that ended the last one, whose end is in
+            ``info["final_obs"]`` and ``info["final_info"]``. ``"next_step"``: in the next step, whose action is
+            ignored. ``"disabled"``: when ``reset(options={"reset_mask": …})`` says so.
         wrappers: Put around each environment; see ``make``.
         seed: Seed of the run, from which every episode's own is made; None draws one, found as ``vec.seed``.
         plan: What episodes start from, drawn by all slots; see ``gem_core.plans``.
+        step_timeout: Seconds that a step, or a reset with the making of its environment, may take; None for as long as
+            it likes. What takes longer is given up as a fault of its slot: its thread is abandoned, or its worker
+            killed. What runs in place cannot be given up: it goes to worker processes under ``"auto"``, and is refused
+            by ``"sync"`` and ``"async"``.
         on_error: ``"truncate"`` ends the episode of an environment that fails and replaces it; ``"raise"`` raises.
         **kwargs: Keyword arguments for every environment.
 
@@ -357,6 +369,8 @@ def make_vec(
         ArgumentError: A value that is not accepted.
     """
     from gem_core.making import construct
+    from gem_core.vector import backends
+    from gem_core.vector.setup import VectorSetup, slot_ids
 
     id_list = [ids] if isinstance(ids, str) else list(ids)
     if not id_list:
@@ -366,17 +380,20 @@ def make_vec(
     count = len(id_list) if num_envs is None else num_envs
     if not isinstance(count, int) or count < 1:
         raise ArgumentError(f"num_envs must be a positive whole number, not {count!r}")
-    record = _registry.backend("sync" if backend == "auto" else backend)
-    vector: VectorEnv = construct(
-        record,
-        id_list,
-        num_envs=count,
+    name, options = (backend, {}) if isinstance(backend, str) else backend
+    record = VectorBackendSpec(name="auto", entry_point=backends.auto) if name == "auto" else _registry.backend(name)
+    setup = VectorSetup(
+        ids=slot_ids(id_list, count),
+        all_ids=list(dict.fromkeys(id_list)),
         wrappers=wrappers,
+        kwargs=kwargs,
         seed=seed,
         plan=plan,
+        autoreset=autoreset,
+        step_timeout=step_timeout,
         on_error=on_error,
-        env_kwargs=kwargs,
     )
+    vector: VectorEnv = construct(record, setup, **options)
     return vector
 
 

@@ -142,7 +142,7 @@ class WrapperSpec(NamedSpec):
 
 @dataclass(frozen=True, kw_only=True)
 class VectorBackendSpec(NamedSpec):
-    """A vector backend: the entry point is a subclass of ``VectorEnv``."""
+    """A vector backend: the entry point takes a ``VectorSetup`` and options by keyword, and returns a ``VectorEnv``."""
 
     kind: ClassVar[str] = "vector backend"
 

@@ -26,7 +26,6 @@ from gem_core.errors import (
 )
 from gem_core.plans import PlanItem, group_plan
 from gem_core.tool_env import ToolEnv
-from gem_core.vector.sync import SyncVectorEnv
 
 COUNTDOWN = "toy:Countdown-v0"
 SUMS = "toy:Sums-v0"
@@ -390,8 +389,8 @@ def test_option_of_an_agent_is_not_its_context() -> None:
 def test_what_was_made_for_the_run_is_closed_and_what_was_given_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever makes a vector environment closes it."""
     closed: list[str] = []
-    close = SyncVectorEnv.close
-    monkeypatch.setattr(SyncVectorEnv, "close", lambda self: (closed.append("closed"), close(self))[1])
+    close = gem.VectorEnv.close
+    monkeypatch.setattr(gem.VectorEnv, "close", lambda self: (closed.append("closed"), close(self))[1])
     list(gem.rollout(gem.make_vec(COUNTDOWN, 1), sampling_agent, episodes=1))
     assert closed == []
     list(gem.rollout(COUNTDOWN, sampling_agent, episodes=1))

@@ -4,38 +4,61 @@ from __future__ import annotations
 
 import asyncio
 import inspect
-import queue
-from collections.abc import Awaitable
+from collections import deque
+from collections.abc import Awaitable, Callable
 from concurrent.futures import CancelledError, Future
 from typing import Any
 
 from gem_core.agents.base import Agent, Context
 from gem_core.background import background_loop, run_sync
-from gem_core.errors import AgentError, RequestError
+from gem_core.errors import AgentError, ArgumentError, EnvFaultError, RequestError
 from gem_core.types import Observation, Response
 
-Outcome = Response | RequestError
+Outcome = Response | RequestError | EnvFaultError
 """What came of a question: an answer, or that the machinery behind the agent failed."""
 
 _PATIENCE_S = 5.0
+
+_Question = tuple[int, Observation, Context]
 
 
 class Asking:
     """The questions of a run that are open.
 
-    A plain agent answers while it is asked. The coroutines of an asynchronous one run on the library's loop, and its
-    answers are taken as they come.
+    A plain agent answers while it is asked. The coroutines of an asynchronous one run as tasks, and its answers are
+    taken as they come.
 
     Args:
         agent: Called with the observation and the context.
+        notify: Called, from any thread, when an answer has come.
+        most: Questions that are open at once; further ones wait, and the first that waits is the first asked.
+        loop: Where coroutines run; None for the library's own loop.
     """
 
-    def __init__(self, agent: Agent) -> None:
+    def __init__(
+        self,
+        agent: Agent,
+        notify: Callable[[], None],
+        *,
+        most: int | None = None,
+        loop: asyncio.AbstractEventLoop | None = None,
+    ) -> None:
+        if most is not None and (type(most) is not int or most < 1):
+            raise ArgumentError(f"max_requests must be a positive whole number, not {most!r}")
+        call = getattr(agent, "function", agent)
+        self.asynchronous = inspect.iscoroutinefunction(call) or inspect.iscoroutinefunction(
+            getattr(call, "__call__", None)  # noqa: B004 - it is looked at, not called
+        )
+        """Whether it is known to answer later."""
         self._agent = agent
+        self._notify = notify
+        self._most = most
+        self._loop = loop
         self._ready: dict[int, Outcome] = {}
-        self._open: dict[int, Future[Any]] = {}
+        self._open: dict[int, Future[Any] | asyncio.Task[Any]] = {}
+        self._waiting: deque[_Question] = deque()
         self._tasks: set[asyncio.Task[Any]] = set()
-        self._done: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self._done: deque[int] = deque()
 
     def ask(self, slot: int, observation: Observation, context: Context) -> None:
         """Ask for one slot.
@@ -43,36 +66,63 @@ class Asking:
         Raises:
             AgentError: The agent returned something else than text.
         """
-        try:
-            answer = self._agent(observation, context)
-        except RequestError as error:
-            self._ready[slot] = error
-            return
-        if not inspect.isawaitable(answer):
-            self._ready[slot] = _checked(answer)
-            return
-        future = asyncio.run_coroutine_threadsafe(self._finish(answer), background_loop())
-        self._open[slot] = future
-        future.add_done_callback(lambda _: self._done.put(slot))
+        self._waiting.append((slot, observation, context))
+        self._ask_waiting()
+
+    def is_ready(self) -> bool:
+        """Tell whether there is an answer."""
+        return bool(self._ready or self._done)
 
     def answers(self) -> dict[int, Outcome]:
-        """Return the answers that are there, and wait for one if there is none.
+        """Return the answers that are there.
 
         Raises:
             AgentError: The agent returned something else than text.
         """
-        if self._open and not self._ready:
-            self._take(self._done.get())
-        while not self._done.empty():
-            self._take(self._done.get())
+        while self._done:
+            self._take(self._done.popleft())
+        self._ask_waiting()
         ready, self._ready = self._ready, {}
         return ready
 
     def close(self) -> None:
-        """Cancel the questions that are open, and wait until they have let go of what they hold."""
+        """Cancel the questions that are open, and wait in plain code until they have let go of what they hold."""
+        self._waiting.clear()
         if self._open:
             self._open.clear()
             run_sync(self._cancel())
+
+    async def aclose(self) -> None:
+        """``close`` for the loop that the questions run on."""
+        self._waiting.clear()
+        self._open.clear()
+        await self._cancel()
+
+    def _ask_waiting(self) -> None:
+        while self._waiting and (self._most is None or len(self._open) < self._most):
+            slot, observation, context = self._waiting.popleft()
+            try:
+                answer = self._agent(observation, context)
+            except (RequestError, EnvFaultError) as error:
+                self._ready[slot] = error
+                continue
+            if inspect.isawaitable(answer):
+                self._start(slot, answer)
+            else:
+                self._ready[slot] = _checked(answer)
+
+    def _start(self, slot: int, answer: Awaitable[str]) -> None:
+        future: Future[Any] | asyncio.Task[Any]
+        if self._loop is not None:
+            future = self._loop.create_task(self._finish(answer))
+        else:
+            future = asyncio.run_coroutine_threadsafe(self._finish(answer), background_loop())
+        self._open[slot] = future
+        future.add_done_callback(lambda _: self._came(slot))
+
+    def _came(self, slot: int) -> None:
+        self._done.append(slot)
+        self._notify()
 
     async def _cancel(self) -> None:
         tasks = list(self._tasks)
@@ -95,9 +145,9 @@ class Asking:
             return
         try:
             self._ready[slot] = _checked(future.result())
-        except RequestError as error:
+        except (RequestError, EnvFaultError) as error:
             self._ready[slot] = error
-        except CancelledError:
+        except (CancelledError, asyncio.CancelledError):
             raise AgentError("the agent's coroutine was cancelled; an agent must not cancel its own task") from None
 
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, cast
 
 from gem_core.agents.answer_form import AnswerForm
 from gem_core.env import Env
+from gem_core.episode_loop import new_episode
 from gem_core.episodes import Episode, Transition
 from gem_core.errors import ArgumentError, NotSupportedError, SamplingNotSupported, StateNotSupported
 from gem_core.plans import Draw, DrawSource, PlanItem
-from gem_core.rollouts import new_episode
 from gem_core.types import Info, Observation, Response
-from gem_core.vector.slot import checked_result
+from gem_core.vector.commands import checked_result
 from gem_core.wrapper import AnyEnv, Wrapper
 from gem_core.wrappers.views import told_apart
 

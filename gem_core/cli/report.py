@@ -1,81 +1,16 @@
-"""What ``gem run`` shows: progress while it runs, and a table at the end."""
+"""What ``gem run`` shows at the end: a table."""
 
 from __future__ import annotations
 
 import sys
-import time
-from contextlib import suppress
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
 
 import click
 
 from gem_core.summary import EnvSummary, RunSummary
 
-if TYPE_CHECKING:
-    from rich.progress import Progress as RichProgress
-    from rich.progress import TaskID
-
 _HEADERS = ("environment", "episodes", "success", "mean return", "mean turns", "turns/s", "errors")
 _TOKEN_HEADERS = ("tokens in", "tokens out")
 _ERRORS = _HEADERS.index("errors")
-
-_PLAIN_EVERY_S = 10.0
-
-
-class Progress:
-    """Shows how far a run is: a bar in a terminal, else a line now and then, on standard error.
-
-    Args:
-        total: Number of episodes.
-        title: Shown before the bar.
-        quiet: Show nothing, as when a person answers.
-    """
-
-    def __init__(self, total: int, title: str, *, quiet: bool = False) -> None:
-        self._total = total
-        self._title = title
-        self._quiet = quiet
-        self._bar: RichProgress | None = None
-        self._task: TaskID | None = None
-        self._last = time.monotonic()
-
-    def __enter__(self) -> Self:
-        if sys.stderr.isatty() and not self._quiet:
-            self._start_bar()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        if self._bar is not None:
-            self._bar.stop()
-
-    def advance(self, total: EnvSummary) -> None:
-        """Note that an episode finished; ``total`` is the summary so far."""
-        done = total.episodes + total.errors
-        if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, completed=done, status=_status(total))
-        elif not self._quiet and time.monotonic() - self._last > _PLAIN_EVERY_S:
-            self._last = time.monotonic()
-            with suppress(OSError):  # nobody reads it any more; the run goes on
-                click.echo(f"gem: {done} of {self._total} episodes, {_status(total)}", err=True)
-
-    def _start_bar(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-        from rich.progress import Progress as RichProgress
-
-        self._bar = RichProgress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[status]}"),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
-        )
-        self._task = self._bar.add_task(self._title, total=self._total, status="")
-        self._bar.start()
 
 
 def print_table(summary: RunSummary, seconds: float) -> None:
@@ -132,7 +67,8 @@ def _cells(row: EnvSummary, seconds: float, with_tokens: bool) -> tuple[str, ...
     )
 
 
-def _status(total: EnvSummary) -> str:
+def status_of(total: EnvSummary) -> str:
+    """Return how good a run is so far, for the line that shows how far it is."""
     parts = [f"success {_shown(total.success_rate, '.0%')}", f"return {_shown(total.mean_return, '.2f')}"]
     if total.errors:
         parts.append(f"{total.errors} errors")

@@ -111,8 +111,9 @@ def command(
     """
     # Imported here, so that help and the completion of options need not wait for them.
     from gem_core.agents.base import load_agent
-    from gem_core.cli.report import Progress, print_table
+    from gem_core.cli.report import print_table, status_of
     from gem_core.episodes import EpisodeWriter
+    from gem_core.progress import Progress
     from gem_core.rollouts import default_plan, rollout
     from gem_core.summary import RunSummary
 
@@ -138,7 +139,7 @@ def command(
                 for episode in rollout(vector, acting, plan=plan):
                     writer.write(episode)
                     summary.add(episode)
-                    progress.advance(summary.total)
+                    progress.advance(summary.total.episodes + summary.total.errors, status_of(summary.total))
             except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - raised again below, behind the table
                 stopped_by = error
         seconds = time.perf_counter() - started

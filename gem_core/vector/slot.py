@@ -1,39 +1,37 @@
-"""The rules of one slot, which every backend shares: what an episode starts from, autoreset, and faults."""
+"""The rules of one slot, which every backend shares: what an episode starts from, autoreset, and faults.
+
+A slot touches no environment. It says what to ask of it next, is told what came of that, and in the end holds a result.
+Whoever runs the environments, here or in another process, drives it::
+
+    command = slot.act("an action")
+    while command is not None:
+        command = slot.took(body.perform(command))
+    slot.result
+"""
 
 from __future__ import annotations
 
-import logging
-import math
 import threading
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, cast
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, cast, get_args
 
-from gem_core.errors import (
-    ArgumentError,
-    DatasetError,
-    EntryPointError,
-    EnvFaultError,
-    FaultBudgetError,
-    MissingRequirementError,
-    RegistrationError,
-    ResetNeededError,
-    UsageError,
-)
+from gem_core.errors import ArgumentError, EnvFaultError, FaultBudgetError, ResetNeededError
 from gem_core.plans import Draw, DrawSource
 from gem_core.types import TERMINAL_STATE, Info, Observation, ResetResult, StepResult
-from gem_core.wrapper import AnyEnv
+from gem_core.vector.commands import Command, Failure, Outcome, Rebuild, Rebuilt, Reset
 
-logger = logging.getLogger("gem_core")
+Autoreset = Literal["same_step", "next_step", "disabled"]
+"""When the episode that follows a finished one begins; see ``make_vec``."""
 
-EnvFactory = Callable[[str | None, Mapping[str, Any]], AnyEnv]
-"""Makes the environment for (id, keyword arguments)."""
+OnError = Literal["truncate", "raise"]
 
-_HOPELESS = (UsageError, RegistrationError, MissingRequirementError, EntryPointError, DatasetError)
-"""Errors of making an environment that trying again, or another episode, does not mend."""
+NEW, LIVE, ENDED, IDLE, BROKEN = "new", "live", "ended", "idle", "broken"
+"""Phases of a slot: before the first episode; in one; behind one that nothing followed yet; without any, since the plan
+is exhausted; left without an environment by an error that was raised."""
 
-
-class _Hopeless(Exception):
-    """Carries such an error out of the slot's own guard."""
+WAIT: Any = object()
+"""Instead of a command: the slot waits for its turn to draw from the plan; see ``Slot.in_turn``."""
 
 
 class SlotStep(NamedTuple):
@@ -82,218 +80,297 @@ class FaultBudget:
                 )
 
 
+@dataclass
+class Rules:
+    """What all slots of a vector environment share.
+
+    Args:
+        source: What episodes start from.
+        budget: Count of faults.
+        autoreset: See ``make_vec``.
+        on_error: ``"truncate"`` or ``"raise"``.
+        replayable: Whether an episode of an id can be replayed from its seed and actions, where environments may be
+            lost; None where they cannot be.
+    """
+
+    source: DrawSource
+    budget: FaultBudget
+    autoreset: Autoreset = "same_step"
+    on_error: OnError = "truncate"
+    replayable: Callable[[str | None], bool] | None = None
+
+    def __post_init__(self) -> None:
+        if self.on_error not in get_args(OnError):
+            raise ArgumentError(f"on_error must be 'truncate' or 'raise', not {self.on_error!r}")
+        if self.autoreset not in get_args(Autoreset):
+            raise ArgumentError(f"autoreset must be 'same_step', 'next_step' or 'disabled', not {self.autoreset!r}")
+
+
 class Slot:
-    """One place of a vector environment: an environment, and the episode it is in.
+    """One place of a vector environment, and the episode it is in.
 
     Args:
         index: Number of the slot.
         own_id: Id of the environment where the plan names none; None for one that has no id.
-        factory: Makes the environment.
-        source: What episodes start from.
-        budget: Shared count of faults.
-        on_error: ``"truncate"`` or ``"raise"``.
+        rules: Shared by all slots.
     """
 
-    def __init__(
-        self,
-        index: int,
-        own_id: str | None,
-        factory: EnvFactory,
-        source: DrawSource,
-        budget: FaultBudget,
-        on_error: str = "truncate",
-    ) -> None:
-        if on_error not in ("truncate", "raise"):
-            raise ArgumentError(f"on_error must be 'truncate' or 'raise', not {on_error!r}")
+    __slots__ = (
+        "_actions",
+        "_asked",
+        "_ended",
+        "_failed",
+        "_lost",
+        "_observation",
+        "_options",
+        "_reset",
+        "draw",
+        "in_turn",
+        "index",
+        "own_id",
+        "phase",
+        "result",
+        "rules",
+    )
+
+    def __init__(self, index: int, own_id: str | None, rules: Rules) -> None:
         self.index = index
         self.own_id = own_id
-        self.source = source
+        self.rules = rules
+        self.phase = NEW
         self.draw: Draw | None = None
-        self.borrowed: AnyEnv | None = None
-        """An environment that belongs to the caller, who closes it."""
-        self._factory = factory
-        self._budget = budget
-        self._on_error = on_error
-        self._env: AnyEnv | None = None
-        self._made_for: tuple[str | None, dict[str, Any]] | None = None
+        """What the present episode started from."""
+        self.result: Any = None
+        """A ``SlotStep``, or five values like it, once there is nothing more to ask; or an exception."""
+        self.in_turn = False
+        """Whether it waits for its turn to draw from a plan, so that the order of completion decides nothing."""
+        self._asked: Command | None = None
+        self._options: dict[str, Any] | None = None
+        self._failed: list[dict[str, Any]] | None = None
+        self._ended: StepResult | None = None
+        self._reset: Reset | None = None
+        # Where its environment may be lost: what was stepped in this episode, and what was observed last.
+        self._actions: list[str] | None = None
+        self._observation: Observation = ""
+        self._lost = False
 
-    @property
-    def idle(self) -> bool:
-        """Whether the plan had nothing left for this slot."""
-        return self.draw is None
+    # What is asked of it.
 
-    @property
-    def env(self) -> AnyEnv | None:
-        """The environment of the present episode; None before the first, and after a fault."""
-        return self._env
-
-    def begin(self, options: dict[str, Any] | None = None) -> ResetResult:
-        """Begin the next episode.
+    def begin(self, options: dict[str, Any] | None = None) -> Command | None:
+        """Begin the next episode, also in the middle of one.
 
         A reset that fails uses its plan item up, and the next is tried: ``info["failed_resets"]`` then lists what
-        failed, each with ``draw`` and ``error``. When the plan is exhausted, the observation is ``TERMINAL_STATE`` and
-        ``info["idle"]`` is true.
+        failed. When the plan is exhausted, the observation is ``TERMINAL_STATE`` and ``info["idle"]`` is true.
         """
-        failed: list[dict[str, Any]] = []
-        result: ResetResult | None = None
-        while result is None:
-            self.draw = self.source.draw(self.index)
-            if self.draw is None:
-                self._discard()
-                result = (TERMINAL_STATE, {"idle": True})
-                continue
-            try:
-                result = self._reset(self.draw, options)
-            except _Hopeless as hopeless:
-                raise cast("BaseException", hopeless.__cause__) from None
-            except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever an environment does stays in its slot
-                failed.append({"draw": self.draw, "error": self._fault(error, "reset")})
-        if failed:
-            result[1]["failed_resets"] = failed
-        return result
+        self._options, self._ended, self._failed = options, None, None
+        return self._next()
 
-    def step(self, action: str) -> SlotStep:
-        """Step, and begin the next episode in the same call when this one ends.
+    def act(self, action: str) -> Command | None:
+        """Step; what follows the end of an episode is the matter of autoreset.
 
         Raises:
-            ResetNeededError: The slot was left without an environment, by an error that was raised.
+            ResetNeededError: There is no episode, and none begins by itself.
         """
-        if self.draw is None:
-            return SlotStep(TERMINAL_STATE, 0.0, False, False, {"idle": True})
-        if self._env is None:
-            raise ResetNeededError(f"slot {self.index} has no environment since an error was raised; call reset()")
-        try:
-            observation, reward, terminated, truncated, info = checked_result(self._env.step(action))
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever an environment does stays in its slot
-            fault = self._fault(error, "step")
-            observation, reward, terminated, truncated, info = TERMINAL_STATE, 0.0, False, True, {"error": fault}
-        else:
-            if terminated or truncated:
-                self._note_end(info)
-        if not (terminated or truncated):
-            return SlotStep(observation, reward, terminated, truncated, info)
-        first_observation, first_info = self.begin()
-        first_info["final_obs"], first_info["final_info"] = observation, info
-        return SlotStep(first_observation, reward, terminated, truncated, first_info)
+        if self.phase is LIVE:
+            if self._lost:
+                return self._act_lost(action)
+            self._asked = action
+            return action
+        if self.phase is IDLE:
+            self.result = SlotStep(TERMINAL_STATE, 0.0, False, False, {"idle": True})
+            return None
+        self.check_steppable()
+        return self.begin()  # next_step: this call begins the next episode, and its action is ignored
 
-    def give_up(self, fault: str | None) -> ResetResult:
+    def give_up(self, fault: str | None) -> Command | None:
         """Begin the next episode in the middle of one; what failed spends the budget of faults, None does not."""
         if fault is None:
-            self._budget.finished()
+            self.rules.budget.finished()
         else:
-            self._budget.spend({"kind": "agent", "message": fault}, self._name())
+            self.rules.budget.spend({"kind": "agent", "message": fault}, self.name())
         return self.begin()
 
-    def sample_random_action(self) -> str:
-        """Return a valid action for the present state."""
-        if self._env is None:
-            return ""
-        return cast("str", self._env.get_wrapper_attr("sample_random_action")())
+    def check_steppable(self) -> None:
+        """Raise what ``act`` would.
 
-    def close(self) -> None:
-        """Close the environment."""
-        self._discard()
+        Raises:
+            ResetNeededError: There is no episode, and none begins by itself.
+        """
+        if self.phase is BROKEN:
+            raise ResetNeededError(f"slot {self.index} has no environment since an error was raised; call reset()")
+        if self.phase is NEW:
+            raise ResetNeededError("the vector environment has not begun; call reset() before the first step()")
+        if self.phase is ENDED and self.rules.autoreset == "disabled":
+            raise ResetNeededError(
+                f"the episode of slot {self.index} is over, and autoreset is disabled; "
+                "call reset(options={'reset_mask': …}) before the next step()"
+            )
 
-    def prepare(self, env_id: str | None) -> AnyEnv:
-        """Return the environment that an episode of ``env_id`` will use, made now if it is not there."""
-        wanted: tuple[str | None, dict[str, Any]] = (env_id or self.own_id, {})
-        if self._env is None or self._made_for != wanted:
-            try:
-                self._change_env(wanted)
-            except _Hopeless as hopeless:
-                raise cast("BaseException", hopeless.__cause__) from None
-        return cast("AnyEnv", self._env)
+    # What it is told.
 
-    def _change_env(self, wanted: tuple[str | None, dict[str, Any]]) -> None:
-        self._discard()
-        try:
-            self._env = self._factory(*wanted)
-        except _HOPELESS as error:
-            raise _Hopeless from error
-        self._made_for = wanted
+    def took(self, outcome: Outcome) -> Command | None:
+        """Take what came of a command; return the next, or None once there is a result.
+
+        Raises:
+            FaultBudgetError: It failed once too often.
+            EnvFaultError: It failed, and ``on_error`` is ``"raise"``.
+        """
+        asked = self._asked
+        if type(asked) is Reset:
+            return self._took_reset(asked, outcome)
+        if type(asked) is Rebuild:
+            if isinstance(outcome, Rebuilt) and outcome.observation != self._observation:
+                message = "its worker was lost, and a replay of the episode went another way: it is not deterministic"
+                outcome = Failure("collateral", message)
+            elif isinstance(outcome, Rebuilt):
+                outcome = outcome.result
+            self._lost = False
+        return self.took_step(cast("StepResult | Failure", outcome))
+
+    def took_step(self, outcome: StepResult | Failure) -> Command | None:
+        """Take what came of a step; see ``took``."""
+        if type(outcome) is Failure:
+            error = self._fault(outcome)
+            outcome = TERMINAL_STATE, 0.0, False, True, {"error": error}
+        elif not (outcome[2] or outcome[3]):  # type: ignore[index]  # a failure is above
+            self.result = outcome
+            if self._actions is not None:
+                self._actions.append(self._stepped_action())
+                self._observation = outcome[0]  # type: ignore[index]  # as above
+            return None
+        else:
+            self._note_end(outcome[4])  # type: ignore[index]  # as above
+        if self.rules.autoreset == "same_step":
+            self._ended = cast("StepResult", outcome)
+            self._options = self._failed = None
+            return self._next()
+        self.phase = ENDED
+        self.result = outcome
+        return None
+
+    def drawn(self) -> Command | None:
+        """Draw what the next episode starts from, now that it is this slot's turn."""
+        draw = self.draw = self.rules.source.draw(self.index)
+        if draw is None:
+            self.phase = IDLE
+            self._reset = self._actions = None
+            self._began((TERMINAL_STATE, {"idle": True}))
+            return None
+        item = draw.item
+        options = {**(self._options or {}), **(item.options or {})} if self._options or item.options else None
+        self._asked = self._reset = Reset(item.id or self.own_id, item.kwargs, draw.seed, options)
+        return self._asked
+
+    def lost(self, failure: Failure | None, *, under_way: bool) -> Command | None:
+        """Note that its environment is gone with the process that it lived in.
+
+        Args:
+            failure: What happened, where it was this environment that did it; None for one that stood beside it.
+            under_way: Whether a command was.
+
+        Returns:
+            What to ask of a new environment; None where nothing was under way, or where there is a result.
+        """
+        asked, self._lost = self._asked, True
+        if not under_way or asked is None:
+            return None
+        if failure is not None:
+            return self.took(failure)
+        if type(asked) is Reset:
+            return asked
+        return self._act_lost(asked.action if isinstance(asked, Rebuild) else cast("str", asked))
+
+    def rebuilding(self) -> Rebuild | None:
+        """Return how to bring its environment to where it was, if that was lost and can be; else None."""
+        if not self._lost or self._actions is None or self._reset is None:
+            return None
+        return Rebuild(self._reset, self._actions, "")
+
+    def name(self) -> str:
+        """Return what an error calls it."""
+        return str((self.draw.item.id if self.draw is not None else None) or self.own_id or f"slot {self.index}")
+
+    # Its own matters.
+
+    def _next(self) -> Command | None:
+        if self.in_turn and self.rules.source.planned:
+            return cast("Command", WAIT)
+        return self.drawn()
+
+    def _took_reset(self, asked: Reset, outcome: Outcome) -> Command | None:
+        if isinstance(outcome, Failure):
+            if outcome.hopeless:
+                self.phase = BROKEN
+                raise cast("BaseException", outcome.error)
+            self._note_failed(asked, self._fault(outcome))
+            return self._next()
+        observation, info = cast("ResetResult", outcome)
+        draw = cast("Draw", self.draw)
+        info["seed"] = draw.seed
+        if draw.item.group is not None:
+            info["group"] = draw.item.group
+        self.phase = LIVE
+        self._lost = False
+        if self.rules.replayable is not None:
+            self._actions = [] if self.rules.replayable(asked.env_id) else None
+            self._observation = observation
+        self._began((observation, info))
+        return None
+
+    def _began(self, begun: ResetResult) -> None:
+        observation, info = begun
+        self._asked = None
+        if self._failed:
+            info["failed_resets"], self._failed = self._failed, None
+        ended, self._ended = self._ended, None
+        if ended is None:
+            self.result = SlotStep(observation, 0.0, False, False, info)
+        else:
+            info["final_obs"], info["final_info"] = ended[0], ended[4]
+            self.result = observation, ended[1], ended[2], ended[3], info
+
+    def _act_lost(self, action: str) -> Command | None:
+        if self._actions is None:
+            message = "its worker was lost with another environment, and this episode cannot be replayed"
+            return self.took_step(Failure("collateral", message))
+        self._asked = Rebuild(cast("Reset", self._reset), self._actions, action)
+        return self._asked
+
+    def _stepped_action(self) -> str:
+        asked = self._asked
+        return asked.action if isinstance(asked, Rebuild) else cast("str", asked)
+
+    def _note_failed(self, asked: Reset, error: dict[str, Any]) -> None:
+        draw = cast("Draw", self.draw)
+        failed: dict[str, Any] = {
+            "id": asked.env_id,
+            "kwargs": dict(asked.kwargs),
+            "options": None if draw.item.options is None else dict(draw.item.options),
+            "seed": draw.seed,
+            "run_seed": draw.run_seed,
+            "group": draw.item.group,
+            "key": draw.key,
+            "repeat": draw.repeat,
+            "error": error,
+        }
+        self._failed = [*(self._failed or ()), failed]
 
     def _note_end(self, info: Info) -> None:
         error = info.get("error")
         if error is None:
-            self._budget.finished()
+            self.rules.budget.finished()
         else:
-            self._budget.spend(error if isinstance(error, dict) else {"message": str(error)}, self._name())
+            self.rules.budget.spend(error if isinstance(error, dict) else {"message": str(error)}, self.name())
 
-    def _name(self) -> str:
-        return str((self.draw.item.id if self.draw is not None else None) or self.own_id or f"slot {self.index}")
-
-    def _reset(self, draw: Draw, options: dict[str, Any] | None) -> ResetResult:
-        wanted = (draw.item.id or self.own_id, dict(draw.item.kwargs))
-        if self._env is None or self._made_for != wanted:
-            self._change_env(wanted)
-        env = cast("AnyEnv", self._env)
-        chosen = {**(options or {}), **(draw.item.options or {})}
-        if chosen:
-            observation, info = checked_reset(env.reset(seed=draw.seed, options=chosen))
-        else:
-            observation, info = checked_reset(env.reset(seed=draw.seed))
-        if hasattr(task := env.unwrapped, "seed_actions"):
-            task.seed_actions(draw.action_seed)
-        info["seed"] = draw.seed
-        if draw.item.group is not None:
-            info["group"] = draw.item.group
-        return observation, info
-
-    def _fault(self, error: BaseException, where: str) -> dict[str, Any]:
-        """Give up the environment and return what ``info["error"]`` says; its replacement is made when needed."""
-        self._discard()
-        if self._on_error == "raise":
-            raise EnvFaultError(f"{self._name()}: {where} raised {type(error).__name__}: {error}") from error
-        logger.debug("gem: %s failed in %s", self._name(), where, exc_info=error)
-        message = f"{where} raised {type(error).__name__}: {error}" if str(error) else f"{where} raised {error!r}"
-        fault = {"kind": "exception", "message": message[:2000]}
-        self._budget.spend(fault, self._name())
-        return fault
-
-    def _discard(self) -> None:
-        env, self._env, self._made_for = self._env, None, None
-        if env is None or env is self.borrowed:
-            return
-        try:
-            env.close()
-        except (Exception, SystemExit):
-            logger.warning("gem: closing the environment of slot %d failed", self.index, exc_info=True)
-
-
-def checked_result(result: object) -> StepResult:
-    """Return a step's result if it is one.
-
-    Raises:
-        TypeError: It is not five values, or a value has a wrong type.
-        ValueError: The reward is not finite.
-
-    The info is copied: what the environment does with its own dictionary later changes nothing that was recorded.
-    """
-    if not isinstance(result, tuple) or len(result) != 5:
-        raise TypeError(f"step must return (observation, reward, terminated, truncated, info), not {result!r:.200}")
-    observation, reward, terminated, truncated, info = result
-    reward = float(reward)
-    if not math.isfinite(reward):
-        raise ValueError(f"the reward must be a finite number, not {reward}")
-    _check_types(observation, info)
-    return observation, reward, bool(terminated), bool(truncated), info.copy()
-
-
-def checked_reset(result: object) -> ResetResult:
-    """Return a reset's result if it is one, its info copied as by ``checked_result``.
-
-    Raises:
-        TypeError: It is not two values, or a value has a wrong type.
-    """
-    if not isinstance(result, tuple) or len(result) != 2:
-        raise TypeError(f"reset must return (observation, info), not {result!r:.200}")
-    observation, info = result
-    _check_types(observation, info)
-    return observation, info.copy()
-
-
-def _check_types(observation: object, info: object) -> None:
-    if not isinstance(observation, str | list):
-        raise TypeError(f"an observation must be text or a list, not {type(observation).__name__}")
-    if not isinstance(info, dict):
-        raise TypeError(f"info must be a dictionary, not {type(info).__name__}")
+    def _fault(self, failure: Failure) -> dict[str, Any]:
+        """Return what ``info["error"]`` says of a failure, and count it."""
+        if self.rules.on_error == "raise":
+            self.phase = BROKEN
+            raised = EnvFaultError(f"{self.name()}: {failure.message}")
+            if failure.details:
+                raised.add_note(failure.details)
+            raise raised from failure.error
+        error = failure.info()
+        if failure.kind != "collateral":
+            self.rules.budget.spend(error, self.name())
+        return error

@@ -1,0 +1,185 @@
+"""The loop that joins an agent to environments; ``rollouts`` drives it, in plain code or in a coroutine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from gem_core import __version__
+from gem_core.agents.asking import Asking
+from gem_core.agents.base import Context
+from gem_core.episodes import Episode, Transition
+from gem_core.errors import ContextOverflowError, GemError
+from gem_core.plans import Draw, DrawSource, PlanItem
+from gem_core.registry import registry
+from gem_core.types import TERMINAL_STATE, Info, Observation, Response
+from gem_core.vector.actions import Received
+from gem_core.vector.env import VectorEnv
+
+
+class EpisodeLoop:
+    """Episodes that are under way in the slots of a vector environment.
+
+    Each slot is stepped as soon as its agent has answered, and its agent is asked as soon as the slot is ready: neither
+    a slow answer nor a slow environment holds up anything but its own slot.
+
+    Args:
+        vector: Where they run.
+        asking: Puts the questions to the agent.
+    """
+
+    def __init__(self, vector: VectorEnv, asking: Asking) -> None:
+        self._vector = vector
+        self._asking = asking
+        self._running: dict[int, _Running] = {}
+        self._to_ask: list[int] = []
+
+    def begin(self, source: DrawSource) -> None:
+        """Begin an episode in every slot."""
+        self._vector.send_reset(source)
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing is under way any more."""
+        return not self._running and not self._vector.under_way
+
+    def has_news(self) -> bool:
+        """Tell whether there is an answer of the agent to step, or nothing to wait for."""
+        return bool(self._to_ask) or self._asking.is_ready() or self.over
+
+    def advance(self) -> list[Episode]:
+        """Take the answers and the results that are there, without waiting; return the episodes that are over."""
+        finished: list[Episode] = []
+        to_ask, self._to_ask = self._to_ask, []
+        for slot in to_ask:
+            self._ask(slot)
+        answers = self._asking.answers()
+        responses = {slot: answer for slot, answer in answers.items() if isinstance(answer, Response)}
+        for slot, answer in responses.items():
+            self._running[slot].answer = answer
+        if responses:
+            self._vector.send(responses)
+        for slot, failure in answers.items():
+            if not isinstance(failure, Response):
+                finished.append(self._running.pop(slot).give_up(failure))
+                nothing_failed = isinstance(failure, ContextOverflowError)
+                self._vector.give_up(slot, None if nothing_failed else str(failure))
+        if self._vector.under_way:
+            received = self._vector.recv(min_envs=0)
+            for place in range(len(received.slots)):
+                self._take(received, place, finished)
+        return finished
+
+    def _take(self, received: Received, place: int, finished: list[Episode]) -> None:
+        slot = received.slots[place]
+        observation, info = received.observations[place], received.infos[place]
+        current = self._running.get(slot)
+        if current is not None:
+            terminated, truncated = bool(received.terminated[place]), bool(received.truncated[place])
+            reward = float(received.rewards[place])
+            if terminated or truncated:
+                current.add(reward, terminated, truncated, info.pop("final_obs"), info.pop("final_info"))
+                finished.append(self._running.pop(slot).episode)
+                current = None
+            else:
+                current.add(reward, False, False, observation, info)
+        if current is None:
+            finished.extend(_failed(failed) for failed in info.pop("failed_resets", ()))
+            draw = self._vector.draw_of(slot)
+            if draw is None:
+                return
+            current = self._running[slot] = _Running(self._vector, slot, draw, observation, info)
+        if self._asking.asynchronous:
+            self._ask(slot)
+        else:
+            # A plain agent would answer here and now, before those who wait for this turn's episodes have them.
+            self._to_ask.append(slot)
+
+    def _ask(self, slot: int) -> None:
+        current = self._running[slot]
+        self._asking.ask(slot, current.observation, current.context)
+
+
+class _Running:
+    """An episode that is under way in a slot."""
+
+    def __init__(self, vector: VectorEnv, slot: int, draw: Draw, observation: Observation, info: Info) -> None:
+        self.episode = new_episode(vector.describe(slot), draw, observation, info)
+        self.observation = observation
+        self.answer = Response()
+        self.context = Context(
+            episode=f"{draw.key}.{draw.repeat}",
+            env_id=self.episode.id,
+            group=draw.item.group,
+            turn=0,
+            info=info,
+            tools=info.get("tools", []),
+            transitions=self.episode.transitions,
+            _sample=lambda: vector.sample_random_action(slot),
+        )
+
+    def add(self, reward: float, terminated: bool, truncated: bool, observation: Observation, info: Info) -> None:
+        """Add the turn in which ``answer`` was stepped."""
+        turn = Transition(self.observation, self.answer, reward, terminated, truncated, info)
+        self.episode.transitions.append(turn)
+        self.observation = self.episode.final_observation = observation
+        self.context.turn += 1
+        self.context.info = info
+
+    def give_up(self, error: GemError) -> Episode:
+        """End the episode because its agent could not be asked, or its history has grown too long; return it."""
+        reported: Info = {"error": {"kind": "agent", "message": str(error)}}
+        if isinstance(error, ContextOverflowError):
+            reported = {"context_overflow": True}
+        if self.episode.transitions:
+            last = self.episode.transitions[-1]
+            last.truncated, last.info = True, {**last.info, **reported}
+        else:
+            self.episode.info = {**self.episode.info, **reported}
+        return self.episode
+
+
+def _failed(failed: Mapping[str, Any]) -> Episode:
+    """Return the episode of a reset that failed; see ``Slot.begin``."""
+    item = PlanItem(options=failed["options"], group=failed["group"])
+    draw = Draw(item, failed["key"], failed["repeat"], failed["seed"], failed["run_seed"])
+    reported = {"seed": draw.seed, "error": failed["error"]}
+    if item.group is not None:
+        reported["group"] = item.group
+    described = {"id": failed["id"] or "unknown", "kwargs": failed["kwargs"]}
+    return new_episode(described, draw, TERMINAL_STATE, reported)
+
+
+def new_episode(described: dict[str, Any], draw: Draw, observation: Observation, info: Info) -> Episode:
+    """Return the record of an episode that begins.
+
+    Args:
+        described: ``id``, ``kwargs`` and ``wrappers`` of its environment.
+        draw: What it starts from.
+        observation: What ``reset`` returned, with ``info``.
+        info: See above.
+    """
+    return Episode(
+        id=described["id"],
+        seed=draw.seed,
+        observation=observation,
+        info=info,
+        final_observation=observation,
+        kwargs=described["kwargs"],
+        wrappers=described.get("wrappers", []),
+        tools=[tool["function"]["name"] for tool in info.get("tools", [])],
+        options=draw.item.options,
+        group=draw.item.group,
+        key=draw.key,
+        repeat=draw.repeat,
+        run_seed=draw.run_seed,
+        versions=_versions(described["id"]),
+    )
+
+
+def _versions(env_id: str) -> dict[str, str]:
+    provider = registry().provider(env_id)
+    versions = {"gem-core": __version__}
+    if provider is not None:
+        versions[provider.distribution] = provider.version
+    return versions

@@ -1,0 +1,99 @@
+"""What goes into a vector environment and what comes out of it, checked."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, SupportsIndex
+
+import numpy as np
+import numpy.typing as npt
+
+from gem_core.errors import ArgumentError
+from gem_core.types import Info, Observation
+
+Actions = Sequence[str] | Mapping[int, str]
+"""One for each slot in order; or ``{slot: action}`` for some."""
+
+
+class VectorStep(NamedTuple):
+    """What the slots that were stepped give, in the order asked.
+
+    Args:
+        observations: One for each slot.
+        rewards: float64, (slots,).
+        terminated: bool, (slots,).
+        truncated: bool, (slots,).
+        infos: One for each slot.
+    """
+
+    observations: list[Observation]
+    rewards: npt.NDArray[np.float64]
+    terminated: npt.NDArray[np.bool_]
+    truncated: npt.NDArray[np.bool_]
+    infos: list[Info]
+
+
+class Received(NamedTuple):
+    """What ``recv`` gives: the slots that are ready, in order of completion, and what came of each.
+
+    Args:
+        slots: Which these are.
+        observations: One for each of them, like all that follows.
+        rewards: float64, (slots,).
+        terminated: bool, (slots,).
+        truncated: bool, (slots,).
+        infos: One for each.
+    """
+
+    slots: list[int]
+    observations: list[Observation]
+    rewards: npt.NDArray[np.float64]
+    terminated: npt.NDArray[np.bool_]
+    truncated: npt.NDArray[np.bool_]
+    infos: list[Info]
+
+
+def indices_and_actions(actions: Actions, num_envs: int) -> list[tuple[int, str]]:
+    """Return the slots that are stepped, each with its action, in the order asked.
+
+    Raises:
+        ArgumentError: The number of actions is not the number of slots, or one is no text, or a slot does not exist.
+    """
+    if isinstance(actions, Mapping):
+        return [(_checked_slot(slot, num_envs), _checked_action(slot, action)) for slot, action in actions.items()]
+    if isinstance(actions, str) or len(actions) != num_envs:
+        given = "one string" if isinstance(actions, str) else f"{len(actions)} actions"
+        raise ArgumentError(f"{given} for {num_envs} slots; give one for each, or a mapping of slot to action")
+    for slot, action in enumerate(actions):
+        if not isinstance(action, str):
+            _checked_action(slot, action)
+    return list(enumerate(actions))
+
+
+def masked_slots(mask: Any, num_envs: int) -> list[int]:
+    """Return the slots that a mask of bools chooses.
+
+    Raises:
+        ArgumentError: It is not one bool for each slot.
+    """
+    array = np.asarray(mask)
+    if array.shape != (num_envs,) or array.dtype != np.bool_:
+        raise ArgumentError(f"reset_mask must be {num_envs} bools, one for each slot, not {mask!r:.200}")
+    return [int(slot) for slot in np.flatnonzero(array)]
+
+
+def _checked_slot(slot: SupportsIndex, num_envs: int) -> int:
+    try:
+        index = operator.index(slot)  # whole numbers of NumPy too, as its index functions return them
+    except TypeError:
+        index = -1
+    if not 0 <= index < num_envs:
+        raise ArgumentError(f"no slot {slot!r}; there are slots 0 to {num_envs - 1}")
+    return index
+
+
+def _checked_action(slot: SupportsIndex, action: str) -> str:
+    if isinstance(action, str):
+        return action
+    raise ArgumentError(f"an action is a str or a Response, and that for slot {slot} is a {type(action).__name__}")

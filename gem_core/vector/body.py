@@ -1,0 +1,174 @@
+"""``Body``: an environment in its place, which makes, resets and steps it, and keeps to itself what it raises."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Mapping
+from math import isfinite
+from typing import Any, cast
+
+from gem_core.background import in_thread
+from gem_core.seeding import checked_seed
+from gem_core.types import Concurrency, Observation, ResetResult, StepResult
+from gem_core.vector.commands import Command, Failure, Outcome, Rebuild, Rebuilt, Reset, checked_reset, checked_result
+from gem_core.wrapper import AnyEnv, concurrency_of, reset_async, step_async
+
+logger = logging.getLogger("gem_core")
+
+EnvFactory = Callable[[str | None, Mapping[str, Any]], AnyEnv]
+"""Makes the environment for (id, keyword arguments)."""
+
+CONTAINED = (Exception, SystemExit, asyncio.CancelledError)
+"""What an environment may raise without ending more than its own episode."""
+
+
+class Body:
+    """An environment of a slot, wherever it lives.
+
+    Whatever it raises becomes a ``Failure``, and the environment is then closed: the next reset makes another.
+
+    Args:
+        index: Number of the slot.
+        factory: Makes the environment.
+    """
+
+    __slots__ = ("_factory", "_step", "borrowed", "env", "index", "kind", "made_for", "sampled")
+
+    def __init__(self, index: int, factory: EnvFactory) -> None:
+        self.index = index
+        self.env: AnyEnv | None = None
+        self.kind: Concurrency | None = None
+        """What the whole stack needs; None while there is no environment."""
+        self.made_for: tuple[str | None, Mapping[str, Any]] | None = None
+        self.borrowed: AnyEnv | None = None
+        """An environment that belongs to the caller, who closes it."""
+        self.sampled = False
+        self._factory = factory
+        self._step: Callable[[str], StepResult] | None = None
+
+    def prepare(self, env_id: str | None, kwargs: Mapping[str, Any]) -> Failure | None:
+        """Make the environment for an id and keyword arguments, if it is not there; return what went wrong."""
+        if self.env is not None and self.made_for is not None and _same(self.made_for, env_id, kwargs):
+            return None
+        self.discard()
+        try:
+            env = self._factory(env_id, kwargs)
+            self.kind = concurrency_of(env)
+        except CONTAINED as error:
+            return Failure.of(error, "reset", making=True)
+        self.env, self._step, self.made_for = env, cast("Any", env).step, (env_id, kwargs)
+        return None
+
+    def perform(self, command: Command) -> Outcome:
+        """Do what a slot asks."""
+        if isinstance(command, str):
+            return self.step(command)
+        return self.reset(command) if isinstance(command, Reset) else self.rebuild(command)
+
+    async def perform_async(self, command: Command) -> Outcome:
+        """Do what a slot asks without blocking the loop."""
+        try:
+            if isinstance(command, Reset):
+                if failure := self.prepare(command.env_id, command.kwargs):
+                    return failure
+                self.sampled = False
+                return checked_reset(await reset_async(cast("AnyEnv", self.env), command.seed, command.options))
+            if isinstance(command, str):
+                return checked_result(await step_async(self._present(), command))
+        except CONTAINED as error:
+            return self.failed(error, "step" if isinstance(command, str) else "reset")
+        return await in_thread(self.rebuild, command)
+
+    def reset(self, command: Reset) -> ResetResult | Failure:
+        """Begin an episode."""
+        if failure := self.prepare(command.env_id, command.kwargs):
+            return failure
+        self.sampled = False
+        env = cast("AnyEnv", self.env)
+        try:
+            if command.options:
+                return checked_reset(env.reset(seed=command.seed, options=command.options))
+            return checked_reset(env.reset(seed=command.seed))
+        except CONTAINED as error:
+            return self.failed(error, "reset")
+
+    def step(self, action: str) -> StepResult | Failure:
+        """Step the environment."""
+        try:
+            result = cast("Any", self._step)(action)
+            if type(result) is tuple and len(result) == 5:
+                observation, reward, terminated, truncated, info = result
+                if (
+                    type(observation) is str
+                    and type(reward) is float
+                    and isfinite(reward)
+                    and type(terminated) is type(truncated) is bool
+                    and type(info) is dict
+                ):
+                    return observation, reward, terminated, truncated, info.copy()
+            return checked_result(result)
+        except CONTAINED as error:
+            return self.failed(error, "step")
+
+    def rebuild(self, command: Rebuild) -> Rebuilt | Failure:
+        """Replay an episode and step it; a replay that goes another way than the first time is a failure."""
+        observation = self.restore(command)
+        if isinstance(observation, Failure):
+            return observation
+        outcome = self.step(command.action)
+        return outcome if isinstance(outcome, Failure) else Rebuilt(observation, outcome)
+
+    def restore(self, command: Rebuild) -> Observation | Failure:
+        """Replay an episode up to the step that follows; return what was observed last."""
+        outcome: Any = self.reset(command.reset)
+        for action in command.actions:
+            if isinstance(outcome, Failure) or (len(outcome) == 5 and (outcome[2] or outcome[3])):
+                break
+            outcome = self.step(action)
+        if not isinstance(outcome, Failure) and not (len(outcome) == 5 and (outcome[2] or outcome[3])):
+            return cast("Observation", outcome[0])
+        self.discard()
+        why = outcome.message if isinstance(outcome, Failure) else "its replay ended early"
+        return Failure("collateral", f"its worker was lost, and the episode could not be replayed: {why}")
+
+    def sample_random_action(self, seed: int | None) -> str:
+        """Return a valid action for the present state, from a generator that starts at ``seed`` in each episode."""
+        env = self.env
+        if env is None:
+            return ""
+        if not self.sampled and seed is not None:
+            if hasattr(task := env.unwrapped, "seed_actions"):
+                task.seed_actions(checked_seed(seed))
+            self.sampled = True
+        return cast("str", env.get_wrapper_attr("sample_random_action")())
+
+    def failed(self, error: BaseException, where: str) -> Failure:
+        """Give the environment up."""
+        logger.debug("gem: slot %d failed in %s", self.index, where, exc_info=error)
+        self.discard()
+        return Failure.of(error, where)
+
+    def discard(self) -> None:
+        """Close the environment, if there is one that is not the caller's."""
+        env, self.env, self._step, self.made_for, self.kind = self.env, None, None, None, None
+        if env is None or env is self.borrowed:
+            return
+        try:
+            env.close()
+        except CONTAINED:
+            logger.warning("gem: closing the environment of slot %d failed", self.index, exc_info=True)
+
+    def _present(self) -> AnyEnv:
+        if self.env is None:
+            raise RuntimeError("there is no environment to step")
+        return self.env
+
+
+def _same(made_for: tuple[str | None, Mapping[str, Any]], env_id: str | None, kwargs: Mapping[str, Any]) -> bool:
+    if made_for[0] != env_id:
+        return False
+    try:
+        return made_for[1] is kwargs or made_for[1] == kwargs
+    except ValueError:  # arrays refuse to be compared as a whole
+        return False

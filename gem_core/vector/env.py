@@ -1,0 +1,372 @@
+"""``VectorEnv``: many environments that are reset and stepped together, wherever they live."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, Self, cast
+
+import numpy as np
+
+from gem_core.errors import ArgumentError, EnvFaultError, GemError
+from gem_core.plans import Draw, DrawSource
+from gem_core.registry import registry
+from gem_core.types import Info, Observation
+from gem_core.vector.actions import Actions, Received, VectorStep, indices_and_actions, masked_slots
+from gem_core.vector.engine import Batch, Engine
+from gem_core.vector.host import Host
+from gem_core.vector.setup import VectorSetup
+from gem_core.vector.signal import Signal
+from gem_core.vector.slot import LIVE, Rules
+from gem_core.wrapper import AnyEnv
+
+
+class VectorEnv:
+    """Many environments that are reset and stepped together, each in a slot of its own.
+
+    It is not a ``gymnasium.vector.VectorEnv``: texts and infos come as lists.
+
+    An episode that ends is followed by the next in the same call (autoreset ``same_step``): the observation is the new
+    episode's first, and ``info["final_obs"]`` and ``info["final_info"]`` hold the last of the old. An environment that
+    fails ends its episode as truncated, with ``info["final_info"]["error"]``, and is replaced. When a plan is exhausted
+    a slot is idle: ``TERMINAL_STATE``, flags false, ``info["idle"]``, and its actions are ignored.
+
+    ``step`` waits for all that it stepped; ``send`` and ``recv`` wait for nobody. Both have a form to await, which
+    blocks no event loop, and all work from plain code, in notebooks and in servers.
+
+    Args:
+        setup: What it is made from; see ``make_vec``.
+        hosts: Where environments live: one place, or several with a function that tells it for an id.
+        rules: What all slots share; by default as ``setup`` says.
+    """
+
+    ids: list[str | None]
+    """The id of each slot's own environment."""
+
+    all_ids: list[str | None]
+    """The ids that were asked for, each once; there may be more of them than slots."""
+
+    def __init__(
+        self,
+        setup: VectorSetup,
+        *hosts: Host,
+        host_of: Callable[[str | None], Host] | None = None,
+        rules: Rules | None = None,
+    ) -> None:
+        self.ids, self.all_ids = list(setup.ids), list(setup.all_ids)
+        rules = rules or setup.rules()
+        if any(host.replays for host in hosts):
+            rules.replayable = lambda env_id: env_id is not None and registry().env(env_id).deterministic
+        self._rules = rules
+        self._own_source = rules.source
+        self._engine = Engine(self.ids, rules, hosts, host_of)
+        self._slots = self._engine.slots
+
+    @classmethod
+    def around(
+        cls, env: AnyEnv, *, seed: int | None = None, on_error: str = "truncate", keep_open: bool = False
+    ) -> VectorEnv:
+        """Return a vector environment of one slot, which begins with a given environment and does not make its own.
+
+        A replacement, when it is needed, is the environment's own ``spawn``.
+
+        Args:
+            env: What the slot begins with.
+            seed: Seed of the run; None draws one.
+            on_error: ``"truncate"`` or ``"raise"``.
+            keep_open: Leave closing ``env`` to the caller; replacements are closed in any case.
+        """
+        from gem_core.vector.backends import around
+
+        return around(env, seed=seed, on_error=on_error, keep_open=keep_open)
+
+    # What it is.
+
+    @property
+    def signal(self) -> Signal:
+        """What is set when there may be something for ``recv``, and by whoever else wants to wake ``wait``."""
+        return self._engine.signal
+
+    @property
+    def num_envs(self) -> int:
+        """Number of slots."""
+        return len(self.ids)
+
+    @property
+    def seed(self) -> int:
+        """Seed of the run, from which each episode's own is made."""
+        return self._rules.source.seed
+
+    @property
+    def faults(self) -> int:
+        """Number of environments that failed so far."""
+        return self._rules.budget.total
+
+    @property
+    def own_source(self) -> DrawSource:
+        """What its own episodes start from, by the plan and seed that it was made with; see ``rollout``."""
+        return self._own_source
+
+    def draw_of(self, slot: int) -> Draw | None:
+        """Return what the present episode of a slot started from; None when it is idle."""
+        return self._slots[slot].draw
+
+    def describe(self, slot: int) -> dict[str, Any]:
+        """Return ``id``, ``kwargs`` (over the registered ones) and ``wrappers`` of the environment in a slot."""
+        described: dict[str, Any] = self._engine.at[slot].ask(slot, "describe")
+        if described["id"] is None:
+            described["id"] = self.ids[slot] or "unknown"
+        return described
+
+    def num_tasks(self, env_id: str | None) -> int | None:
+        """Return the number of tasks of an environment that has a data set; None for any other."""
+        slot = self.ids.index(env_id) if env_id in self.ids else 0
+        wanted = env_id or self.ids[slot]
+        engine = self._engine
+        host = engine.at[slot] = engine.at[slot] if engine.host_of is None else engine.host_of(wanted)
+        return cast("int | None", host.ask(slot, "num_tasks", wanted))
+
+    def sample_random_action(self, slot: int) -> str:
+        """Return a valid action for the present state of a slot.
+
+        Raises:
+            SamplingNotSupported: The environment does not say what is valid.
+            EnvFaultError: It failed.
+        """
+        current = self._slots[slot]
+        seed = None if current.draw is None else current.draw.action_seed
+        try:
+            return cast("str", self._engine.at[slot].ask(slot, "sample", seed, current.rebuilding()))
+        except GemError:
+            raise
+        except Exception as error:
+            raise EnvFaultError(
+                f"{self._slots[slot].name()}: sample_random_action raised {type(error).__name__}: {error}"
+            ) from error
+
+    # Waiting for all.
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[list[Observation], list[Info]]:
+        """Begin an episode in every slot.
+
+        Args:
+            seed: Start the run of this seed over; None goes on with the present one, as with a plan half done.
+            options: Passed to the first episode of every slot. ``"reset_mask"``, a bool for each slot, resets some
+                only, as in Gymnasium; of the others comes what was observed last, with an empty info.
+
+        Raises:
+            ArgumentError: The run cannot start over, because its plan is an iterator that has been drawn from.
+        """
+        batch, order = self._start_reset(seed, options)
+        for seconds in self._engine.until(batch.is_over):
+            batch.signal.wait(seconds)
+        return self._observed(order)
+
+    async def reset_async(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[list[Observation], list[Info]]:
+        """``reset`` for code that runs in an event loop, without blocking it."""
+        batch, order = self._start_reset(seed, options)
+        for seconds in self._engine.until(batch.is_over, blocking=False):
+            await batch.signal.wait_async(seconds)
+        return self._observed(order)
+
+    def begin(self, source: DrawSource, options: dict[str, Any] | None = None) -> tuple[list[Observation], list[Info]]:
+        """Begin an episode in every slot, drawn from a source; see ``reset``."""
+        batch = self._begin(source, options, list(range(self.num_envs)))
+        for seconds in self._engine.until(batch.is_over):
+            batch.signal.wait(seconds)
+        return self._observed(list(range(self.num_envs)))
+
+    def step(self, actions: Actions) -> VectorStep:
+        """Step all slots, or those that a mapping names, and wait for them.
+
+        Episodes that begin in the same call draw from the plan in the order of the slots: the order in which
+        environments finish decides nothing.
+
+        Args:
+            actions: One for each slot in order; or ``{slot: action}``.
+
+        Returns:
+            What came of it, in the order asked.
+
+        Raises:
+            ArgumentError: The number of actions is not the number of slots, or a slot does not exist or is under way.
+            ResetNeededError: A slot has no episode, and none begins by itself.
+        """
+        batch, order = self._start_step(actions)
+        if batch.left:
+            for seconds in self._engine.until(batch.is_over):
+                batch.signal.wait(seconds)
+        return self._results(order)
+
+    async def step_async(self, actions: Actions) -> VectorStep:
+        """``step`` for code that runs in an event loop, without blocking it."""
+        batch, order = self._start_step(actions)
+        for seconds in self._engine.until(batch.is_over, blocking=False):
+            await batch.signal.wait_async(seconds)
+        return self._results(order)
+
+    # Waiting for nobody.
+
+    def send(self, actions: Actions) -> None:
+        """Begin to step all slots, or those that a mapping names; ``recv`` returns what comes of it.
+
+        Raises:
+            ArgumentError: The number of actions is not the number of slots, or a slot does not exist or is under way.
+            ResetNeededError: A slot has no episode, and none begins by itself.
+        """
+        pairs = self._checked(actions)
+        self._engine.sent.update(index for index, _ in pairs)
+        self._engine.act(pairs, None)
+
+    def send_reset(self, source: DrawSource | None = None, options: dict[str, Any] | None = None) -> None:
+        """Begin an episode in every slot; ``recv`` returns their observations, with reward 0 and flags false."""
+        self._engine.drain()
+        self._rules.source = source or self._own_source
+        self._rules.budget.finished()
+        self._engine.sent.update(range(self.num_envs))
+        self._engine.run_all((slot, partial(slot.begin, options)) for slot in self._slots)
+
+    def give_up(self, slot: int, fault: str | None) -> None:
+        """Begin the next episode of a slot in the middle of one; ``recv`` returns its first observation.
+
+        Args:
+            slot: Number of the slot.
+            fault: What failed in the machinery of its agent, counted as a fault; None where nothing failed, as when
+                the history is longer than the model takes.
+        """
+        self._engine.refuse_busy([slot])
+        self._engine.sent.add(slot)
+        self._engine.run_all([(self._slots[slot], partial(self._slots[slot].give_up, fault))])
+
+    def recv(self, min_envs: int = 1, timeout: float | None = None) -> Received:
+        """Return what came of ``send``: all that is there, in order of completion.
+
+        Args:
+            min_envs: Wait for so many; for all that are under way, where these are fewer.
+            timeout: Seconds to wait at most; then come those that are there, maybe none.
+
+        Raises:
+            ArgumentError: Nothing is under way.
+        """
+        enough, deadline = self._awaited(min_envs, timeout)
+        for seconds in self._engine.until(enough, deadline):
+            self.signal.wait(seconds)
+        return self._received()
+
+    async def recv_async(self, min_envs: int = 1, timeout: float | None = None) -> Received:
+        """``recv`` for code that runs in an event loop, without blocking it."""
+        enough, deadline = self._awaited(min_envs, timeout)
+        for seconds in self._engine.until(enough, deadline, blocking=False):
+            await self.signal.wait_async(seconds)
+        return self._received()
+
+    def wait(self, other: Callable[[], bool] = lambda: False) -> None:
+        """Wait until ``recv`` would return something, or until something else is so, as ``signal`` says it may be."""
+        for seconds in self._engine.until(lambda: self._has_news() or other()):
+            self.signal.wait(seconds)
+
+    async def wait_async(self, other: Callable[[], bool] = lambda: False) -> None:
+        """``wait`` for code that runs in an event loop, without blocking it."""
+        for seconds in self._engine.until(lambda: self._has_news() or other(), blocking=False):
+            await self.signal.wait_async(seconds)
+
+    def _has_news(self) -> bool:
+        return bool(self._engine.done)
+
+    @property
+    def under_way(self) -> int:
+        """Number of slots that were sent something and have not been received."""
+        return len(self._engine.sent)
+
+    def close(self) -> None:
+        """Close every environment; ``reset`` would make them again."""
+        self._engine.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def __len__(self) -> int:
+        return self.num_envs
+
+    # Its own matters.
+
+    def _start_reset(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Batch, list[int]]:
+        chosen = list(range(self.num_envs))
+        if options and "reset_mask" in options:
+            options = dict(options)
+            chosen = masked_slots(options.pop("reset_mask"), self.num_envs)
+        if seed is not None:
+            self._own_source = self._own_source.restarted(seed)
+        return self._begin(self._own_source, options or None, chosen), chosen
+
+    def _begin(self, source: DrawSource, options: dict[str, Any] | None, chosen: list[int]) -> Batch:
+        if len(chosen) < self.num_envs:
+            self._engine.refuse_busy(chosen)
+        else:
+            self._engine.drain()
+            self._rules.source = source
+            self._rules.budget.finished()
+        batch = Batch(len(chosen))
+        for index in chosen:
+            self._engine.enter(batch, index)
+        self._engine.run_all(
+            ((self._slots[index], partial(self._slots[index].begin, options)) for index in chosen), batch
+        )
+        return batch
+
+    def _start_step(self, actions: Actions) -> tuple[Batch, list[int]]:
+        pairs = self._checked(actions)
+        batch = Batch(len(pairs))
+        self._engine.act(pairs, batch)
+        return batch, [index for index, _ in pairs]
+
+    def _checked(self, actions: Actions) -> list[tuple[int, str]]:
+        pairs = indices_and_actions(actions, self.num_envs)
+        self._engine.refuse_busy(index for index, _ in pairs)
+        for index, _ in pairs:
+            if self._slots[index].phase is not LIVE:
+                self._slots[index].check_steppable()
+        return pairs
+
+    def _awaited(self, min_envs: int, timeout: float | None) -> tuple[Callable[[], bool], float | None]:
+        engine = self._engine
+        if not engine.sent:
+            raise ArgumentError("nothing is under way; call send() before recv()")
+        if type(min_envs) is not int or min_envs < 0:
+            raise ArgumentError(f"min_envs must be a whole number from 0 up, not {min_envs!r}")
+        wanted = min(min_envs, len(engine.sent))
+        engine.target = max(1, wanted)
+        return lambda: len(engine.done) >= wanted, None if timeout is None else time.monotonic() + timeout
+
+    # Results.
+
+    def _received(self) -> Received:
+        order = self._engine.take_done()
+        return Received(order, *self._results(order))
+
+    def _results(self, order: Sequence[int]) -> VectorStep:
+        slots = self._slots
+        results = [slots[index].result for index in order]
+        for result in results:
+            if not isinstance(result, tuple):
+                raise result
+        if not results:
+            empty = np.zeros(0)
+            return VectorStep([], empty, empty.astype(bool), empty.astype(bool), [])
+        observations, rewards, terminated, truncated, infos = zip(*results, strict=True)
+        return VectorStep(list(observations), np.array(rewards), np.array(terminated), np.array(truncated), list(infos))
+
+    def _observed(self, chosen: list[int]) -> tuple[list[Observation], list[Info]]:
+        self._results(chosen)
+        began = set(chosen)
+        observations = [slot.result[0] if slot.result is not None else "" for slot in self._slots]
+        infos = [slot.result[4] if slot.index in began else {} for slot in self._slots]
+        return observations, infos

@@ -1,0 +1,253 @@
+"""Environments in this process: in place, in a pool of threads, or as tasks on the library's event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import time
+from collections.abc import Callable, MutableMapping
+from typing import Any, cast
+
+from gem_core.background import DaemonPool, background_loop, finish_or_start
+from gem_core.errors import ArgumentError, FaultBudgetError
+from gem_core.types import Concurrency
+from gem_core.vector.body import Body, EnvFactory
+from gem_core.vector.commands import Command, Failure, Outcome, Reset
+from gem_core.vector.host import Host, Launch
+
+MOST_ABANDONED = 64
+"""Threads that hang at once before a run is stopped."""
+
+_NONE = "\0none"
+"""In the place of an id: there is no environment."""
+
+_CLOSING_S = 5.0
+"""How long ``close`` waits for tasks to let go of what they hold."""
+
+
+class LocalHost(Host):
+    """Runs each environment of this process as its ``concurrency`` asks for.
+
+    Args:
+        factories: What makes the environment of each slot.
+        concurrent: Whether threads and tasks are used at all; without, everything is done in place.
+        kinds: What environments of an id need, where that is known before one is made.
+        step_timeout: Seconds that a command may take; see ``make_vec``.
+        started: Where it notes since when a slot's command runs.
+    """
+
+    def __init__(
+        self,
+        factories: list[EnvFactory],
+        *,
+        concurrent: bool = True,
+        kinds: Callable[[str | None], Concurrency | None] = lambda env_id: None,
+        step_timeout: float | None = None,
+        started: MutableMapping[int, float] | None = None,
+    ) -> None:
+        self._factories = factories
+        self._bodies = [Body(index, factory) for index, factory in enumerate(factories)]
+        self._concurrent = concurrent
+        self._kinds = kinds
+        self._step_timeout = step_timeout
+        self._pool = DaemonPool("gem-env")
+        self._tasks: dict[int, asyncio.Task[None]] = {}
+        self._started: MutableMapping[int, float] = {} if started is None else started
+        self._hanging = 0
+
+    def body(self, slot: int) -> Body:
+        """Return the environment of a slot in its place."""
+        return self._bodies[slot]
+
+    def in_place(self, slot: int, command: Command) -> Body | None:
+        """Return the slot's body if its environment is ``inline``; see ``Host.in_place``."""
+        body = self._bodies[slot]
+        if not self._concurrent:
+            return body
+        if self._step_timeout is not None:
+            return None
+        if isinstance(command, Reset) and (command.env_id != self._id_of(body)) and self._is_inline(command.env_id):
+            # To make it takes little. A wrapper may need more than the task does, which shows only then.
+            failed = body.prepare(command.env_id, command.kwargs)
+            return body if failed or body.kind == "inline" else None
+        return body if body.kind == "inline" else None
+
+    def start(self, batch: list[Launch]) -> None:
+        """Begin each command in a thread or as a task."""
+        on_loop: list[Launch] = []
+        for launch in batch:
+            slot, _, command = launch
+            body = self._bodies[slot]
+            fits = not isinstance(command, Reset) or command.env_id == self._id_of(body)
+            if body.kind == "async" and fits:
+                on_loop.append(launch)
+            else:
+                self._pool.submit(functools.partial(self._in_thread, body, launch))
+        if on_loop:
+            background_loop().call_soon_threadsafe(self._spawn, on_loop)
+
+    def ask(self, slot: int, question: str, *args: Any) -> Any:
+        """Answer a question; see ``Host.ask``."""
+        return answer(self._bodies[slot], question, *args[:1])
+
+    def release(self, slot: int) -> None:
+        """Close a slot's environment."""
+        body = self._bodies[slot]
+        if not self._concurrent or body.kind in ("inline", None):
+            body.discard()
+        else:
+            self._pool.submit(body.discard)
+
+    def overdue(self, now: float) -> list[int]:
+        """Return the slots whose command takes too long."""
+        limit = self._step_timeout
+        if limit is None:
+            return []
+        return [slot for slot, started in list(self._started.items()) if now - started >= limit]
+
+    def next_check(self, now: float) -> float | None:
+        """Return in how many seconds the first command that runs is overdue."""
+        limit = self._step_timeout
+        if limit is None:
+            return None
+        oldest = min(list(self._started.values()), default=now)
+        return max(0.0, oldest + limit - now)
+
+    def timed_out(self, slot: int) -> Failure:
+        """Return what is said of a command that took too long."""
+        return timeout_of(self._step_timeout)
+
+    def abandon(self, slot: int, failure: Failure) -> Failure:
+        """Leave the environment to the thread that hangs in it; cancel a task."""
+        body = self._bodies[slot]
+        self._bodies[slot] = Body(slot, self._factories[slot])
+        self._started.pop(slot, None)
+        task = self._tasks.pop(slot, None)
+        if task is not None and not task.done():
+            background_loop().call_soon_threadsafe(task.cancel)
+            self._pool.submit(body.discard)
+            return failure
+        self._hanging += 1
+        if self._hanging > MOST_ABANDONED:
+            raise FaultBudgetError(
+                f"{self._hanging} environments hang in threads that cannot be ended; the last: {failure.message}. "
+                "Use backend='process', whose workers can be killed"
+            )
+        return failure
+
+    @property
+    def hanging(self) -> int:
+        """Number of threads that were abandoned and have not come back."""
+        return self._hanging
+
+    def close(self) -> None:
+        """Close every environment; what hangs is left to its thread."""
+        tasks = [task for task in self._tasks.values() if not task.done()]
+        busy = set(self._started) - {slot for slot, task in self._tasks.items() if not task.done()}
+        self._tasks = {}
+        if tasks:
+            finish_or_start(_cancelled(tasks))
+        self._started.clear()
+        for slot, body in enumerate(self._bodies):
+            if slot in busy:
+                self._bodies[slot] = Body(slot, self._factories[slot])
+            else:
+                body.discard()
+        self._pool.close()
+
+    def _is_inline(self, env_id: str | None) -> bool:
+        return self._kinds(env_id) == "inline"
+
+    def _id_of(self, body: Body) -> str | None:
+        return body.made_for[0] if body.made_for is not None else _NONE
+
+    def _in_thread(self, body: Body, launch: Launch | None) -> None:
+        slot = body.index
+        while launch is not None:
+            slot, ticket, command = launch
+            if not self.engine.is_current(slot, ticket):
+                break
+            self._started[slot] = time.monotonic()
+            outcome: Outcome | None = self._prepared(body, command)
+            if outcome is None:
+                if body.kind == "async":
+                    # Known only now: it goes on where its coroutines run.
+                    self._started.pop(slot, None)
+                    background_loop().call_soon_threadsafe(self._spawn, [launch])
+                    return
+                outcome = body.perform(command)
+            launch = self._advance(body, slot, ticket, outcome)
+        self._came_back(body, slot)
+
+    def _spawn(self, batch: list[Launch]) -> None:
+        loop = asyncio.get_running_loop()
+        for launch in batch:
+            slot = launch[0]
+            self._tasks[slot] = loop.create_task(self._as_task(self._bodies[slot], launch))
+
+    async def _as_task(self, body: Body, launch: Launch | None) -> None:
+        while launch is not None:
+            slot, ticket, command = launch
+            self._started[slot] = time.monotonic()
+            outcome = await body.perform_async(command)
+            if self._bodies[slot] is not body:
+                return  # abandoned in the meantime
+            launch = self._advance(body, slot, ticket, outcome)
+
+    def _prepared(self, body: Body, command: Command) -> Failure | None:
+        if not isinstance(command, Reset):
+            return None
+        failure = body.prepare(command.env_id, command.kwargs)
+        if failure is None and self._step_timeout is not None and body.kind == "inline":
+            error = ArgumentError(
+                f"step_timeout cannot be kept for {command.env_id!r}, which runs in place; use backend='auto' or "
+                "'process', whose workers can be killed"
+            )
+            failure = Failure("exception", str(error), error, hopeless=True)
+        return failure
+
+    def _advance(self, body: Body, slot: int, ticket: int, outcome: Outcome) -> Launch | None:
+        if self._bodies[slot] is body:
+            self._started.pop(slot, None)
+        return self.engine.advance(self, slot, ticket, outcome)
+
+    def _came_back(self, body: Body, slot: int) -> None:
+        """Close the environment of a thread that was abandoned, or whose vector environment was closed."""
+        if self._bodies[slot] is not body:
+            self._hanging = max(0, self._hanging - 1)
+            body.discard()
+
+
+def timeout_of(step_timeout: float | None) -> Failure:
+    """Return what is said of a command that took longer than ``step_timeout``."""
+    return Failure("timeout", f"a step or reset took longer than step_timeout, {step_timeout:g} s")
+
+
+def answer(body: Body, question: str, *args: Any) -> Any:
+    """Answer a question about an environment that is in this process; see ``Host.ask``."""
+    if question == "sample":
+        return body.sample_random_action(*args)
+    if question == "describe":
+        return _described(body.env)
+    failure = body.prepare(args[0], {})
+    if failure is not None:
+        raise cast("BaseException", failure.error)
+    env = cast("Any", body.env)
+    if question == "wrappers":
+        return [list(wrapper) for wrapper in env.spec.wrappers] if env.spec is not None else []
+    count = getattr(env.unwrapped, "num_tasks", None)
+    return count if isinstance(count, int) else None
+
+
+def _described(env: Any) -> dict[str, Any]:
+    spec = None if env is None else env.spec
+    if spec is None:
+        return {"id": None if env is None else type(env.unwrapped).__name__, "kwargs": {}, "wrappers": []}
+    return {"id": spec.id, "kwargs": spec.overrides(), "wrappers": [list(wrapper) for wrapper in spec.wrappers]}
+
+
+async def _cancelled(tasks: list[asyncio.Task[None]]) -> None:
+    for task in tasks:
+        task.cancel()
+    # A coroutine that swallows its cancellation must not hold up the end of the run.
+    await asyncio.wait(tasks, timeout=_CLOSING_S)

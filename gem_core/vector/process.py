@@ -1,0 +1,195 @@
+"""The backend ``process``: environments in worker processes, many in each."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import weakref
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+
+from gem_core.errors import ArgumentError
+from gem_core.vector.remote import Link, Message, RemoteHost, worker_setup
+from gem_core.vector.setup import VectorSetup
+from gem_core.vector.worker import Outbox, SharedTimes
+
+_START = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
+    "from gem_core.vector.worker import main; main(*map(int, sys.argv[2:]))"
+)
+
+_CLOSING_S = 6.0
+"""How long a worker may take to end by itself; a little longer than it gives its environments."""
+
+
+def process_host(setup: VectorSetup, *, workers: int | None, worker_memory_bytes: int | None) -> RemoteHost:
+    """Return a host whose workers are processes of this machine; see ``backends.processes``.
+
+    Raises:
+        ArgumentError: A number that cannot be.
+    """
+    for name, value in (("workers", workers), ("worker_memory_bytes", worker_memory_bytes)):
+        if value is not None and (type(value) is not int or value < 1):
+            raise ArgumentError(f"{name} must be a positive whole number, not {value!r}")
+    count = min(len(setup.ids), workers or _cores())
+    blob = worker_setup(setup, {"worker_memory_bytes": worker_memory_bytes})
+    return RemoteHost(setup, lambda told, died: ProcessLink(blob, len(setup.ids), told, died), count)
+
+
+class ProcessLink(Link):
+    """A worker process.
+
+    It is started as a program of its own, never forked: the threads and locks of this process are none of its matter,
+    and a script needs no ``if __name__ == "__main__"``. It leads a session, so that Ctrl-C in a terminal does not reach
+    it, and what it has started can be killed with it.
+
+    Args:
+        setup: What its environments are made from.
+        slots: Number of slots.
+        on_messages: See ``Link``.
+        on_death: See ``Link``.
+    """
+
+    def __init__(
+        self,
+        setup: bytes,
+        slots: int,
+        on_messages: Callable[[Link, list[Message]], None],
+        on_death: Callable[[Link], None],
+    ) -> None:
+        ours, theirs = socket.socketpair()
+        lifeline, held = os.pipe()
+        with theirs, tempfile.TemporaryFile() as times:
+            times.truncate(max(8, 8 * slots))
+            self._times = SharedTimes(times.fileno(), slots)
+            numbers = theirs.fileno(), lifeline, times.fileno()
+            path = json.dumps([entry or os.getcwd() for entry in sys.path])
+            try:
+                self._process = subprocess.Popen(
+                    [sys.executable, "-c", _START, path, *map(str, numbers)],
+                    pass_fds=numbers,
+                    stdin=subprocess.DEVNULL,
+                    start_new_session=True,
+                )
+            finally:
+                os.close(lifeline)
+        self._connection = Connection(ours.detach())
+        # Also at exit: a program that ends without closing leaves no process behind.
+        self._ended = weakref.finalize(self, _end, self._process, held)
+        self._outbox = Outbox(self._connection.send_bytes, setup)
+        target = _weak(on_messages), _weak(on_death)
+        reading = threading.Thread(
+            target=_read, args=(weakref.ref(self), self._connection, *target), name="gem-worker", daemon=True
+        )
+        reading.start()
+        threading.Thread(
+            target=_reap, args=(self._process, self._connection, reading), name="gem-reap", daemon=True
+        ).start()
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
+    def send(self, messages: list[Message]) -> None:
+        """Hand messages to the worker without waiting for it."""
+        for message in messages:
+            self._outbox.put(message)
+
+    def running(self) -> dict[int, float]:
+        """Return the slots whose command runs, or ran when it died, and since when."""
+        return dict(self._times)
+
+    def death(self) -> str:
+        """Say how it died."""
+        code = self._process.poll()
+        if code is not None and code < 0:
+            try:
+                return f"was killed by {signal.Signals(-code).name}"
+            except ValueError:
+                return f"was killed by signal {-code}"
+        return f"ended with exit code {code}"
+
+    def kill(self) -> None:
+        """End the worker at once, and all that it has started."""
+        self._ended()
+
+    def close(self) -> None:
+        """Let the worker close its environments, and end it."""
+        self._outbox.close(_CLOSING_S)
+        shut(self._connection)
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(_CLOSING_S)
+        self._ended()
+
+
+def shut(connection: Connection) -> None:
+    """Hang up, so that both sides read the end of it."""
+    try:
+        with socket.socket(fileno=os.dup(connection.fileno())) as plug:
+            plug.shutdown(socket.SHUT_RDWR)
+    except OSError:
+        return  # it is closed already
+
+
+def _read(
+    link_of: weakref.ref[ProcessLink],
+    connection: Connection,
+    on_messages: Callable[[], Callable[[Link, list[Message]], None] | None],
+    on_death: Callable[[], Callable[[Link], None] | None],
+) -> None:
+    while True:
+        try:
+            messages = pickle.loads(connection.recv_bytes())
+        except (EOFError, OSError):
+            break
+        link, told = link_of(), on_messages()
+        if link is None or told is None:
+            return
+        told(link, messages)
+        del link, told, messages
+    link, died = link_of(), on_death()
+    if link is not None and died is not None:
+        link._process.wait()
+        died(link)
+
+
+def _reap(process: subprocess.Popen[bytes], connection: Connection, reading: threading.Thread) -> None:
+    """Take note of the end of a worker; what it left behind may hold its connection open, and must not."""
+    process.wait()
+    _kill_group(process.pid)
+    reading.join(1.0)
+    shut(connection)
+    reading.join()
+    connection.close()
+
+
+def _end(process: subprocess.Popen[bytes], lifeline: int) -> None:
+    if process.poll() is None:
+        _kill_group(process.pid)
+        process.wait()
+    os.close(lifeline)
+
+
+def _kill_group(leader: int) -> None:
+    try:
+        os.killpg(leader, signal.SIGKILL)
+    except (ProcessLookupError, PermissionError):
+        return  # nobody is left
+
+
+def _weak(method: Callable[..., None]) -> Callable[[], Callable[..., None] | None]:
+    """Return what gives a method while its object lives: a thread that waits keeps no vector environment alive."""
+    return weakref.WeakMethod(method) if hasattr(method, "__self__") else lambda: method
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

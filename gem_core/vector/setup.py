@@ -1,0 +1,103 @@
+"""``VectorSetup``: what a vector environment is made from; a backend adds where its environments live."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from gem_core.errors import ArgumentError
+from gem_core.making import Wrappers, load_entry_point, make_from
+from gem_core.plans import DrawSource, PlanItem
+from gem_core.registry import registry
+from gem_core.types import Concurrency
+from gem_core.vector.body import EnvFactory
+from gem_core.vector.slot import Autoreset, FaultBudget, OnError, Rules
+from gem_core.wrapper import AnyEnv, concurrency_of
+
+
+@dataclass
+class VectorSetup:
+    """What a vector environment is made from; see ``make_vec``, which gives it to a backend.
+
+    Args:
+        ids: Id of each slot's own environment.
+        all_ids: Every id that was asked for, once.
+        wrappers: Put around each environment.
+        kwargs: Keyword arguments for every environment.
+        seed: Seed of the run; None draws one.
+        plan: What episodes start from.
+        autoreset: ``"same_step"``, ``"next_step"`` or ``"disabled"``.
+        step_timeout: Seconds that a step or a reset may take; None for as long as it likes.
+        on_error: ``"truncate"`` or ``"raise"``.
+    """
+
+    ids: list[str]
+    all_ids: list[str]
+    wrappers: Wrappers = ()
+    kwargs: Mapping[str, Any] = field(default_factory=dict)
+    seed: int | None = None
+    plan: Iterable[PlanItem] | None = None
+    autoreset: Autoreset = "same_step"
+    step_timeout: float | None = None
+    on_error: OnError = "truncate"
+    _kinds: dict[str, Concurrency] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        limit = self.step_timeout
+        if limit is not None and not (isinstance(limit, int | float) and 0 < limit < float("inf")):
+            raise ArgumentError(f"step_timeout must be a positive number of seconds, not {limit!r}")
+
+    def rules(self) -> Rules:
+        """Return what all slots share."""
+        budget = FaultBudget(limit=max(16, 2 * len(self.ids)))
+        return Rules(new_source(self.plan, self.seed), budget, self.autoreset, self.on_error)
+
+    def make(self, env_id: str, overrides: Mapping[str, Any]) -> AnyEnv:
+        """Make an environment, with some keyword arguments changed."""
+        return make_from(registry().env(env_id), {**self.kwargs, **overrides}, self.wrappers, registry().wrapper)
+
+    def factories(self) -> list[EnvFactory]:
+        """Return what makes the environment of each slot in this process."""
+        made: dict[str, EnvFactory] = {own_id: partial(self._make_own, own_id) for own_id in set(self.ids)}
+        return [made[own_id] for own_id in self.ids]
+
+    def _make_own(self, own_id: str, env_id: str | None, overrides: Mapping[str, Any]) -> AnyEnv:
+        return self.make(env_id or own_id, overrides)
+
+    def task_kind(self, env_id: str | None) -> Concurrency | None:
+        """Return what a task needs by its class, without its wrappers; None where that is not known by class."""
+        if env_id is None:
+            return None
+        if env_id not in self._kinds:
+            record = registry().env(env_id)
+            entry_point = load_entry_point(record.entry_point, f"environment {env_id!r}")
+            kind = getattr(entry_point, "concurrency", None)
+            if not isinstance(kind, str):
+                return None
+            self._kinds[env_id] = kind  # type: ignore[assignment]  # checked where it is used
+        return self._kinds[env_id]
+
+    def stack_kind(self, env_id: str) -> Concurrency:
+        """Return what an environment needs together with its wrappers; one may be made and closed to find it out."""
+        kind = self.task_kind(env_id)
+        if kind is not None and (kind == "process" or not self.wrappers):
+            return kind
+        env = self.make(env_id, {})
+        try:
+            return concurrency_of(env)
+        finally:
+            env.close()
+
+
+def new_source(plan: Iterable[PlanItem] | None, seed: int | None) -> DrawSource:
+    """Return the draws of a run."""
+    if plan is not None and (isinstance(plan, str | Mapping) or not isinstance(plan, Iterable)):
+        raise ArgumentError(f"a plan is an iterable of PlanItem records, not {type(plan).__name__}")
+    return DrawSource(plan, seed)
+
+
+def slot_ids(ids: Sequence[str], num_envs: int) -> list[str]:
+    """Return the id of each slot: they take the ids in turn."""
+    return [ids[slot % len(ids)] for slot in range(num_envs)]

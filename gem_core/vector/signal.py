@@ -1,0 +1,47 @@
+"""``Signal``: wakes whoever waits for a vector environment, in plain code or in a coroutine."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+
+
+class Signal:
+    """A flag that one waits for and that waiting takes down again; ``set`` may be called from any thread."""
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+        self._waiting: tuple[asyncio.AbstractEventLoop, asyncio.Future[None]] | None = None
+
+    def set(self) -> None:
+        """Wake whoever waits, or the next who does."""
+        self._event.set()
+        waiting = self._waiting
+        if waiting is not None:
+            loop, future = waiting
+            try:
+                loop.call_soon_threadsafe(_finish, future)
+            except RuntimeError:  # that loop is closed: nobody waits any more
+                self._waiting = None
+
+    def wait(self, timeout: float | None = None) -> None:
+        """Wait in plain code, at most so many seconds."""
+        self._event.wait(timeout)
+        self._event.clear()
+
+    async def wait_async(self, timeout: float | None = None) -> None:
+        """Wait in a coroutine, at most so many seconds, without blocking its loop."""
+        loop = asyncio.get_running_loop()
+        future: asyncio.Future[None] = loop.create_future()
+        self._waiting = (loop, future)
+        try:
+            if not self._event.is_set():
+                await asyncio.wait([future], timeout=timeout)
+        finally:
+            self._waiting = None
+        self._event.clear()
+
+
+def _finish(future: asyncio.Future[None]) -> None:
+    if not future.done():
+        future.set_result(None)
