@@ -142,7 +142,8 @@ class _Running:
 def _failed(failed: Mapping[str, Any]) -> Episode:
     """Return the episode of a reset that failed; see ``Slot.begin``."""
     item = PlanItem(options=failed["options"], group=failed["group"])
-    draw = Draw(item, failed["key"], failed["repeat"], failed["seed"], failed["run_seed"])
+    place = tuple(map(int, failed["key"].split(".")))
+    draw = Draw(item, place, failed["repeat"], failed["seed"], failed["run_seed"])
     reported = {"seed": draw.seed, "error": failed["error"]}
     if item.group is not None:
         reported["group"] = item.group

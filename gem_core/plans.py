@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, overload
 
 from gem_core.errors import ArgumentError
-from gem_core.seeding import checked_seed, fresh_seed, stable_hash
+from gem_core.seeding import checked_seed, fresh_seed, seed_at, seed_family, stable_hash
 
 
 @dataclass(frozen=True)
@@ -48,22 +48,27 @@ class Draw:
 
     Args:
         item: What it starts from, with the group filled in.
-        key: The item's place in the plan; without a plan, ``"slot.count"``.
+        place: The item's place in the plan; without a plan, the slot and the number of its episode.
         repeat: Which of the item's episodes it is, from 0.
         seed: Seed of the episode, shared by the item's repeats.
         run_seed: Seed of the run.
     """
 
     item: PlanItem
-    key: str
+    place: tuple[int, ...]
     repeat: int
     seed: int
     run_seed: int
 
     @property
+    def key(self) -> str:
+        """The item's place in the plan; without a plan, ``"slot.count"``."""
+        return ".".join(map(str, self.place))
+
+    @property
     def action_seed(self) -> int:
         """Seed of ``sample_random_action``, different for each repeat."""
-        return stable_hash(self.run_seed, "actions", *map(int, self.key.split(".")), self.repeat)
+        return stable_hash(self.run_seed, "actions", *self.place, self.repeat)
 
 
 class DrawSource:
@@ -82,6 +87,7 @@ class DrawSource:
         self._lock = threading.Lock()
         self._draws = iter(()) if plan is None else self._expanded(plan)
         self._counts: dict[int, int] = {}
+        self._seeds = seed_family(self.seed, "episode")
         self._skipped: Mapping[tuple[str, int], int | None] = {}
 
     @property
@@ -126,7 +132,7 @@ class DrawSource:
                 return next(self._draws, None)
             count = self._counts.get(slot, 0)
             self._counts[slot] = count + 1
-            return self._made(_ANY, f"{slot}.{count}", 0, (slot, count))
+            return Draw(_ANY, (slot, count), 0, seed_at(self._seeds, (slot, count)), self.seed)
 
     def _expanded(self, plan: Iterable[PlanItem]) -> Iterator[Draw]:
         for index, item in enumerate(plan):
@@ -135,12 +141,18 @@ class DrawSource:
             if type(item.repeat) is not int or item.repeat < 1:
                 raise ArgumentError(f"repeat must be a positive whole number, not {item.repeat!r} (plan item {index})")
             if item.seed is not None:
-                item = replace(item, seed=_seed_of(item.seed, index))
+                item = replace(item, seed=_checked_seed(item.seed, index))
             if item.repeat > 1 and item.group is None:
                 item = replace(item, group=str(index))
             for repeat in range(item.repeat):
-                draw = self._made(item, str(index), repeat, (index,))
-                if (draw.key, repeat) not in self._skipped:
+                draw = Draw(
+                    item,
+                    (index,),
+                    repeat,
+                    seed_at(self._seeds, (index,)) if item.seed is None else item.seed,
+                    self.seed,
+                )
+                if not self._skipped or (draw.key, repeat) not in self._skipped:
                     yield draw
                 elif self._skipped[draw.key, repeat] != draw.seed:
                     raise ArgumentError(
@@ -148,12 +160,8 @@ class DrawSource:
                         "it is of another run; resume with the plan and the seed of the first time"
                     )
 
-    def _made(self, item: PlanItem, key: str, repeat: int, parts: tuple[int, ...]) -> Draw:
-        seed = stable_hash(self.seed, "episode", *parts) if item.seed is None else item.seed
-        return Draw(item, key, repeat, seed, self.seed)
 
-
-def _seed_of(seed: int, index: int) -> int:
+def _checked_seed(seed: int, index: int) -> int:
     try:
         return checked_seed(seed)
     except ArgumentError as error:

@@ -45,6 +45,18 @@ def _encoded(part: SupportsIndex | str | None) -> bytes:
     return b"i%d," % operator.index(part)
 
 
+def seed_family(*parts: SupportsIndex | str | None) -> blake2b:
+    """Return what ``seed_at`` draws from: hashes that begin with the same parts."""
+    return blake2b(b"".join(map(_encoded, parts)), digest_size=8)
+
+
+def seed_at(family: blake2b, place: tuple[int, ...]) -> int:
+    """Return ``stable_hash`` of the parts of a family and further whole numbers, at half the cost."""
+    state = family.copy()
+    state.update(b"i%d," % place if len(place) == 1 else b"i%d,i%d," % place)
+    return int.from_bytes(state.digest(), "little") % SEED_LIMIT
+
+
 def next_seed(seed: int) -> int:
     """Return the seed of the episode that follows the one that started from ``seed`` in the same stream."""
     return (seed * _NEXT_MULTIPLIER + _NEXT_INCREMENT) % SEED_LIMIT

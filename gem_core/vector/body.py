@@ -12,7 +12,7 @@ from gem_core.background import in_thread
 from gem_core.seeding import checked_seed
 from gem_core.types import Concurrency, Observation, ResetResult, StepResult
 from gem_core.vector.commands import Command, Failure, Outcome, Rebuild, Rebuilt, Reset, checked_reset, checked_result
-from gem_core.wrapper import AnyEnv, concurrency_of, reset_async, step_async
+from gem_core.wrapper import AnyEnv, Guard, concurrency_of, reset_async, step_async
 
 logger = logging.getLogger("gem_core")
 
@@ -45,7 +45,7 @@ class Body:
         """An environment that belongs to the caller, who closes it."""
         self.sampled = False
         self._factory = factory
-        self._step: Callable[[str], StepResult] | None = None
+        self._step: Callable[[str], Any] = _nothing_to_step
 
     def prepare(self, env_id: str | None, kwargs: Mapping[str, Any]) -> Failure | None:
         """Make the environment for an id and keyword arguments, if it is not there; return what went wrong."""
@@ -57,7 +57,9 @@ class Body:
             self.kind = concurrency_of(env)
         except CONTAINED as error:
             return Failure.of(error, "reset", making=True)
-        self.env, self._step, self.made_for = env, cast("Any", env).step, (env_id, kwargs)
+        # The guard refuses a step outside an episode, which a slot never asks for.
+        self._step = (env.env if type(env) is Guard else env).step
+        self.env, self.made_for = env, (env_id, kwargs)
         return None
 
     def perform(self, command: Command) -> Outcome:
@@ -75,28 +77,27 @@ class Body:
                 self.sampled = False
                 return checked_reset(await reset_async(cast("AnyEnv", self.env), command.seed, command.options))
             if isinstance(command, str):
-                return checked_result(await step_async(self._present(), command))
+                return checked_result(await step_async(self.env, command) if self.env else _nothing_to_step(command))
         except CONTAINED as error:
             return self.failed(error, "step" if isinstance(command, str) else "reset")
         return await in_thread(self.rebuild, command)
 
     def reset(self, command: Reset) -> ResetResult | Failure:
         """Begin an episode."""
-        if failure := self.prepare(command.env_id, command.kwargs):
+        env_id, kwargs, seed, options = command
+        if failure := self.prepare(env_id, kwargs):
             return failure
         self.sampled = False
-        env = cast("AnyEnv", self.env)
+        env: Any = self.env
         try:
-            if command.options:
-                return checked_reset(env.reset(seed=command.seed, options=command.options))
-            return checked_reset(env.reset(seed=command.seed))
+            return checked_reset(env.reset(seed=seed, options=options) if options else env.reset(seed=seed))
         except CONTAINED as error:
             return self.failed(error, "reset")
 
     def step(self, action: str) -> StepResult | Failure:
         """Step the environment."""
         try:
-            result = cast("Any", self._step)(action)
+            result: Any = self._step(action)
             if type(result) is tuple and len(result) == 5:
                 observation, reward, terminated, truncated, info = result
                 if (
@@ -151,18 +152,13 @@ class Body:
 
     def discard(self) -> None:
         """Close the environment, if there is one that is not the caller's."""
-        env, self.env, self._step, self.made_for, self.kind = self.env, None, None, None, None
+        env, self.env, self._step, self.made_for, self.kind = self.env, None, _nothing_to_step, None, None
         if env is None or env is self.borrowed:
             return
         try:
             env.close()
         except CONTAINED:
             logger.warning("gem: closing the environment of slot %d failed", self.index, exc_info=True)
-
-    def _present(self) -> AnyEnv:
-        if self.env is None:
-            raise RuntimeError("there is no environment to step")
-        return self.env
 
 
 def _same(made_for: tuple[str | None, Mapping[str, Any]], env_id: str | None, kwargs: Mapping[str, Any]) -> bool:
@@ -172,3 +168,7 @@ def _same(made_for: tuple[str | None, Mapping[str, Any]], env_id: str | None, kw
         return made_for[1] is kwargs or made_for[1] == kwargs
     except ValueError:  # arrays refuse to be compared as a whole
         return False
+
+
+def _nothing_to_step(action: str) -> Any:
+    raise RuntimeError("there is no environment to step")

@@ -6,7 +6,7 @@ import math
 import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 from gem_core.errors import (
     DatasetError,
@@ -22,6 +22,8 @@ HOPELESS = (UsageError, RegistrationError, MissingRequirementError, EntryPointEr
 """Errors of making an environment that trying again, or another episode, does not mend."""
 
 _LONGEST_MESSAGE = 2000
+
+_OBSERVATIONS = (str, list)
 
 
 class Reset(NamedTuple):
@@ -141,11 +143,11 @@ def checked_reset(result: object) -> ResetResult:
         raise TypeError(f"reset must return (observation, info), not {result!r:.200}")
     observation, info = result
     _check_types(observation, info)
-    return observation, cast("dict[str, Any]", info).copy()
+    return observation, info.copy()
 
 
 def _check_types(observation: object, info: object) -> None:
-    if not isinstance(observation, str | list):
+    if type(observation) is not str and not isinstance(observation, _OBSERVATIONS):
         raise TypeError(f"an observation must be text or a list, not {type(observation).__name__}")
     if not isinstance(info, dict):
         raise TypeError(f"info must be a dictionary, not {type(info).__name__}")

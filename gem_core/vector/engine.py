@@ -69,14 +69,14 @@ class Engine:
     def act(self, pairs: list[tuple[int, str]], batch: Batch | None) -> None:
         """Step slots: those that take but microseconds at once, the others where they live."""
         slots, quick = self.slots, self._quick
+        in_turn = batch is not None and self.rules.source.planned
         later: dict[Host, list[Launch]] = {}
         settled = 0
         for index, action in pairs:
             slot, body = slots[index], quick[index]
             if body is None or slot.phase is not LIVE:
-                if batch is not None:
-                    self.enter(batch, index)
-                self._run(slot, partial(slot.act, action), later)
+                slot.in_turn = in_turn
+                settled += self._run(slot, partial(slot.act, action), later, batch)
                 continue
             outcome = body.step(action)
             if type(outcome) is tuple and not (outcome[2] or outcome[3]):
@@ -85,9 +85,8 @@ class Engine:
                     self.done.append(index)
                 settled += 1
                 continue
-            if batch is not None:
-                self.enter(batch, index)
-            self._run(slot, partial(slot.took_step, outcome), later)
+            slot.in_turn = in_turn
+            settled += self._run(slot, partial(slot.took_step, outcome), later, batch)
         self._start(later)
         if batch is not None:
             with self._lock:
@@ -97,23 +96,38 @@ class Engine:
 
     def run_all(self, starts: Iterable[tuple[Slot, Start]], batch: Batch | None = None) -> None:
         """Drive slots that begin an episode, each from its first command on."""
+        in_turn = batch is not None and self.rules.source.planned
         later: dict[Host, list[Launch]] = {}
+        settled = 0
         for slot, start in starts:
-            self._run(slot, start, later)
+            slot.in_turn = in_turn
+            settled += self._run(slot, start, later, batch)
         self._start(later)
         if batch is not None:
             with self._lock:
-                batch.unsettled -= 1
+                batch.left -= settled
+                batch.unsettled -= settled + 1
         self._give_turns()
 
-    def _run(self, slot: Slot, start: Start, later: dict[Host, list[Launch]]) -> None:
-        """Drive a slot as far as that can be done in place; note in ``later`` what a host has to do."""
+    def _run(self, slot: Slot, start: Start, later: dict[Host, list[Launch]], batch: Batch | None = None) -> bool:
+        """Drive a slot as far as that can be done in place; note in ``later`` what a host has to do.
+
+        Args:
+            slot: Which one.
+            start: Asks it for the first command.
+            later: Takes what a host has to do.
+            batch: What waits for the slot, if that is a call that begins here: it takes those in only that it has to
+                wait for.
+
+        Returns:
+            Whether the slot has a result and the batch need not wait.
+        """
         try:
             command = start()
             while command is not None:
                 if command is WAIT:
-                    self._hold(slot)
-                    return
+                    self._hold(slot, batch)
+                    return False
                 host = self._place(slot, command)
                 body = host.in_place(slot.index, command)
                 if body is None:
@@ -121,8 +135,10 @@ class Engine:
                     with self._lock:
                         self._tickets[slot.index] += not self._flying[slot.index]
                         self._flying[slot.index] = True
+                        if batch is not None:
+                            self._batches[slot.index] = batch
                         later.setdefault(host, []).append((slot.index, self._tickets[slot.index], command))
-                    return
+                    return False
                 self._quick[slot.index] = body
                 command = slot.took(body.perform(command))
         except Exception as error:  # noqa: BLE001 - raised again where the result is asked for
@@ -130,7 +146,9 @@ class Engine:
         if slot.draw is None:
             self._quick[slot.index] = None
             self.at[slot.index].release(slot.index)
-        self._settle(slot.index)
+        if batch is None:
+            self._settle(slot.index)
+        return True
 
     def _place(self, slot: Slot, command: Command) -> Host:
         """Return where a command is done; an environment of another id may live elsewhere than the one before."""
@@ -156,11 +174,6 @@ class Engine:
 
     # Batches: the slots that one call waits for, and their turns.
 
-    def enter(self, batch: Batch, index: int) -> None:
-        """Let a batch wait for a slot, which then takes its turn to draw."""
-        self._batches[index] = batch
-        self.slots[index].in_turn = True
-
     def _settle(self, index: int) -> None:
         """Note that a slot has a result."""
         with self._lock:
@@ -171,15 +184,14 @@ class Engine:
                     if len(self.done) >= self.target:
                         self.signal.set()
                 return
-            self.slots[index].in_turn = False
             batch.left -= 1
             batch.unsettled -= 1
             if not batch.left:
                 batch.signal.set()
 
-    def _hold(self, slot: Slot) -> None:
+    def _hold(self, slot: Slot, batch: Batch | None) -> None:
         with self._lock:
-            batch = self._batches[slot.index]
+            batch = self._batches.setdefault(slot.index, batch) if batch else self._batches[slot.index]
             batch.waiting.append(slot.index)
             batch.unsettled -= 1
             self._turns_due = True

@@ -315,8 +315,6 @@ class VectorEnv:
             self._rules.source = source
             self._rules.budget.finished()
         batch = Batch(len(chosen))
-        for index in chosen:
-            self._engine.enter(batch, index)
         self._engine.run_all(
             ((self._slots[index], partial(self._slots[index].begin, options)) for index in chosen), batch
         )
@@ -355,12 +353,11 @@ class VectorEnv:
     def _results(self, order: Sequence[int]) -> VectorStep:
         slots = self._slots
         results = [slots[index].result for index in order]
-        for result in results:
-            if not isinstance(result, tuple):
-                raise result
         if not results:
             empty = np.zeros(0)
             return VectorStep([], empty, empty.astype(bool), empty.astype(bool), [])
+        if error := next((result for result in results if not isinstance(result, tuple)), None):
+            raise error
         observations, rewards, terminated, truncated, infos = zip(*results, strict=True)
         return VectorStep(list(observations), np.array(rewards), np.array(terminated), np.array(truncated), list(infos))
 

@@ -18,8 +18,8 @@ from typing import Any, Literal, NamedTuple, cast, get_args
 
 from gem_core.errors import ArgumentError, EnvFaultError, FaultBudgetError, ResetNeededError
 from gem_core.plans import Draw, DrawSource
-from gem_core.types import TERMINAL_STATE, Info, Observation, ResetResult, StepResult
-from gem_core.vector.commands import Command, Failure, Outcome, Rebuild, Rebuilt, Reset
+from gem_core.types import TERMINAL_STATE, Info, Observation, StepResult
+from gem_core.vector.commands import Command, Failure, Rebuild, Rebuilt, Reset
 
 Autoreset = Literal["same_step", "next_step", "disabled"]
 """When the episode that follows a finished one begins; see ``make_vec``."""
@@ -208,8 +208,8 @@ class Slot:
 
     # What it is told.
 
-    def took(self, outcome: Outcome) -> Command | None:
-        """Take what came of a command; return the next, or None once there is a result.
+    def took(self, outcome: Any) -> Command | None:
+        """Take what came of a command, an ``Outcome``; return the next command, or None once there is a result.
 
         Raises:
             FaultBudgetError: It failed once too often.
@@ -219,29 +219,31 @@ class Slot:
         if type(asked) is Reset:
             return self._took_reset(asked, outcome)
         if type(asked) is Rebuild:
-            if isinstance(outcome, Rebuilt) and outcome.observation != self._observation:
+            if type(outcome) is Rebuilt and outcome.observation != self._observation:
                 message = "its worker was lost, and a replay of the episode went another way: it is not deterministic"
                 outcome = Failure("collateral", message)
-            elif isinstance(outcome, Rebuilt):
+            elif type(outcome) is Rebuilt:
                 outcome = outcome.result
             self._lost = False
-        return self.took_step(cast("StepResult | Failure", outcome))
+        return self.took_step(outcome)
 
-    def took_step(self, outcome: StepResult | Failure) -> Command | None:
-        """Take what came of a step; see ``took``."""
+    def took_step(self, outcome: Any) -> Command | None:
+        """Take what came of a step, a ``StepResult`` or a ``Failure``; see ``took``."""
+        rules = self.rules
         if type(outcome) is Failure:
-            error = self._fault(outcome)
-            outcome = TERMINAL_STATE, 0.0, False, True, {"error": error}
-        elif not (outcome[2] or outcome[3]):  # type: ignore[index]  # a failure is above
+            outcome = TERMINAL_STATE, 0.0, False, True, {"error": self._fault(outcome)}
+        elif not (outcome[2] or outcome[3]):
             self.result = outcome
             if self._actions is not None:
                 self._actions.append(self._stepped_action())
-                self._observation = outcome[0]  # type: ignore[index]  # as above
+                self._observation = outcome[0]
             return None
+        elif "error" in outcome[4]:
+            self._note_error(outcome[4]["error"])
         else:
-            self._note_end(outcome[4])  # type: ignore[index]  # as above
-        if self.rules.autoreset == "same_step":
-            self._ended = cast("StepResult", outcome)
+            rules.budget.finished()
+        if rules.autoreset == "same_step":
+            self._ended = outcome
             self._options = self._failed = None
             return self._next()
         self.phase = ENDED
@@ -254,10 +256,11 @@ class Slot:
         if draw is None:
             self.phase = IDLE
             self._reset = self._actions = None
-            self._began((TERMINAL_STATE, {"idle": True}))
+            self._began(TERMINAL_STATE, {"idle": True})
             return None
-        item = draw.item
-        options = {**(self._options or {}), **(item.options or {})} if self._options or item.options else None
+        item, options = draw.item, self._options
+        if item.options or options:
+            options = {**(options or {}), **(item.options or {})}
         self._asked = self._reset = Reset(item.id or self.own_id, item.kwargs, draw.seed, options)
         return self._asked
 
@@ -293,39 +296,39 @@ class Slot:
     # Its own matters.
 
     def _next(self) -> Command | None:
-        if self.in_turn and self.rules.source.planned:
+        if self.in_turn:
             return cast("Command", WAIT)
         return self.drawn()
 
-    def _took_reset(self, asked: Reset, outcome: Outcome) -> Command | None:
-        if isinstance(outcome, Failure):
-            if outcome.hopeless:
+    def _took_reset(self, asked: Reset, outcome: Any) -> Command | None:
+        if type(outcome) is Failure:
+            if outcome.hopeless and outcome.error is not None:
                 self.phase = BROKEN
-                raise cast("BaseException", outcome.error)
+                raise outcome.error
             self._note_failed(asked, self._fault(outcome))
             return self._next()
-        observation, info = cast("ResetResult", outcome)
-        draw = cast("Draw", self.draw)
-        info["seed"] = draw.seed
-        if draw.item.group is not None:
-            info["group"] = draw.item.group
+        observation, info = outcome
+        info["seed"] = asked.seed
+        group = self.draw.item.group if self.draw is not None else None
+        if group is not None:
+            info["group"] = group
         self.phase = LIVE
         self._lost = False
         if self.rules.replayable is not None:
             self._actions = [] if self.rules.replayable(asked.env_id) else None
             self._observation = observation
-        self._began((observation, info))
+        self._began(observation, info)
         return None
 
-    def _began(self, begun: ResetResult) -> None:
-        observation, info = begun
+    def _began(self, observation: Observation, info: Info) -> None:
         self._asked = None
         if self._failed:
             info["failed_resets"], self._failed = self._failed, None
-        ended, self._ended = self._ended, None
+        ended = self._ended
         if ended is None:
             self.result = SlotStep(observation, 0.0, False, False, info)
         else:
+            self._ended = None
             info["final_obs"], info["final_info"] = ended[0], ended[4]
             self.result = observation, ended[1], ended[2], ended[3], info
 
@@ -355,8 +358,7 @@ class Slot:
         }
         self._failed = [*(self._failed or ()), failed]
 
-    def _note_end(self, info: Info) -> None:
-        error = info.get("error")
+    def _note_error(self, error: object) -> None:
         if error is None:
             self.rules.budget.finished()
         else:
