@@ -24,6 +24,7 @@
     ├── StateError                 a saved state that does not fit
     ├── BridgeError                synchronous call from the library's own event loop
     ├── EnvFaultError              an environment failed and on_error="raise"
+    │   └── WorkerLostError        a worker died before it answered
     ├── FaultBudgetError           replacements fail again and again
     ├── RequestError               a model server did not answer, whatever the answer would have been
     │   └── ContextOverflowError   the history is longer than the model takes: truncated, and scored
@@ -131,6 +132,10 @@ class BridgeError(GemError, RuntimeError):
 
 class EnvFaultError(GemError):
     """An environment failed, and the vector environment was made with ``on_error="raise"``."""
+
+
+class WorkerLostError(EnvFaultError):
+    """A worker died before it answered a question; its environments go on in another."""
 
 
 class FaultBudgetError(GemError):

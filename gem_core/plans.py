@@ -10,6 +10,7 @@ import math
 import threading
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any, overload
 
 from gem_core.errors import ArgumentError
@@ -221,31 +222,42 @@ def interleaved(parts: Sequence[Sequence[PlanItem]]) -> Sequence[PlanItem]:
     return _Items(begun, item)
 
 
-def count_plan(ids: Iterable[str | None], episodes: int) -> Sequence[PlanItem]:
+def count_plan(
+    ids: Iterable[str | None], episodes: int, *, kwargs: Mapping[str, Any] = MappingProxyType({})
+) -> Sequence[PlanItem]:
     """Return a plan of so many episodes for each id, taking the ids in turn.
 
     Args:
         ids: Environments; None for the slot's own.
         episodes: Number of episodes for each.
+        kwargs: Keyword arguments of the environments.
     """
     if episodes < 0:
         raise ArgumentError(f"episodes must be a whole number from 0 up, not {episodes!r}")
-    items = [PlanItem(id=env_id) for env_id in ids]
+    items = [PlanItem(id=env_id, kwargs=dict(kwargs)) for env_id in ids]
     return _Items(episodes * len(items), lambda place: items[place % len(items)])
 
 
-def cover_plan(env_id: str | None, num_tasks: int, *, episodes: int | None = None) -> Sequence[PlanItem]:
+def cover_plan(
+    env_id: str | None,
+    num_tasks: int,
+    *,
+    episodes: int | None = None,
+    kwargs: Mapping[str, Any] = MappingProxyType({}),
+) -> Sequence[PlanItem]:
     """Return a plan that takes the rows of a data set in order.
 
     Args:
         env_id: The environment; None for the slot's own.
         num_tasks: Number of rows.
         episodes: Number of episodes: the first rows, or the rows over again; None for each row once.
+        kwargs: Keyword arguments of the environment.
     """
     count = num_tasks if episodes is None else episodes
     if num_tasks < 1:
         raise ArgumentError(f"there is no row to take: {env_id or 'the environment'} has {num_tasks} tasks")
-    return _Items(count, lambda place: PlanItem(id=env_id, options={"index": place % num_tasks}))
+    own = dict(kwargs)
+    return _Items(count, lambda place: PlanItem(id=env_id, options={"index": place % num_tasks}, kwargs=own))
 
 
 def mixture_plan(weights: Mapping[str, float], episodes: int) -> list[PlanItem]:

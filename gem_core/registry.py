@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from gem_core.errors import (
-    ArgumentError,
     RegistrationError,
     UnknownAgentError,
     UnknownBackendError,
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     from gem_core.making import MadeSpec, Wrappers
     from gem_core.plans import PlanItem
     from gem_core.vector.env import VectorEnv
+    from gem_core.vector.setup import IdOrIds
     from gem_core.vector.slot import Autoreset, OnError
     from gem_core.wrapper import AnyEnv
 
@@ -329,7 +329,7 @@ def make(id: str | EnvSpec | MadeSpec, *, wrappers: Wrappers = (), **kwargs: Any
 
 
 def make_vec(
-    ids: str | Sequence[str],
+    ids: IdOrIds,
     num_envs: int | None = None,
     *,
     backend: str | tuple[str, Mapping[str, Any]] = "auto",
@@ -344,8 +344,9 @@ def make_vec(
     """Make several environments that are reset and stepped together.
 
     Args:
-        ids: One id, or several for a mixed batch; the slots take them in turn. Where there are fewer slots than ids, a
-            plan reaches them all, as that of ``rollout`` does.
+        ids: One id, or several for a mixed batch; the slots take them in turn. Each may come with keyword arguments of
+            its own, as in ``("game:Sudoku-v0-easy", {"max_turns": 9})``. Where there are fewer slots than ids, a plan
+            reaches them all, as that of ``rollout`` does.
         num_envs: Number of slots; by default one for each id.
         backend: Where environments live: ``"sync"``, ``"async"``, ``"process"``, one that a plugin brings, or
             ``"auto"``, which chooses by each environment's ``concurrency``. Its options go along as in
@@ -370,21 +371,13 @@ def make_vec(
     """
     from gem_core.making import construct
     from gem_core.vector import backends
-    from gem_core.vector.setup import VectorSetup, slot_ids
+    from gem_core.vector.setup import VectorSetup
 
-    id_list = [ids] if isinstance(ids, str) else list(ids)
-    if not id_list:
-        raise ArgumentError("make_vec needs at least one environment id")
-    for env_id in id_list:
-        _registry.env(env_id)
-    count = len(id_list) if num_envs is None else num_envs
-    if not isinstance(count, int) or count < 1:
-        raise ArgumentError(f"num_envs must be a positive whole number, not {count!r}")
     name, options = (backend, {}) if isinstance(backend, str) else backend
     record = VectorBackendSpec(name="auto", entry_point=backends.auto) if name == "auto" else _registry.backend(name)
-    setup = VectorSetup(
-        ids=slot_ids(id_list, count),
-        all_ids=list(dict.fromkeys(id_list)),
+    setup = VectorSetup.of(
+        ids,
+        num_envs,
         wrappers=wrappers,
         kwargs=kwargs,
         seed=seed,

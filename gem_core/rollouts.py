@@ -7,7 +7,7 @@ import inspect
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from gem_core.agents.asking import Asking
 from gem_core.agents.base import Agent, as_agent, prepare_agent
@@ -20,12 +20,12 @@ from gem_core.registry import make_vec
 from gem_core.resuming import Done, done_in
 from gem_core.vector.backends import around
 from gem_core.vector.env import VectorEnv
-from gem_core.vector.setup import new_source
+from gem_core.vector.setup import IdOrIds, new_source
 from gem_core.wrapper import AnyEnv
 
 DEFAULT_EPISODES = 10
 
-Environments = VectorEnv | AnyEnv | str | Sequence[str]
+Environments = VectorEnv | AnyEnv | IdOrIds
 """A vector environment, an environment, an id or several."""
 
 OnProgress = Callable[[int, int | None], None]
@@ -114,12 +114,12 @@ def arollout(
 def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[PlanItem]:
     """Return the plan of ``rollout`` without one: rows in order for data sets, a number of episodes for the rest."""
     parts: list[Sequence[PlanItem]] = []
-    for env_id in vector.all_ids:
-        rows = vector.num_tasks(env_id)
+    for env_id, kwargs in vector.entries:
+        rows = vector.num_tasks(env_id, kwargs)
         if rows is not None:
-            parts.append(cover_plan(env_id, rows, episodes=episodes))
+            parts.append(cover_plan(env_id, rows, episodes=episodes, kwargs=kwargs))
         else:
-            parts.append(count_plan([env_id], DEFAULT_EPISODES if episodes is None else episodes))
+            parts.append(count_plan([env_id], DEFAULT_EPISODES if episodes is None else episodes, kwargs=kwargs))
     # Taken in turn, so that a run that is stopped has some of each.
     return interleaved(parts)
 
@@ -205,9 +205,9 @@ def _check(plan: Iterable[PlanItem] | None, episodes: int | None) -> None:
 def _as_vector(env: Environments, seed: int | None, *, plain: bool) -> tuple[VectorEnv, bool]:
     if isinstance(env, VectorEnv):
         return env, False
-    if isinstance(env, str) or (isinstance(env, Sequence) and all(isinstance(name, str) for name in env)):
+    if isinstance(env, Sequence):
         return make_vec(env, seed=seed), True
-    return around(cast("AnyEnv", env), seed=seed, keep_open=True, plain=plain), True
+    return around(env, seed=seed, keep_open=True, plain=plain), True
 
 
 def _reporting(

@@ -143,6 +143,19 @@ def test_mixed_batch_and_per_item_arguments() -> None:
     assert mixed.step(["stop"]).infos[0]["idle"] is True
 
 
+def test_slots_may_have_keyword_arguments_of_their_own() -> None:
+    """Over those of the run; a plan item of the slot's own id goes over both, and the default plan keeps them."""
+    ids = [COUNTDOWN, (COUNTDOWN, {"longest": 1}), ("toy:Echo-v0", {})]
+    vector = gem.make_vec(ids, 5, seed=0)
+    vector.reset()
+    assert vector.ids == [COUNTDOWN, COUNTDOWN, "toy:Echo-v0", COUNTDOWN, COUNTDOWN]
+    assert [vector.describe(slot)["kwargs"] for slot in range(5)] == [{}, {"longest": 1}, {}, {}, {"longest": 1}]
+    episodes = gem.rollout(gem.make_vec(ids[:2], 1, seed=0), lambda observation: "a", episodes=3)
+    assert [dict(episode.kwargs) for episode in episodes] == [{}, {"longest": 1}] * 3
+    with pytest.raises(ArgumentError, match=r"an environment is an id, or \(id, \{keyword: value\}\), not 3"):
+        gem.make_vec([COUNTDOWN, 3])  # type: ignore[list-item]  # that is the point
+
+
 def test_groups_share_a_start_and_are_named() -> None:
     """All members of a group see the same first observation."""
     vector = make(4, plan=[gem.PlanItem(repeat=4)])

@@ -68,7 +68,7 @@ def auto(setup: VectorSetup, *, workers: int | None = None, worker_memory_bytes:
     Those that compute for long, and with a ``step_timeout`` those that run in place, go to worker processes; all others
     stay here, as with ``async``.
     """
-    kinds = {env_id: setup.stack_kind(env_id) for env_id in setup.all_ids}
+    kinds = {env_id: _kind(setup, env_id) for env_id in setup.all_ids}
     away = {env_id for env_id, kind in kinds.items() if _goes_away(setup, kind)}
     if not away:
         return VectorEnv(setup, _local(setup))
@@ -108,10 +108,18 @@ def around(
             return spares.pop()
         return cast("AnyEnv", env.get_wrapper_attr("spawn")(**overrides))
 
-    setup = VectorSetup([own_id], [own_id], seed=seed, on_error=on_error)  # type: ignore[arg-type,list-item]  # checked there
+    setup = VectorSetup([own_id], [{}], [(own_id, {})], seed=seed, on_error=on_error)  # type: ignore[arg-type,list-item]  # checked there
     host = LocalHost([factory], concurrent=not plain)
     host.body(0).borrowed = env if keep_open else None
     return VectorEnv(setup, host)
+
+
+def _kind(setup: VectorSetup, env_id: str) -> Concurrency:
+    """Return what an environment needs, as far as it decides between here and workers, by its class if that will do."""
+    by_class = setup.task_kind(env_id)
+    if by_class is None or (by_class == "inline" and setup.step_timeout is not None):
+        return setup.stack_kind(env_id)
+    return by_class
 
 
 def _goes_away(setup: VectorSetup, kind: Concurrency) -> bool:

@@ -6,9 +6,10 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
+from typing import Any, cast
 
 from gem_core.background import on_background_loop
-from gem_core.errors import ArgumentError, BridgeError
+from gem_core.errors import ArgumentError, BridgeError, ResetNeededError
 from gem_core.vector.body import Body
 from gem_core.vector.commands import Command, Failure, Outcome, Reset
 from gem_core.vector.host import Host, Launch
@@ -24,16 +25,22 @@ class Engine:
 
     Args:
         ids: Id of each slot's own environment.
+        kwargs: Keyword arguments of each slot's own environment, over those of the run.
         rules: What the slots share.
         hosts: Where environments live.
         host_of: Tells where those of an id live; None where there is but one host.
     """
 
     def __init__(
-        self, ids: list[str | None], rules: Rules, hosts: tuple[Host, ...], host_of: Callable[[str | None], Host] | None
+        self,
+        ids: list[str | None],
+        kwargs: list[Mapping[str, Any]],
+        rules: Rules,
+        hosts: tuple[Host, ...],
+        host_of: Callable[[str | None], Host] | None,
     ) -> None:
         self.rules = rules
-        self.slots = [Slot(index, own_id, rules) for index, own_id in enumerate(ids)]
+        self.slots = [Slot(index, *own, rules) for index, own in enumerate(zip(ids, kwargs, strict=True))]
         self.hosts = hosts
         self.host_of = host_of
         self.at: list[Host] = [hosts[0]] * len(ids)
@@ -41,6 +48,7 @@ class Engine:
         for host in hosts:
             host.engine = self
         self.signal = Signal()
+        self._closings = 0
         # Under the lock: which tickets are out, who waits for what, and what is done.
         self._lock = threading.RLock()
         self._tickets = [0] * len(ids)
@@ -133,6 +141,9 @@ class Engine:
                 if body is None:
                     self._quick[slot.index] = None
                     with self._lock:
+                        if slot.has_lost_place_of(command):  # its worker died while the command was on its way here
+                            command = slot.act(cast("str", command))
+                            continue
                         self._tickets[slot.index] += not self._flying[slot.index]
                         self._flying[slot.index] = True
                         if batch is not None:
@@ -220,7 +231,10 @@ class Engine:
         self, over: Callable[[], bool], deadline: float | None = None, *, blocking: bool = True
     ) -> Iterator[float | None]:
         """Yield in how many seconds to look again, until something is over; see to what takes too long."""
+        closings = self._closings
         while not over():
+            if closings != self._closings:
+                raise ResetNeededError("the vector environment was closed while it was waited for; call reset()")
             if blocking and on_background_loop():
                 raise BridgeError(
                     "a vector environment was waited for on the library's own event loop, where it would wait for "
@@ -268,7 +282,11 @@ class Engine:
             self._tickets = [ticket + 1 for ticket in self._tickets]
             self._flying = [False] * len(self.slots)
             self._quick = [None] * len(self.slots)
+            waiting = [self.signal, *(batch.signal for batch in self._batches.values())]
             self._batches, self.sent, self.done = {}, set(), []
+            self._closings += 1
+        for signal in waiting:
+            signal.set()
         for slot in self.slots:
             slot.phase = NEW
         for host in self.hosts:
@@ -307,11 +325,13 @@ class Engine:
             slot = self.slots[index]
             if self.at[index] is not host:
                 continue
-            if self._claim(index, self._tickets[index]):
-                self._tickets[index] += 1
+            with self._lock:
+                claimed = self._claim(index, self._tickets[index])
+                self._tickets[index] += claimed
+                if not claimed:
+                    slot.lost(None, under_way=False)
+            if claimed:
                 self._run(slot, partial(slot.lost, failure, under_way=True), later)
-            else:
-                slot.lost(None, under_way=False)
         self._start(later)
         self._give_turns()
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 from typing import Any, Self, cast
 
 import numpy as np
 
-from gem_core.errors import ArgumentError, EnvFaultError, GemError
+from gem_core.errors import ArgumentError, EnvFaultError, GemError, WorkerLostError
 from gem_core.plans import Draw, DrawSource
 from gem_core.registry import registry
 from gem_core.types import Info, Observation
@@ -20,6 +21,9 @@ from gem_core.vector.setup import VectorSetup
 from gem_core.vector.signal import Signal
 from gem_core.vector.slot import LIVE, Rules
 from gem_core.wrapper import AnyEnv
+
+_MOST_WORKERS_LOST = 3
+"""How often a question is asked again because the worker died that was asked."""
 
 
 class VectorEnv:
@@ -44,8 +48,8 @@ class VectorEnv:
     ids: list[str | None]
     """The id of each slot's own environment."""
 
-    all_ids: list[str | None]
-    """The ids that were asked for, each once; there may be more of them than slots."""
+    entries: list[tuple[str | None, Mapping[str, Any]]]
+    """The ids that were asked for, with their keyword arguments, each once; there may be more of them than slots."""
 
     def __init__(
         self,
@@ -54,13 +58,13 @@ class VectorEnv:
         host_of: Callable[[str | None], Host] | None = None,
         rules: Rules | None = None,
     ) -> None:
-        self.ids, self.all_ids = list(setup.ids), list(setup.all_ids)
+        self.ids, self.entries = list(setup.ids), list(setup.entries)
         rules = rules or setup.rules()
         if any(host.replays for host in hosts):
             rules.replayable = lambda env_id: env_id is not None and registry().env(env_id).deterministic
         self._rules = rules
         self._own_source = rules.source
-        self._engine = Engine(self.ids, rules, hosts, host_of)
+        self._engine = Engine(self.ids, setup.slot_kwargs, rules, hosts, host_of)
         self._slots = self._engine.slots
 
     @classmethod
@@ -119,13 +123,14 @@ class VectorEnv:
             described["id"] = self.ids[slot] or "unknown"
         return described
 
-    def num_tasks(self, env_id: str | None) -> int | None:
+    def num_tasks(self, env_id: str | None, kwargs: Mapping[str, Any] = MappingProxyType({})) -> int | None:
         """Return the number of tasks of an environment that has a data set; None for any other."""
         slot = self.ids.index(env_id) if env_id in self.ids else 0
         wanted = env_id or self.ids[slot]
         engine = self._engine
-        host = engine.at[slot] = engine.at[slot] if engine.host_of is None else engine.host_of(wanted)
-        return cast("int | None", host.ask(slot, "num_tasks", wanted))
+        host = engine.at[slot] if engine.host_of is None else engine.host_of(wanted)
+        engine.at[slot] = host
+        return cast("int | None", self._asked(slot, "num_tasks", lambda: (wanted, dict(kwargs))))
 
     def sample_random_action(self, slot: int) -> str:
         """Return a valid action for the present state of a slot.
@@ -137,13 +142,21 @@ class VectorEnv:
         current = self._slots[slot]
         seed = None if current.draw is None else current.draw.action_seed
         try:
-            return cast("str", self._engine.at[slot].ask(slot, "sample", seed, current.rebuilding()))
+            return cast("str", self._asked(slot, "sample", lambda: (seed, current.rebuilding())))
         except GemError:
             raise
         except Exception as error:
             raise EnvFaultError(
-                f"{self._slots[slot].name()}: sample_random_action raised {type(error).__name__}: {error}"
+                f"{current.name()}: sample_random_action raised {type(error).__name__}: {error}"
             ) from error
+
+    def _asked(self, slot: int, question: str, args: Callable[[], tuple[Any, ...]]) -> Any:
+        for _ in range(_MOST_WORKERS_LOST):
+            try:
+                return self._engine.at[slot].ask(slot, question, *args())
+            except WorkerLostError:
+                continue  # by another environment beside this one: a new worker can be asked
+        return self._engine.at[slot].ask(slot, question, *args())
 
     # Waiting for all.
 

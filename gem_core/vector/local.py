@@ -88,7 +88,7 @@ class LocalHost(Host):
 
     def ask(self, slot: int, question: str, *args: Any) -> Any:
         """Answer a question; see ``Host.ask``."""
-        return answer(self._bodies[slot], question, *args[:1])
+        return answer(self._bodies[slot], question, *args)
 
     def release(self, slot: int) -> None:
         """Close a slot's environment."""
@@ -226,10 +226,11 @@ def timeout_of(step_timeout: float | None) -> Failure:
 def answer(body: Body, question: str, *args: Any) -> Any:
     """Answer a question about an environment that is in this process; see ``Host.ask``."""
     if question == "sample":
-        return body.sample_random_action(*args)
+        return body.sample_random_action(args[0])
     if question == "describe":
         return _described(body.env)
-    failure = body.prepare(args[0], {})
+    env_id, kwargs = args
+    failure = body.prepare(env_id, kwargs)
     if failure is not None:
         raise cast("BaseException", failure.error)
     env = cast("Any", body.env)

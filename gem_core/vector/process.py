@@ -29,6 +29,9 @@ _START = (
 _CLOSING_S = 6.0
 """How long a worker may take to end by itself; a little longer than it gives its environments."""
 
+_BUSY_S = 1.0
+"""The same, for one that is in the middle of a command."""
+
 
 def process_host(setup: VectorSetup, *, workers: int | None, worker_memory_bytes: int | None) -> RemoteHost:
     """Return a host whose workers are processes of this machine; see ``backends.processes``.
@@ -83,7 +86,7 @@ class ProcessLink(Link):
                 os.close(lifeline)
         self._connection = Connection(ours.detach())
         # Also at exit: a program that ends without closing leaves no process behind.
-        self._ended = weakref.finalize(self, _end, self._process, held)
+        self._ended = weakref.finalize(self, _end, self._process, held, os.getpid())
         self._outbox = Outbox(self._connection.send_bytes, setup)
         target = _weak(on_messages), _weak(on_death)
         reading = threading.Thread(
@@ -91,7 +94,7 @@ class ProcessLink(Link):
         )
         reading.start()
         threading.Thread(
-            target=_reap, args=(self._process, self._connection, reading), name="gem-reap", daemon=True
+            target=_reap, args=(self._process, self._connection, reading, self._outbox), name="gem-reap", daemon=True
         ).start()
 
     @property
@@ -124,10 +127,12 @@ class ProcessLink(Link):
 
     def close(self) -> None:
         """Let the worker close its environments, and end it."""
-        self._outbox.close(_CLOSING_S)
+        # One that is in the middle of a command may never come out of it.
+        grace = _BUSY_S if self.running() else _CLOSING_S
+        self._outbox.close(grace)
         shut(self._connection)
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(_CLOSING_S)
+            self._process.wait(grace)
         self._ended()
 
 
@@ -162,17 +167,20 @@ def _read(
         died(link)
 
 
-def _reap(process: subprocess.Popen[bytes], connection: Connection, reading: threading.Thread) -> None:
+def _reap(process: subprocess.Popen[bytes], connection: Connection, reading: threading.Thread, outbox: Outbox) -> None:
     """Take note of the end of a worker; what it left behind may hold its connection open, and must not."""
     process.wait()
     _kill_group(process.pid)
     reading.join(1.0)
     shut(connection)
     reading.join()
+    outbox.close()
     connection.close()
 
 
-def _end(process: subprocess.Popen[bytes], lifeline: int) -> None:
+def _end(process: subprocess.Popen[bytes], lifeline: int, owner: int) -> None:
+    if os.getpid() != owner:
+        return  # in a copy of the process that was forked: the worker is not its own
     if process.poll() is None:
         _kill_group(process.pid)
         process.wait()

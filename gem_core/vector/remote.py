@@ -9,7 +9,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, cast
 
-from gem_core.errors import EnvFaultError
+import cloudpickle  # type: ignore[import-untyped]  # it has no types
+
+from gem_core.errors import EnvFaultError, WorkerLostError
 from gem_core.registry import registry
 from gem_core.specs import EnvSpec
 from gem_core.vector.commands import Failure, Reset
@@ -219,7 +221,7 @@ class RemoteHost(Host):
         for number, (asked, future) in list(self._asked.items()):
             if asked is link:
                 del self._asked[number]
-                future.set_exception(EnvFaultError("the worker died before it answered"))
+                future.set_exception(WorkerLostError("the worker died before it answered"))
 
     def _slots_of(self, worker: int) -> list[int]:
         return [slot for slot, own in enumerate(self._worker_of) if own == worker]
@@ -244,7 +246,7 @@ class RemoteHost(Host):
             return {"id": None, "kwargs": {}, "wrappers": []}
         env_id = present.env_id
         if env_id not in self._wrappers:
-            self._wrappers[env_id] = self.ask(slot, "wrappers", env_id) if self._setup.wrappers else []
+            self._wrappers[env_id] = self.ask(slot, "wrappers", env_id, present.kwargs) if self._setup.wrappers else []
         registered = registry().env(env_id).kwargs
         kwargs = {**registered, **self._setup.kwargs, **present.kwargs}
         changed = {name: value for name, value in kwargs.items() if registered.get(name, _ABSENT) is not value}
@@ -265,8 +267,6 @@ def pack_by_value(thing: object, callables: list[Any]) -> bytes:
     """
     import importlib.util
     import sys
-
-    import cloudpickle  # type: ignore[import-untyped]  # it has no types
 
     for target in callables:
         module = sys.modules.get(getattr(target, "__module__", None) or "")

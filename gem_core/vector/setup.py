@@ -16,6 +16,12 @@ from gem_core.vector.body import EnvFactory
 from gem_core.vector.slot import Autoreset, FaultBudget, OnError, Rules
 from gem_core.wrapper import AnyEnv, concurrency_of
 
+Entry = tuple[str, Mapping[str, Any]]
+"""An id, and keyword arguments."""
+
+IdOrIds = str | Entry | Sequence[str | Entry]
+"""One environment, or several."""
+
 
 @dataclass
 class VectorSetup:
@@ -23,7 +29,8 @@ class VectorSetup:
 
     Args:
         ids: Id of each slot's own environment.
-        all_ids: Every id that was asked for, once.
+        slot_kwargs: Keyword arguments of each slot's own environment, over ``kwargs``.
+        entries: Every id that was asked for with its keyword arguments, once.
         wrappers: Put around each environment.
         kwargs: Keyword arguments for every environment.
         seed: Seed of the run; None draws one.
@@ -34,7 +41,8 @@ class VectorSetup:
     """
 
     ids: list[str]
-    all_ids: list[str]
+    slot_kwargs: list[Mapping[str, Any]]
+    entries: list[Entry]
     wrappers: Wrappers = ()
     kwargs: Mapping[str, Any] = field(default_factory=dict)
     seed: int | None = None
@@ -48,6 +56,32 @@ class VectorSetup:
         limit = self.step_timeout
         if limit is not None and not (isinstance(limit, int | float) and 0 < limit < float("inf")):
             raise ArgumentError(f"step_timeout must be a positive number of seconds, not {limit!r}")
+
+    @classmethod
+    def of(cls, ids: IdOrIds, num_envs: int | None, **options: Any) -> VectorSetup:
+        """Return the setup for what was asked for: the slots take the ids in turn; see ``make_vec``.
+
+        Raises:
+            ArgumentError: There is no id, or one has not the form ``id`` or ``(id, {keyword: value})``.
+            UnknownEnvError: There is no such environment.
+        """
+        given = [ids] if isinstance(ids, str) or _is_pair(ids) else list(ids)
+        entries = [_entry(one) for one in given]
+        if not entries:
+            raise ArgumentError("make_vec needs at least one environment id")
+        for env_id, _ in entries:
+            registry().env(env_id)
+        count = len(entries) if num_envs is None else num_envs
+        if not isinstance(count, int) or count < 1:
+            raise ArgumentError(f"num_envs must be a positive whole number, not {count!r}")
+        own = [entries[slot % len(entries)] for slot in range(count)]
+        distinct = [entry for place, entry in enumerate(entries) if entry not in entries[:place]]
+        return cls([env_id for env_id, _ in own], [kwargs for _, kwargs in own], distinct, **options)
+
+    @property
+    def all_ids(self) -> list[str]:
+        """Every id that was asked for, once."""
+        return list(dict.fromkeys(env_id for env_id, _ in self.entries))
 
     def rules(self) -> Rules:
         """Return what all slots share."""
@@ -98,6 +132,13 @@ def new_source(plan: Iterable[PlanItem] | None, seed: int | None) -> DrawSource:
     return DrawSource(plan, seed)
 
 
-def slot_ids(ids: Sequence[str], num_envs: int) -> list[str]:
-    """Return the id of each slot: they take the ids in turn."""
-    return [ids[slot % len(ids)] for slot in range(num_envs)]
+def _is_pair(given: object) -> bool:
+    return isinstance(given, tuple) and len(given) == 2 and isinstance(given[1], Mapping)
+
+
+def _entry(given: object) -> Entry:
+    if isinstance(given, str):
+        return given, {}
+    if isinstance(given, tuple) and _is_pair(given):
+        return given[0], dict(given[1])
+    raise ArgumentError(f"an environment is an id, or (id, {{keyword: value}}), not {given!r:.200}")

@@ -12,7 +12,7 @@ Whoever runs the environments, here or in another process, drives it::
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, cast, get_args
 
@@ -112,6 +112,7 @@ class Slot:
     Args:
         index: Number of the slot.
         own_id: Id of the environment where the plan names none; None for one that has no id.
+        own_kwargs: Keyword arguments of that environment, over those of the run.
         rules: Shared by all slots.
     """
 
@@ -128,14 +129,16 @@ class Slot:
         "in_turn",
         "index",
         "own_id",
+        "own_kwargs",
         "phase",
         "result",
         "rules",
     )
 
-    def __init__(self, index: int, own_id: str | None, rules: Rules) -> None:
+    def __init__(self, index: int, own_id: str | None, own_kwargs: Mapping[str, Any], rules: Rules) -> None:
         self.index = index
         self.own_id = own_id
+        self.own_kwargs = own_kwargs
         self.rules = rules
         self.phase = NEW
         self.draw: Draw | None = None
@@ -261,7 +264,10 @@ class Slot:
         item, options = draw.item, self._options
         if item.options or options:
             options = {**(options or {}), **(item.options or {})}
-        self._asked = self._reset = Reset(item.id or self.own_id, item.kwargs, draw.seed, options)
+        kwargs = item.kwargs
+        if self.own_kwargs and item.id is None:
+            kwargs = {**self.own_kwargs, **kwargs}
+        self._asked = self._reset = Reset(item.id or self.own_id, kwargs, draw.seed, options)
         return self._asked
 
     def lost(self, failure: Failure | None, *, under_way: bool) -> Command | None:
@@ -282,6 +288,10 @@ class Slot:
         if type(asked) is Reset:
             return asked
         return self._act_lost(asked.action if isinstance(asked, Rebuild) else cast("str", asked))
+
+    def has_lost_place_of(self, command: Command) -> bool:
+        """Tell whether a step was asked of an environment that is gone since."""
+        return self._lost and isinstance(command, str)
 
     def rebuilding(self) -> Rebuild | None:
         """Return how to bring its environment to where it was, if that was lost and can be; else None."""

@@ -12,6 +12,9 @@ import time
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from typing import Any, cast
 
+import cloudpickle  # type: ignore[import-untyped]  # it has no types
+
+from gem_core.errors import ArgumentError
 from gem_core.making import make_from
 from gem_core.registry import registry
 from gem_core.specs import EnvSpec
@@ -31,7 +34,8 @@ class Worker:
     """Environments of some slots, run as each asks for, and what is said about them.
 
     It takes ``("do", slot, ticket, command)``, ``("ask", number, slot, question, args)``, ``("release", slot)`` and
-    ``("know", records)``; and says ``("done", slot, ticket, outcome)`` and ``("answer", number, worked, value)``.
+    ``("know", records)``, and gives back what the host could not send; it says ``("done", slot, ticket, outcome)`` and
+    ``("answer", number, worked, value)``.
 
     Args:
         setup: What environments are made from; see ``remote.worker_setup``.
@@ -64,6 +68,10 @@ class Worker:
                 self._say(("answer", number, False, Failure.of(error, question)))
             else:
                 self._say(("answer", number, True, value))
+        elif kind == "return":
+            self._say(("done", *message[1:]))
+        elif kind == "refuse":
+            self._say(("answer", *message[1:]))
         elif kind == "release":
             self._host.release(message[1])
         elif kind == "know":
@@ -111,7 +119,7 @@ class Worker:
         body = self._host.body(slot)
         if question == "sample" and body.env is None and args[1] is not None:
             body.restore(args[1])
-        return answer(body, question, *(args[:1] if question == "sample" else args))
+        return answer(body, question, *args)
 
     def _factory(self, own_id: str) -> Callable[[str | None, Mapping[str, Any]], AnyEnv]:
         def factory(env_id: str | None, overrides: Mapping[str, Any]) -> AnyEnv:
@@ -211,19 +219,23 @@ def _dumped(messages: list[Message]) -> bytes:
     try:
         return pickle.dumps(messages, protocol=5)
     except Exception:  # noqa: BLE001 - an object's own pickling may fail in any way
-        return pickle.dumps([_sendable(message) for message in messages], protocol=5)
+        return cloudpickle.dumps([_sendable(message) for message in messages])  # type: ignore[no-any-return]  # untyped
 
 
 def _sendable(message: Message) -> Message:
-    """Return a message, or in the place of one that cannot be sent the failure that this is."""
+    """Return a message, or in the place of one that cannot be sent what says so."""
     try:
-        pickle.dumps(message, protocol=5)
+        cloudpickle.dumps(message)
     except Exception as error:  # noqa: BLE001 - as above
-        text = f"its result cannot be sent to another process: {type(error).__name__}: {error}"
+        what = {"do": "what it is made from", "ask": "a question"}.get(message[0], "its result")
+        text = f"{what} cannot be sent to another process: {type(error).__name__}: {error}"
         failure = Failure("exception", text[:2000])
-        if message[0] == "done":
-            return (*message[:3], failure)
-        return ("answer", message[1], False, failure) if message[0] == "answer" else ("broken", failure)
+        if message[0] == "do":
+            # Trying again would end the same way.
+            failure.error, failure.hopeless = ArgumentError(failure.message), True
+        if message[0] in ("do", "done"):
+            return ("return" if message[0] == "do" else "done", *message[1:3], failure)
+        return ("refuse" if message[0] == "ask" else "answer", message[1], False, failure)
     return message
 
 
