@@ -11,18 +11,16 @@ class Signal:
 
     def __init__(self) -> None:
         self._event = threading.Event()
-        self._waiting: tuple[asyncio.AbstractEventLoop, asyncio.Future[None]] | None = None
+        self._waiting: dict[asyncio.Future[None], asyncio.AbstractEventLoop] = {}
 
     def set(self) -> None:
         """Wake whoever waits, or the next who does."""
         self._event.set()
-        waiting = self._waiting
-        if waiting is not None:
-            loop, future = waiting
+        for future, loop in list(self._waiting.items()):
             try:
                 loop.call_soon_threadsafe(_finish, future)
-            except RuntimeError:  # that loop is closed: nobody waits any more
-                self._waiting = None
+            except RuntimeError:  # that loop is closed: nobody waits there any more
+                self._waiting.pop(future, None)
 
     def wait(self, timeout: float | None = None) -> None:
         """Wait in plain code, at most so many seconds."""
@@ -33,12 +31,12 @@ class Signal:
         """Wait in a coroutine, at most so many seconds, without blocking its loop."""
         loop = asyncio.get_running_loop()
         future: asyncio.Future[None] = loop.create_future()
-        self._waiting = (loop, future)
+        self._waiting[future] = loop
         try:
             if not self._event.is_set():
                 await asyncio.wait([future], timeout=timeout)
         finally:
-            self._waiting = None
+            self._waiting.pop(future, None)
         self._event.clear()
 
 
