@@ -58,9 +58,13 @@ class Body:
         except CONTAINED as error:
             return Failure.of(error, "reset", making=True)
         # The guard refuses a step outside an episode, which a slot never asks for.
-        self._step = (env.env if type(env) is Guard else env).step
+        self._step = (env.env if type(env) is Guard and env is not self.borrowed else env).step
         self.env, self.made_for = env, (env_id, kwargs)
         return None
+
+    def fits(self, command: Command) -> bool:
+        """Tell whether a command is for the environment that is here."""
+        return type(command) is not Reset or (self.made_for is not None and _same(self.made_for, *command[:2]))
 
     def perform(self, command: Command) -> Outcome:
         """Do what a slot asks."""

@@ -19,6 +19,9 @@ from gem_core.vector.slot import LIVE, NEW, WAIT, Rules, Slot
 Start = Callable[[], Command | None]
 """Asks a slot for its first command."""
 
+_NEVER = Signal()
+"""In the place of a signal: nobody waits."""
+
 
 class Engine:
     """Drives slots: what takes but microseconds at once, the rest on hosts, and takes what comes of it.
@@ -136,21 +139,21 @@ class Engine:
                 if command is WAIT:
                     self._hold(slot, batch)
                     return False
-                host = self._place(slot, command)
-                body = host.in_place(slot.index, command)
-                if body is None:
-                    self._quick[slot.index] = None
-                    with self._lock:
-                        if slot.has_lost_place_of(command):  # its worker died while the command was on its way here
-                            command = slot.act(cast("str", command))
-                            continue
-                        self._tickets[slot.index] += not self._flying[slot.index]
-                        self._flying[slot.index] = True
-                        if batch is not None:
-                            self._batches[slot.index] = batch
-                        later.setdefault(host, []).append((slot.index, self._tickets[slot.index], command))
-                    return False
-                self._quick[slot.index] = body
+                body = self._quick[slot.index]
+                if body is None or not body.fits(command):
+                    host = self._place(slot, command)
+                    body = self._quick[slot.index] = host.in_place(slot.index, command)
+                    if body is None:
+                        with self._lock:
+                            if slot.has_lost_place_of(command):  # its worker died while the command was on its way
+                                command = slot.act(cast("str", command))
+                                continue
+                            self._tickets[slot.index] += not self._flying[slot.index]
+                            self._flying[slot.index] = True
+                            if batch is not None:
+                                self._wait_for(slot, batch)
+                            later.setdefault(host, []).append((slot.index, self._tickets[slot.index], command))
+                        return False
                 command = slot.took(body.perform(command))
         except Exception as error:  # noqa: BLE001 - raised again where the result is asked for
             slot.result = error
@@ -200,9 +203,16 @@ class Engine:
             if not batch.left:
                 batch.signal.set()
 
+    def _wait_for(self, slot: Slot, batch: Batch) -> Batch:
+        """Let a batch wait for a slot; under the lock."""
+        if batch.signal is _NEVER:
+            batch.signal = Signal()
+        self._batches[slot.index] = batch
+        return batch
+
     def _hold(self, slot: Slot, batch: Batch | None) -> None:
         with self._lock:
-            batch = self._batches.setdefault(slot.index, batch) if batch else self._batches[slot.index]
+            batch = self._wait_for(slot, batch) if batch else self._batches[slot.index]
             batch.waiting.append(slot.index)
             batch.unsettled -= 1
             self._turns_due = True
@@ -352,7 +362,8 @@ class Batch:
     """
 
     def __init__(self, size: int) -> None:
-        self.signal = Signal()
+        self.signal = _NEVER
+        """What is set when all have a result; there is one once there is something to wait for."""
         self.left = size
         """Slots without a result."""
         self.unsettled = size + 1
