@@ -104,6 +104,6 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
         print(f"  {line[0]:<{widths[0]}}  {'  '.join(cells)}")
 
 
-def verdict(value: float, budget: float) -> str:
-    """Say whether a figure is within its budget."""
-    return "met" if value < budget else "MISSED"
+def verdict(value: float, budget: float, *, at_least: bool = False) -> str:
+    """Say whether a figure is within its budget, which is the most that it may be, or the least."""
+    return "met" if (value >= budget if at_least else value < budget) else "MISSED"
