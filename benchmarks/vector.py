@@ -131,6 +131,7 @@ def measure_steps(sides: harness.Sides) -> None:
     makers = {
         "ours, async": (sides.ours, OURS.format(backend="async")),
         "ours, sync": (sides.ours, OURS.format(backend="sync")),
+        "ours, process": (sides.ours, OURS.format(backend="process")),
         "our environments, bare loop": (sides.ours, LOOPS.format(module="gem_core")),
         "Gymnasium's sync, our environments": (sides.ours, GYMNASIUMS),
         "gem-llm, async": (sides.peer, PEERS.format(async_mode=True)),
