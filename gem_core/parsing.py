@@ -49,6 +49,8 @@ def extract_last_boxed_answer(text: str) -> str | None:
     content_end = text.find("}", content_start)
     if content_end >= 0 and text[content_start - 1] == "{":
         content = text[content_start:content_end]
+        if content.isalnum():
+            return content
         if "{" not in content and "\\" not in content:
             return content.strip()
     nested = _box_at(text, last)

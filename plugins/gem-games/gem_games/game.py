@@ -194,6 +194,8 @@ def whole_number(text: str) -> int | None:
     Leading zeros mean nothing. Of a number of more than 100 digits only the first 100 are read: it is beyond every
     range of a game either way, and ``int`` refuses to read more than 4,300.
     """
+    if text.isdigit() and text.isascii() and len(text) <= _LONGEST_NUMBER:
+        return int(text)
     digits = text if text.isdigit() else text.removeprefix("-" if text.startswith("-") else "+")
     if not (digits.isdigit() and digits.isascii()):
         return None

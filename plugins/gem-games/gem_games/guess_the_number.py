@@ -100,22 +100,22 @@ class GuessTheNumberEnv(Game):
             return self._format_error(f"{quote(answer)} is not a whole number.")
         if not self.min_number <= guess <= self.max_number:
             return self._invalid(f"{quote(answer)} is outside the range.")
-        distance = abs(guess - self.number)
-        closeness = 1 - distance / (self.max_number - self.min_number)
+        closeness = 1 - abs(guess - self.number) / (self.max_number - self.min_number)
         if guess in self.guesses:
             return self._invalid(f"You have guessed {guess} before.", closeness)
         self.guesses.append(guess)
-        if distance == 0:
+        if guess == self.number:
             return self._win(str(guess), f"{guess} is right: you found the number.")
-        hint = self._take_hint(guess)
-        return self._move(str(guess), f"The number is {hint}.", 0.0, closeness)
+        return self._move(str(guess), f"The number is {self._take_hint(guess)}.", 0.0, closeness)
 
     def _take_hint(self, guess: int) -> str:
         if guess < self.number:
-            self._low = max(self._low, guess + 1)
+            if guess >= self._low:
+                self._low = guess + 1
             hint = f"higher than {guess}"
         else:
-            self._high = min(self._high, guess - 1)
+            if guess <= self._high:
+                self._high = guess - 1
             hint = f"lower than {guess}"
         self._hints = f"{self._hints}, {hint}" if self._hints else hint
         return hint
