@@ -49,25 +49,30 @@ import json, time
 vec, actions = make(8), ["100000"] * 8  # about 5 ms each
 vec.reset()
 vec.step(actions)
-started = time.perf_counter()
+rounds = []
 for _ in range(15):
+    started = time.perf_counter()
     vec.step(actions)
-print(json.dumps({"step": (time.perf_counter() - started) / 15 / 8}))
+    rounds.append(time.perf_counter() - started)
+print(json.dumps({"step": min(rounds) / 8}))  # what else the machine does only makes rounds longer
 if hasattr(vec, "close"):
     vec.close()
 """
-# What the machine itself gives at this moment: two bare processes, with nothing between them.
+# What the machine itself gives at this moment: two bare processes, with nothing between them. Each leads a session, as
+# our workers do: on a busy machine Linux may share the processor out by session.
 BARE = """
-import json, multiprocessing, time
+import json, multiprocessing, os, time
 env = WorkEnv()
 def work(number):
-    for _ in range(60):
+    for _ in range(4):
         env.step("100000")
-with multiprocessing.get_context("fork").Pool(2) as pool:
-    pool.map(abs, range(2))
-    started = time.perf_counter()
-    pool.map(work, range(2), chunksize=1)
-    print(json.dumps({"step": (time.perf_counter() - started) / 120}))
+with multiprocessing.get_context("fork").Pool(2, os.setsid) as pool:
+    rounds = []
+    for _ in range(15):
+        started = time.perf_counter()
+        pool.map(work, range(2), chunksize=1)
+        rounds.append(time.perf_counter() - started)
+    print(json.dumps({"step": min(rounds) / 8}))
 """
 
 LARGE = """
@@ -140,14 +145,14 @@ def measure_work(sides: harness.Sides) -> None:
             "gem-llm, async": harness.snippet(sides.peer, peers + PEERS.format(async_mode=True) + STEPS),
         },
         repeats=repeats,
-        warm_up=1,
+        warm_up=0,
     )
     sync = results["ours, sync"].median("step")
     rows = [
         [name, f"{case.median('step') * 1e3:.2f}", f"{sync / case.median('step'):.2f}"]
         for name, case in results.items()
     ]
-    title = f"8 environments that compute in pure Python; medians of {repeats} alternating runs"
+    title = f"8 environments that compute in pure Python; medians of {repeats} runs, each its fastest of 15 batches"
     harness.print_table(title, ["side", "ms a step", "times our sync"], rows)
     process = results["ours, process, 2 workers"].median("step")
     said = harness.verdict(sync / process, TIMES_SYNC, at_least=True)
