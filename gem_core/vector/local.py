@@ -233,10 +233,7 @@ def answer(body: Body, question: str, *args: Any) -> Any:
     failure = body.prepare(env_id, kwargs)
     if failure is not None:
         raise cast("BaseException", failure.error)
-    env = cast("Any", body.env)
-    if question == "wrappers":
-        return [list(wrapper) for wrapper in env.spec.wrappers] if env.spec is not None else []
-    count = getattr(env.unwrapped, "num_tasks", None)
+    count = getattr(cast("Any", body.env).unwrapped, "num_tasks", None)
     return count if isinstance(count, int) else None
 
 
@@ -244,7 +241,13 @@ def _described(env: Any) -> dict[str, Any]:
     spec = None if env is None else env.spec
     if spec is None:
         return {"id": None if env is None else type(env.unwrapped).__name__, "kwargs": {}, "wrappers": []}
-    return {"id": spec.id, "kwargs": spec.overrides(), "wrappers": [list(wrapper) for wrapper in spec.wrappers]}
+    return {"id": spec.id, "kwargs": spec.overrides(), "wrappers": wrappers_of(env)}
+
+
+def wrappers_of(env: Any) -> list[Any]:
+    """Return names and options of an environment's wrappers, innermost first."""
+    spec = None if env is None else env.spec
+    return [] if spec is None else [list(wrapper) for wrapper in spec.wrappers]
 
 
 async def _cancelled(tasks: list[asyncio.Task[None]]) -> None:

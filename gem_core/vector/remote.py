@@ -110,7 +110,7 @@ class RemoteHost(Host):
             number = next(self._numbers)
             future: concurrent.futures.Future[Any] = concurrent.futures.Future()
             self._asked[number] = link, future
-            known = self._introduced(worker, args[0]) if question in ("num_tasks", "wrappers") else []
+            known = self._introduced(worker, args[0]) if question == "num_tasks" else []
             link.send([*known, ("ask", number, slot, question, args)])
         while True:
             try:
@@ -184,6 +184,8 @@ class RemoteHost(Host):
                 _, future = self._asked.pop(number, (None, None))
                 if future is not None:
                     future.set_result(value) if worked else future.set_exception(_raisable(value))
+            elif message[0] == "wrapped":
+                self._wrappers[message[1]] = message[2]
             elif message[0] == "broken":
                 self._broken[link] = message[1]
         if following:
@@ -245,12 +247,10 @@ class RemoteHost(Host):
         if present is None or present.env_id is None:
             return {"id": None, "kwargs": {}, "wrappers": []}
         env_id = present.env_id
-        if env_id not in self._wrappers:
-            self._wrappers[env_id] = self.ask(slot, "wrappers", env_id, present.kwargs) if self._setup.wrappers else []
         registered = registry().env(env_id).kwargs
         kwargs = {**registered, **self._setup.kwargs, **present.kwargs}
         changed = {name: value for name, value in kwargs.items() if registered.get(name, _ABSENT) is not value}
-        return {"id": env_id, "kwargs": changed, "wrappers": self._wrappers[env_id]}
+        return {"id": env_id, "kwargs": changed, "wrappers": self._wrappers.get(env_id, [])}
 
 
 def packed(records: list[EnvSpec]) -> bytes:

@@ -15,13 +15,14 @@ from typing import Any, cast
 import cloudpickle  # type: ignore[import-untyped]  # it has no types
 
 from gem_core.errors import ArgumentError
+from gem_core.jsonable import to_plain
 from gem_core.making import make_from
 from gem_core.registry import registry
 from gem_core.specs import EnvSpec
 from gem_core.types import Concurrency
 from gem_core.vector.commands import Command, Failure, Outcome, Rebuild
 from gem_core.vector.host import Host, Launch
-from gem_core.vector.local import LocalHost, answer
+from gem_core.vector.local import LocalHost, answer, wrappers_of
 from gem_core.wrapper import AnyEnv
 
 Message = tuple[Any, ...]
@@ -34,8 +35,9 @@ class Worker:
     """Environments of some slots, run as each asks for, and what is said about them.
 
     It takes ``("do", slot, ticket, command)``, ``("ask", number, slot, question, args)``, ``("release", slot)`` and
-    ``("know", records)``, and gives back what the host could not send; it says ``("done", slot, ticket, outcome)`` and
-    ``("answer", number, worked, value)``.
+    ``("know", records)``, and gives back what the host could not send; it says ``("done", slot, ticket, outcome)``,
+    ``("answer", number, worked, value)``, and once for each id, before anything else of it,
+    ``("wrapped", id, wrappers)``.
 
     Args:
         setup: What environments are made from; see ``remote.worker_setup``.
@@ -51,6 +53,7 @@ class Worker:
         self._records: dict[str, EnvSpec] = {record.id: record for record in fields["records"]}
         self._kwargs, self._wrappers = fields["kwargs"], fields["wrappers"]
         self._times: MutableMapping[int, float] = {} if times is None else times
+        self._told: set[str | None] = set()
         factories = [self._factory(own_id) for own_id in fields["ids"]]
         self._host = LocalHost(factories, kinds=self._kind, started=self._times)
         self._host.engine = self
@@ -65,7 +68,8 @@ class Worker:
             try:
                 value = self._answer(slot, question, args)
             except Exception as error:  # noqa: BLE001 - it is raised where it was asked
-                self._say(("answer", number, False, Failure.of(error, question)))
+                where = "sample_random_action" if question == "sample" else question
+                self._say(("answer", number, False, Failure.of(error, where)))
             else:
                 self._say(("answer", number, True, value))
         elif kind == "return":
@@ -85,7 +89,7 @@ class Worker:
 
     def advance(self, host: Host, slot: int, ticket: int, outcome: Outcome) -> Launch | None:
         """Say what came of a command."""
-        self._say(("done", slot, ticket, outcome))
+        self._done(slot, ticket, outcome)
         return None
 
     def is_current(self, slot: int, ticket: int) -> bool:
@@ -113,6 +117,13 @@ class Worker:
         self._times[slot] = time.monotonic()
         outcome = body.perform(command)
         self._times.pop(slot, None)
+        self._done(slot, ticket, outcome)
+
+    def _done(self, slot: int, ticket: int, outcome: Outcome) -> None:
+        body = self._host.body(slot)
+        if body.made_for is not None and body.made_for[0] not in self._told:
+            self._told.add(body.made_for[0])
+            self._say(("wrapped", body.made_for[0], wrappers_of(body.env)))
         self._say(("done", slot, ticket, outcome))
 
     def _answer(self, slot: int, question: str, args: tuple[Any, ...]) -> Any:
@@ -227,6 +238,8 @@ def _sendable(message: Message) -> Message:
     try:
         cloudpickle.dumps(message)
     except Exception as error:  # noqa: BLE001 - as above
+        if message[0] == "wrapped":
+            return (*message[:2], to_plain(message[2]))  # as it would stand in a file of episodes
         what = {"do": "what it is made from", "ask": "a question"}.get(message[0], "its result")
         text = f"{what} cannot be sent to another process: {type(error).__name__}: {error}"
         failure = Failure("exception", text[:2000])
