@@ -9,7 +9,7 @@ from gem_core import __version__
 from gem_core.agents.asking import Asking
 from gem_core.agents.base import Context
 from gem_core.episodes import Episode, Transition
-from gem_core.errors import ContextOverflowError, GemError
+from gem_core.errors import ContextOverflowError, EnvFaultError, GemError
 from gem_core.plans import Draw, DrawSource, PlanItem
 from gem_core.registry import registry
 from gem_core.types import TERMINAL_STATE, Info, Observation, Response
@@ -33,6 +33,7 @@ class EpisodeLoop:
         self._asking = asking
         self._running: dict[int, _Running] = {}
         self._to_ask: list[int] = []
+        self._stopped_by: BaseException | None = None
 
     def begin(self, source: DrawSource) -> None:
         """Begin an episode in every slot."""
@@ -41,18 +42,30 @@ class EpisodeLoop:
     @property
     def over(self) -> bool:
         """Whether nothing is under way any more."""
-        return not self._running and not self._vector.under_way
+        return not self._running and not self._vector.under_way and self._stopped_by is None
 
     def has_news(self) -> bool:
         """Tell whether there is an answer of the agent to step, or nothing to wait for."""
-        return bool(self._to_ask) or self._asking.is_ready() or self.over
+        return bool(self._to_ask) or self._asking.is_ready() or self._stopped_by is not None or self.over
 
     def advance(self) -> list[Episode]:
-        """Take the answers and the results that are there, without waiting; return the episodes that are over."""
+        """Take the answers and the results that are there, without waiting; return the episodes that are over.
+
+        What stops the run is raised behind them, by the next call, so that none of them is lost.
+        """
+        if self._stopped_by is not None:
+            raise self._stopped_by
         finished: list[Episode] = []
-        to_ask, self._to_ask = self._to_ask, []
-        for slot in to_ask:
-            self._ask(slot)
+        try:
+            self._advance(finished)
+        except (Exception, KeyboardInterrupt) as error:
+            if not finished:
+                raise
+            self._stopped_by = error
+        return finished
+
+    def _advance(self, finished: list[Episode]) -> None:
+        self._ask_all()
         answers = self._asking.answers()
         responses = {slot: answer for slot, answer in answers.items() if isinstance(answer, Response)}
         for slot, answer in responses.items():
@@ -61,14 +74,14 @@ class EpisodeLoop:
             self._vector.send(responses)
         for slot, failure in answers.items():
             if not isinstance(failure, Response):
-                finished.append(self._running.pop(slot).give_up(failure))
-                nothing_failed = isinstance(failure, ContextOverflowError)
-                self._vector.give_up(slot, None if nothing_failed else str(failure))
+                self._give_up(slot, failure, finished)
         if self._vector.under_way:
             received = self._vector.recv(min_envs=0)
             for place in range(len(received.slots)):
                 self._take(received, place, finished)
-        return finished
+        # A plain agent answers here and now: it is asked once whoever waits for these episodes has had them.
+        if self._asking.asynchronous:
+            self._ask_all()
 
     def _take(self, received: Received, place: int, finished: list[Episode]) -> None:
         slot = received.slots[place]
@@ -77,27 +90,45 @@ class EpisodeLoop:
         if current is not None:
             terminated, truncated = bool(received.terminated[place]), bool(received.truncated[place])
             reward = float(received.rewards[place])
-            if terminated or truncated:
+            over = terminated or truncated
+            if over and self._vector.autoreset == "same_step":
                 current.add(reward, terminated, truncated, info.pop("final_obs"), info.pop("final_info"))
+            else:
+                current.add(reward, terminated, truncated, observation, info)
+            if over:
                 finished.append(self._running.pop(slot).episode)
                 current = None
-            else:
-                current.add(reward, False, False, observation, info)
+                if self._vector.autoreset != "same_step":
+                    self._vector.begin_next(slot)
+                    return
         if current is None:
             finished.extend(_failed(failed) for failed in info.pop("failed_resets", ()))
             draw = self._vector.draw_of(slot)
             if draw is None:
                 return
             current = self._running[slot] = _Running(self._vector, slot, draw, observation, info)
-        if self._asking.asynchronous:
-            self._ask(slot)
-        else:
-            # A plain agent would answer here and now, before those who wait for this turn's episodes have them.
-            self._to_ask.append(slot)
+        self._to_ask.append(slot)
 
-    def _ask(self, slot: int) -> None:
-        current = self._running[slot]
-        self._asking.ask(slot, current.observation, current.context)
+    def _ask_all(self) -> None:
+        to_ask, self._to_ask = self._to_ask, []
+        for slot in to_ask:
+            current = self._running[slot]
+            self._asking.ask(slot, current.observation, current.context)
+
+    def _give_up(self, slot: int, failure: GemError, finished: list[Episode]) -> None:
+        """End an episode whose agent could not be asked, or whose history has grown too long."""
+        of_env = isinstance(failure, EnvFaultError)
+        if of_env and self._vector.on_error == "raise":
+            raise failure
+        current = self._running.pop(slot)
+        if isinstance(failure, ContextOverflowError):
+            finished.append(current.give_up({"context_overflow": True}))
+            self._vector.give_up(slot, None)
+            return
+        message = str(failure).removeprefix(f"{current.episode.id}: ")
+        error = {"kind": "exception" if of_env else "agent", "message": message}
+        finished.append(current.give_up({"error": error}))
+        self._vector.give_up(slot, error)
 
 
 class _Running:
@@ -126,11 +157,8 @@ class _Running:
         self.context.turn += 1
         self.context.info = info
 
-    def give_up(self, error: GemError) -> Episode:
-        """End the episode because its agent could not be asked, or its history has grown too long; return it."""
-        reported: Info = {"error": {"kind": "agent", "message": str(error)}}
-        if isinstance(error, ContextOverflowError):
-            reported = {"context_overflow": True}
+    def give_up(self, reported: Info) -> Episode:
+        """End the episode between two turns, with the reason in its last info; return it."""
         if self.episode.transitions:
             last = self.episode.transitions[-1]
             last.truncated, last.info = True, {**last.info, **reported}

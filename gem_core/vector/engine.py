@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -64,6 +65,8 @@ class Engine:
         """Those of them that have a result, in order of completion."""
         self.target = 1
         """How many of them whoever waits is waiting for."""
+        # When to look for what takes too long, also where there is always something to receive.
+        self._look_again = 0.0
         # The bodies of slots whose steps are done at once, by the caller.
         self._quick: list[Body | None] = [None] * len(ids)
 
@@ -242,20 +245,21 @@ class Engine:
     ) -> Iterator[float | None]:
         """Yield in how many seconds to look again, until something is over; see to what takes too long."""
         closings = self._closings
-        while not over():
+        while not over() or time.monotonic() >= self._look_again:
             if closings != self._closings:
                 raise ResetNeededError("the vector environment was closed while it was waited for; call reset()")
-            if blocking and on_background_loop():
+            if blocking and on_background_loop() and not over():
                 raise BridgeError(
                     "a vector environment was waited for on the library's own event loop, where it would wait for "
                     "itself; await its step_async, reset_async or recv_async there instead"
                 )
             now = time.monotonic()
-            checks = [self._abandon_overdue(host, now) for host in self.hosts]
+            checks = [check for host in self.hosts if (check := self._abandon_overdue(host, now)) is not None]
+            self._look_again = now + min(checks, default=math.inf)
             if over():
                 return
-            checks.append(None if deadline is None else deadline - now)
-            seconds = min((check for check in checks if check is not None), default=None)
+            checks += [] if deadline is None else [deadline - now]
+            seconds = min(checks, default=None)
             if deadline is not None and now >= deadline:
                 return
             yield seconds
@@ -304,8 +308,13 @@ class Engine:
 
     def drain(self) -> None:
         """Wait for what is under way, and drop it."""
-        for seconds in self.until(lambda: not any(self._flying)):
-            self.signal.wait(0.05 if seconds is None else min(seconds, 0.05))
+        for seconds in self.draining():
+            self.signal.wait(seconds)
+
+    def draining(self, *, blocking: bool = True) -> Iterator[float]:
+        """Yield in how many seconds to look again, until nothing is under way; then drop what came of it."""
+        for seconds in self.until(lambda: not any(self._flying), blocking=blocking):
+            yield 0.05 if seconds is None else min(seconds, 0.05)
         with self._lock:
             self.sent, self.done, self._batches = set(), [], {}
 

@@ -10,16 +10,17 @@ from typing import Any, Self, cast
 
 import numpy as np
 
-from gem_core.errors import ArgumentError, EnvFaultError, GemError, WorkerLostError
+from gem_core.errors import ArgumentError, BridgeError, EnvFaultError, NotSupportedError, WorkerLostError
 from gem_core.plans import Draw, DrawSource
 from gem_core.registry import registry
 from gem_core.types import Info, Observation
 from gem_core.vector.actions import Actions, Received, VectorStep, indices_and_actions, masked_slots
-from gem_core.vector.engine import Batch, Engine
+from gem_core.vector.commands import Failure
+from gem_core.vector.engine import Batch, Engine, Start
 from gem_core.vector.host import Host
 from gem_core.vector.setup import VectorSetup
 from gem_core.vector.signal import Signal
-from gem_core.vector.slot import LIVE, Rules
+from gem_core.vector.slot import LIVE, Autoreset, OnError, Rules
 from gem_core.wrapper import AnyEnv
 
 _MOST_WORKERS_LOST = 3
@@ -108,6 +109,16 @@ class VectorEnv:
         return self._rules.budget.total
 
     @property
+    def autoreset(self) -> Autoreset:
+        """When the next episode begins; see ``make_vec``."""
+        return self._rules.autoreset
+
+    @property
+    def on_error(self) -> OnError:
+        """Whether an environment that fails ends its episode, or the run; see ``make_vec``."""
+        return self._rules.on_error
+
+    @property
     def own_source(self) -> DrawSource:
         """What its own episodes start from, by the plan and seed that it was made with; see ``rollout``."""
         return self._own_source
@@ -143,12 +154,11 @@ class VectorEnv:
         seed = None if current.draw is None else current.draw.action_seed
         try:
             return cast("str", self._asked(slot, "sample", lambda: (seed, current.rebuilding())))
-        except GemError:
+        except (NotSupportedError, BridgeError):
             raise
         except Exception as error:
-            raise EnvFaultError(
-                f"{current.name()}: sample_random_action raised {type(error).__name__}: {error}"
-            ) from error
+            what = error if isinstance(error, EnvFaultError) else Failure.of(error, "sample_random_action").message
+            raise EnvFaultError(f"{current.name()}: {what}") from error
 
     def _asked(self, slot: int, question: str, args: Callable[[], tuple[Any, ...]]) -> Any:
         for _ in range(_MOST_WORKERS_LOST):
@@ -182,6 +192,8 @@ class VectorEnv:
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[list[Observation], list[Info]]:
         """``reset`` for code that runs in an event loop, without blocking it."""
+        if not options or "reset_mask" not in options:
+            await self.drain_async()
         batch, order = self._start_reset(seed, options)
         for seconds in self._engine.until(batch.is_over, blocking=False):
             await batch.signal.wait_async(seconds)
@@ -244,17 +256,24 @@ class VectorEnv:
         self._engine.sent.update(range(self.num_envs))
         self._engine.run_all((slot, partial(slot.begin, options)) for slot in self._slots)
 
-    def give_up(self, slot: int, fault: str | None) -> None:
-        """Begin the next episode of a slot in the middle of one; ``recv`` returns its first observation.
+    def begin_next(self, slot: int) -> None:
+        """Begin the next episode of a slot; ``recv`` returns its first observation, with reward 0 and flags false."""
+        self._begin_one(slot, self._slots[slot].begin)
+
+    def give_up(self, slot: int, error: dict[str, Any] | None) -> None:
+        """``begin_next`` in the middle of an episode.
 
         Args:
             slot: Number of the slot.
-            fault: What failed in the machinery of its agent, counted as a fault; None where nothing failed, as when
-                the history is longer than the model takes.
+            error: What failed outside of its steps, as ``info["error"]`` says it, counted as a fault; None where
+                nothing failed, as when the history is longer than the model takes.
         """
+        self._begin_one(slot, partial(self._slots[slot].give_up, error))
+
+    def _begin_one(self, slot: int, start: Start) -> None:
         self._engine.refuse_busy([slot])
         self._engine.sent.add(slot)
-        self._engine.run_all([(self._slots[slot], partial(self._slots[slot].give_up, fault))])
+        self._engine.run_all([(self._slots[slot], start)])
 
     def recv(self, min_envs: int = 1, timeout: float | None = None) -> Received:
         """Return what came of ``send``: all that is there, in order of completion.
@@ -290,6 +309,11 @@ class VectorEnv:
 
     def _has_news(self) -> bool:
         return bool(self._engine.done)
+
+    async def drain_async(self) -> None:
+        """Wait for what is under way, and drop it, without blocking the event loop."""
+        for seconds in self._engine.draining(blocking=False):
+            await self.signal.wait_async(seconds)
 
     @property
     def under_way(self) -> int:

@@ -185,12 +185,12 @@ class Slot:
         self.check_steppable()
         return self.begin()  # next_step: this call begins the next episode, and its action is ignored
 
-    def give_up(self, fault: str | None) -> Command | None:
-        """Begin the next episode in the middle of one; what failed spends the budget of faults, None does not."""
-        if fault is None:
+    def give_up(self, error: dict[str, Any] | None) -> Command | None:
+        """Begin the next episode in the middle of one; an error spends the budget of faults, None does not."""
+        if error is None:
             self.rules.budget.finished()
         else:
-            self.rules.budget.spend({"kind": "agent", "message": fault}, self.name())
+            self.rules.budget.spend(error, self.name())
         return self.begin()
 
     def check_steppable(self) -> None:
