@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sized
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, cast
+from typing import Any, NamedTuple, Self, cast
 
 from gem_core.errors import EpisodeFileError
 from gem_core.jsonable import ImageFolder, from_plain, to_plain
@@ -245,31 +245,69 @@ def write_episodes(path: str | Path, episodes: Iterable[Episode], *, append: boo
         return writer.count
 
 
-def read_episodes(path: str | Path) -> Iterator[Episode]:
+def read_episodes(path: str | Path, *, images: bool = True) -> Iterator[Episode]:
     """Yield the whole episodes of a file, one at a time.
 
     A line that is cut off or damaged is passed over, with an ``EpisodeFileWarning`` that names it.
+
+    Args:
+        path: The file.
+        images: Read the images; without, the record of an image file stands in the place of each.
 
     Raises:
         EpisodeFileError: The file cannot be read.
     """
     path = Path(path)
-    images = ImageFolder.beside(path)
+    for line in episode_lines(path, images=images):
+        if line.episode is not None:
+            yield line.episode
+        else:
+            cut = "" if line.text.endswith(b"\n") else " The line is cut off: the writer was interrupted."
+            warnings.warn(
+                f"{path}, line {line.number}: passed over, because {line.damage}.{cut}",
+                EpisodeFileWarning,
+                stacklevel=2,
+            )
+
+
+class EpisodeLine(NamedTuple):
+    """One line of a file of episodes.
+
+    Args:
+        number: From 1.
+        text: As it stands there.
+        episode: What it holds; None where it is damaged.
+        damage: What is wrong with it.
+    """
+
+    number: int
+    text: bytes
+    episode: Episode | None
+    damage: EpisodeFileError | None = None
+
+
+def episode_lines(path: str | Path, *, images: bool = False) -> Iterator[EpisodeLine]:
+    """Yield the lines of a file of episodes that are not blank; see ``read_episodes``.
+
+    Raises:
+        EpisodeFileError: The file cannot be read.
+    """
+    path = Path(path)
+    folder = ImageFolder.beside(path) if images else None
     try:
-        file = path.open("rb")
+        with path.open("rb") as file:
+            for number, text in enumerate(file, start=1):
+                if text.strip():
+                    yield _line(number, text, folder)
     except OSError as error:
         raise EpisodeFileError(f"cannot read {path}: {error.strerror or error}") from error
-    with file:
-        for number, line in enumerate(file, start=1):
-            if not line.strip():
-                continue
-            try:
-                yield Episode.from_dict(_parsed(line), images)
-            except EpisodeFileError as error:
-                cut = "" if line.endswith(b"\n") else " The line is cut off: the writer was interrupted."
-                warnings.warn(
-                    f"{path}, line {number}: passed over, because {error}.{cut}", EpisodeFileWarning, stacklevel=2
-                )
+
+
+def _line(number: int, text: bytes, images: ImageFolder | None) -> EpisodeLine:
+    try:
+        return EpisodeLine(number, text, Episode.from_dict(_parsed(text), images))
+    except EpisodeFileError as error:
+        return EpisodeLine(number, text, None, error)
 
 
 def _parsed(line: bytes) -> Any:

@@ -89,25 +89,36 @@ class DrawSource:
         self._draws = iter(()) if plan is None else self._expanded(plan)
         self._counts: dict[int, int] = {}
         self._seeds = seed_family(self.seed, "episode")
-        self._skipped: Mapping[tuple[str, int], int | None] = {}
+        self._skipped: Collection[tuple[str, int]] = ()
+        self._check: Check | None = None
 
     @property
     def total(self) -> int | None:
         """Number of episodes of a plan that has a length; None for any other."""
         if not isinstance(self._plan, Collection):
             return None
-        return len(self._plan) if isinstance(self._plan, _Items) else sum(item.repeat for item in self._plan)
+        if isinstance(self._plan, _Items):
+            return len(self._plan)
+        return sum(_checked_item(index, item).repeat for index, item in enumerate(self._plan))
 
-    def skip(self, done: Mapping[tuple[str, int], int | None]) -> None:
+    def skip(self, done: Collection[tuple[str, int]], check: Check) -> None:
         """Leave episodes out.
 
         Args:
-            done: The seed of each, by key and repeat.
-
-        Raises:
-            ArgumentError: While drawing, an episode that is left out has another seed: it is of another run.
+            done: Key and repeat of each.
+            check: Called with these and what the plan has there, or None; raises what does not fit. Where the plan is
+                a sequence it is called for all at once, else for each as it is passed over.
         """
         self._skipped = done
+        if not isinstance(self._plan, Sequence):
+            self._check = check
+            return
+        for key, repeat in done:
+            draw = None
+            if key.isdecimal() and int(key) < len(self._plan):
+                item = _checked_item(int(key), self._plan[int(key)])
+                draw = self._made(item, key, repeat, (int(key),)) if 0 <= repeat < item.repeat else None
+            check(key, repeat, draw)
 
     def restarted(self, seed: int | None = None) -> DrawSource:
         """Return the same draws from the beginning.
@@ -137,36 +148,37 @@ class DrawSource:
 
     def _expanded(self, plan: Iterable[PlanItem]) -> Iterator[Draw]:
         for index, item in enumerate(plan):
-            if not isinstance(item, PlanItem):
-                raise ArgumentError(f"a plan yields PlanItem records, and item {index} is {item!r}")
-            if type(item.repeat) is not int or item.repeat < 1:
-                raise ArgumentError(f"repeat must be a positive whole number, not {item.repeat!r} (plan item {index})")
-            if item.seed is not None:
-                item = replace(item, seed=_checked_seed(item.seed, index))
-            if item.repeat > 1 and item.group is None:
-                item = replace(item, group=str(index))
+            item, key = _checked_item(index, item), str(index)
             for repeat in range(item.repeat):
-                draw = Draw(
-                    item,
-                    (index,),
-                    repeat,
-                    seed_at(self._seeds, (index,)) if item.seed is None else item.seed,
-                    self.seed,
-                )
-                if not self._skipped or (draw.key, repeat) not in self._skipped:
-                    yield draw
-                elif self._skipped[draw.key, repeat] != draw.seed:
-                    raise ArgumentError(
-                        f"the episode with the key {draw.key!r} was started from another seed than this plan gives it: "
-                        "it is of another run; resume with the plan and the seed of the first time"
-                    )
+                if not self._skipped or (key, repeat) not in self._skipped:
+                    yield self._made(item, index, repeat)
+                elif self._check is not None:
+                    self._check(key, repeat, self._made(item, index, repeat))
+
+    def _made(self, item: PlanItem, index: int, repeat: int) -> Draw:
+        seed = seed_at(self._seeds, (index,)) if item.seed is None else item.seed
+        return Draw(item, (index,), repeat, seed, self.seed)
 
 
-def _checked_seed(seed: int, index: int) -> int:
-    try:
-        return checked_seed(seed)
-    except ArgumentError as error:
-        raise ArgumentError(f"{error} (plan item {index})") from None
+
+Check = Callable[[str, int, Draw | None], None]
+"""Takes the key and the repeat of an episode, and what a plan has there; see ``DrawSource.skip``."""
+
+
+def _checked_item(index: int, item: object) -> PlanItem:
+    """Return an item of a plan with its seed checked, and with the name of its group filled in."""
+    if not isinstance(item, PlanItem):
+        raise ArgumentError(f"a plan yields PlanItem records, and item {index} is {item!r}")
+    if type(item.repeat) is not int or item.repeat < 1:
+        raise ArgumentError(f"repeat must be a positive whole number, not {item.repeat!r} (plan item {index})")
+    if item.seed is not None:
+        try:
+            item = replace(item, seed=checked_seed(item.seed))
+        except ArgumentError as error:
+            raise ArgumentError(f"{error} (plan item {index})") from None
+    if item.repeat > 1 and item.group is None:
+        item = replace(item, group=str(index))
+    return item
 
 
 class _Items(Sequence[PlanItem]):

@@ -28,6 +28,9 @@ DEFAULT_EPISODES = 10
 Environments = VectorEnv | AnyEnv | IdOrIds
 """A vector environment, an environment, an id or several."""
 
+Resume = str | Path | Iterable[Episode] | Done | None
+"""A file of episodes, or the episodes; or what was found there, as ``done_in`` returns it."""
+
 OnProgress = Callable[[int, int | None], None]
 """Called with the number of episodes that are over, and of all, where that is known."""
 
@@ -40,7 +43,7 @@ def rollout(
     episodes: int | None = None,
     seed: int | None = None,
     max_requests: int | None = None,
-    resume: str | Path | Iterable[Episode] | None = None,
+    resume: Resume = None,
     progress: bool | OnProgress = False,
 ) -> Iterator[Episode]:
     """Let an agent act, and yield each episode as it finishes.
@@ -62,8 +65,9 @@ def rollout(
             data set once, and ten episodes of an environment without rows.
         seed: Seed of the run; None takes the vector environment's, or draws one.
         max_requests: Questions to an asynchronous agent that are open at once; None for as many as there are slots.
-        resume: Episodes of this run that are there already, or the file that holds them: they are left out, but for
-            those that ended in an error, which are run again. The seed is taken from them.
+        resume: Episodes of this run that are there already, or the file that holds them, to be written to with
+            ``append=True``: they are left out, but for those that ended in an error, which are run again. The seed is
+            theirs; a file that is not there yet holds none.
         progress: Show how far the run is, on standard error; or a callable that does.
 
     Yields:
@@ -72,9 +76,12 @@ def rollout(
     Raises:
         AgentError: The agent cannot be called, or does not return text.
         ArgumentError: Both a plan and a number of episodes are given; or what is to be resumed is another run.
-        FaultBudgetError: Environments fail again and again.
+        EnvFaultError: An environment failed, and the vector environment has ``on_error="raise"``.
+        FaultBudgetError: Environments fail again and again, or the agent does.
+
+    What stops a run is raised behind the episodes that were over by then.
     """
-    _check(plan, episodes)
+    _check(plan, episodes, max_requests)
     return _run(env, as_agent(agent), _Order(plan, episodes, seed, max_requests, resume, progress))
 
 
@@ -86,7 +93,7 @@ def arollout(
     episodes: int | None = None,
     seed: int | None = None,
     max_requests: int | None = None,
-    resume: str | Path | Iterable[Episode] | None = None,
+    resume: Resume = None,
     progress: bool | OnProgress = False,
 ) -> AsyncIterator[Episode]:
     """Let an agent act, and yield each episode as it finishes, for code that runs in an event loop.
@@ -94,8 +101,8 @@ def arollout(
     It is used as ``async for episode in arollout(…)``, and does what ``rollout`` does.
 
     The agent's coroutines run on the caller's loop, beside everything else that does; environments run where their
-    backend puts them, and block no loop. While the caller does something else between two episodes, requests that are
-    open go on, and no slot takes another step.
+    backend puts them, and block no loop, those of the backend ``sync`` apart. While the caller does something else
+    between two episodes, requests that are open go on, and no slot takes another step.
 
     Args:
         env: See ``rollout``, as for all that follows.
@@ -107,7 +114,7 @@ def arollout(
         resume: Episodes of this run that are there already.
         progress: Show how far the run is.
     """
-    _check(plan, episodes)
+    _check(plan, episodes, max_requests)
     return _arun(env, as_agent(agent), _Order(plan, episodes, seed, max_requests, resume, progress))
 
 
@@ -132,7 +139,7 @@ class _Order:
     episodes: int | None
     seed: int | None
     max_requests: int | None
-    resume: str | Path | Iterable[Episode] | None
+    resume: Resume
     progress: bool | OnProgress
 
     def begin(self, vector: VectorEnv, done: Done) -> tuple[DrawSource, Callable[[], None], Callable[[], None]]:
@@ -143,8 +150,8 @@ class _Order:
         else:
             plan = default_plan(vector, self.episodes) if self.plan is None else self.plan
             source = new_source(plan, vector.seed if seed is None else seed)
-        source.skip(done.seeds)
-        return source, *_reporting(self.progress, source.total, len(done.seeds))
+        source.skip(done.starts, done.check)
+        return source, *_reporting(self.progress, source.total, len(done.starts))
 
 
 def _run(env: Environments, agent: Agent, order: _Order) -> Iterator[Episode]:
@@ -171,7 +178,7 @@ def _run(env: Environments, agent: Agent, order: _Order) -> Iterator[Episode]:
 
 
 async def _arun(env: Environments, agent: Agent, order: _Order) -> AsyncIterator[Episode]:
-    done = done_in(order.resume)
+    done = await in_thread(done_in, order.resume)
     vector, made_here = await in_thread(lambda: _as_vector(env, order.seed, plain=False))
     asking = Asking(agent, vector.signal.set, most=order.max_requests, loop=asyncio.get_running_loop())
     end: Callable[[], None] | None = None
@@ -179,7 +186,8 @@ async def _arun(env: Environments, agent: Agent, order: _Order) -> AsyncIterator
         prepared = getattr(agent, "prepare", lambda: None)()
         if inspect.isawaitable(prepared):
             await prepared
-        source, note, end = await in_thread(lambda: order.begin(vector, done))
+        source, note, end = await in_thread(order.begin, vector, done)
+        await vector.drain_async()
         loop = EpisodeLoop(vector, asking)
         loop.begin(source)
         while not loop.over:
@@ -195,11 +203,13 @@ async def _arun(env: Environments, agent: Agent, order: _Order) -> AsyncIterator
             await in_thread(vector.close)
 
 
-def _check(plan: Iterable[PlanItem] | None, episodes: int | None) -> None:
+def _check(plan: Iterable[PlanItem] | None, episodes: int | None, max_requests: int | None) -> None:
     if plan is not None and episodes is not None:
         raise ArgumentError("give either a plan or a number of episodes, not both")
     if episodes is not None and (not isinstance(episodes, int) or episodes < 0):
         raise ArgumentError(f"episodes must be a whole number from 0 up, not {episodes!r}")
+    if max_requests is not None and (type(max_requests) is not int or max_requests < 1):
+        raise ArgumentError(f"max_requests must be a positive whole number, not {max_requests!r}")
 
 
 def _as_vector(env: Environments, seed: int | None, *, plain: bool) -> tuple[VectorEnv, bool]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections import Counter
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gem_core.errors import ArgumentError
-from gem_core.plans import Draw, DrawSource, PlanItem, count_plan, cover_plan, group_plan, mixture_plan
+from gem_core.plans import Draw, DrawSource, PlanItem, count_plan, cover_plan, group_plan, interleaved, mixture_plan
 from gem_core.seeding import SEED_LIMIT
 
 
@@ -149,3 +151,88 @@ def test_mixture_refuses_weights_without_bound() -> None:
     """No share can be computed from them."""
     with pytest.raises(ArgumentError, match="a mixture needs positive weights"):
         mixture_plan({"a": float("inf"), "b": 1.0}, 3)
+
+
+def in_turn(parts: list[list[PlanItem]]) -> list[PlanItem]:
+    """Return what ``interleaved`` does, as one would write it down with lists."""
+    return [item for row in zip_longest(*parts) for item in row if item is not None]
+
+
+@given(lengths=st.lists(st.integers(0, 7), max_size=6), data=st.data())
+def test_interleaved_plans_are_those_of_a_list(lengths: list[int], data: st.DataObject) -> None:
+    """As a whole, at every place, from behind, and in every slice."""
+    parts = [[PlanItem(id=f"a:P{part}", seed=place) for place in range(length)] for part, length in enumerate(lengths)]
+    expected, plan = in_turn(parts), interleaved(parts)
+    assert len(plan) == len(expected)
+    assert list(plan) == list(iter(plan)) == expected
+    assert [plan[place - len(plan)] for place in range(len(plan))] == expected
+    assert list(reversed(plan)) == expected[::-1]
+    chosen = data.draw(st.slices(len(expected)))
+    assert plan[chosen] == expected[chosen]
+    for place in (len(plan), -len(plan) - 1):
+        with pytest.raises(IndexError):
+            plan[place]
+
+
+@given(ids=st.integers(0, 4), episodes=st.integers(0, 9))
+def test_count_plans_are_those_of_a_list(ids: int, episodes: int) -> None:
+    """The ids in turn, so many times."""
+    names = [f"a:P{number}" for number in range(ids)]
+    plan = count_plan(names, episodes)
+    assert plan == [PlanItem(id=name) for _ in range(episodes) for name in names]
+    assert plan == count_plan(iter(names), episodes)[:]
+    assert plan != [*plan, PlanItem()]
+
+
+@given(rows=st.integers(1, 9), episodes=st.none() | st.integers(0, 30))
+def test_cover_plans_are_those_of_a_list(rows: int, episodes: int | None) -> None:
+    """The rows in order, and over again."""
+    count = rows if episodes is None else episodes
+    expected = [PlanItem(id="a:A", options={"index": place % rows}) for place in range(count)]
+    assert cover_plan("a:A", rows, episodes=episodes) == expected
+
+
+def test_three_million_items_take_no_memory() -> None:
+    """Each is made when it is drawn, and nothing is kept of it."""
+    tracemalloc.start()
+    try:
+        plan = interleaved([cover_plan("a:A", 1_000_000), count_plan(["b:B"], 1_999_000), cover_plan("c:C", 1_000)])
+        source = DrawSource(plan, 0)
+        assert source.total == len(plan) == 3_000_000
+        for _ in range(1000):
+            source.draw(0)
+        assert plan[2_999_999] == PlanItem(id="b:B")
+        taken = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert taken < 100_000
+
+
+def test_number_of_episodes_counts_repeats_and_refuses_what_is_no_item() -> None:
+    """Of a list; an iterator does not tell."""
+    assert DrawSource([PlanItem(repeat=3), PlanItem()], 0).total == 4
+    assert DrawSource(iter([PlanItem()]), 0).total is None
+    with pytest.raises(ArgumentError, match="item 1 is 'a:A'"):
+        _ = DrawSource([PlanItem(), "a:A"], 0).total  # type: ignore[list-item]  # that is the point
+
+
+def test_what_is_done_is_checked_at_once_in_a_sequence_and_as_it_is_passed_over_in_an_iterator() -> None:
+    """Each with what the plan has there, or with None."""
+    checked: list[tuple[str, int, int | None]] = []
+
+    def check(key: str, repeat: int, draw: Draw | None) -> None:
+        checked.append((key, repeat, None if draw is None else draw.seed))
+
+    items = [PlanItem(seed=10), PlanItem(seed=11, repeat=2), PlanItem(seed=12)]
+    done = [("1", 1), ("0", 0), ("3", 0), ("0", 1), ("x", 0)]
+    source = DrawSource(items, 0)
+    source.skip(done, check)
+    assert checked == [("1", 1, 11), ("0", 0, 10), ("3", 0, None), ("0", 1, None), ("x", 0, None)]
+    checked.clear()
+    lazy = DrawSource(iter(items), 0)
+    lazy.skip(done, check)
+    assert checked == []
+    assert [(draw.key, draw.repeat) for draw in drawn(source)] == [("1", 0), ("2", 0)]
+    assert checked == []
+    assert [(draw.key, draw.repeat) for draw in drawn(lazy)] == [("1", 0), ("2", 0)]
+    assert checked == [("0", 0, 10), ("1", 1, 11)]

@@ -11,7 +11,7 @@ from typing import Any
 
 from gem_core.agents.base import Agent, Context
 from gem_core.background import background_loop, run_sync
-from gem_core.errors import AgentError, ArgumentError, EnvFaultError, RequestError
+from gem_core.errors import AgentError, EnvFaultError, RequestError
 from gem_core.types import Observation, Response
 
 Outcome = Response | RequestError | EnvFaultError
@@ -43,8 +43,6 @@ class Asking:
         most: int | None = None,
         loop: asyncio.AbstractEventLoop | None = None,
     ) -> None:
-        if most is not None and (type(most) is not int or most < 1):
-            raise ArgumentError(f"max_requests must be a positive whole number, not {most!r}")
         call = getattr(agent, "function", agent)
         self.asynchronous = inspect.iscoroutinefunction(call) or inspect.iscoroutinefunction(
             getattr(call, "__call__", None)  # noqa: B004 - it is looked at, not called
@@ -114,7 +112,9 @@ class Asking:
     def _start(self, slot: int, answer: Awaitable[str]) -> None:
         future: Future[Any] | asyncio.Task[Any]
         if self._loop is not None:
-            future = self._loop.create_task(self._finish(answer))
+            # The coroutine itself: one around it that is cancelled before it begins would leave it unawaited.
+            future = asyncio.ensure_future(answer, loop=self._loop)
+            self._note(future)
         else:
             future = asyncio.run_coroutine_threadsafe(self._finish(answer), background_loop())
         self._open[slot] = future
@@ -135,9 +135,13 @@ class Asking:
     async def _finish(self, answer: Awaitable[str]) -> str:
         task = asyncio.current_task()
         if task is not None:
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            self._note(task)
         return await answer
+
+    def _note(self, task: asyncio.Task[Any]) -> None:
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        task.add_done_callback(_seen)
 
     def _take(self, slot: int) -> None:
         future = self._open.pop(slot, None)
@@ -149,6 +153,12 @@ class Asking:
             self._ready[slot] = error
         except (CancelledError, asyncio.CancelledError):
             raise AgentError("the agent's coroutine was cancelled; an agent must not cancel its own task") from None
+
+
+def _seen(task: asyncio.Task[Any]) -> None:
+    """Look at what a task raised, or asyncio would complain where the run ends before it is taken."""
+    if not task.cancelled():
+        task.exception()
 
 
 def _checked(answer: object) -> Response:

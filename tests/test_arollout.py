@@ -1,0 +1,494 @@
+"""``arollout``: the agent on the caller's loop, and nothing that waits for anything but its own slot."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import os
+import threading
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pytest
+from held_envs import GATES, KINDS, LONG_S, register_held
+from toys import sampling_agent
+
+import gem_core as gem
+from gem_core.agents.base import Context
+from gem_core.background import background_loop
+from gem_core.errors import AgentError, ArgumentError, EnvFaultError, RequestError
+from gem_core.plans import PlanItem
+
+T = TypeVar("T")
+
+COUNTDOWN = "toy:Countdown-v0"
+BACKENDS = ("sync", "async", "process")
+
+
+@pytest.fixture(autouse=True)
+def _held() -> None:
+    register_held()
+    GATES.clear()
+
+
+def run(coroutine: Coroutine[Any, Any, T]) -> T:
+    """Run a coroutine in a loop of its own, which reports what is wrong with its tasks."""
+    complaints: list[dict[str, Any]] = []
+
+    async def watched() -> T:
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
+        try:
+            return await asyncio.wait_for(coroutine, LONG_S)
+        finally:
+            gc.collect()
+
+    result = asyncio.run(watched())
+    assert complaints == []
+    return result
+
+
+async def collected(episodes: AsyncIterator[gem.Episode]) -> list[gem.Episode]:
+    return by_key([episode async for episode in episodes])
+
+
+def by_key(episodes: list[gem.Episode]) -> list[gem.Episode]:
+    return sorted(episodes, key=lambda episode: (int(episode.key), episode.repeat))
+
+
+def lasting(*turns: int) -> list[PlanItem]:
+    return [PlanItem(options={"left": count}) for count in turns]
+
+
+@contextmanager
+def a_busy_loop_lets_go(begin: asyncio.Event, let_go: Callable[[], object]) -> Iterator[None]:
+    """Take turns on the loop, once it has begun, and then let an environment go on that holds something up.
+
+    Whoever blocks the loop for that environment is stuck, until a thread frees it and the test fails.
+    """
+    stuck: list[str] = []
+
+    async def tick() -> None:
+        await begin.wait()
+        for _ in range(100):
+            await asyncio.sleep(0)
+        let_go()
+
+    ticking = asyncio.create_task(tick())
+    rescue = threading.Timer(LONG_S / 2, lambda: (stuck.append("the loop was blocked"), let_go()))
+    rescue.start()
+    yield
+    rescue.cancel()
+    assert stuck == []
+    assert ticking.done()
+
+
+async def answer_a(observation: gem.Observation, context: Context) -> str:
+    await asyncio.sleep(0)
+    return "a"
+
+
+# Where things run.
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_agent_runs_on_the_loop_of_the_caller_whatever_the_environment(kind: str) -> None:
+    """Where its connections are; environments run elsewhere."""
+    loops: set[asyncio.AbstractEventLoop] = set()
+
+    async def agent(observation: gem.Observation, context: Context) -> str:
+        loops.add(asyncio.get_running_loop())
+        return context.sample_random_action()
+
+    async def main() -> None:
+        episodes = await collected(gem.arollout(gem.make_vec(KINDS[kind], 2, seed=0), agent, episodes=4))
+        assert [episode.error for episode in episodes] == [None] * 4
+        assert loops == {asyncio.get_running_loop()}
+
+    run(main())
+
+
+@pytest.mark.parametrize("agent", [sampling_agent, answer_a], ids=["plain", "asynchronous"])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_episodes_are_those_of_rollout_in_every_backend(backend: str, agent: Any) -> None:
+    """For a vector environment of each, with a wrapper, and with plain and asynchronous agents."""
+    expected = by_key(list(gem.rollout(COUNTDOWN, agent, episodes=6, seed=5)))
+    for episode in expected:
+        episode.wrappers = [["latest", {}]]
+    with gem.make_vec(COUNTDOWN, 3, backend=backend, wrappers="latest", seed=5) as vector:
+        assert run(collected(gem.arollout(vector, agent, episodes=6))) == expected
+        assert by_key(list(gem.rollout(vector, agent, episodes=6))) == expected
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_id_several_ids_and_an_environment_are_taken(kind: str) -> None:
+    """As by ``rollout``; the environment that was given stays open."""
+    expected = by_key(list(gem.rollout(KINDS[kind], sampling_agent, episodes=3, seed=2)))
+    assert run(collected(gem.arollout(KINDS[kind], sampling_agent, episodes=3, seed=2))) == expected
+    with gem.make(KINDS[kind]) as env:
+        assert run(collected(gem.arollout(env, sampling_agent, episodes=3, seed=2))) == expected
+        env.reset(seed=1)
+        env.step("a")
+    both = run(collected(gem.arollout([KINDS[kind], "toy:Sums-v0"], answer_a, episodes=2, seed=2)))
+    assert [episode.id for episode in both] == [KINDS[kind], "toy:Sums-v0"] * 2
+
+
+def test_it_works_on_the_loop_of_the_library_itself() -> None:
+    """Where asynchronous environments run as well."""
+
+    async def main() -> int:
+        return len(await collected(gem.arollout(gem.make_vec(KINDS["async"], 2, seed=0), answer_a, episodes=4)))
+
+    assert asyncio.run_coroutine_threadsafe(main(), background_loop()).result(LONG_S) == 4
+
+
+# Who waits for whom.
+
+
+def opening(kind: str, tmp_path: Path) -> tuple[dict[str, Any], Callable[[], object]]:
+    """Return what holds up an environment, and what lets it go on."""
+    if kind == "process":
+        pipe = tmp_path / "pipe"
+        os.mkfifo(pipe)
+        # In a thread, which waits until the environment reads.
+        return {"pipe": str(pipe)}, lambda: threading.Thread(target=pipe.write_text, args=("go",), daemon=True).start()
+    return {"gate": "held"}, GATES["held"].set
+
+
+@pytest.mark.parametrize("wrappers", ["", "concat,episode_stats"], ids=["bare", "wrapped"])
+@pytest.mark.parametrize("kind", ["thread", "async", "process"])
+def test_the_loop_goes_on_while_environments_are_slow(kind: str, wrappers: str, tmp_path: Path) -> None:
+    """Another task of the loop opens the gate that they wait for."""
+    held, let_go = opening(kind, tmp_path)
+    plan = [*lasting(2), PlanItem(kwargs=held, options={"left": 1}), *lasting(2)]
+    workers = {"backend": ("auto", {"workers": 1})} if kind == "process" else {}
+
+    async def main() -> None:
+        asked = asyncio.Event()
+
+        async def agent(observation: gem.Observation, context: Context) -> str:
+            asked.set()
+            return "a"
+
+        with (
+            gem.make_vec(KINDS[kind], 2, wrappers=wrappers, seed=0, **workers) as vector,
+            a_busy_loop_lets_go(asked, let_go),
+        ):
+            assert len(await collected(gem.arollout(vector, agent, plan=plan))) == 3
+
+    run(main())
+
+
+def test_the_loop_goes_on_while_what_an_abandoned_run_left_is_waited_for() -> None:
+    """A run that begins in a vector environment of which another was stopped."""
+
+    async def main() -> None:
+        plan = [PlanItem(kwargs={"gate": "left"}), *lasting(1, 1)]
+        begin = asyncio.Event()
+        with gem.make_vec(KINDS["thread"], 2, seed=0) as vector:
+            first = gem.arollout(vector, answer_a, plan=plan)
+            await anext(first)
+            await first.aclose()  # type: ignore[attr-defined]  # it is a generator
+            begin.set()
+            with a_busy_loop_lets_go(begin, GATES["left"].set):
+                assert len(await collected(gem.arollout(vector, answer_a, plan=lasting(1, 1)))) == 2
+
+    run(main())
+
+
+@pytest.mark.parametrize("kind", ["thread", "async"])
+def test_a_slow_environment_holds_up_only_its_own_slot(kind: str) -> None:
+    """All other episodes are over before its first step is."""
+
+    async def main() -> list[str]:
+        plan = [PlanItem(kwargs={"gate": "slow"}), *lasting(*[3] * 8)]
+        order: list[str] = []
+        async for episode in gem.arollout(gem.make_vec(KINDS[kind], 3, seed=0), answer_a, plan=plan):
+            order.append(episode.key)
+            if len(order) == 8:
+                GATES["slow"].set()
+        return order
+
+    order = run(main())
+    assert order[-1] == "0"
+    assert sorted(order) == list("012345678")
+
+
+def test_a_slow_answer_holds_up_only_its_own_slot() -> None:
+    """All other episodes are over before it comes."""
+
+    async def main() -> list[str]:
+        release = asyncio.Event()
+        order: list[str] = []
+
+        async def agent(observation: gem.Observation, context: Context) -> str:
+            if context.episode == "1.0":
+                await release.wait()
+            return "a"
+
+        async for episode in gem.arollout(gem.make_vec(COUNTDOWN, 3, seed=0), agent, plan=lasting(*[3] * 9)):
+            order.append(episode.key)
+            if len(order) == 8:
+                release.set()
+        return order
+
+    assert run(main())[-1] == "1"
+
+
+# How many requests.
+
+
+@pytest.mark.parametrize("most", [1, 3, None])
+@pytest.mark.parametrize("on_own_loop", [True, False], ids=["arollout", "rollout"])
+def test_requests_at_once_reach_what_is_allowed_and_no_more(most: int | None, on_own_loop: bool) -> None:
+    """The first answers wait until there are so many; then each that ends makes room for one."""
+    wanted = most or 8
+    open_now = peak = asked = 0
+    full: asyncio.Event | None = None
+
+    async def agent(observation: gem.Observation, context: Context) -> str:
+        nonlocal open_now, peak, asked, full
+        full = full or asyncio.Event()
+        open_now, asked = open_now + 1, asked + 1
+        peak = max(peak, open_now)
+        if open_now == wanted:
+            full.set()
+        await full.wait()
+        for _ in range(asked % 5):
+            await asyncio.sleep(0)
+        open_now -= 1
+        return "a"
+
+    vector, plan = gem.make_vec(COUNTDOWN, 8, seed=0), lasting(*[3] * 24)
+    if on_own_loop:
+        assert len(run(collected(gem.arollout(vector, agent, plan=plan, max_requests=most)))) == 24
+    else:
+        assert len(list(gem.rollout(vector, agent, plan=plan, max_requests=most))) == 24
+    assert (peak, asked, open_now) == (wanted, 72, 0)
+
+
+def test_who_waited_first_is_asked_first() -> None:
+    """The slots take turns where one request is open at a time."""
+    asked: list[str] = []
+
+    async def agent(observation: gem.Observation, context: Context) -> str:
+        asked.append(context.episode)
+        return "a"
+
+    run(collected(gem.arollout(gem.make_vec(COUNTDOWN, 3, seed=0), agent, plan=lasting(3, 3, 3), max_requests=1)))
+    assert asked == ["0.0", "1.0", "2.0"] * 3
+
+
+@pytest.mark.parametrize("start", [gem.rollout, gem.arollout])
+@pytest.mark.parametrize("most", [0, -1, 1.5, True])
+def test_a_number_of_requests_that_cannot_be_is_refused(start: Callable[..., object], most: Any) -> None:
+    """Before anything is made."""
+    with pytest.raises(ArgumentError, match=f"max_requests must be a positive whole number, not {most}"):
+        start(COUNTDOWN, answer_a, max_requests=most)
+
+
+# Ends before the end.
+
+
+class Waiting:
+    """An agent whose first episode goes on at once, while the requests of all others stay open until cancelled."""
+
+    def __init__(self) -> None:
+        self.begun: list[str] = []
+        self.ended: list[str] = []
+
+    async def __call__(self, observation: gem.Observation, context: Context) -> str:
+        if context.episode == "0.0":
+            return "a"
+        self.begun.append(context.episode)
+        try:
+            await asyncio.Event().wait()
+        finally:
+            self.ended.append(context.episode)
+        return "never"
+
+
+@pytest.mark.parametrize("by_break", [True, False], ids=["break", "aclose"])
+def test_leaving_cancels_every_request_and_closes_what_was_made(
+    by_break: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those too that have not begun; no task is left on the loop."""
+    closed: list[str] = []
+    close = gem.VectorEnv.close
+    monkeypatch.setattr(gem.VectorEnv, "close", lambda self: (closed.append("closed"), close(self))[1])
+    agent = Waiting()
+
+    async def main() -> None:
+        episodes = gem.arollout([COUNTDOWN] * 4, agent, plan=lasting(*[2] * 8), seed=0)
+        async for _ in episodes:
+            break
+        if by_break:
+            del episodes, _
+            while not closed or len(asyncio.all_tasks()) > 2:
+                await asyncio.sleep(0)
+        else:
+            await episodes.aclose()  # type: ignore[attr-defined]  # it is a generator
+        others = asyncio.all_tasks() - {asyncio.current_task()}
+        assert all("watched" in repr(task) for task in others)
+
+    run(main())
+    assert closed == ["closed"]
+    assert sorted(agent.ended) == sorted(agent.begun)
+
+
+def test_what_was_given_stays_open_when_a_run_is_left() -> None:
+    """And the next run in it is whole."""
+
+    async def main() -> None:
+        vector = gem.make_vec(COUNTDOWN, 3, seed=0)
+        episodes = gem.arollout(vector, Waiting(), plan=lasting(1, 1, 1))
+        assert (await anext(episodes)).key == "0"
+        await episodes.aclose()  # type: ignore[attr-defined]  # it is a generator
+        assert len(await collected(gem.arollout(vector, answer_a, plan=lasting(2, 2, 2)))) == 3
+
+    run(main())
+
+
+def test_cancelling_the_task_that_takes_the_episodes_ends_the_run() -> None:
+    """The requests are cancelled before it is over."""
+    agent = Waiting()
+
+    async def main() -> None:
+        plan = lasting(1, 1, 1)
+        took = asyncio.create_task(collected(gem.arollout(gem.make_vec(COUNTDOWN, 3, seed=0), agent, plan=plan)))
+        while len(agent.begun) < 2:
+            await asyncio.sleep(0)
+        took.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await took
+        assert sorted(agent.ended) == ["1.0", "2.0"]
+
+    run(main())
+
+
+def test_error_of_the_agent_ends_the_run_and_every_other_request() -> None:
+    """Also where several fail at once: one is raised, and asyncio has nothing to complain of."""
+    ended: list[str] = []
+
+    async def agent(observation: gem.Observation, context: Context) -> str:
+        try:
+            await asyncio.sleep(0)
+            if context.episode in ("0.0", "1.0"):
+                raise ValueError(f"no answer in {context.episode}")
+            await asyncio.Event().wait()
+        finally:
+            ended.append(context.episode)
+        return "never"
+
+    with pytest.raises(ValueError, match=r"no answer in 0\.0"):
+        run(collected(gem.arollout(gem.make_vec(COUNTDOWN, 4, seed=0), agent, episodes=4)))
+    assert sorted(ended) == ["0.0", "1.0", "2.0", "3.0"]
+
+
+def test_agent_that_cancels_itself_is_named() -> None:
+    """It is not taken for a cancellation of the run."""
+
+    async def agent(observation: gem.Observation, context: Context) -> str:
+        raise asyncio.CancelledError
+
+    with pytest.raises(AgentError, match="an agent must not cancel its own task"):
+        run(collected(gem.arollout(COUNTDOWN, agent, episodes=1, seed=0)))
+
+
+def test_what_is_over_comes_out_before_the_error_that_ends_the_run() -> None:
+    """Both are found in the same turn of the loop, and nothing that was finished is lost."""
+
+    def agent(observation: gem.Observation, context: Context) -> str:
+        if context.episode == "0.0":
+            raise RequestError("the server is down")
+        raise EnvFaultError("nothing can be sampled")
+
+    async def main() -> None:
+        episodes = gem.arollout(gem.make_vec(COUNTDOWN, 2, seed=0, on_error="raise"), agent, episodes=2)
+        assert (await anext(episodes)).key == "0"
+        with pytest.raises(EnvFaultError, match="nothing can be sampled"):
+            await anext(episodes)
+
+    run(main())
+
+
+# Agents.
+
+
+def test_agent_is_prepared_on_the_loop_of_the_caller() -> None:
+    """Before its first episode."""
+    loops: list[asyncio.AbstractEventLoop] = []
+
+    class Prepared:
+        async def prepare(self) -> None:
+            loops.append(asyncio.get_running_loop())
+
+        async def __call__(self, observation: gem.Observation) -> str:
+            loops.append(asyncio.get_running_loop())
+            return "a"
+
+    async def main() -> None:
+        await collected(gem.arollout(COUNTDOWN, Prepared(), plan=lasting(1), seed=0))
+        assert loops == [asyncio.get_running_loop()] * 2
+
+    run(main())
+
+
+def test_awaitables_of_any_kind_are_answers() -> None:
+    """A plain function may return a future, or an object that can be awaited."""
+
+    class Later:
+        def __await__(self) -> Any:
+            yield from asyncio.sleep(0).__await__()
+            return "a"
+
+    def agent(observation: gem.Observation, context: Context) -> Awaitable[str]:
+        if context.turn == 0:
+            return Later()
+        future: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        future.set_result("b")
+        return future
+
+    episodes = run(collected(gem.arollout(COUNTDOWN, agent, plan=lasting(2, 2), seed=0)))
+    assert [[turn.action for turn in episode.transitions] for episode in episodes] == [["a", "b"]] * 2
+
+
+def test_two_runs_go_on_side_by_side() -> None:
+    """On one loop, each in its own vector environment."""
+
+    async def main() -> None:
+        both = (gem.make_vec(COUNTDOWN, 2, seed=seed) for seed in (1, 2))
+        runs = await asyncio.gather(*(collected(gem.arollout(each, answer_a, episodes=5)) for each in both))
+        assert [len(episodes) for episodes in runs] == [5, 5]
+
+    run(main())
+
+
+def test_endless_plans_are_drawn_from_as_slots_need_them() -> None:
+    """No item ahead of the slots."""
+    drawn = 0
+
+    def endless() -> Any:
+        nonlocal drawn
+        while True:
+            drawn += 1
+            yield PlanItem(options={"left": 1})
+
+    async def main() -> None:
+        episodes = gem.arollout(gem.make_vec(COUNTDOWN, 3, seed=0), answer_a, plan=endless())
+        taken = 0
+        async for _ in episodes:
+            taken += 1
+            assert drawn <= taken + 2 * 3
+            if taken == 20:
+                break
+        await episodes.aclose()  # type: ignore[attr-defined]  # it is a generator
+
+    run(main())
+
+
+def test_vector_environment_that_cannot_be_made_raises_in_the_caller() -> None:
+    """By the first episode that is asked for."""
+    with pytest.raises(gem.GemError, match="no environment 'toy:Nothing'"):
+        run(collected(gem.arollout("toy:Nothing", answer_a)))
