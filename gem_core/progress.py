@@ -67,6 +67,8 @@ class Progress:
             TextColumn("{task.fields[status]}"),
             TimeRemainingColumn(),
             console=Console(stderr=True),
+            # What is printed meanwhile stands above the bar; where it goes elsewhere, it is none of the bar's matter.
+            redirect_stdout=sys.stdout.isatty(),
         )
         self._task = self._bar.add_task(self._title, total=self._total, status="")
         self._bar.start()
