@@ -54,6 +54,11 @@ def gem_register_vector_backends() -> Iterable[VectorBackendSpec]:
     backends = "gem_core.vector.backends"
     return [
         VectorBackendSpec(
+            name="auto",
+            entry_point=f"{backends}:auto",
+            summary="Chooses by what each environment says of itself.",
+        ),
+        VectorBackendSpec(
             name="sync",
             entry_point=f"{backends}:sync",
             summary="Steps one environment after another, in this thread.",

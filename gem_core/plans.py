@@ -117,7 +117,7 @@ class DrawSource:
             draw = None
             if key.isdecimal() and int(key) < len(self._plan):
                 item = _checked_item(int(key), self._plan[int(key)])
-                draw = self._made(item, key, repeat, (int(key),)) if 0 <= repeat < item.repeat else None
+                draw = self._made(item, int(key), repeat) if 0 <= repeat < item.repeat else None
             check(key, repeat, draw)
 
     def restarted(self, seed: int | None = None) -> DrawSource:

@@ -370,11 +370,9 @@ def make_vec(
         ArgumentError: A value that is not accepted.
     """
     from gem_core.making import construct
-    from gem_core.vector import backends
     from gem_core.vector.setup import VectorSetup
 
     name, options = (backend, {}) if isinstance(backend, str) else backend
-    record = VectorBackendSpec(name="auto", entry_point=backends.auto) if name == "auto" else _registry.backend(name)
     setup = VectorSetup.of(
         ids,
         num_envs,
@@ -386,7 +384,7 @@ def make_vec(
         step_timeout=step_timeout,
         on_error=on_error,
     )
-    vector: VectorEnv = construct(record, setup, **options)
+    vector: VectorEnv = construct(_registry.backend(name), setup, **options)
     return vector
 
 

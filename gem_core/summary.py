@@ -24,6 +24,7 @@ class EnvSummary:
         turns: Sum of their turns.
         prompt_tokens: Tokens that the model read, as its server counts them; None where no response says.
         completion_tokens: Tokens that it wrote.
+        earlier_turns: Those of the turns that were taken before this session of the run.
     """
 
     id: str
@@ -35,6 +36,7 @@ class EnvSummary:
     turns: int = 0
     prompt_tokens: int | None = None
     completion_tokens: int | None = None
+    earlier_turns: int = 0
 
     def add(self, episode: Episode) -> None:
         """Count an episode."""
@@ -51,6 +53,10 @@ class EnvSummary:
         if episode.success is not None:
             self.judged += 1
             self.successes += episode.success
+
+    def turns_per_second(self, seconds: float) -> float | None:
+        """Return how fast this session of the run was; None where it took no time."""
+        return (self.turns - self.earlier_turns) / seconds if seconds > 0 else None
 
     @property
     def success_rate(self) -> float | None:
@@ -83,6 +89,11 @@ class RunSummary:
         if episode.error is not None and self.first_error is None:
             self.first_error = f"{episode.id}, seed {episode.seed}: {episode.error.get('message', episode.error)}"
 
+    def begin_session(self) -> None:
+        """Note that what was counted so far was run before; it has no part in how fast the run is."""
+        for row in (self.total, *self.by_env.values()):
+            row.earlier_turns = row.turns
+
     def rows(self) -> list[EnvSummary]:
         """Return a summary for each environment, and one for all where there are several."""
         rows = list(self.by_env.values())
@@ -102,7 +113,7 @@ class RunSummary:
                     "success_rate": row.success_rate,
                     "mean_return": row.mean_return,
                     "mean_turns": row.mean_turns,
-                    "turns_per_second": row.turns / seconds if seconds > 0 else None,
+                    "turns_per_second": row.turns_per_second(seconds),
                 }
                 for row in self.rows()
             ],

@@ -11,9 +11,11 @@ import toys
 from chat_server import KEY, MODEL, ChatServer, HandClock, MakeAgent
 from in_terminal import InTerminal
 
+from gem_calls import Outcome, RunGem
 from gem_core import plugins, registry
 from gem_core.agents.openai import OpenAIAgent
 from gem_core.background import run_sync
+from gem_core.cli import main
 
 toys.register_toys()
 
@@ -25,6 +27,20 @@ def own_registry(monkeypatch: pytest.MonkeyPatch) -> registry.Registry:
     monkeypatch.setattr(plugins, "_find", list)
     monkeypatch.setattr(registry, "_registry", fresh)
     return fresh
+
+
+@pytest.fixture
+def run_gem(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RunGem:
+    """Call the command in this process, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: str) -> Outcome:
+        with pytest.raises(SystemExit) as caught:
+            main(arguments)
+        captured = capsys.readouterr()
+        return Outcome(int(caught.value.code or 0), captured.out, captured.err)
+
+    return call
 
 
 @pytest.fixture

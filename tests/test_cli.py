@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import gem_core as gem
-from gem_core.cli import main
+from gem_calls import subprocess_gem
 from gem_core.episodes import read_episodes
 from gem_core.registry import registry
 from gem_core.specs import ToolSpec
@@ -36,36 +36,6 @@ def act(observation, context):
 """
 
 
-class Outcome:
-    """What one call of the command did."""
-
-    def __init__(self, code: int, out: str, err: str) -> None:
-        self.code, self.out, self.err = code, out, err
-
-
-@pytest.fixture
-def run_gem(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Call the command in this process, in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments: str) -> Outcome:
-        with pytest.raises(SystemExit) as caught:
-            main(arguments)
-        captured = capsys.readouterr()
-        return Outcome(int(caught.value.code or 0), captured.out, captured.err)
-
-    return call
-
-
-def subprocess_gem(*arguments: str, cwd: Path, code: str = "") -> subprocess.CompletedProcess[str]:
-    """Call the command in a process of its own, with the toys on its path."""
-    program = f"{code}\nfrom toys import register_toys\nregister_toys()\nfrom gem_core.cli import main\nmain()"
-    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
-    return subprocess.run(
-        [sys.executable, "-c", program, *arguments], cwd=cwd, env=env, capture_output=True, text=True, timeout=60
-    )
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -83,6 +53,20 @@ def subprocess_gem(*arguments: str, cwd: Path, code: str = "") -> subprocess.Com
         (["run", COUNTDOWN, "--agent", "os:sep"], "no agent 'os:sep': an agent is a callable of"),
         (["run", COUNTDOWN, "--agent", "randm"], "no agent 'randm'. Did you mean 'random'?"),
         (["run", COUNTDOWN, "--wrappers", "conct"], "no wrapper or tool 'conct'. Did you mean 'concat'"),
+        (["run", COUNTDOWN, "--backend", "proces"], "no vector backend 'proces'. Did you mean 'process'?"),
+        (
+            ["run", COUNTDOWN, "--backend", "aut"],
+            "no vector backend 'aut'. Did you mean 'auto'? There are: async,",
+        ),
+        (["run", COUNTDOWN, "--step-timeout", "0"], "Invalid value for '--step-timeout': 0.0 is not in the range x>0."),
+        (
+            ["run", COUNTDOWN, "--backend", "sync", "--step-timeout", "1"],
+            "cannot be kept by backend='sync'",
+        ),
+        (["run", COUNTDOWN, "--resume", "a", "--seed", "1"], "the seed and the file of the run; leave --seed out"),
+        (["run", COUNTDOWN, "--resume", "a", "--out", "b"], "the seed and the file of the run; leave --out out"),
+        (["run", COUNTDOWN, "--resume", "a", "--overwrite"], "the seed and the file of the run; leave --overwrite out"),
+        (["run", COUNTDOWN, "--resume", "a"], "--resume: there is no file a; a run that begins takes --out"),
         (["run", COUNTDOWN, "--episodes", "0"], "Invalid value for '-n' / '--episodes': 0 is not in the range x>=1."),
         (["run", COUNTDOWN, "--seed", "x"], "Invalid value for '-s' / '--seed': 'x' is not a valid integer."),
         (["run"], "Missing argument 'ID...'"),

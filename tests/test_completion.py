@@ -51,6 +51,8 @@ def completed(*words: str) -> list[str]:
         (("run", "--agent", "ran"), ["random"]),
         (("run", "--wrappers", "concat_w"), ["concat_with_action"]),
         (("run", "-w", "latest,episode_stats,tur"), ["latest,episode_stats,turn_limit"]),
+        (("run", "--backend", "a"), ["async", "auto"]),
+        (("run", "--backend", "p"), ["process"]),
         (("plugins", "c"), ["core"]),
         (("completion", "z"), ["zsh"]),
         (("doctor", "--js"), ["--json"]),

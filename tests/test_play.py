@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_cli import Outcome
 from toys import Calculator
 
 import gem_core as gem
+from gem_calls import Outcome
 from gem_core.cli import main
 from gem_core.cli.play_session import PlaySession
 from gem_core.cli.terminal import BLOCK, observation_text
@@ -121,6 +121,7 @@ def test_episodes_are_those_of_a_run_with_the_same_seed(play) -> None:
     Path("says_x.py").write_text("def act(observation): return 'x'\n")
     play(COUNTDOWN, "-s", "5", "-n", "3", "-t", "2", "-a", "says_x:act", "-k", "1", "-o", "b.jsonl", command="run")
     assert list(read_episodes("a.jsonl")) == list(read_episodes("b.jsonl"))
+    assert {episode.run_seed for name in ("a.jsonl", "b.jsonl") for episode in read_episodes(name)} == {5}
 
 
 def test_a_data_set_is_played_row_by_row(play) -> None:

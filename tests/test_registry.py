@@ -107,7 +107,8 @@ def test_unknown_tool_names_where_tools_come_from(own_registry: registry.Registr
 def test_unknown_backend_and_agent(own_registry: registry.Registry) -> None:
     """Backends and agents have messages of the same form."""
     assert message(own_registry.backend, "snc") == (
-        "UnknownBackendError: no vector backend 'snc'. Did you mean 'sync' or 'async'? There are: async, process, sync."
+        "UnknownBackendError: no vector backend 'snc'. Did you mean 'sync' or 'async'? "
+        "There are: async, auto, process, sync."
     )
     assert message(own_registry.agent, "randm") == (
         "UnknownAgentError: no agent 'randm'. Did you mean 'random'? There are: human, openai, random."

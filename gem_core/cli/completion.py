@@ -44,6 +44,15 @@ def complete_agents(ctx: click.Context, param: click.Parameter, incomplete: str)
     return []
 
 
+def complete_backends(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
+    """Return the backends of vector environments whose names begin so."""
+    from gem_core.specs import VectorBackendSpec
+
+    with _quiet_registry() as found:
+        return _items(incomplete, ((record.name, record.summary) for record in found.named(VectorBackendSpec)))
+    return []
+
+
 def complete_wrappers(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
     """Return the wrappers and tools that fit behind the last comma."""
     from gem_core.specs import ToolSpec, WrapperSpec

@@ -61,7 +61,7 @@ def _cells(row: EnvSummary, seconds: float, with_tokens: bool) -> tuple[str, ...
         _shown(row.success_rate, ".1%"),
         _shown(row.mean_return, ".3f"),
         _shown(row.mean_turns, ".1f"),
-        _shown(row.turns / seconds if seconds > 0 else None, ",.0f"),
+        _shown(row.turns_per_second(seconds), ",.0f"),
         str(row.errors),
         *tokens,
     )

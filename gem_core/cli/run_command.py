@@ -7,14 +7,15 @@ import json
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from gem_core.cli import INTERRUPTED
 from gem_core.cli.agent_options import agent_options, given
-from gem_core.cli.completion import complete_agents, complete_env_ids, complete_wrappers
+from gem_core.cli.completion import complete_agents, complete_backends, complete_env_ids, complete_wrappers
 from gem_core.cli.list_command import matching
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.registry import make_vec, registry
@@ -41,6 +42,7 @@ Examples:
   gem run game:Mastermind-v0-easy --agent my_module:my_agent --wrappers concat_with_action
   gem run game:GuessTheNumber-v0 --agent openai:gpt-5-mini --max-tokens 2000
   gem run game:GuessTheNumber-v0 --agent openai:my-model --base-url http://localhost:8000/v1
+  gem run game:GuessTheNumber-v0 --agent openai:gpt-5-mini --resume runs/stopped.jsonl
 \b
 An agent is a callable of (observation, context), or of the observation alone, plain or async,
 that returns text:
@@ -84,8 +86,27 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     shell_complete=complete_wrappers,
     help="Wrappers and tools by name, innermost first: 'concat,episode_stats'.",
 )
+@click.option(
+    "--backend",
+    default="auto",
+    show_default=True,
+    shell_complete=complete_backends,
+    help="Where environments live: auto, sync, async, process, or a plugin's.",
+)
+@click.option(
+    "--step-timeout",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="SECONDS",
+    help="Give up a step or a reset that takes longer, as an error of its episode.",
+)
 @click.option("-o", "--out", type=click.Path(dir_okay=False), help="File of episodes.  [default: runs/TIME-SEED.jsonl]")
 @click.option("--overwrite", is_flag=True, help="Write the file anew if it is there.")
+@click.option(
+    "--resume",
+    metavar="FILE",
+    type=click.Path(dir_okay=False),
+    help="Go on with the run in FILE: the same command, but for its seed and file. Errors are run again.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Write the table as JSON.")
 @agent_options
 @click.pass_context
@@ -99,8 +120,11 @@ def command(
     seed: int | None,
     max_turns: int | None,
     wrappers: str,
+    backend: str,
+    step_timeout: float | None,
     out: str | None,
     overwrite: bool,
+    resume: str | None,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -112,31 +136,41 @@ def command(
     # Imported here, so that help and the completion of options need not wait for them.
     from gem_core.agents.base import load_agent
     from gem_core.cli.report import print_table, status_of
+    from gem_core.cli.resumed_run import ResumedRun
     from gem_core.episodes import EpisodeWriter
     from gem_core.progress import Progress
     from gem_core.rollouts import default_plan, rollout
     from gem_core.summary import RunSummary
+    from gem_core.vector.setup import new_source
 
+    if resume is not None:
+        _refuse_beside_resume({"--seed": seed is not None, "--out": out is not None, "--overwrite": overwrite})
     env_ids = _expanded(ids)
     acting = load_agent(agent, **given(options))
-    stack: list[Any] = [name.strip() for name in wrappers.split(",") if name.strip()]
-    if max_turns is not None:
-        # Outside the tools, whose calls are turns too, and inside the views and statistics, which see the end.
-        place = max((number for number, name in enumerate(stack, start=1) if _is_tool(name)), default=0)
-        stack.insert(place, ("turn_limit", {"max_turns": max_turns}))
+    stack = _stack(wrappers, max_turns)
     interactive = getattr(acting, "interactive", False)
     if interactive and num_envs not in (None, 1):
         raise ArgumentError(f"the agent {agent!r} answers one episode at a time; use --num-envs 1, not {num_envs}")
     slots = num_envs or (1 if interactive else _slots(acting, len(env_ids), episodes))
-    with _ready(acting), closing(make_vec(env_ids, slots, wrappers=stack, seed=seed)) as vector:
+    resumed = None if resume is None else ResumedRun(Path(resume))
+    run_seed = seed if resumed is None else resumed.seed
+    made = partial(make_vec, env_ids, slots, backend=backend, wrappers=stack, step_timeout=step_timeout)
+    with _ready(acting), closing(made(seed=run_seed)) as vector:
         plan = default_plan(vector, episodes)
-        path = _out_path(out, vector.seed, overwrite)
         summary = RunSummary(env_ids)
+        if resumed is not None:
+            resumed.begin(new_source(plan, vector.seed), summary)
+        path = _out_path(out, vector.seed, overwrite) if resumed is None else resumed.path
+        before = summary.total.episodes
         started = time.perf_counter()
         stopped_by: BaseException | None = None
-        with EpisodeWriter(path) as writer, Progress(len(plan), f"seed {vector.seed}", quiet=interactive) as progress:
+        with (
+            EpisodeWriter(path, append=resumed is not None) as writer,
+            Progress(len(plan), f"seed {vector.seed}", quiet=interactive) as progress,
+        ):
             try:
-                for episode in rollout(vector, acting, plan=plan):
+                done = None if resumed is None else resumed.done
+                for episode in rollout(vector, acting, plan=plan, resume=done):
                     writer.write(episode)
                     summary.add(episode)
                     progress.advance(summary.total.episodes + summary.total.errors, status_of(summary.total))
@@ -147,17 +181,46 @@ def command(
         click.echo(json.dumps({**summary.to_dict(seconds), "seed": vector.seed, "out": str(path)}, indent=1))
     else:
         print_table(summary, seconds)
-        counted = "1 episode" if writer.count == 1 else f"{writer.count} episodes"
-        click.echo(f"{counted} in {seconds:.1f} s (seed {vector.seed}), written to {path}")
+        written = "written to" if resumed is None else f"added to the {before} in"
+        click.echo(f"{_counted(writer.count)} in {seconds:.1f} s (seed {vector.seed}), {written} {path}")
     if summary.first_error is not None:
-        failed = "1 episode" if summary.total.errors == 1 else f"{summary.total.errors} episodes"
-        click.echo(f"gem: {failed} had an error; the first: {summary.first_error}", err=True)
-    if isinstance(stopped_by, KeyboardInterrupt):
-        click.echo(f"gem: interrupted after {writer.count} of {len(plan)} episodes", err=True)
-        ctx.exit(INTERRUPTED)
+        click.echo(f"gem: {_counted(summary.total.errors)} had an error; the first: {summary.first_error}", err=True)
     if stopped_by is not None:
-        raise stopped_by
+        _stop(ctx, stopped_by, before + writer.count, len(plan), path)
     ctx.exit(1 if summary.first_error is not None else 0)
+
+
+def _stop(ctx: click.Context, stopped_by: BaseException, count: int, total: int, path: Path) -> NoReturn:
+    """Say how a run that was stopped goes on, and end as what stopped it asks for."""
+    from gem_core.cli.resumed_run import command_to_go_on
+
+    interrupted = isinstance(stopped_by, KeyboardInterrupt)
+    if interrupted:
+        click.echo(f"gem: interrupted after {count} of {total} episodes", err=True)
+    if count:
+        click.echo(f"gem: go on with: {command_to_go_on(ctx, path)}", err=True)
+    if interrupted:
+        ctx.exit(INTERRUPTED)
+    raise stopped_by
+
+
+def _refuse_beside_resume(given: dict[str, bool]) -> None:
+    for option, is_given in given.items():
+        if is_given:
+            raise ArgumentError(f"--resume goes on with the seed and the file of the run; leave {option} out")
+
+
+def _counted(episodes: int) -> str:
+    return "1 episode" if episodes == 1 else f"{episodes} episodes"
+
+
+def _stack(wrappers: str, max_turns: int | None) -> list[Any]:
+    stack: list[Any] = [name.strip() for name in wrappers.split(",") if name.strip()]
+    if max_turns is not None:
+        # Outside the tools, whose calls are turns too, and inside the views and statistics, which see the end.
+        place = max((number for number, name in enumerate(stack, start=1) if _is_tool(name)), default=0)
+        stack.insert(place, ("turn_limit", {"max_turns": max_turns}))
+    return stack
 
 
 def _is_tool(name: str) -> bool:

@@ -1,0 +1,116 @@
+"""``gem run --resume``: what the file of a run holds, what of it is run again, and what to type to go on."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import click
+from click.core import ParameterSource
+
+from gem_core.episodes import EpisodeLine, episode_lines
+from gem_core.errors import ArgumentError, EpisodeFileError
+from gem_core.plans import DrawSource
+from gem_core.resuming import Done
+from gem_core.summary import RunSummary
+
+_REPLACED = {"seed", "out", "overwrite", "resume"}
+"""Options of the first time that ``--resume`` stands for."""
+
+
+class ResumedRun:
+    """The episodes of a file that a run goes on with.
+
+    Args:
+        path: The file.
+
+    Raises:
+        ArgumentError: It is not there, or does not say of which run it is.
+        EpisodeFileError: It cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.done = Done()
+        self._again = 0
+        if not path.exists():
+            raise ArgumentError(f"--resume: there is no file {path}; a run that begins takes --out")
+        for line in episode_lines(path):
+            if line.episode is not None:
+                self.done.add(line.episode)
+            self._again += not _stays(line)
+        if self.done.starts and not self.done.run_seeds:
+            raise ArgumentError(
+                f"--resume: {path} does not say from which seed its run was started, since an earlier version wrote it"
+            )
+
+    @property
+    def seed(self) -> int | None:
+        """Seed of the run; None for a file that is empty."""
+        return self.done.run_seed(None)
+
+    def begin(self, source: DrawSource, summary: RunSummary) -> None:
+        """Leave out what is done, count it, and take what is run again out of the file.
+
+        Args:
+            source: What the episodes of the whole run start from.
+            summary: Where the episodes that stay are counted.
+
+        Raises:
+            ArgumentError: The file is of another run; it has not been changed.
+            EpisodeFileError: It cannot be written.
+        """
+        source.skip(self.done.starts, self.done.check)
+        for line in episode_lines(self.path):
+            if line.episode is not None and _stays(line):
+                summary.add(line.episode)
+        summary.begin_session()
+        if self._again:
+            self._rewrite()
+            episodes = "1 episode" if self._again == 1 else f"{self._again} episodes"
+            click.echo(f"gem: {episodes} with an error or cut off: run again", err=True)
+
+    def _rewrite(self) -> None:
+        """Write the file without what is run again, in one stroke; images stay where they are."""
+        target = self.path.resolve()
+        try:
+            number, name = tempfile.mkstemp(prefix=f"{target.name}.", suffix=".partial", dir=target.parent)
+            partial = Path(name)
+            try:
+                with os.fdopen(number, "wb") as file:
+                    for line in episode_lines(target):
+                        if _stays(line):
+                            file.write(line.text.rstrip(b"\n") + b"\n")
+                    file.flush()
+                    os.fsync(file.fileno())
+                partial.chmod(target.stat().st_mode & 0o7777)
+                partial.replace(target)
+            finally:
+                partial.unlink(missing_ok=True)
+        except OSError as error:
+            raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
+
+
+def _stays(line: EpisodeLine) -> bool:
+    return line.episode is not None and line.episode.error is None
+
+
+def command_to_go_on(ctx: click.Context, path: Path) -> str:
+    """Return what to type to go on with a run that was stopped: as it was called, with its file."""
+    words = ctx.command_path.split()
+    named: list[str] = []
+    for parameter in ctx.command.params:
+        value: Any = ctx.params.get(str(parameter.name))
+        if parameter.name in _REPLACED or ctx.get_parameter_source(str(parameter.name)) != ParameterSource.COMMANDLINE:
+            continue
+        if isinstance(parameter, click.Argument):
+            words += value
+        elif getattr(parameter, "is_flag", False):
+            named += parameter.opts[-1:]
+        else:
+            for each in value if parameter.multiple else [value]:
+                named += [parameter.opts[-1], str(each)]
+    return shlex.join([*words, *named, "--resume", str(path)])

@@ -1,0 +1,185 @@
+"""``gem run`` with ``--resume``, and on other backends."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+import gem_core as gem
+from gem_calls import RunGem, subprocess_gem
+from gem_core.episodes import read_episodes, write_episodes
+from gem_core.jsonable import ImageFolder
+
+COUNTDOWN = "toy:Countdown-v0"
+SUMS = "toy:Sums-v0"
+
+STOPPED_AGENT = """
+import os, signal
+from pathlib import Path
+# Where the tests run in the background of a shell, they inherit that Ctrl-C is ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+seen = set()
+def act(observation, context):
+    seen.add(context.episode)
+    if len(seen) > 3 and Path("stop").exists():
+        os.kill(os.getpid(), signal.SIGINT)
+    return context.sample_random_action()
+"""
+
+FAILING_AGENT = """
+from pathlib import Path
+from gem_core.errors import RequestError
+def act(observation, context):
+    if Path("down").exists() and context.episode in ("1.0", "2.0"):
+        raise RequestError("the server is down")
+    return "a!"
+"""
+
+
+def by_key(path: str | Path) -> list[gem.Episode]:
+    return sorted(read_episodes(path), key=lambda episode: int(episode.key))
+
+
+def test_an_interrupted_run_says_how_to_go_on_and_then_does(tmp_path: Path) -> None:
+    """The last line is a command; what it completes is the run in one go, and its table counts all episodes."""
+    (tmp_path / "mine.py").write_text(STOPPED_AGENT)
+    (tmp_path / "stop").touch()
+    options = ["-n", "20", "-k", "2", "-w", "episode_stats", "-t", "9", "-a", "mine:act"]
+    stopped = subprocess_gem("run", "toy:Count*", *options, "--seed=5", "-oa b.jsonl", "--overwrite", cwd=tmp_path)
+    assert stopped.returncode == 130
+    count = int(re.findall(r"gem: interrupted after (\d+) of 20 episodes\n", stopped.stderr)[0])
+    assert 0 < count < 20
+    last = stopped.stderr.splitlines()[-1].removeprefix("gem: go on with: ")
+    assert last == (
+        "gem run 'toy:Count*' --agent mine:act --episodes 20 --num-envs 2 --max-turns 9 --wrappers episode_stats "
+        "--resume 'a b.jsonl'"
+    )
+    (tmp_path / "stop").unlink()
+    resumed = subprocess_gem(*shlex.split(last)[1:], cwd=tmp_path)
+    assert (resumed.returncode, resumed.stderr) == (0, "")
+    assert resumed.stdout.splitlines()[1].split()[:2] == [COUNTDOWN, "20"]
+    assert f"{20 - count} episodes in " in resumed.stdout
+    assert f"(seed 5), added to the {count} in a b.jsonl" in resumed.stdout
+    whole = subprocess_gem("run", COUNTDOWN, *options, "--seed", "5", "--out", "whole.jsonl", cwd=tmp_path)
+    assert whole.returncode == 0
+    assert by_key(tmp_path / "a b.jsonl") == by_key(tmp_path / "whole.jsonl")
+
+
+def test_errors_and_damaged_lines_are_run_again_and_leave_the_file(run_gem: RunGem) -> None:
+    """One episode for each place; the permissions of the file stay as they are, and nothing else is left behind."""
+    Path("failing.py").write_text(FAILING_AGENT)
+    Path("down").touch()
+    first = run_gem("run", COUNTDOWN, "-n", "5", "-k", "1", "-a", "failing:act", "-s", "1", "-o", "a.jsonl")
+    assert first.code == 1
+    Path("a.jsonl").write_bytes(Path("a.jsonl").read_bytes()[:-30])
+    Path("a.jsonl").chmod(0o640)
+    Path("down").unlink()
+    again = run_gem("run", COUNTDOWN, "-n", "5", "-a", "failing:act", "--resume", "a.jsonl", "--json")
+    assert (again.code, again.err) == (0, "gem: 3 episodes with an error or cut off: run again\n")
+    report = json.loads(again.out)
+    assert (report["environments"][0]["episodes"], report["environments"][0]["errors"], report["seed"]) == (5, 0, 1)
+    assert Path("a.jsonl").stat().st_mode & 0o777 == 0o640
+    assert [(episode.key, episode.error) for episode in by_key("a.jsonl")] == [(str(key), None) for key in range(5)]
+    assert sorted(path.name for path in Path().iterdir() if path.name.startswith("a.")) == ["a.jsonl"]
+
+
+def test_the_speed_of_a_resumed_run_is_that_of_what_was_run_now(run_gem: RunGem) -> None:
+    """Turns that were taken before have no part in it."""
+    run_gem("run", COUNTDOWN, "-n", "5", "-o", "a.jsonl")
+    done = run_gem("run", COUNTDOWN, "-n", "5", "--resume", "a.jsonl", "--json")
+    (row,) = json.loads(done.out)["environments"]
+    assert row["turns"] > 0
+    assert row["turns_per_second"] == 0.0
+
+
+def test_another_run_is_refused_and_the_file_left_as_it_is(run_gem: RunGem) -> None:
+    """Other environments, fewer episodes; even where errors would be taken out."""
+    Path("failing.py").write_text(FAILING_AGENT)
+    Path("down").touch()
+    run_gem("run", COUNTDOWN, SUMS, "-n", "4", "-a", "failing:act", "-s", "1", "-o", "a.jsonl")
+    content = Path("a.jsonl").read_bytes()
+    for arguments in ([SUMS, COUNTDOWN, "-n", "4"], [COUNTDOWN, SUMS, "-n", "2"]):
+        refused = run_gem("run", *arguments, "-a", "failing:act", "--resume", "a.jsonl")
+        assert (refused.code, refused.out, refused.err.count("\n")) == (2, "", 1)
+        assert "it is of another run; resume with the plan and the seed of the first time" in refused.err
+    assert Path("a.jsonl").read_bytes() == content
+
+
+def test_a_file_that_does_not_name_its_seed_is_refused(run_gem: RunGem) -> None:
+    """As those of the form before."""
+    run_gem("run", COUNTDOWN, "-n", "3", "-o", "a.jsonl")
+    Path("a.jsonl").write_text(re.sub(r'"run_seed": \d+, ', "", Path("a.jsonl").read_text()))
+    refused = run_gem("run", COUNTDOWN, "--resume", "a.jsonl")
+    assert refused.code == 2
+    assert "--resume: a.jsonl does not say from which seed its run was started" in refused.err
+
+
+def test_an_empty_file_is_an_empty_beginning(run_gem: RunGem) -> None:
+    """As a run leaves it that was stopped before its first episode was over."""
+    Path("a.jsonl").touch()
+    assert run_gem("run", COUNTDOWN, "-n", "3", "--resume", "a.jsonl").code == 0
+    assert len(by_key("a.jsonl")) == 3
+
+
+def test_images_of_the_episodes_stay(run_gem: RunGem) -> None:
+    """They are neither read nor written."""
+    run_gem("run", COUNTDOWN, "-n", "3", "-o", "a.jsonl", "-s", "1")
+    pillow = pytest.importorskip("PIL.Image")
+    episodes = by_key("a.jsonl")
+    episodes[0].observation = [{"type": "image", "image": pillow.new("L", (2, 2), 7)}]
+    episodes[1].info["error"] = episodes[1].transitions[-1].info["error"] = {"kind": "agent", "message": "down"}
+    write_episodes("a.jsonl", episodes)
+    images = {path: path.read_bytes() for path in ImageFolder.beside(Path("a.jsonl")).path.iterdir()}
+    assert run_gem("run", COUNTDOWN, "-n", "3", "--resume", "a.jsonl").code == 0
+    assert {path: path.read_bytes() for path in images} == images
+    assert by_key("a.jsonl")[0].observation == episodes[0].observation
+
+
+def test_a_link_stays_a_link(run_gem: RunGem) -> None:
+    """What it points to is written."""
+    Path("failing.py").write_text(FAILING_AGENT)
+    Path("down").touch()
+    Path("kept").mkdir()
+    run_gem("run", COUNTDOWN, "-n", "4", "-a", "failing:act", "-o", "kept/run.jsonl")
+    Path("down").unlink()
+    Path("link.jsonl").symlink_to("kept/run.jsonl")
+    assert run_gem("run", COUNTDOWN, "-n", "4", "-a", "failing:act", "--resume", "link.jsonl").code == 0
+    assert Path("link.jsonl").is_symlink()
+    assert len(by_key("kept/run.jsonl")) == 4
+
+
+def test_a_run_that_fails_says_how_to_go_on_as_well(run_gem: RunGem) -> None:
+    """Above the error, which stays the last line."""
+    Path("raising.py").write_text(
+        "def act(observation, context):\n    if context.episode == '2.0': raise ValueError('mine')\n    return 'a'\n"
+    )
+    failed = run_gem("run", COUNTDOWN, "-n", "4", "-k", "1", "-a", "raising:act", "-o", "a.jsonl")
+    assert failed.code == 1
+    assert failed.err.splitlines() == [
+        f"gem: go on with: gem run {COUNTDOWN} --agent raising:act --episodes 4 --num-envs 1 --resume a.jsonl",
+        "gem: ValueError: mine. Run 'gem --traceback …' for the whole",
+    ]
+
+
+@pytest.mark.parametrize("backend", ["auto", "sync", "async", "process"])
+def test_every_backend_gives_the_same_episodes(run_gem: RunGem, backend: str) -> None:
+    """With an agent of a script, which stays in this process."""
+    Path("sampling.py").write_text("def act(observation, context): return context.sample_random_action()\n")
+    options = ["-n", "4", "-s", "3", "-a", "sampling:act", "-w", "episode_stats"]
+    for name, more in (("plain.jsonl", []), ("other.jsonl", ["--backend", backend, "-k", "3"])):
+        assert run_gem("run", COUNTDOWN, *options, *more, "-o", name).code == 0
+    assert by_key("other.jsonl") == by_key("plain.jsonl")
+
+
+def test_a_step_that_takes_too_long_is_an_error_of_its_episode(run_gem: RunGem) -> None:
+    """What runs in place is put into a process that can be killed."""
+    gem.register("slow:Stuck-v0", "stuck_env:StuckEnv")
+    Path("saying.py").write_text("def act(observation): return 'a'\n")
+    done = run_gem("run", "slow:Stuck-v0", "-n", "2", "--step-timeout", "0.5", "-a", "saying:act", "-o", "a.jsonl")
+    assert done.code == 1
+    error = {"kind": "timeout", "message": "a step or reset took longer than step_timeout, 0.5 s"}
+    assert [episode.error for episode in by_key("a.jsonl")] == [error] * 2
