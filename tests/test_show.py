@@ -385,3 +385,14 @@ def test_a_reader_that_has_seen_enough_is_no_error(tmp_path: Path) -> None:
     done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.split()[0] == "number"
     assert done.stderr == ""
+
+
+def test_files_without_the_seed_of_the_run_are_shown_alike(show, tmp_path: Path) -> None:
+    """Those of the form before; the list, an episode, and two compared."""
+    lines = [json.loads(line) for line in (tmp_path / "run.jsonl").read_text().splitlines()]
+    assert all("run_seed" in record for record in lines)
+    for record in lines:
+        del record["run_seed"]
+    (tmp_path / "old.jsonl").write_text("".join(json.dumps(record) + "\n" for record in lines))
+    for arguments in ([], ["1"], ["--diff", "1", "2"], ["--json"]):
+        assert show(*arguments, file="old.jsonl") == show(*arguments)
