@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import toys
 from chat_server import KEY, MODEL, ChatServer, HandClock, MakeAgent
+from hypothesis import settings
 from in_terminal import InTerminal
 
 from gem_calls import Outcome, RunGem
@@ -18,6 +19,9 @@ from gem_core.background import run_sync
 from gem_core.cli import main
 
 toys.register_toys()
+# How long an example takes is a matter of the machine, and of what else runs on it.
+settings.register_profile("gem", deadline=None)
+settings.load_profile("gem")
 
 
 @pytest.fixture
