@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 import toys
 from chat_server import KEY, MODEL, ChatServer, HandClock, MakeAgent
+from command_calls import Outcome, RunGem
 from hypothesis import settings
 from in_terminal import InTerminal
 
-from gem_calls import Outcome, RunGem
 from gem_core import plugins, registry
 from gem_core.agents.openai import OpenAIAgent
 from gem_core.background import run_sync

@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from command_calls import subprocess_gem
 
 import gem_core as gem
-from gem_calls import subprocess_gem
 from gem_core.episodes import read_episodes
 from gem_core.registry import registry
 from gem_core.specs import ToolSpec

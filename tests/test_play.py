@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command_calls import Outcome
 from toys import Calculator
 
 import gem_core as gem
-from gem_calls import Outcome
 from gem_core.cli import main
 from gem_core.cli.play_session import PlaySession
 from gem_core.cli.terminal import BLOCK, observation_text

@@ -8,9 +8,9 @@ import shlex
 from pathlib import Path
 
 import pytest
+from command_calls import RunGem, subprocess_gem
 
 import gem_core as gem
-from gem_calls import RunGem, subprocess_gem
 from gem_core.episodes import read_episodes, write_episodes
 from gem_core.jsonable import ImageFolder
 
