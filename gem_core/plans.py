@@ -160,7 +160,6 @@ class DrawSource:
         return Draw(item, (index,), repeat, seed, self.seed)
 
 
-
 Check = Callable[[str, int, Draw | None], None]
 """Takes the key and the repeat of an episode, and what a plan has there; see ``DrawSource.skip``."""
 
