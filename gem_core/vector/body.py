@@ -49,7 +49,8 @@ class Body:
 
     def prepare(self, env_id: str | None, kwargs: Mapping[str, Any]) -> Failure | None:
         """Make the environment for an id and keyword arguments, if it is not there; return what went wrong."""
-        if self.env is not None and self.made_for is not None and _same(self.made_for, env_id, kwargs):
+        made_for = self.made_for
+        if made_for is not None and made_for[0] == env_id and _equal(made_for[1], kwargs):
             return None
         self.discard()
         try:
@@ -64,13 +65,18 @@ class Body:
 
     def fits(self, command: Command) -> bool:
         """Tell whether a command is for the environment that is here."""
-        return type(command) is not Reset or (self.made_for is not None and _same(self.made_for, *command[:2]))
+        made_for = self.made_for
+        if type(command) is not Reset:
+            return True
+        if made_for is None or made_for[0] != command[0]:
+            return False
+        return made_for[1] is command[1] or _equal(made_for[1], command[1])
 
     def perform(self, command: Command) -> Outcome:
         """Do what a slot asks."""
-        if isinstance(command, str):
-            return self.step(command)
-        return self.reset(command) if isinstance(command, Reset) else self.rebuild(command)
+        if isinstance(command, Reset):
+            return self.reset(command)
+        return self.step(command) if isinstance(command, str) else self.rebuild(command)
 
     async def perform_async(self, command: Command) -> Outcome:
         """Do what a slot asks without blocking the loop."""
@@ -89,7 +95,7 @@ class Body:
     def reset(self, command: Reset) -> ResetResult | Failure:
         """Begin an episode."""
         env_id, kwargs, seed, options = command
-        if failure := self.prepare(env_id, kwargs):
+        if not self.fits(command) and (failure := self.prepare(env_id, kwargs)):
             return failure
         self.sampled = False
         env: Any = self.env
@@ -165,11 +171,9 @@ class Body:
             logger.warning("gem: closing the environment of slot %d failed", self.index, exc_info=True)
 
 
-def _same(made_for: tuple[str | None, Mapping[str, Any]], env_id: str | None, kwargs: Mapping[str, Any]) -> bool:
-    if made_for[0] != env_id:
-        return False
+def _equal(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
     try:
-        return made_for[1] is kwargs or made_for[1] == kwargs
+        return first is second or first == second
     except ValueError:  # arrays refuse to be compared as a whole
         return False
 
