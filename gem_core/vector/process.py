@@ -17,7 +17,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 
 from gem_core.errors import ArgumentError
-from gem_core.vector.remote import Link, Message, RemoteHost, worker_setup
+from gem_core.vector.remote import Link, Message, RemoteHost, weakly, worker_setup
 from gem_core.vector.setup import VectorSetup
 from gem_core.vector.worker import Outbox, SharedTimes
 
@@ -88,7 +88,7 @@ class ProcessLink(Link):
         # Also at exit: a program that ends without closing leaves no process behind.
         self._ended = weakref.finalize(self, _end, self._process, held, os.getpid())
         self._outbox = Outbox(self._connection.send_bytes, setup)
-        target = _weak(on_messages), _weak(on_death)
+        target = weakly(on_messages), weakly(on_death)
         reading = threading.Thread(
             target=_read, args=(weakref.ref(self), self._connection, *target), name="gem-worker", daemon=True
         )
@@ -192,11 +192,6 @@ def _kill_group(leader: int) -> None:
         os.killpg(leader, signal.SIGKILL)
     except (ProcessLookupError, PermissionError):
         return  # nobody is left
-
-
-def _weak(method: Callable[..., None]) -> Callable[[], Callable[..., None] | None]:
-    """Return what gives a method while its object lives: a thread that waits keeps no vector environment alive."""
-    return weakref.WeakMethod(method) if hasattr(method, "__self__") else lambda: method
 
 
 def _cores() -> int:

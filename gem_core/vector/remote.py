@@ -5,6 +5,7 @@ from __future__ import annotations
 import concurrent.futures
 import itertools
 import threading
+import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, cast
@@ -58,6 +59,11 @@ class Link(ABC):
 
 NewLink = Callable[[Callable[[Link, list[Message]], None], Callable[[Link], None]], Link]
 """Starts a worker, given ``on_messages`` and ``on_death``."""
+
+
+def weakly(method: Callable[..., None]) -> Callable[[], Callable[..., None] | None]:
+    """Return what gives a method while its object lives: a thread that waits keeps no vector environment alive."""
+    return weakref.WeakMethod(method) if hasattr(method, "__self__") else lambda: method
 
 
 class RemoteHost(Host):

@@ -215,15 +215,28 @@ class Outbox:
         try:
             if self._first:
                 self._send(self._first)
-            over = False
-            while not over:
-                messages = [self._queue.get()]
-                while not self._queue.empty():
-                    messages.append(self._queue.get())
-                over = None in messages
-                self._send(_dumped([message for message in messages if message is not None]))
+            for batch in batches(self._queue):
+                self._send(batch)
         except OSError:
             return  # whoever reads the other way finds out that it is gone
+
+
+def batches(messages: queue.SimpleQueue[Message | None]) -> Iterator[bytes]:
+    """Yield messages as bytes, each time all that have come together, until one of them is None."""
+    over = False
+    while not over:
+        together = [messages.get()]
+        while not messages.empty():
+            together.append(messages.get())
+        over = None in together
+        yield _dumped([message for message in together if message is not None])
+
+
+def broken(error: BaseException) -> Message:
+    """Return what a worker says that cannot be started; trying again would not help."""
+    failure = Failure.of(error, "starting a worker")
+    failure.error, failure.hopeless = _as_ours(failure), True
+    return ("broken", failure)
 
 
 def _dumped(messages: list[Message]) -> bytes:
@@ -274,9 +287,7 @@ def main(socket: int, lifeline: int, times: int) -> None:
     except EOFError:
         return
     except BaseException as error:  # noqa: BLE001 - whatever it is, the host has to know
-        failure = Failure.of(error, "starting a worker")
-        failure.error, failure.hopeless = _as_ours(failure), True
-        outbox.put(("broken", failure))
+        outbox.put(broken(error))
         outbox.close(_CLOSING_S)
         return
     try:
