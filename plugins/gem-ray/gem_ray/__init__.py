@@ -1,0 +1,1 @@
+"""Vector environments on Ray: a plugin of GEM."""

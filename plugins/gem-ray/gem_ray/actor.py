@@ -1,0 +1,120 @@
+"""What runs on Ray: an actor with the environments of some slots, and one that watches others from beside them."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import queue
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from typing import Any, NamedTuple, cast
+
+import ray
+
+from gem_core.vector.remote import Message
+from gem_core.vector.worker import SharedTimes, Worker, batches, broken
+
+
+class Place(NamedTuple):
+    """Where an actor runs.
+
+    Args:
+        node: Id of the node.
+        pid: Number of the process.
+        times: Path of the file for ``SharedTimes``, on that node.
+    """
+
+    node: str
+    pid: int
+    times: str
+
+
+class EnvActor:
+    """A worker on Ray: many environments, and one long answer that says what comes of them.
+
+    Its two concurrency groups have one thread each, so that commands are done in the order in which they were sent.
+
+    Args:
+        setup: What environments are made from; see ``remote.worker_setup``.
+        slots: Number of slots.
+        path: ``sys.path`` of the program; what of it exists here is searched last.
+    """
+
+    def __init__(self, setup: bytes, slots: int, path: list[str]) -> None:
+        sys.path.extend(entry for entry in path if entry not in sys.path and os.path.exists(entry))
+        self._said: queue.SimpleQueue[Message | None] = queue.SimpleQueue()
+        file, self._times = tempfile.mkstemp(prefix="gem-times-")
+        os.truncate(file, max(8, 8 * slots))
+        self._worker: Worker | None = None
+        try:
+            self._worker = Worker(setup, self._said.put, SharedTimes(file, slots))
+        except BaseException as error:  # noqa: BLE001 - whatever it is, the host has to know
+            self._said.put(broken(error))
+            self._said.put(None)
+        finally:
+            os.close(file)
+
+    @ray.method(concurrency_group="commands", num_returns=0)
+    def take(self, messages: bytes) -> None:
+        """Do what the host says."""
+        if self._worker is not None:
+            for message in pickle.loads(messages):
+                self._worker.take(message)
+
+    @ray.method(concurrency_group="results", num_returns="streaming")
+    def say(self) -> Iterator[bytes]:
+        """Yield where this is, then what the worker says, as it says it, until it is closed."""
+        yield pickle.dumps(Place(ray.get_runtime_context().get_node_id(), os.getpid(), self._times))
+        yield from batches(self._said)
+
+    @ray.method(concurrency_group="commands", num_returns=0)
+    def close(self) -> None:
+        """Close the environments, and end the long answer."""
+        if self._worker is not None:
+            self._worker.close()
+        self._said.put(None)
+
+
+class Watch:
+    """Tells since when commands run in the workers of its node, whatever state these are in."""
+
+    def __init__(self) -> None:
+        self._times: dict[str, SharedTimes] = {}
+
+    def running(self, path: str, slots: int) -> dict[int, float]:
+        """Return the slots whose command runs, or ran when the worker died, and for how many seconds."""
+        if path not in self._times:
+            self._times[path] = opened(path, slots)
+        now = time.monotonic()
+        return {slot: now - since for slot, since in self._times[path].items()}
+
+    @ray.method(num_returns=0)
+    def forget(self, path: str) -> None:
+        """Let go of a worker that is gone."""
+        self._times.pop(path, None)
+
+
+def opened(path: str, slots: int) -> SharedTimes:
+    """Return what a worker of this machine notes; its file has no name any more then, so that nothing is left behind.
+
+    Raises:
+        OSError: It is not there.
+    """
+    file = os.open(path, os.O_RDWR)
+    try:
+        times = SharedTimes(file, slots)
+        os.unlink(path)
+    finally:
+        os.close(file)
+    return times
+
+
+def actor_class(options: dict[str, Any]) -> Any:
+    """Return ``EnvActor`` as Ray's, with options such as ``num_cpus``."""
+    # Its types know no concurrency groups.
+    made = cast("Any", ray).remote(
+        max_restarts=0, max_task_retries=0, concurrency_groups={"commands": 1, "results": 1}
+    )(EnvActor)
+    return made.options(**options)

@@ -1,0 +1,81 @@
+"""Ray for the tests: one at a time on a machine, on the loopback address, small, and ended with the module."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import secrets
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.append(str(Path(__file__).parent))  # for ray_toys, in actors too
+
+# Ray reads these when it is imported. The first, in spite of its name, makes it use the loopback address.
+os.environ |= {
+    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
+    "RAY_AUTH_MODE": "token",
+    "RAY_AUTH_TOKEN": secrets.token_hex(32),
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+}
+
+STORE_BYTES = 80 * 1024 * 1024
+
+
+@pytest.fixture(scope="module")
+def ray_folder() -> Iterator[str]:
+    """A folder for a Ray, given to one process of this machine at a time: several Rays at once need too much memory."""
+    from ray_toys import register_toys
+
+    import gem_core as gem
+
+    if "raytoy:Tally-v0" not in gem.list_envs("raytoy"):
+        register_toys()
+    with open(Path(tempfile.gettempdir(), "gem-ray-tests.lock"), "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        # Short, since Ray puts sockets there.
+        folder = tempfile.mkdtemp(prefix="gr-")
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.fixture(scope="module")
+def local_ray(ray_folder: str) -> Iterator[None]:
+    """A Ray of this machine that the program itself has started."""
+    import ray
+
+    ray.init(
+        address="local",
+        num_cpus=3,
+        object_store_memory=STORE_BYTES,
+        include_dashboard=False,
+        log_to_driver=False,
+        _temp_dir=ray_folder,
+        _node_ip_address="127.0.0.1",
+    )
+    yield
+    ray.shutdown()
+
+
+@pytest.fixture(scope="module")
+def cluster(ray_folder: str) -> Iterator[Any]:
+    """A cluster of two nodes on this machine, to which nobody is connected; the second has the resource ``far``."""
+    import ray
+    from ray.cluster_utils import Cluster
+
+    common = {"object_store_memory": STORE_BYTES, "node_ip_address": "127.0.0.1", "include_dashboard": False}
+    made = Cluster(initialize_head=True, head_node_args={"num_cpus": 3, "temp_dir": ray_folder, **common})
+    try:
+        made.far = made.add_node(num_cpus=3, resources={"far": 3}, **common)
+        yield made
+    finally:
+        ray.shutdown()
+        made.shutdown()

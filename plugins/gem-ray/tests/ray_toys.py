@@ -1,0 +1,67 @@
+"""Environments that actors import, which do what their actions say."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import gem_core as gem
+from gem_core.types import ResetResult, StepResult
+
+
+class TallyEnv(gem.Env):
+    """Counts its turns from a number drawn at reset, for 12 turns; some actions are orders."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        super().reset(seed=seed)
+        self.count, self.turn = int(self.np_random.integers(1000)), 0
+        return f"begins at {self.count}", {}
+
+    def step(self, action: str) -> StepResult:
+        order, _, operand = action.partition(" ")
+        self.turn += 1
+        self.count += int(self.np_random.integers(10))
+        observation = getattr(self, f"_{order}", str)(operand) if order.isidentifier() else ""
+        return f"{observation or self.count}", float(self.turn), self.turn >= 12, False, {"turn": self.turn}
+
+    def sample_random_action(self) -> str:
+        return str(int(self.action_random.integers(1000)))
+
+    def _raise(self, operand: str) -> str:
+        raise ValueError(operand)
+
+    def _exit(self, operand: str) -> str:
+        os._exit(int(operand))
+
+    def _hang(self, operand: str) -> str:
+        # In C code that lets no other thread of Python run.
+        return str(re.match("(a+)+b", "a" * 100))
+
+    def _await(self, operand: str) -> str:
+        # Reading from a pipe waits until somebody writes to it.
+        return Path(operand).read_text()
+
+    def _big(self, operand: str) -> str:
+        return "x" * int(operand)
+
+    def _variable(self, operand: str) -> str:
+        return os.environ.get(operand, "unset")
+
+
+class BlockingTallyEnv(TallyEnv):
+    """The same, run in threads."""
+
+    concurrency = "thread"
+
+
+class DiceEnv(TallyEnv):
+    """Registered as not deterministic."""
+
+
+def register_toys() -> None:
+    """Register the environments above."""
+    gem.register("raytoy:Tally-v0", "ray_toys:TallyEnv")
+    gem.register("raytoy:Blocking-v0", "ray_toys:BlockingTallyEnv")
+    gem.register("raytoy:Dice-v0", "ray_toys:DiceEnv", deterministic=False)
