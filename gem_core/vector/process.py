@@ -109,7 +109,7 @@ class ProcessLink(Link):
 
     def running(self) -> dict[int, float]:
         """Return the slots whose command runs, or ran when it died, and since when."""
-        return dict(self._times)
+        return self._times.present()
 
     def death(self) -> str:
         """Say how it died."""

@@ -184,6 +184,10 @@ class SharedTimes(MutableMapping[int, float]):
     def __len__(self) -> int:
         return sum(map(bool, self._times.tolist()))
 
+    def present(self) -> dict[int, float]:
+        """Return all that is noted, read at once: between two looks, the worker goes on."""
+        return {slot: since for slot, since in enumerate(self._times.tolist()) if since}
+
 
 class Outbox:
     """Sends messages over a connection from a thread of its own, so that nobody waits for the other side to read.
