@@ -9,6 +9,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any, NamedTuple, cast
 
 import ray
@@ -74,6 +75,8 @@ class EnvActor:
         """Close the environments, and end the long answer."""
         if self._worker is not None:
             self._worker.close()
+        with suppress(OSError):  # most often it was opened, and has no name any more
+            os.unlink(self._times)
         self._said.put(None)
 
 
@@ -88,12 +91,14 @@ class Watch:
         if path not in self._times:
             self._times[path] = opened(path, slots)
         now = time.monotonic()
-        return {slot: now - since for slot, since in self._times[path].items()}
+        return {slot: now - since for slot, since in self._times[path].present().items()}
 
     @ray.method(num_returns=0)
     def forget(self, path: str) -> None:
         """Let go of a worker that is gone."""
-        self._times.pop(path, None)
+        if self._times.pop(path, None) is None:
+            with suppress(OSError):
+                os.unlink(path)
 
 
 def opened(path: str, slots: int) -> SharedTimes:

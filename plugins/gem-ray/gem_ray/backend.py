@@ -111,6 +111,15 @@ class RayHost(RemoteHost):
         super().__init__(setup, crew.new_link, actors)
         self._crew = crew
 
+    def next_check(self, now: float) -> float | None:
+        """Return in how many seconds the first command that runs is overdue, or a watch has to be heard again."""
+        seconds = super().next_check(now)
+        limit = self._setup.step_timeout
+        if seconds is None or limit is None:
+            return None
+        far = any(isinstance(link, RayLink) and link.is_far for link in self._links)
+        return min(seconds, max(0.02, limit / 8)) if far else seconds
+
     def close(self) -> None:
         """End every actor, and a Ray that was started for them; their environments are closed first."""
         super().close()

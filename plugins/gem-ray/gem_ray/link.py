@@ -130,6 +130,11 @@ class RayLink(Link):
         self._reading.start()
         end_at_exit(self)
 
+    @property
+    def is_far(self) -> bool:
+        """Whether a watch has to be asked for what runs in it: an answer is there when one looks again."""
+        return self._there is not None
+
     def send(self, messages: list[Message]) -> None:
         """Hand messages to the actor without waiting for it."""
         now = time.monotonic()
@@ -141,7 +146,7 @@ class RayLink(Link):
     def running(self) -> dict[int, float]:
         """Return the slots whose command runs, or ran when it died, and since when."""
         if self._here is not None:
-            return dict(self._here)
+            return self._here.present()
         place = self.place
         if place is None:
             return {}

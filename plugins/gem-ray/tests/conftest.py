@@ -28,15 +28,17 @@ os.environ |= {
 STORE_BYTES = 80 * 1024 * 1024
 
 
-@pytest.fixture(scope="module")
-def ray_folder() -> Iterator[str]:
-    """A folder for a Ray, given to one process of this machine at a time: several Rays at once need too much memory."""
+@pytest.fixture(scope="session")
+def toys() -> None:
+    """Register the toys."""
     from ray_toys import register_toys
 
-    import gem_core as gem
+    register_toys()
 
-    if "raytoy:Tally-v0" not in gem.list_envs("raytoy"):
-        register_toys()
+
+@pytest.fixture(scope="module")
+def ray_folder(toys: None) -> Iterator[str]:
+    """A folder for a Ray, given to one process of this machine at a time: several Rays at once need too much memory."""
     with open(Path(tempfile.gettempdir(), "gem-ray-tests.lock"), "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         # Short, since Ray puts sockets there.
@@ -54,7 +56,7 @@ def local_ray(ray_folder: str) -> Iterator[None]:
 
     ray.init(
         address="local",
-        num_cpus=3,
+        num_cpus=2,
         object_store_memory=STORE_BYTES,
         include_dashboard=False,
         log_to_driver=False,
@@ -72,9 +74,9 @@ def cluster(ray_folder: str) -> Iterator[Any]:
     from ray.cluster_utils import Cluster
 
     common = {"object_store_memory": STORE_BYTES, "node_ip_address": "127.0.0.1", "include_dashboard": False}
-    made = Cluster(initialize_head=True, head_node_args={"num_cpus": 3, "temp_dir": ray_folder, **common})
+    made = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "temp_dir": ray_folder, **common})
     try:
-        made.far = made.add_node(num_cpus=3, resources={"far": 3}, **common)
+        made.far = made.add_node(num_cpus=2, resources={"far": 3}, **common)
         yield made
     finally:
         ray.shutdown()

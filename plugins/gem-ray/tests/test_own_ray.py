@@ -9,10 +9,10 @@ from gem_core.errors import EnvFaultError
 
 
 def test_it_ends_with_the_last_that_uses_it(ray_folder: str, capfd: pytest.CaptureFixture[str]) -> None:
-    """And begins again where it is needed again; nothing is written to the terminal."""
+    """Nothing of it is written to the terminal."""
     import ray
 
-    init = {"num_cpus": 2, "object_store_memory": 80 * 1024 * 1024, "_temp_dir": ray_folder}
+    init = {"num_cpus": 1, "object_store_memory": 80 * 1024 * 1024, "_temp_dir": ray_folder}
     backend = ("ray", {"address": "local", "init": init})
     with gem.make_vec("raytoy:Tally-v0", 2, backend=backend) as first:
         first.reset()

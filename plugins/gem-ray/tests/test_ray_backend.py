@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 import gem_core as gem
-from gem_core.errors import ArgumentError
 from gem_core.types import TERMINAL_STATE
 
 pytestmark = [pytest.mark.usefixtures("local_ray"), pytest.mark.skipif(sys.platform == "win32", reason="POSIX")]
@@ -86,11 +85,11 @@ def test_only_the_slot_that_ends_the_process_is_truncated(vec: Callable[..., gem
 def test_what_hangs_is_killed_past_step_timeout(vec: Callable[..., gem.VectorEnv]) -> None:
     """Also in code that lets no other thread run; a slot that waited behind it is not blamed."""
     turns = [["a"] * 3, ["a", "hang", "a"], ["a"] * 3]
-    seen = observed(vec(3, step_timeout=2.0), turns)
+    seen = observed(vec(3, step_timeout=3.0), turns)
     undisturbed = plain(3, [["a"] * 3] * 3)
     assert [seen[0], seen[2]] == [undisturbed[0], undisturbed[2]]
     error = seen[1][2][4]["final_info"]["error"]
-    assert error == {"kind": "timeout", "message": "a step or reset took longer than step_timeout, 2 s"}
+    assert error == {"kind": "timeout", "message": "a step or reset took longer than step_timeout, 3 s"}
 
 
 def test_an_idle_actor_that_is_killed_costs_nothing(vec: Callable[..., gem.VectorEnv]) -> None:
@@ -163,9 +162,9 @@ def test_runtime_env_reaches_the_actor(vec: Callable[..., gem.VectorEnv]) -> Non
     assert vector.step(["variable GEM_RAY_TEST"]).observations == ["here"]
 
 
-def test_a_runtime_env_that_cannot_be_made_is_said_once(vec: Callable[..., gem.VectorEnv]) -> None:
+def test_a_runtime_env_that_cannot_be_made_is_said_once(vec: Callable[..., gem.VectorEnv], tmp_path: Path) -> None:
     """Trying again would not help."""
-    vector = vec(2, options={"runtime_env": {"working_dir": "file:///nowhere/at_all.zip"}})
+    vector = vec(2, options={"runtime_env": {"working_dir": (tmp_path / "missing.zip").as_uri()}})
     with pytest.raises(gem.GemError, match="an actor could not be started on Ray"):
         vector.reset()
 
@@ -203,27 +202,3 @@ def test_there_are_no_more_actors_than_slots(vec: Callable[..., gem.VectorEnv]) 
     for number in (None, 9):
         vector = vec(1, options={"num_actors": number, "num_cpus": 0.5})
         assert len(vector._engine.hosts[0]._links) == 1  # type: ignore[attr-defined]  # a RayHost has them
-
-
-def test_a_wrong_option_names_the_right_one() -> None:
-    with pytest.raises(ArgumentError, match=r"vector backend 'ray': .*'num_actor'\. Did you mean 'num_actors'\?"):
-        gem.make_vec("raytoy:Tally-v0", 2, backend=("ray", {"num_actor": 2}))
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"num_actors": 0}, "num_actors must be a positive whole number, not 0"),
-        ({"num_cpus": -1}, "num_cpus must be a number from 0 up, not -1"),
-        ({"num_gpus": "all"}, "num_gpus must be a number from 0 up, not 'all'"),
-    ],
-)
-def test_a_value_that_cannot_be_is_refused(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(ArgumentError) as raised:
-        gem.make_vec("raytoy:Tally-v0", 2, backend=("ray", options))
-    assert str(raised.value) == message
-
-
-def test_a_ray_client_is_refused() -> None:
-    with pytest.raises(ArgumentError, match="is that of a Ray Client, which cannot stream results"):
-        gem.make_vec("raytoy:Tally-v0", 2, backend=("ray", {"address": "ray://127.0.0.1:10001"}))

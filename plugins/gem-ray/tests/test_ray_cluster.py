@@ -75,7 +75,7 @@ def test_on_another_node_the_slot_that_ended_the_process_is_known(vec: Callable[
 
 def test_on_another_node_what_hangs_is_killed(vec: Callable[..., gem.VectorEnv]) -> None:
     """Also in code that lets no other thread of its process run."""
-    vector = vec(3, FAR, step_timeout=1.0)
+    vector = vec(3, FAR, step_timeout=3.0)
     vector.reset()
     step = vector.step(["a", "hang", "a"])
     assert step.truncated.tolist() == [False, True, False]
