@@ -85,6 +85,14 @@ def end_at_exit(link: Closable) -> None:
     _open.add(link)
 
 
+def connection() -> tuple[str, str] | None:
+    """Return what tells the present connection from any other; None without one."""
+    if not ray.is_initialized():
+        return None
+    context = ray.get_runtime_context()
+    return context.get_node_id(), context.get_job_id()
+
+
 def cluster_resources(*, free: bool = False) -> dict[str, float]:
     """Return what the cluster has, or what of that is free."""
     asked: Any = ray.available_resources if free else ray.cluster_resources

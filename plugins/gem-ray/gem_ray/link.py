@@ -20,7 +20,7 @@ from gem_core.vector.commands import Failure
 from gem_core.vector.remote import Link, Message, weakly
 from gem_core.vector.worker import SharedTimes
 from gem_ray.actor import Place, Watch, actor_class, opened
-from gem_ray.cluster import cluster_resources, end_at_exit
+from gem_ray.cluster import cluster_resources, connection, end_at_exit
 
 logger = logging.getLogger("gem_ray")
 
@@ -32,6 +32,9 @@ _ENDING_S = 5.0
 
 _STARTING_S = 15.0
 """After so long without an actor, it is said what it may be waiting for."""
+
+_LOOKING_S = 1.0
+"""How often a thread that waits for an actor looks whether the program is still connected to Ray."""
 
 _ASKING_S = 10.0
 """How long a watch may take to say what ran in an actor that died; it may have to be started first."""
@@ -114,7 +117,8 @@ class RayLink(Link):
         self._seen: tuple[float, dict[int, float]] = (0.0, {})
         """When the watch was asked for what it said last, and that."""
         self._reason: BaseException | None = None
-        self._over = False
+        self._over = self._buried = False
+        self._on_messages, self._on_death = weakly(on_messages), weakly(on_death)
         self.place: Place | None = None
         """Where it lives; None until it has started."""
         self.actor: Any = actor_class(dict(options)).remote(setup, slots, [entry for entry in sys.path if entry])
@@ -123,7 +127,7 @@ class RayLink(Link):
         self._ended.atexit = False  # Ray ends before that; see end_at_exit
         self._reading = threading.Thread(
             target=_read,
-            args=(weakref.ref(self), stream, weakly(on_messages), weakly(on_death)),
+            args=(weakref.ref(self), stream, self._on_messages),
             name="gem-ray",
             daemon=True,
         )
@@ -136,12 +140,17 @@ class RayLink(Link):
         return self._there is not None
 
     def send(self, messages: list[Message]) -> None:
-        """Hand messages to the actor without waiting for it."""
+        """Hand messages to the actor without waiting for it.
+
+        Raises:
+            EnvFaultError: The program has called ``ray.shutdown``.
+        """
         now = time.monotonic()
         with self._lock:
             self._sent.update((message[1], now) for message in messages if message[0] == "do")
-        if self._ended.alive:
-            tell(self.actor.take, pickle.dumps(messages, protocol=5))
+        if self._ended.alive and not tell(self.actor.take, pickle.dumps(messages, protocol=5)):
+            # Its own thread may not find out: Ray lets those wait for ever that wait while the program disconnects.
+            raise EnvFaultError("the program has cut its connection to Ray; make the vector environment anew")
 
     def running(self) -> dict[int, float]:
         """Return the slots whose command runs, or ran when it died, and since when."""
@@ -178,7 +187,7 @@ class RayLink(Link):
 
     def close(self) -> None:
         """Let the actor close its environments, and end it."""
-        if self._ended.alive and self._reading.is_alive():
+        if self.place is not None and self._ended.alive and self._reading.is_alive():
             tell(self.actor.close)
             self._reading.join(_CLOSING_S)
         self.end()
@@ -213,7 +222,19 @@ class RayLink(Link):
                 if message[0] == "done":
                     self._sent.pop(message[1], None)
 
-    def ended(self, reason: BaseException | None) -> list[Message]:
+    def bury(self, reason: BaseException | None) -> None:
+        """Tell, once, that there will be no more of it."""
+        with self._lock:
+            if self._buried:
+                return
+            self._buried = True
+        told, died = self._on_messages(), self._on_death()
+        if told is not None and died is not None:
+            if last := self._ended_by(reason):
+                told(self, last)
+            died(self)
+
+    def _ended_by(self, reason: BaseException | None) -> list[Message]:
         """Note how it ended, and what ran in it; return what it would have said, if it could."""
         self._reason, self._over = reason, reason is not None
         if self.place is not None and self._there is not None:
@@ -257,11 +278,13 @@ class RayLink(Link):
         return {slot: now - seconds for slot, seconds in ran.items()}
 
 
-def tell(method: Any, *args: Any) -> None:
-    """Call a method of an actor without waiting for it; one that is gone takes no notice."""
+def tell(method: Any, *args: Any) -> bool:
+    """Call a method of an actor without waiting for it; return whether there is one, dead or alive."""
     if ray.is_initialized():
         with suppress(Exception):  # Ray raises a bare one for an actor that it does not know any more
             method.remote(*args)
+            return True
+    return False
 
 
 def kill(actor: Any) -> None:
@@ -275,14 +298,10 @@ def _read(
     link_of: weakref.ref[RayLink],
     stream: Any,
     on_messages: Callable[[], Callable[[Link, list[Message]], None] | None],
-    on_death: Callable[[], Callable[[Link], None] | None],
 ) -> None:
     reason = _converse(link_of, stream, on_messages)
-    link, told, died = link_of(), on_messages(), on_death()
-    if link is not None and told is not None and died is not None:
-        if last := link.ended(reason):
-            told(link, last)
-        died(link)
+    if (link := link_of()) is not None:
+        link.bury(reason)
 
 
 def _converse(
@@ -292,30 +311,34 @@ def _converse(
 ) -> BaseException | None:
     """Hand on what an actor says until it ends; return what ended it, None if it was asked to."""
     try:
-        if not ray.wait([stream], timeout=_STARTING_S)[0]:
+        ours = connection()
+        if not ray.wait([stream], timeout=_STARTING_S)[0] and connection() == ours:
             logger.warning("gem-ray: an actor has not started yet; %s", _resources())
-        for reference in stream:
-            if not ray.is_initialized():
-                break  # to get it would start another Ray
-            said = pickle.loads(ray.get(reference))
+        # Never to wait for long: Ray would start anew for who waits while the program disconnects.
+        while connection() == ours:
+            if not ray.wait([stream], timeout=_LOOKING_S)[0]:
+                continue
+            said = pickle.loads(ray.get(next(stream)))
             link, told = link_of(), on_messages()
             if link is None or told is None:
-                break
+                return None
             if isinstance(said, Place):
                 link.started(said)
             else:
                 link.finished(said)
                 told(link, said)
-            del link, told, reference, said
+            del link, told, said
+        return ConnectionError("the program has cut its connection to Ray")
+    except StopIteration:
+        return None
     except (RayError, ConnectionError, ValueError) as error:
         return cast("BaseException", error)
-    return None
 
 
 def _is_hopeless(reason: BaseException) -> bool:
     if isinstance(reason, ActorDiedError):
         return reason.actor_init_failed
-    return not isinstance(reason, ActorUnavailableError)
+    return isinstance(reason, RayError) and not isinstance(reason, ActorUnavailableError)
 
 
 def _resources() -> str:
