@@ -1,4 +1,4 @@
-"""Registers the toy environments for every test of the core; offers an empty registry, terminals and a model server."""
+"""Registers small environments for every test of the core; offers an empty registry, terminals and a model server."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import toys
+import vector_envs
 from chat_server import KEY, MODEL, ChatServer, HandClock, MakeAgent
 from command_calls import Outcome, RunGem
 from hypothesis import settings
@@ -19,6 +20,7 @@ from gem_core.background import run_sync
 from gem_core.cli import main
 
 toys.register_toys()
+vector_envs.register_vector_envs()
 # How long an example takes is a matter of the machine, and of what else runs on it.
 settings.register_profile("gem", deadline=None)
 settings.load_profile("gem")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
+import threading
 from collections.abc import Callable, Mapping
 from math import isfinite
 from typing import Any, cast
@@ -18,9 +18,6 @@ logger = logging.getLogger("gem_core")
 
 EnvFactory = Callable[[str | None, Mapping[str, Any]], AnyEnv]
 """Makes the environment for (id, keyword arguments)."""
-
-CONTAINED = (Exception, SystemExit, asyncio.CancelledError)
-"""What an environment may raise without ending more than its own episode."""
 
 
 class Body:
@@ -56,7 +53,8 @@ class Body:
         try:
             env = self._factory(env_id, kwargs)
             self.kind = concurrency_of(env)
-        except CONTAINED as error:
+        except BaseException as error:  # noqa: BLE001 - see _check_contained
+            _check_contained(error)
             return Failure.of(error, "reset", making=True)
         # The guard refuses a step outside an episode, which a slot never asks for.
         self._step = (env.env if type(env) is Guard and env is not self.borrowed else env).step
@@ -88,7 +86,7 @@ class Body:
                 return checked_reset(await reset_async(cast("AnyEnv", self.env), command.seed, command.options))
             if isinstance(command, str):
                 return checked_result(await step_async(self.env, command) if self.env else _nothing_to_step(command))
-        except CONTAINED as error:
+        except BaseException as error:  # noqa: BLE001 - see _check_contained
             return self.failed(error, "step" if isinstance(command, str) else "reset")
         return await in_thread(self.rebuild, command)
 
@@ -101,7 +99,7 @@ class Body:
         env: Any = self.env
         try:
             return checked_reset(env.reset(seed=seed, options=options) if options else env.reset(seed=seed))
-        except CONTAINED as error:
+        except BaseException as error:  # noqa: BLE001 - see _check_contained
             return self.failed(error, "reset")
 
     def step(self, action: str) -> StepResult | Failure:
@@ -119,7 +117,7 @@ class Body:
                 ):
                     return observation, reward, terminated, truncated, info.copy()
             return checked_result(result)
-        except CONTAINED as error:
+        except BaseException as error:  # noqa: BLE001 - see _check_contained
             return self.failed(error, "step")
 
     def rebuild(self, command: Rebuild) -> Rebuilt | Failure:
@@ -156,6 +154,7 @@ class Body:
 
     def failed(self, error: BaseException, where: str) -> Failure:
         """Give the environment up."""
+        _check_contained(error)
         logger.debug("gem: slot %d failed in %s", self.index, where, exc_info=error)
         self.discard()
         return Failure.of(error, where)
@@ -167,7 +166,8 @@ class Body:
             return
         try:
             env.close()
-        except CONTAINED:
+        except BaseException as error:
+            _check_contained(error)
             logger.warning("gem: closing the environment of slot %d failed", self.index, exc_info=True)
 
 
@@ -180,3 +180,15 @@ def _equal(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
 
 def _nothing_to_step(action: str) -> Any:
     raise RuntimeError("there is no environment to step")
+
+
+def _check_contained(error: BaseException) -> None:
+    """Raise again what is not the environment's: Ctrl-C of the user, and the end of a coroutine that is collected.
+
+    All else ends no more than an episode. Libraries raise what is no ``Exception`` too, as those in Rust that panic,
+    and in a thread or a task it would be lost, so that its slot were waited for without end.
+    """
+    if isinstance(error, GeneratorExit):
+        raise error
+    if isinstance(error, KeyboardInterrupt) and threading.current_thread() is threading.main_thread():
+        raise error

@@ -89,7 +89,10 @@ class Failure:
     @classmethod
     def of(cls, error: BaseException, where: str, *, making: bool = False) -> Failure:
         """Return the failure that an exception is."""
-        message = f"{where} raised {type(error).__name__}: {error}" if str(error) else f"{where} raised {error!r}"
+        try:
+            message = f"{where} raised {type(error).__name__}: {error}" if str(error) else f"{where} raised {error!r}"
+        except Exception:  # noqa: BLE001 - an exception's own text may fail in any way
+            message = f"{where} raised {type(error).__name__}, which cannot be shown"
         return cls("exception", message[:_LONGEST_MESSAGE], error, hopeless=making and isinstance(error, HOPELESS))
 
     def info(self) -> dict[str, Any]:

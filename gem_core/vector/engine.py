@@ -106,6 +106,8 @@ class Engine:
             with self._lock:
                 batch.left -= settled
                 batch.unsettled -= settled + 1
+        elif len(self.done) >= self.target:
+            self.signal.set()  # another thread or task may wait already
         self._give_turns()
 
     def run_all(self, starts: Iterable[tuple[Slot, Start]], batch: Batch | None = None) -> None:
@@ -148,7 +150,7 @@ class Engine:
                     body = self._quick[slot.index] = host.in_place(slot.index, command)
                     if body is None:
                         with self._lock:
-                            if slot.has_lost_place_of(command):  # its worker died while the command was on its way
+                            if not slot.launch(command):  # its worker died while the command was on its way
                                 command = slot.act(cast("str", command))
                                 continue
                             self._tickets[slot.index] += not self._flying[slot.index]
@@ -180,7 +182,13 @@ class Engine:
 
     def _start(self, later: Mapping[Host, list[Launch]]) -> None:
         for host, launches in later.items():
-            host.start(launches)
+            try:
+                host.start(launches)
+            except Exception as error:  # noqa: BLE001 - as in _run: what waits for these slots must get it
+                for index, ticket, _ in launches:
+                    if self._claim(index, ticket):
+                        self.slots[index].result = error
+                        self._settle(index)
 
     def _claim(self, slot: int, ticket: int) -> bool:
         with self._lock:

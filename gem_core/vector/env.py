@@ -10,7 +10,7 @@ from typing import Any, Self, cast
 
 import numpy as np
 
-from gem_core.errors import ArgumentError, BridgeError, EnvFaultError, NotSupportedError, WorkerLostError
+from gem_core.errors import ArgumentError, BridgeError, EnvFaultError, NotSupportedError
 from gem_core.plans import Draw, DrawSource
 from gem_core.registry import registry
 from gem_core.types import Info, Observation
@@ -22,9 +22,6 @@ from gem_core.vector.setup import VectorSetup
 from gem_core.vector.signal import Signal
 from gem_core.vector.slot import LIVE, Autoreset, OnError, Rules
 from gem_core.wrapper import AnyEnv
-
-_MOST_WORKERS_LOST = 3
-"""How often a question is asked again because the worker died that was asked."""
 
 
 class VectorEnv:
@@ -141,7 +138,7 @@ class VectorEnv:
         engine = self._engine
         host = engine.at[slot] if engine.host_of is None else engine.host_of(wanted)
         engine.at[slot] = host
-        return cast("int | None", self._asked(slot, "num_tasks", lambda: (wanted, dict(kwargs))))
+        return cast("int | None", host.ask(slot, "num_tasks", wanted, dict(kwargs)))
 
     def sample_random_action(self, slot: int) -> str:
         """Return a valid action for the present state of a slot.
@@ -153,20 +150,12 @@ class VectorEnv:
         current = self._slots[slot]
         seed = None if current.draw is None else current.draw.action_seed
         try:
-            return cast("str", self._asked(slot, "sample", lambda: (seed, current.rebuilding())))
+            return cast("str", self._engine.at[slot].ask(slot, "sample", seed, current.rebuilding))
         except (NotSupportedError, BridgeError):
             raise
         except Exception as error:
             what = error if isinstance(error, EnvFaultError) else Failure.of(error, "sample_random_action").message
             raise EnvFaultError(f"{current.name()}: {what}") from error
-
-    def _asked(self, slot: int, question: str, args: Callable[[], tuple[Any, ...]]) -> Any:
-        for _ in range(_MOST_WORKERS_LOST):
-            try:
-                return self._engine.at[slot].ask(slot, question, *args())
-            except WorkerLostError:
-                continue  # by another environment beside this one: a new worker can be asked
-        return self._engine.at[slot].ask(slot, question, *args())
 
     # Waiting for all.
 
@@ -183,7 +172,10 @@ class VectorEnv:
         Raises:
             ArgumentError: The run cannot start over, because its plan is an iterator that has been drawn from.
         """
-        batch, order = self._start_reset(seed, options)
+        order, options = self._chosen(seed, options)
+        if len(order) == self.num_envs:
+            self._engine.drain()
+        batch = self._begin(self._own_source, options, order)
         for seconds in self._engine.until(batch.is_over):
             batch.signal.wait(seconds)
         return self._observed(order)
@@ -192,15 +184,17 @@ class VectorEnv:
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[list[Observation], list[Info]]:
         """``reset`` for code that runs in an event loop, without blocking it."""
-        if not options or "reset_mask" not in options:
+        order, options = self._chosen(seed, options)
+        if len(order) == self.num_envs:
             await self.drain_async()
-        batch, order = self._start_reset(seed, options)
+        batch = self._begin(self._own_source, options, order)
         for seconds in self._engine.until(batch.is_over, blocking=False):
             await batch.signal.wait_async(seconds)
         return self._observed(order)
 
     def begin(self, source: DrawSource, options: dict[str, Any] | None = None) -> tuple[list[Observation], list[Info]]:
         """Begin an episode in every slot, drawn from a source; see ``reset``."""
+        self._engine.drain()
         batch = self._begin(source, options, list(range(self.num_envs)))
         for seconds in self._engine.until(batch.is_over):
             batch.signal.wait(seconds)
@@ -335,20 +329,23 @@ class VectorEnv:
 
     # Its own matters.
 
-    def _start_reset(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Batch, list[int]]:
+    def _chosen(self, seed: int | None, options: dict[str, Any] | None) -> tuple[list[int], dict[str, Any] | None]:
         chosen = list(range(self.num_envs))
         if options and "reset_mask" in options:
             options = dict(options)
             chosen = masked_slots(options.pop("reset_mask"), self.num_envs)
         if seed is not None:
+            if len(chosen) < self.num_envs:
+                raise ArgumentError(
+                    "a seed starts the whole run over, so it cannot go with a reset_mask for some slots"
+                )
             self._own_source = self._own_source.restarted(seed)
-        return self._begin(self._own_source, options or None, chosen), chosen
+        return chosen, options or None
 
     def _begin(self, source: DrawSource, options: dict[str, Any] | None, chosen: list[int]) -> Batch:
         if len(chosen) < self.num_envs:
             self._engine.refuse_busy(chosen)
         else:
-            self._engine.drain()
             self._rules.source = source
             self._rules.budget.finished()
         batch = Batch(len(chosen))
@@ -408,6 +405,6 @@ class VectorEnv:
     def _observed(self, chosen: list[int]) -> tuple[list[Observation], list[Info]]:
         self._results(chosen)
         began = set(chosen)
-        observations = [slot.result[0] if slot.result is not None else "" for slot in self._slots]
+        observations = [slot.result[0] if isinstance(slot.result, tuple) else "" for slot in self._slots]
         infos = [slot.result[4] if slot.index in began else {} for slot in self._slots]
         return observations, infos

@@ -64,9 +64,10 @@ class Host(ABC):
     def ask(self, slot: int, question: str, *args: Any) -> Any:
         """Answer a question about a slot's environment.
 
-        ``"sample"``, with the seed of the episode's random actions, and how to rebuild the environment if it was lost:
-        a valid action. ``"describe"``: its id, keyword arguments and wrappers. ``"num_tasks"``, with an id and
-        keyword arguments: the number of tasks of its data set, or None; this makes the environment if it is not there.
+        ``"sample"``, with the seed of the episode's random actions, and a function that says how to rebuild the
+        environment if it was lost: a valid action. ``"describe"``: its id, keyword arguments and wrappers.
+        ``"num_tasks"``, with an id and keyword arguments: the number of tasks of its data set, or None; this makes the
+        environment if it is not there.
         """
 
     @abstractmethod

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import threading
 import time
-from collections.abc import Callable, MutableMapping
+from collections.abc import Callable, Collection, MutableMapping
 from typing import Any, cast
 
 from gem_core.background import DaemonPool, background_loop, finish_or_start
@@ -34,6 +35,7 @@ class LocalHost(Host):
         kinds: What environments of an id need, where that is known before one is made.
         step_timeout: Seconds that a command may take; see ``make_vec``.
         started: Where it notes since when a slot's command runs.
+        in_place: Kinds that are run in place, one after another.
     """
 
     def __init__(
@@ -44,7 +46,9 @@ class LocalHost(Host):
         kinds: Callable[[str | None], Concurrency | None] = lambda env_id: None,
         step_timeout: float | None = None,
         started: MutableMapping[int, float] | None = None,
+        in_place: Collection[Concurrency] = frozenset[Concurrency](["inline"]),
     ) -> None:
+        self._quick = in_place
         self._factories = factories
         self._bodies = [Body(index, factory) for index, factory in enumerate(factories)]
         self._concurrent = concurrent
@@ -53,7 +57,10 @@ class LocalHost(Host):
         self._pool = DaemonPool("gem-env")
         self._tasks: dict[int, asyncio.Task[None]] = {}
         self._started: MutableMapping[int, float] = {} if started is None else started
-        self._hanging = 0
+        self._lock = threading.Lock()
+        # Under the lock, so that a thread knows whether what it ran is its own to close.
+        self._left: set[Body] = set()
+        """What was left to threads that have not come back."""
 
     def body(self, slot: int) -> Body:
         """Return the environment of a slot in its place."""
@@ -69,8 +76,8 @@ class LocalHost(Host):
         if isinstance(command, Reset) and (command.env_id != self._id_of(body)) and self._is_inline(command.env_id):
             # To make it takes little. A wrapper may need more than the task does, which shows only then.
             failed = body.prepare(command.env_id, command.kwargs)
-            return body if failed or body.kind == "inline" else None
-        return body if body.kind == "inline" else None
+            return body if failed or body.kind in self._quick else None
+        return body if body.kind in self._quick else None
 
     def start(self, batch: list[Launch]) -> None:
         """Begin each command in a thread or as a task."""
@@ -93,9 +100,11 @@ class LocalHost(Host):
     def release(self, slot: int) -> None:
         """Close a slot's environment."""
         body = self._bodies[slot]
-        if not self._concurrent or body.kind in ("inline", None):
+        if not self._concurrent or body.kind is None or body.kind in self._quick:
             body.discard()
         else:
+            # In the place of this one, since the slot may be asked for an episode before it is closed.
+            self._bodies[slot] = Body(slot, self._factories[slot])
             self._pool.submit(body.discard)
 
     def overdue(self, now: float) -> list[int]:
@@ -119,18 +128,21 @@ class LocalHost(Host):
 
     def abandon(self, slot: int, failure: Failure) -> Failure:
         """Leave the environment to the thread that hangs in it; cancel a task."""
-        body = self._bodies[slot]
-        self._bodies[slot] = Body(slot, self._factories[slot])
-        self._started.pop(slot, None)
         task = self._tasks.pop(slot, None)
-        if task is not None and not task.done():
-            background_loop().call_soon_threadsafe(task.cancel)
+        with self._lock:
+            body, running = self._bodies[slot], self._started.pop(slot, None) is not None
+            self._bodies[slot] = Body(slot, self._factories[slot])
+            in_task = task is not None and not task.done()
+            if running and not in_task:
+                self._left.add(body)
+        if in_task or not running:
+            if task is not None:
+                background_loop().call_soon_threadsafe(task.cancel)
             self._pool.submit(body.discard)
             return failure
-        self._hanging += 1
-        if self._hanging > MOST_ABANDONED:
+        if self.hanging > MOST_ABANDONED:
             raise FaultBudgetError(
-                f"{self._hanging} environments hang in threads that cannot be ended; the last: {failure.message}. "
+                f"{self.hanging} environments hang in threads that cannot be ended; the last: {failure.message}. "
                 "Use backend='process', whose workers can be killed"
             )
         return failure
@@ -138,25 +150,28 @@ class LocalHost(Host):
     @property
     def hanging(self) -> int:
         """Number of threads that were abandoned and have not come back."""
-        return self._hanging
+        return len(self._left)
 
     def close(self) -> None:
         """Close every environment; what hangs is left to its thread."""
-        tasks = [task for task in self._tasks.values() if not task.done()]
-        busy = set(self._started) - {slot for slot, task in self._tasks.items() if not task.done()}
+        tasks = {slot: task for slot, task in self._tasks.items() if not task.done()}
         self._tasks = {}
+        with self._lock:
+            bodies = list(self._bodies)
+            busy = {bodies[slot] for slot in self._started if slot not in tasks}
+            self._left |= busy
+            for body in busy:
+                self._bodies[body.index] = Body(body.index, self._factories[body.index])
+            self._started.clear()
         if tasks:
-            finish_or_start(_cancelled(tasks))
-        self._started.clear()
-        for slot, body in enumerate(self._bodies):
-            if slot in busy:
-                self._bodies[slot] = Body(slot, self._factories[slot])
-            else:
+            finish_or_start(_cancelled(list(tasks.values())))
+        for body in bodies:
+            if body not in busy:
                 body.discard()
         self._pool.close()
 
     def _is_inline(self, env_id: str | None) -> bool:
-        return self._kinds(env_id) == "inline"
+        return self._kinds(env_id) in self._quick
 
     def _id_of(self, body: Body) -> str | None:
         return body.made_for[0] if body.made_for is not None else _NONE
@@ -165,9 +180,10 @@ class LocalHost(Host):
         slot = body.index
         while launch is not None:
             slot, ticket, command = launch
-            if not self.engine.is_current(slot, ticket):
-                break
             self._started[slot] = time.monotonic()
+            if not self.engine.is_current(slot, ticket):
+                self._started.pop(slot, None)
+                break
             outcome: Outcome | None = self._prepared(body, command)
             if outcome is None:
                 if body.kind == "async":
@@ -177,7 +193,7 @@ class LocalHost(Host):
                     return
                 outcome = body.perform(command)
             launch = self._advance(body, slot, ticket, outcome)
-        self._came_back(body, slot)
+        self._came_back(body)
 
     def _spawn(self, batch: list[Launch]) -> None:
         loop = asyncio.get_running_loop()
@@ -207,14 +223,17 @@ class LocalHost(Host):
         return failure
 
     def _advance(self, body: Body, slot: int, ticket: int, outcome: Outcome) -> Launch | None:
-        if self._bodies[slot] is body:
-            self._started.pop(slot, None)
+        with self._lock:
+            if self._bodies[slot] is body:
+                self._started.pop(slot, None)
         return self.engine.advance(self, slot, ticket, outcome)
 
-    def _came_back(self, body: Body, slot: int) -> None:
+    def _came_back(self, body: Body) -> None:
         """Close the environment of a thread that was abandoned, or whose vector environment was closed."""
-        if self._bodies[slot] is not body:
-            self._hanging = max(0, self._hanging - 1)
+        with self._lock:
+            left = body in self._left
+            self._left.discard(body)
+        if left:
             body.discard()
 
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
-import pickle
 import signal
 import socket
 import subprocess
 import sys
 import tempfile
 import threading
+import time
 import weakref
 from collections.abc import Callable
 from contextlib import suppress
@@ -19,7 +20,8 @@ from multiprocessing.connection import Connection
 from gem_core.errors import ArgumentError
 from gem_core.vector.remote import Link, Message, RemoteHost, weakly, worker_setup
 from gem_core.vector.setup import VectorSetup
-from gem_core.vector.worker import Outbox, SharedTimes
+from gem_core.vector.wire import Outbox, from_bytes
+from gem_core.vector.worker import SharedTimes
 
 _START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
@@ -29,8 +31,8 @@ _START = (
 _CLOSING_S = 6.0
 """How long a worker may take to end by itself; a little longer than it gives its environments."""
 
-_BUSY_S = 1.0
-"""The same, for one that is in the middle of a command."""
+_COMMAND_S = 1.0
+"""How long it may take to finish the command that it is in, before that."""
 
 
 def process_host(setup: VectorSetup, *, workers: int | None, worker_memory_bytes: int | None) -> RemoteHost:
@@ -85,8 +87,9 @@ class ProcessLink(Link):
             finally:
                 os.close(lifeline)
         self._connection = Connection(ours.detach())
-        # Also at exit: a program that ends without closing leaves no process behind.
-        self._ended = weakref.finalize(self, _end, self._process, held, os.getpid())
+        # A vector environment that nobody uses any more lets go of its workers, which then end by themselves.
+        self._ended = weakref.finalize(self, _let_go, self._connection, held, os.getpid())
+        self._ended.atexit = False  # see _close_all
         self._outbox = Outbox(self._connection.send_bytes, setup)
         target = weakly(on_messages), weakly(on_death)
         reading = threading.Thread(
@@ -96,6 +99,8 @@ class ProcessLink(Link):
         threading.Thread(
             target=_reap, args=(self._process, self._connection, reading, self._outbox), name="gem-reap", daemon=True
         ).start()
+        self.started_by = os.getpid()
+        _links.add(self)
 
     @property
     def pid(self) -> int:
@@ -123,17 +128,47 @@ class ProcessLink(Link):
 
     def kill(self) -> None:
         """End the worker at once, and all that it has started."""
+        if self._process.poll() is None:
+            _kill_group(self._process.pid)
+            self._process.wait()
         self._ended()
 
     def close(self) -> None:
         """Let the worker close its environments, and end it."""
-        # One that is in the middle of a command may never come out of it.
-        grace = _BUSY_S if self.running() else _CLOSING_S
-        self._outbox.close(grace)
+        self.hang_up()
+        self.finish(time.monotonic())
+
+    def hang_up(self) -> None:
+        """Let the worker close its environments, without waiting for it."""
         shut(self._connection)
+
+    def finish(self, since: float) -> None:
+        """Wait for the end of a worker that was hung up on at a time, and kill it if that takes too long."""
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(grace)
-        self._ended()
+            self._process.wait(since + _COMMAND_S - time.monotonic())
+        if not self.running():
+            # It has taken note, and closes what it has; one that still computes would not come to it.
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(since + _CLOSING_S - time.monotonic())
+        self.kill()
+
+
+_links: weakref.WeakSet[ProcessLink] = weakref.WeakSet()
+
+
+@atexit.register
+def _close_all() -> None:
+    """Let the workers of a program that ends close what they have; none of them is left behind."""
+    links = [link for link in _links if link.started_by == os.getpid()]
+    since = time.monotonic()
+    try:
+        for link in links:
+            link.hang_up()
+        for link in links:
+            link.finish(since)
+    finally:
+        for link in links:
+            link.kill()
 
 
 def shut(connection: Connection) -> None:
@@ -153,7 +188,7 @@ def _read(
 ) -> None:
     while True:
         try:
-            messages = pickle.loads(connection.recv_bytes())
+            messages = from_bytes(connection.recv_bytes())
         except (EOFError, OSError):
             break
         link, told = link_of(), on_messages()
@@ -173,17 +208,14 @@ def _reap(process: subprocess.Popen[bytes], connection: Connection, reading: thr
     _kill_group(process.pid)
     reading.join(1.0)
     shut(connection)
-    reading.join()
     outbox.close()
+    reading.join()
     connection.close()
 
 
-def _end(process: subprocess.Popen[bytes], lifeline: int, owner: int) -> None:
-    if os.getpid() != owner:
-        return  # in a copy of the process that was forked: the worker is not its own
-    if process.poll() is None:
-        _kill_group(process.pid)
-        process.wait()
+def _let_go(connection: Connection, lifeline: int, started_by: int) -> None:
+    if os.getpid() == started_by:  # and not a fork of it, which has but a copy
+        shut(connection)
     os.close(lifeline)
 
 

@@ -25,6 +25,9 @@ Message = tuple[Any, ...]
 
 _ABSENT = object()
 
+_ATTEMPTS = 3
+"""Workers that may die while they are asked something, before this is given up."""
+
 
 class Link(ABC):
     """A worker, seen from the process that uses it.
@@ -110,19 +113,25 @@ class RemoteHost(Host):
         """Answer a question, here or by the worker; see ``Host.ask``."""
         if question == "describe":
             return self._described(slot)
-        with self._lock:
-            worker = self._worker_of[slot]
-            link = self._link(worker)
-            number = next(self._numbers)
+        for _ in range(_ATTEMPTS):
             future: concurrent.futures.Future[Any] = concurrent.futures.Future()
-            self._asked[number] = link, future
-            known = self._introduced(worker, args[0]) if question == "num_tasks" else []
-            link.send([*known, ("ask", number, slot, question, args)])
-        while True:
-            try:
-                return future.result(self.engine.look_after(self))
-            except concurrent.futures.TimeoutError:
-                continue  # what holds the worker up may have to be given up first
+            with self._lock:
+                worker = self._worker_of[slot]
+                link = self._link(worker)
+                number = next(self._numbers)
+                self._asked[number] = link, future
+                known = self._introduced(worker, args[0]) if question == "num_tasks" else []
+                # Whether the environment has to be rebuilt is known only now, and changes with the worker.
+                present = tuple(arg() if callable(arg) else arg for arg in args)
+                link.send([*known, ("ask", number, slot, question, present)])
+            while True:
+                try:
+                    return future.result(self.engine.look_after(self))
+                except concurrent.futures.TimeoutError:
+                    continue  # what holds the worker up may have to be given up first
+                except WorkerLostError:
+                    break  # whoever asked did nothing wrong: the next worker may answer
+        raise WorkerLostError(f"{_ATTEMPTS} workers died, one after another, before they answered")
 
     def release(self, slot: int) -> None:
         """Close a slot's environment, if its worker is there."""
@@ -167,7 +176,7 @@ class RemoteHost(Host):
         with self._lock:
             links = [(worker, link) for worker, link in enumerate(self._links) if link is not None]
             for worker, link in links:
-                self._forget(worker, link)
+                self._forget(worker, link, EnvFaultError("the vector environment was closed before it answered"))
             self._present.clear()
         threads = [threading.Thread(target=link.close, name="gem-close", daemon=True) for _, link in links]
         for thread in threads:
@@ -224,12 +233,12 @@ class RemoteHost(Host):
             self._known[worker] = set(self._setup.all_ids)
         return link
 
-    def _forget(self, worker: int, link: Link) -> None:
+    def _forget(self, worker: int, link: Link, why: Exception | None = None) -> None:
         self._links[worker] = None
         for number, (asked, future) in list(self._asked.items()):
             if asked is link:
                 del self._asked[number]
-                future.set_exception(WorkerLostError("the worker died before it answered"))
+                future.set_exception(why or WorkerLostError("the worker died before it answered"))
 
     def _slots_of(self, worker: int) -> list[int]:
         return [slot for slot, own in enumerate(self._worker_of) if own == worker]

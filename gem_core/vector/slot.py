@@ -227,7 +227,6 @@ class Slot:
                 outcome = Failure("collateral", message)
             elif type(outcome) is Rebuilt:
                 outcome = outcome.result
-            self._lost = False
         return self.took_step(outcome)
 
     def took_step(self, outcome: Any) -> Command | None:
@@ -256,6 +255,7 @@ class Slot:
     def drawn(self) -> Command | None:
         """Draw what the next episode starts from, now that it is this slot's turn."""
         draw = self.draw = self.rules.source.draw(self.index)
+        self._lost = False
         if draw is None:
             self.phase = IDLE
             self._reset = self._actions = None
@@ -269,6 +269,16 @@ class Slot:
             kwargs = {**self.own_kwargs, **kwargs}
         self._asked = self._reset = Reset(item.id or self.own_id, kwargs, draw.seed, options)
         return self._asked
+
+    def launch(self, command: Command) -> bool:
+        """Note that a command goes to where the environment lives; tell whether that has not been lost meanwhile.
+
+        Whoever calls this holds the lock under which ``lost`` is called: a worker may die at any moment.
+        """
+        if isinstance(command, str):
+            return not self._lost
+        self._lost = False  # what this brings about is a new environment
+        return True
 
     def lost(self, failure: Failure | None, *, under_way: bool) -> Command | None:
         """Note that its environment is gone with the process that it lived in.
@@ -288,10 +298,6 @@ class Slot:
         if type(asked) is Reset:
             return asked
         return self._act_lost(asked.action if isinstance(asked, Rebuild) else cast("str", asked))
-
-    def has_lost_place_of(self, command: Command) -> bool:
-        """Tell whether a step was asked of an environment that is gone since."""
-        return self._lost and isinstance(command, str)
 
     def rebuilding(self) -> Rebuild | None:
         """Return how to bring its environment to where it was, if that was lost and can be; else None."""
@@ -323,7 +329,6 @@ class Slot:
         if group is not None:
             info["group"] = group
         self.phase = LIVE
-        self._lost = False
         if self.rules.replayable is not None:
             self._actions = [] if self.rules.replayable(asked.env_id) else None
             self._observation = observation

@@ -5,27 +5,23 @@ from __future__ import annotations
 import mmap
 import os
 import pickle
-import queue
+import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from multiprocessing.connection import Connection
 from typing import Any, cast
 
-import cloudpickle  # type: ignore[import-untyped]  # it has no types
-
-from gem_core.errors import ArgumentError
-from gem_core.jsonable import to_plain
 from gem_core.making import make_from
 from gem_core.registry import registry
 from gem_core.specs import EnvSpec
 from gem_core.types import Concurrency
-from gem_core.vector.commands import Command, Failure, Outcome, Rebuild
+from gem_core.vector.commands import Command, Failure, Outcome, Rebuild, Reset
 from gem_core.vector.host import Host, Launch
 from gem_core.vector.local import LocalHost, answer, wrappers_of
+from gem_core.vector.wire import Message, Outbox, from_bytes
 from gem_core.wrapper import AnyEnv
-
-Message = tuple[Any, ...]
 
 _CLOSING_S = 5.0
 """How long the environments of a worker may take to close once nobody needs them any more."""
@@ -35,9 +31,9 @@ class Worker:
     """Environments of some slots, run as each asks for, and what is said about them.
 
     It takes ``("do", slot, ticket, command)``, ``("ask", number, slot, question, args)``, ``("release", slot)`` and
-    ``("know", records)``, and gives back what the host could not send; it says ``("done", slot, ticket, outcome)``,
-    ``("answer", number, worked, value)``, and once for each id, before anything else of it,
-    ``("wrapped", id, wrappers)``.
+    ``("know", records)``; and says ``("done", slot, ticket, outcome)``, ``("answer", number, worked, value)``, and once
+    for each id, before anything else of it, ``("wrapped", id, wrappers)``. In the place of a command or of arguments
+    that could not be sent there is a ``Failure``, which it gives back.
 
     Args:
         setup: What environments are made from; see ``remote.worker_setup``.
@@ -50,12 +46,14 @@ class Worker:
     ) -> None:
         fields: dict[str, Any] = pickle.loads(setup)
         self._say = say
+        self._closed = False
         self._records: dict[str, EnvSpec] = {record.id: record for record in fields["records"]}
         self._kwargs, self._wrappers = fields["kwargs"], fields["wrappers"]
         self._times: MutableMapping[int, float] = {} if times is None else times
         self._told: set[str | None] = set()
         factories = [self._factory(own_id) for own_id in fields["ids"]]
-        self._host = LocalHost(factories, kinds=self._kind, started=self._times)
+        # What computes for long runs in place here, as workers are for that.
+        self._host = LocalHost(factories, kinds=self._kind, started=self._times, in_place=("inline", "process"))
         self._host.engine = self
 
     def take(self, message: Message) -> None:
@@ -66,16 +64,14 @@ class Worker:
         elif kind == "ask":
             _, number, slot, question, args = message
             try:
+                if isinstance(args, Failure):
+                    raise args.error or RuntimeError(args.message)
                 value = self._answer(slot, question, args)
             except Exception as error:  # noqa: BLE001 - it is raised where it was asked
                 where = "sample_random_action" if question == "sample" else question
                 self._say(("answer", number, False, Failure.of(error, where)))
             else:
                 self._say(("answer", number, True, value))
-        elif kind == "return":
-            self._say(("done", *message[1:]))
-        elif kind == "refuse":
-            self._say(("answer", *message[1:]))
         elif kind == "release":
             self._host.release(message[1])
         elif kind == "know":
@@ -83,6 +79,7 @@ class Worker:
 
     def close(self) -> None:
         """Close every environment."""
+        self._closed = True
         self._host.close()
 
     # What its own host tells.
@@ -93,8 +90,8 @@ class Worker:
         return None
 
     def is_current(self, slot: int, ticket: int) -> bool:
-        """Tell that every command is waited for; a worker that is not is killed."""
-        return True
+        """Tell that every command is waited for, until the host hangs up; a worker that is not is killed."""
+        return not self._closed
 
     def lose(self, host: Host, guilty: dict[int, Failure], others: list[int]) -> None:
         """Never called: a local host loses nothing."""
@@ -107,14 +104,23 @@ class Worker:
         """Never called: a local host does not die."""
         return []
 
-    def _do(self, slot: int, ticket: int, command: Command) -> None:
-        body = self._host.in_place(slot, command)
-        if isinstance(command, Rebuild):
-            body = body or self._host.in_place(slot, command.reset)
+    def _do(self, slot: int, ticket: int, command: Command | Failure) -> None:
+        if isinstance(command, Failure):
+            self._say(("done", slot, ticket, command))  # it could not be sent here
+            return
+        begins = command.reset if isinstance(command, Rebuild) else command
+        if isinstance(begins, Reset):
+            try:
+                self._kind(begins.env_id)  # what it imports does not count as its time
+            except Exception as error:  # noqa: BLE001 - a module may fail in any way while it is imported
+                self._say(("done", slot, ticket, Failure.of(error, "reset", making=True)))
+                return
+        # To make the environment may take long, and be the death of the worker, as well.
+        self._times[slot] = time.monotonic()
+        body = self._host.in_place(slot, command) or self._host.in_place(slot, begins)
         if body is None:
             self._host.start([(slot, ticket, command)])
             return
-        self._times[slot] = time.monotonic()
         outcome = body.perform(command)
         self._times.pop(slot, None)
         self._done(slot, ticket, outcome)
@@ -143,13 +149,13 @@ class Worker:
         return self._records.get(env_id) or registry().env(env_id)
 
     def _kind(self, env_id: str | None) -> Concurrency | None:
-        """Return what a task asks for; what computes for long runs in place here, as workers are for that."""
+        """Return what a task asks for."""
         from gem_core.making import load_entry_point
 
         if env_id is None:
             return None
-        kind = getattr(load_entry_point(self._record(env_id).entry_point, env_id), "concurrency", None)
-        return "inline" if kind == "process" else cast("Concurrency | None", kind)
+        entry_point = load_entry_point(self._record(env_id).entry_point, f"environment {env_id!r}")
+        return cast("Concurrency | None", getattr(entry_point, "concurrency", None))
 
 
 class SharedTimes(MutableMapping[int, float]):
@@ -174,9 +180,12 @@ class SharedTimes(MutableMapping[int, float]):
         return since
 
     def __delitem__(self, slot: int) -> None:
-        if not self._times[slot]:
-            raise KeyError(slot)
-        self._times[slot] = 0.0
+        self._times[slot] = 0.0  # also when another thread was faster
+
+    def clear(self) -> None:
+        """Note that nothing runs."""
+        for slot in range(len(self._times)):
+            self._times[slot] = 0.0
 
     def __iter__(self) -> Iterator[int]:
         return iter([slot for slot, since in enumerate(self._times.tolist()) if since])
@@ -189,84 +198,11 @@ class SharedTimes(MutableMapping[int, float]):
         return {slot: since for slot, since in enumerate(self._times.tolist()) if since}
 
 
-class Outbox:
-    """Sends messages over a connection from a thread of its own, so that nobody waits for the other side to read.
-
-    What has come together by the time that the thread looks goes out as one.
-
-    Args:
-        send: Sends bytes; it may block, and raises ``OSError`` when the other side is gone.
-        first: Sent by itself before any message.
-    """
-
-    def __init__(self, send: Callable[[bytes], None], first: bytes = b"") -> None:
-        self._send = send
-        self._first = first
-        self._queue: queue.SimpleQueue[Message | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._serve, name="gem-outbox", daemon=True)
-        self._thread.start()
-
-    def put(self, message: Message) -> None:
-        """Send a message, in order, at some time."""
-        self._queue.put(message)
-
-    def close(self, timeout: float | None = None) -> None:
-        """Send what is still there, and end the thread."""
-        self._queue.put(None)
-        self._thread.join(timeout)
-
-    def _serve(self) -> None:
-        try:
-            if self._first:
-                self._send(self._first)
-            for batch in batches(self._queue):
-                self._send(batch)
-        except OSError:
-            return  # whoever reads the other way finds out that it is gone
-
-
-def batches(messages: queue.SimpleQueue[Message | None]) -> Iterator[bytes]:
-    """Yield messages as bytes, each time all that have come together, until one of them is None."""
-    over = False
-    while not over:
-        together = [messages.get()]
-        while not messages.empty():
-            together.append(messages.get())
-        over = None in together
-        yield _dumped([message for message in together if message is not None])
-
-
 def broken(error: BaseException) -> Message:
     """Return what a worker says that cannot be started; trying again would not help."""
     failure = Failure.of(error, "starting a worker")
     failure.error, failure.hopeless = _as_ours(failure), True
     return ("broken", failure)
-
-
-def _dumped(messages: list[Message]) -> bytes:
-    try:
-        return pickle.dumps(messages, protocol=5)
-    except Exception:  # noqa: BLE001 - an object's own pickling may fail in any way
-        return cloudpickle.dumps([_sendable(message) for message in messages])  # type: ignore[no-any-return]  # untyped
-
-
-def _sendable(message: Message) -> Message:
-    """Return a message, or in the place of one that cannot be sent what says so."""
-    try:
-        cloudpickle.dumps(message)
-    except Exception as error:  # noqa: BLE001 - as above
-        if message[0] == "wrapped":
-            return (*message[:2], to_plain(message[2]))  # as it would stand in a file of episodes
-        what = {"do": "what it is made from", "ask": "a question"}.get(message[0], "its result")
-        text = f"{what} cannot be sent to another process: {type(error).__name__}: {error}"
-        failure = Failure("exception", text[:2000])
-        if message[0] == "do":
-            # Trying again would end the same way.
-            failure.error, failure.hopeless = ArgumentError(failure.message), True
-        if message[0] in ("do", "done"):
-            return ("return" if message[0] == "do" else "done", *message[1:3], failure)
-        return ("refuse" if message[0] == "ask" else "answer", message[1], False, failure)
-    return message
 
 
 def main(socket: int, lifeline: int, times: int) -> None:
@@ -277,12 +213,10 @@ def main(socket: int, lifeline: int, times: int) -> None:
         lifeline: Number of a pipe that the host holds open while it lives.
         times: Number of the open file for ``SharedTimes``.
     """
-    from multiprocessing.connection import Connection
-
     connection = Connection(socket)
     _be_killed_first()
     threading.Thread(target=_end_with, args=(lifeline,), name="gem-lifeline", daemon=True).start()
-    outbox = Outbox(connection.send_bytes)
+    outbox = Outbox(connection.send_bytes, failed=lambda: os._exit(1))
     try:
         setup = connection.recv_bytes()
         fields = pickle.loads(setup)
@@ -294,16 +228,31 @@ def main(socket: int, lifeline: int, times: int) -> None:
         outbox.put(broken(error))
         outbox.close(_CLOSING_S)
         return
+    code = 0
     try:
-        while True:
-            for message in pickle.loads(connection.recv_bytes()):
+        while (data := _received(connection)) is not None:
+            for message in from_bytes(data):
                 worker.take(message)
-    except (EOFError, OSError):
         worker.close()
+    except KeyboardInterrupt:
+        code = 130  # an environment raised it: this process has no terminal
+    except BaseException as error:  # noqa: BLE001 - as above
+        code = 1
+        outbox.put(("broken", Failure.of(error, "a worker")))
+        outbox.close(_CLOSING_S)
     finally:
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(0)  # a thread that hangs does not hold it up
+        if not code:
+            os.killpg(0, signal.SIGKILL)  # what its environments started, also when the host is gone
+        os._exit(code)  # a thread that hangs does not hold it up
+
+
+def _received(connection: Connection) -> bytes | None:
+    try:
+        return connection.recv_bytes()
+    except (EOFError, OSError):
+        return None
 
 
 def _as_ours(failure: Failure) -> BaseException:
@@ -321,7 +270,7 @@ def _end_with(lifeline: int) -> None:
     """End this process, and what it started, when the host is gone and closing takes too long."""
     os.read(lifeline, 1)
     time.sleep(_CLOSING_S)
-    os.killpg(0, 9)
+    os.killpg(0, signal.SIGKILL)
 
 
 def _be_killed_first() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pickle
 import queue
 import sys
 import tempfile
@@ -15,7 +14,8 @@ from typing import Any, NamedTuple, cast
 import ray
 
 from gem_core.vector.remote import Message
-from gem_core.vector.worker import SharedTimes, Worker, batches, broken
+from gem_core.vector.wire import batches, from_bytes, to_bytes
+from gem_core.vector.worker import SharedTimes, Worker, broken
 
 
 class Place(NamedTuple):
@@ -61,13 +61,14 @@ class EnvActor:
     def take(self, messages: bytes) -> None:
         """Do what the host says."""
         if self._worker is not None:
-            for message in pickle.loads(messages):
+            for message in from_bytes(messages):
                 self._worker.take(message)
 
     @ray.method(concurrency_group="results", num_returns="streaming")
     def say(self) -> Iterator[bytes]:
         """Yield where this is, then what the worker says, as it says it, until it is closed."""
-        yield pickle.dumps(Place(ray.get_runtime_context().get_node_id(), os.getpid(), self._times))
+        place = Place(ray.get_runtime_context().get_node_id(), os.getpid(), self._times)
+        yield to_bytes([("place", place)])
         yield from batches(self._said)
 
     @ray.method(concurrency_group="commands", num_returns=0)

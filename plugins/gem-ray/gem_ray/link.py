@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import pickle
 import sys
 import threading
 import time
@@ -18,6 +17,7 @@ from ray.exceptions import ActorDiedError, ActorUnavailableError, RayError
 from gem_core.errors import EnvFaultError
 from gem_core.vector.commands import Failure
 from gem_core.vector.remote import Link, Message, weakly
+from gem_core.vector.wire import from_bytes, to_bytes
 from gem_core.vector.worker import SharedTimes
 from gem_ray.actor import Place, Watch, actor_class, opened
 from gem_ray.cluster import cluster_resources, connection, end_at_exit
@@ -148,7 +148,7 @@ class RayLink(Link):
         now = time.monotonic()
         with self._lock:
             self._sent.update((message[1], now) for message in messages if message[0] == "do")
-        if self._ended.alive and not tell(self.actor.take, pickle.dumps(messages, protocol=5)):
+        if self._ended.alive and not tell(self.actor.take, to_bytes(messages)):
             # Its own thread may not find out: Ray lets those wait for ever that wait while the program disconnects.
             raise EnvFaultError("the program has cut its connection to Ray; make the vector environment anew")
 
@@ -318,12 +318,12 @@ def _converse(
         while connection() == ours:
             if not ray.wait([stream], timeout=_LOOKING_S)[0]:
                 continue
-            said = pickle.loads(ray.get(next(stream)))
+            said = from_bytes(ray.get(next(stream)))
             link, told = link_of(), on_messages()
             if link is None or told is None:
                 return None
-            if isinstance(said, Place):
-                link.started(said)
+            if said and said[0][0] == "place":
+                link.started(said[0][1])
             else:
                 link.finished(said)
                 told(link, said)

@@ -1,0 +1,454 @@
+"""Worker processes of vector environments: what they are started from, what they move, and how they end."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import weakref
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import vector_envs
+from vector_envs import IMAGES, INLINE, LUCKY, PROCESS, THREAD
+
+import gem_core as gem
+from gem_core.plans import PlanItem
+from gem_core.vector.worker import SharedTimes
+
+TESTS = str(Path(__file__).parent)
+
+LONGEST_S = 60.0
+"""Ends a hang; nothing here takes so long."""
+
+
+def links_of(vector: gem.VectorEnv) -> list[Any]:
+    return [link for host in vector._engine.hosts for link in getattr(host, "_links", []) if link is not None]
+
+
+def pids_of(vector: gem.VectorEnv) -> list[int]:
+    return [link.pid for link in links_of(vector)]
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def eventually(condition: Callable[[], object]) -> bool:
+    """Look until something is so; the limit only ends a hang."""
+    limit = time.monotonic() + LONGEST_S
+    while not condition():
+        if time.monotonic() > limit:
+            return False
+        threading.Event().wait(0.01)
+    return True
+
+
+# Death from outside.
+
+
+def test_worker_killed_while_idle_is_replaced_without_a_trace() -> None:
+    """Its deterministic episodes are replayed when they are stepped next."""
+    vector = gem.make_vec(INLINE, 4, backend=("process", {"workers": 2}), seed=3, length=5)
+    alone = gem.make_vec(INLINE, 4, backend="sync", seed=3, length=5)
+    assert vector.reset() == alone.reset()
+    for turn in range(12):
+        if turn % 3 == 1:
+            (victim, *_) = links_of(vector)
+            os.kill(victim.pid, signal.SIGKILL)
+            assert eventually(lambda victim=victim: victim not in links_of(vector))
+        actions = [f"{turn}.{slot}" for slot in range(4)]
+        for one, other in zip(vector.step(actions), alone.step(actions), strict=True):
+            assert np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other
+    assert vector.faults == 0
+    vector.close()
+
+
+def test_worker_killed_in_the_middle_of_a_step_truncates_that_step() -> None:
+    """And none but that."""
+    vector = gem.make_vec([THREAD, INLINE], 4, backend=("process", {"workers": 1}), seed=3, length=5)
+    vector.reset()
+    vector.send({0: "!hang"})
+    (link,) = links_of(vector)
+    assert eventually(lambda: 0 in link.running())
+    os.kill(link.pid, signal.SIGKILL)
+    received = vector.recv()
+    assert received.slots == [0]
+    assert received.infos[0]["final_info"]["error"] == {
+        "kind": "died",
+        "message": "its worker process was killed by SIGKILL",
+    }
+    assert vector.step({1: "a", 2: "a", 3: "a"}).truncated.tolist() == [False] * 3
+    assert vector.faults == 1
+    vector.close()
+
+
+def test_idle_death_ends_episodes_that_cannot_be_replayed_as_collateral() -> None:
+    """When they are stepped next."""
+    vector = gem.make_vec(LUCKY, 2, backend=("process", {"workers": 1}), seed=3, length=5)
+    vector.reset()
+    (link,) = links_of(vector)
+    os.kill(link.pid, signal.SIGKILL)
+    assert eventually(lambda: not links_of(vector))
+    infos = vector.step(["a", "b"]).infos
+    assert [info["final_info"]["error"]["kind"] for info in infos] == ["collateral"] * 2
+    assert vector.faults == 0
+    vector.close()
+
+
+def test_actions_are_sampled_also_when_the_worker_has_died() -> None:
+    """The episode is replayed for it."""
+    vector = gem.make_vec(INLINE, 2, backend=("process", {"workers": 1}), seed=3, length=5)
+    vector.reset()
+    action = vector.sample_random_action(1)
+    os.kill(pids_of(vector)[0], signal.SIGKILL)
+    assert vector.sample_random_action(1) == action
+    assert vector.step(["a", action]).infos[1]["path"] == [action]
+    vector.close()
+
+
+def test_a_batch_of_deaths_loses_nothing() -> None:
+    """Workers that are killed over and over while a rollout goes on."""
+    vector = gem.make_vec(INLINE, 6, backend=("process", {"workers": 2}), seed=3, length=3)
+    alone = gem.make_vec(INLINE, 6, backend="sync", seed=3, length=3)
+    expected = {episode.key: episode for episode in gem.rollout(alone, lambda observation: "go", episodes=24)}
+    came: dict[str, gem.Episode] = {}
+    for episode in gem.rollout(vector, lambda observation: "go", episodes=24):
+        came[episode.key] = episode
+        if len(came) % 6 == 3:
+            os.kill(pids_of(vector)[0], signal.SIGKILL)
+    assert came.keys() == expected.keys()
+    assert [came[key] for key in came if came[key].error is None and came[key] != expected[key]] == []
+    assert sum(episode.error is not None for episode in came.values()) <= 4
+    vector.close()
+
+
+def test_times_are_read_while_a_worker_changes_them() -> None:
+    """A command that ends between two looks is no error."""
+    with tempfile.TemporaryFile() as file:
+        file.truncate(16)
+        theirs, ours = SharedTimes(file.fileno(), 2), SharedTimes(file.fileno(), 2)
+    over = threading.Event()
+
+    def change() -> None:
+        while not over.is_set():
+            theirs[1] = 5.0
+            theirs.pop(1, None)
+            theirs[1] = 6.0
+            theirs.clear()
+
+    changing = threading.Thread(target=change)
+    changing.start()
+    try:
+        seen = [ours.present() for _ in range(20_000)]
+    finally:
+        over.set()
+        changing.join()
+    assert all(times in ({}, {1: 5.0}, {1: 6.0}) for times in seen)
+
+
+# What they leave behind.
+
+
+def test_nothing_is_left_after_close() -> None:
+    """No process, no thread and no open file."""
+    with gem.make_vec(INLINE, 2, backend="process", seed=1) as warm:
+        warm.reset()
+    gc.collect()
+    assert eventually(lambda: not named_threads())
+    files = len(os.listdir("/proc/self/fd"))
+    vector = gem.make_vec(INLINE, 4, backend=("process", {"workers": 2}), seed=1, length=3)
+    for _ in range(2):
+        vector.reset()
+        vector.step(["!exit", "a", "a", "a"])
+        os.kill(pids_of(vector)[0], signal.SIGKILL)
+        vector.step(["a"] * 4)
+        pids = pids_of(vector)
+        vector.close()
+        assert [pid for pid in pids if is_alive(pid)] == []
+    del vector
+    gc.collect()
+    assert eventually(lambda: not named_threads())
+    assert eventually(lambda: gc.collect() is not None and len(os.listdir("/proc/self/fd")) <= files)
+
+
+def named_threads() -> list[str]:
+    return [one.name for one in threading.enumerate() if one.name.startswith(("gem-worker", "gem-reap", "gem-outbox"))]
+
+
+@pytest.mark.parametrize("how", ["close", "kill", "drop"])
+def test_processes_that_an_environment_left_behind_end_with_its_worker(how: str) -> None:
+    """However that ends."""
+    vector = gem.make_vec(THREAD, 1, backend="process", seed=1, length=3)
+    vector.reset()
+    vector.step(["!children"])
+    (pid,) = pids_of(vector)
+    children = vector_envs.children_of(pid)
+    assert len(children) == 1
+    if how == "close":
+        vector.close()
+    elif how == "kill":
+        os.kill(pid, signal.SIGKILL)
+    else:
+        del vector
+        gc.collect()
+    assert eventually(lambda: not is_alive(pid) and not is_alive(children[0]))
+
+
+def test_environments_are_closed_when_their_vector_environment_is_dropped(tmp_path: Path) -> None:
+    """It can be collected, and its workers end by themselves."""
+    vector = gem.make_vec([INLINE, THREAD], 2, backend="process", seed=1, length=3)
+    vector.reset()
+    vector.step(["a", "b"])
+    pids, seen = pids_of(vector), weakref.ref(vector)
+    del vector
+    gc.collect()
+    assert seen() is None
+    assert eventually(lambda: not any(map(is_alive, pids)))
+    assert eventually(lambda: not named_threads())
+
+
+# What they are started from.
+
+
+def test_workers_start_beside_many_threads_that_hold_locks() -> None:
+    """Nothing is forked, so no lock is taken along."""
+    held, begin = threading.Lock(), threading.Event()
+    threads = [threading.Thread(target=lambda: held.acquire(timeout=0) or begin.wait(LONGEST_S)) for _ in range(64)]
+    for thread in threads:
+        thread.start()
+    try:
+        with gem.make_vec(INLINE, 2, backend="process", seed=1) as vector:
+            assert len(vector.reset()[0]) == 2
+    finally:
+        begin.set()
+        for thread in threads:
+            thread.join()
+
+
+# What they move.
+
+
+def test_large_observations_and_images_arrive_intact() -> None:
+    """Twenty megabytes of text, and content parts."""
+    sizes = [1, 20_000_000, 3]
+    results = []
+    for backend in ("sync", "process"):
+        with gem.make_vec(IMAGES, 3, backend=backend, seed=2) as vector:
+            vector.reset()
+            results.append(vector.step([str(size) for size in sizes]))
+    for here, there, size in zip(results[0].observations, results[1].observations, sizes, strict=True):
+        assert there[0]["text"] == "ä" * size  # type: ignore[index]  # content parts
+        assert there[1]["image"].tobytes() == here[1]["image"].tobytes()  # type: ignore[index]  # as above
+
+
+def test_long_actions_arrive_intact() -> None:
+    """A response may be megabytes long, and so may a replay of several."""
+    with gem.make_vec(INLINE, 2, backend=("process", {"workers": 1}), seed=2, length=9) as vector:
+        vector.reset()
+        action = "é" * 5_000_000
+        vector.step([action, "a"])
+        os.kill(pids_of(vector)[0], signal.SIGKILL)
+        assert eventually(lambda: not links_of(vector))
+        assert vector.step([action, "b"]).infos[0]["path"] == [action] * 2
+
+
+def test_thousands_of_slots_work() -> None:
+    """In processes and without."""
+    for backend in ("sync", "async", "process"):
+        with gem.make_vec(INLINE, 4096, backend=backend, seed=2, length=3) as vector:
+            assert len(vector.reset()[0]) == 4096
+            step = vector.step(["a"] * 4096)
+            assert sum(info["turn"] for info in step.infos) == 4096
+            first = step.observations[4095] if backend == "sync" else first  # noqa: F821 - the first backend sets it
+            assert step.observations[4095] == first
+
+
+# Exit and Ctrl-C: programs of their own.
+
+PRELUDE = f"""
+import os, sys, threading
+sys.path.insert(0, {TESTS!r})
+import vector_envs, gem_core as gem
+vector_envs.register_vector_envs()
+def pids(vector):
+    return [link.pid for host in vector._engine.hosts for link in getattr(host, "_links", []) if link is not None]
+def begin(env_id, count, backend, **options):
+    vector = gem.make_vec(env_id, count, backend=backend, seed=1, length=3, **options)
+    vector.reset()
+    print(*pids(vector), flush=True)
+    return vector
+"""
+
+
+def program(body: str, **options: Any) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", PRELUDE + body],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,
+    )
+
+
+def first_pids(process: subprocess.Popen[str]) -> list[int]:
+    return [int(pid) for pid in process.stdout.readline().split()]  # type: ignore[union-attr]  # it is a pipe
+
+
+@pytest.mark.parametrize(
+    ("ending", "code", "error"),
+    [
+        ("pass", 0, ""),
+        ("sys.exit(3)", 3, ""),
+        ("raise ValueError('on purpose')", 1, "ValueError: on purpose\n"),
+        ("vector.send(['!hang'] * 4)", 0, ""),
+        ("os.kill(os.getpid(), 15)", -15, ""),
+        ("os.kill(os.getpid(), 9)", -9, ""),
+    ],
+)
+@pytest.mark.parametrize("env_id", [THREAD, PROCESS])
+def test_program_that_ends_without_closing_leaves_nothing(env_id: str, ending: str, code: int, error: str) -> None:
+    """Neither a worker, nor what it started, nor words on standard error."""
+    process = program(
+        f"vector = begin({env_id!r}, 4, 'process')\nvector.step(['!children'] * 4)\nprint(1, flush=True)\n{ending}\n"
+    )
+    workers = first_pids(process)
+    process.stdout.readline()  # type: ignore[union-attr]  # it is a pipe
+    assert len(workers) >= 1
+    _, errors = process.communicate(timeout=LONGEST_S)
+    assert process.returncode == code
+    assert errors.endswith(error)
+    assert bool(errors) == bool(error)
+    assert eventually(lambda: not any(is_alive(pid) for pid in workers))
+    assert eventually(lambda: not any(vector_envs.children_of(pid) for pid in workers))
+
+
+WAITS = {
+    "step": ("vector.step(['!hang'] * 2)", ""),
+    "recv": ("vector.send(['!hang'] * 2); vector.recv()", ""),
+    "rollout": ("list(gem.rollout(vector, lambda observation: '!hang', episodes=4))", ""),
+    "rollout of a slow agent": (
+        "import asyncio\nasync def agent(observation): await asyncio.Event().wait()\n"
+        "list(gem.rollout(vector, agent, episodes=4))",
+        "",
+    ),
+    "arollout": (
+        "import asyncio\nasync def agent(observation): return '!hang'\nasync def main():\n"
+        "    async for episode in gem.arollout(vector, agent, episodes=4): pass\nasyncio.run(main())",
+        "",
+    ),
+    "with": ("with vector: vector.step(['!hang'] * 2)", ""),
+}
+
+
+@pytest.mark.parametrize("backend", ["async", "process"])
+@pytest.mark.parametrize("how", WAITS)
+def test_interrupt_ends_a_program_that_waits(how: str, backend: str) -> None:
+    """With ``KeyboardInterrupt`` and nothing else, and without a worker."""
+    env_id = THREAD if backend == "async" else INLINE
+    body, _ = WAITS[how]
+    waiting = "threading.Timer(0.2, lambda: print('waiting', flush=True)).start()\n"
+    process = program(f"vector = begin({env_id!r}, 2, {backend!r})\n{waiting}{body}\n", start_new_session=True)
+    workers = first_pids(process)
+    assert process.stdout.readline() == "waiting\n"  # type: ignore[union-attr]  # it is a pipe
+    os.kill(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=LONGEST_S)
+    assert process.returncode in (-signal.SIGINT, 1), errors
+    assert errors.count("Traceback") == 1 + errors.count("During handling") + errors.count("direct cause"), errors
+    assert errors.endswith("KeyboardInterrupt\n")
+    assert "Exception in thread" not in errors
+    assert eventually(lambda: not any(is_alive(pid) for pid in workers))
+
+
+def test_hung_thread_does_not_hold_up_the_exit() -> None:
+    """It is abandoned, and ends with the process."""
+    process = program(
+        f"vector = begin({THREAD!r}, 2, 'async', step_timeout=0.5)\n"
+        "print(vector.step(['!hang'] * 2).truncated.tolist(), flush=True)\n"
+    )
+    out, errors = process.communicate(timeout=LONGEST_S)
+    assert (process.returncode, out.strip(), errors) == (0, "[True, True]", "")
+
+
+SCRIPT = '''
+import threading, gem_core as gem
+
+class Local(gem.Env):
+    """Defined in the script."""
+    def __init__(self, size=3):
+        super().__init__()
+        self.size = size
+    def reset(self, seed=None, options=None):
+        super().reset(seed=seed)
+        return f"start {self.size}", {}
+    def step(self, action):
+        return helper(action), 1.0, False, False, {"by": threading.current_thread().name}
+
+class Computing(Local):
+    concurrency = "process"
+
+def helper(action):
+    return f"heard {action}"
+
+def louder(env):
+    class Loud(gem.Wrapper):
+        def after_step(self, action, result):
+            return (result[0].upper(), *result[1:])
+    return Loud(env)
+
+gem.register("script:Local-v0", Local)
+gem.register("script:Lambda-v0", lambda size=5: Local(size))
+gem.register("script:Computing-v0", Computing)
+for backend in ("sync", "process"):
+    with gem.make_vec(["script:Local-v0", "script:Lambda-v0"], 3, backend=backend, wrappers=[louder], seed=1) as vector:
+        print(vector.reset()[0], vector.step(["a", "b", "c"]).observations)
+with gem.make_vec("script:Computing-v0", 2, size=4) as vector:
+    print(vector.reset()[0], vector.step(["a", "b"]).observations)
+plan = [gem.PlanItem(id="script:Lambda-v0", kwargs={"size": 9})]
+with gem.make_vec("script:Local-v0", backend="process", plan=plan) as vector:
+    print(vector.reset()[0])
+'''
+
+
+def test_environments_that_a_script_defines_work_in_processes(tmp_path: Path) -> None:
+    """Also lambdas and wrappers that are functions, and without ``if __name__ == "__main__"``."""
+    path = tmp_path / "script.py"
+    path.write_text(SCRIPT)
+    run = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, timeout=LONGEST_S, check=False)
+    assert run.stderr == ""
+    once = "['start 3', 'start 5', 'start 3'] ['HEARD A', 'HEARD B', 'HEARD C']\n"
+    assert run.stdout == once * 2 + "['start 4', 'start 4'] ['heard a', 'heard b']\n['start 9']\n"
+
+
+def test_fork_of_a_program_leaves_its_workers_alone() -> None:
+    """A child that ends closes nothing of its parent's."""
+    process = program(
+        f"vector = begin({INLINE!r}, 2, 'process')\n"
+        "child = os.fork()\n"
+        "if not child:\n    del vector\n    import gc; gc.collect(); sys.exit(0)\n"
+        "os.waitpid(child, 0)\n"
+        "print(vector.step(['a', 'b']).truncated.tolist(), vector.faults, flush=True)\n"
+    )
+    out, errors = process.communicate(timeout=LONGEST_S)
+    assert out.splitlines()[1:] == ["[False, False] 0"], errors
+
+
+def test_plan_is_covered_when_workers_take_turns_to_die() -> None:
+    """Each item comes out exactly once, whether it failed or not."""
+    plan = [PlanItem(options={"fault": "exit"} if key % 5 == 2 else None) for key in range(20)]
+    vector = gem.make_vec(INLINE, 3, backend=("process", {"workers": 1}), seed=1, length=1)
+    keys = [(int(one.key), one.error is None) for one in gem.rollout(vector, lambda observation: "a", plan=plan)]
+    assert sorted(keys) == [(key, key % 5 != 2) for key in range(20)]
+    vector.close()
