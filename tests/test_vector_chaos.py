@@ -1,0 +1,319 @@
+"""Faults injected at random in all backends, with a checker that every episode is accounted for exactly once.
+
+The default run takes seconds. ``GEM_CHAOS_S=300 pytest tests/test_vector_chaos.py`` goes on for minutes with new seeds,
+and ``GEM_CHAOS_SEED=17`` begins with the one that a failure named.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import os
+import random
+import signal
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple, TextIO, cast
+
+import pytest
+import vector_envs
+from vector_envs import ASYNC, INLINE, KINDS, LUCKY, LUCKY_THREAD, PROCESS, THREAD
+
+import gem_core as gem
+from gem_core.agents.base import Context
+from gem_core.background import background_loop
+from gem_core.errors import EnvFaultError
+from gem_core.plans import PlanItem
+
+SOAK_S = float(os.environ.get("GEM_CHAOS_S", "0"))
+FIRST_SEED = int(os.environ.get("GEM_CHAOS_SEED", "1"))
+
+MILD = ["raise", "mute", "panic", "quit", "cancel", "recurse", "nothing", "no reward", "nan", "reported", "unpicklable"]
+DEADLY = ["exit", "kill", "one way", "children", "memory"]
+KINDS_OF_ERRORS = {"exception", "timeout", "died", "collateral", "engine", "agent"}
+
+
+class Home(NamedTuple):
+    """Where environments live in a round.
+
+    Args:
+        backend: Name and options.
+        ids: Environments.
+        words: What they may be told to do.
+        deadly: Ids that live in workers, and may be told to end them.
+        timeout: A ``step_timeout``, with which they may be told to hang.
+    """
+
+    backend: Any
+    ids: list[str]
+    words: list[str] = MILD
+    deadly: frozenset[str] = frozenset()
+    timeout: float | None = None
+
+
+HOMES = {
+    "sync": Home("sync", [INLINE, LUCKY]),
+    "async": Home("async", [INLINE, THREAD, ASYNC]),
+    "async with a time limit": Home("async", [THREAD, ASYNC], timeout=0.5),
+    "process": Home(("process", {"workers": 2}), [*KINDS, LUCKY], deadly=frozenset([*KINDS, LUCKY]), timeout=0.5),
+    "process in place": Home(("process", {"workers": 2}), [INLINE, PROCESS], deadly=frozenset([INLINE, PROCESS])),
+    "auto": Home(("auto", {"workers": 2}), [*KINDS, LUCKY_THREAD], deadly=frozenset([INLINE, PROCESS]), timeout=0.5),
+}
+
+
+class Round:
+    """One run with faults.
+
+    Args:
+        seed: Of everything that is drawn.
+        home: Where environments live.
+        items: Number of items of the plan.
+    """
+
+    def __init__(self, seed: int, home: Home, items: int) -> None:
+        self.home = home
+        self.random = random.Random(seed)
+        self.plan = [self.item() for _ in range(items)]
+        self.expected = Counter((str(key), n) for key, item in enumerate(self.plan) for n in range(item.repeat))
+        options: dict[str, Any] = {} if home.timeout is None else {"step_timeout": home.timeout}
+        self.vector = gem.make_vec(
+            home.ids, self.random.choice([1, 3, 7]), backend=home.backend, plan=self.plan, seed=seed, **options
+        )
+        self.vector._rules.budget.limit = 10**9  # it is the accounting that is looked at here
+        self.pids: set[int] = set()
+        self.over = threading.Event()
+
+    def word(self, env_id: str) -> str:
+        words = [*self.home.words, *(DEADLY if env_id in self.home.deadly else ())]
+        if self.home.timeout is not None and self.random.random() < 0.15:
+            return "hang"
+        word = self.random.choice(words)
+        return "raise" if word == "memory" and not self.home.deadly else word
+
+    def item(self) -> PlanItem:
+        env_id = self.random.choice(self.home.ids)
+        options: dict[str, Any] | None = None
+        kwargs = {}
+        chance = self.random.random()
+        if chance < 0.06:
+            options = {"fault": self.word(env_id)}
+        elif chance < 0.12 and env_id != ASYNC:
+            kwargs = {"init": self.word(env_id)}
+        elif chance < 0.5:
+            options = {"length": self.random.randint(1, 6)}
+        return PlanItem(id=env_id, options=options, kwargs=kwargs, repeat=self.random.choice([1, 1, 1, 3]))
+
+    def action(self, env_id: str, sample: Callable[[], str]) -> str:
+        chance = self.random.random()
+        if chance < 0.12:
+            return f"go!{self.word(env_id)}"
+        if chance < 0.4:
+            return sample()
+        return f"go {self.random.randint(0, 99)}"
+
+    # The agents.
+
+    def plain(self, observation: Any, context: Context) -> str:
+        return self.action(context.env_id, context.sample_random_action)
+
+    async def later(self, observation: Any, context: Context) -> str:
+        await asyncio.sleep(self.random.choice([0, 0, 0.001, 0.005]))
+        if self.random.random() < 0.02:
+            raise gem.errors.RequestError("the model server is down")
+        return self.action(context.env_id, context.sample_random_action)
+
+    # The drivers.
+
+    def rollout(self) -> Iterator[gem.Episode]:
+        yield from gem.rollout(self.vector, self.plain)
+
+    def rollout_async(self) -> Iterator[gem.Episode]:
+        yield from gem.rollout(self.vector, self.later, max_requests=self.random.choice([None, 2]))
+
+    def arollout(self) -> Iterator[gem.Episode]:
+        async def collected() -> list[gem.Episode]:
+            return [episode async for episode in gem.arollout(self.vector, self.later)]
+
+        yield from asyncio.run(collected())
+
+    def send_and_recv(self) -> Iterator[gem.Episode]:
+        """Episodes put together by hand from what ``recv`` and ``step`` give."""
+        vector = self.vector
+        observations, infos = vector.reset()
+        current: dict[int, gem.Episode] = {}
+        told: dict[int, str] = {}
+        for slot, (observation, info) in enumerate(zip(observations, infos, strict=True)):
+            yield from self.begun(slot, observation, info, current)
+        while current or vector.under_way:
+            idle = [slot for slot in current if slot not in told]
+            chosen = [slot for slot in idle if self.random.random() < 0.7]
+            for slot in chosen:
+                told[slot] = self.action(current[slot].id, lambda slot=slot: self.sampled(slot))  # type: ignore[misc]
+            if chosen and self.random.random() < 0.3:
+                step = vector.step({slot: told[slot] for slot in chosen})
+                received: Any = (chosen, *step)
+            else:
+                if chosen:
+                    vector.send({slot: told[slot] for slot in chosen})
+                if not vector.under_way:
+                    continue
+                received = vector.recv(self.random.choice([0, 1, 2]), timeout=self.random.choice([None, 0.01]))
+            for slot, observation, reward, terminated, truncated, info in zip(*received, strict=True):
+                episode = current[slot]
+                last = bool(terminated or truncated)
+                turn = gem.Transition(
+                    episode.final_observation,
+                    gem.Response.of(told.pop(slot)),
+                    float(reward),
+                    bool(terminated),
+                    bool(truncated),
+                    info["final_info"] if last else info,
+                )
+                episode.transitions.append(turn)
+                episode.final_observation = info["final_obs"] if last else observation
+                if last:
+                    del current[slot]
+                    yield episode
+                    yield from self.begun(slot, observation, info, current)
+
+    def sampled(self, slot: int) -> str:
+        try:
+            return self.vector.sample_random_action(slot)
+        except EnvFaultError:
+            return "go"
+
+    def begun(
+        self, slot: int, observation: Any, info: dict[str, Any], current: dict[int, gem.Episode]
+    ) -> Iterator[gem.Episode]:
+        for failed in info.get("failed_resets", ()):
+            entry = {name: failed[name] for name in ("id", "kwargs", "options", "seed", "key", "repeat")}
+            yield gem.Episode(observation="", info={"error": failed["error"]}, final_observation="", **entry)
+        draw = self.vector.draw_of(slot)
+        if draw is None:
+            assert info["idle"]
+            return
+        current[slot] = gem.Episode(
+            id=draw.item.id or "",
+            seed=draw.seed,
+            observation=observation,
+            info=info,
+            final_observation=observation,
+            options=draw.item.options,
+            key=draw.key,
+            repeat=draw.repeat,
+        )
+
+    # The saboteur and the checker.
+
+    def sabotage(self) -> None:
+        chance = random.Random(self.random.random())
+        while not self.over.wait(chance.choice([0.02, 0.2, 0.5, 1.0])):
+            for host in self.vector._engine.hosts:
+                links = [link for link in getattr(host, "_links", ()) if link is not None]
+                self.pids |= {link.pid for link in links}
+                if links and chance.random() < 0.3:
+                    with contextlib.suppress(ProcessLookupError):
+                        os.kill(chance.choice(links).pid, signal.SIGKILL)
+
+    def run(self, driver: str) -> Counter[str]:
+        saboteur = threading.Thread(target=self.sabotage, name="saboteur")
+        saboteur.start()
+        came: Counter[tuple[str, int]] = Counter()
+        errors: Counter[str] = Counter()
+        try:
+            for episode in getattr(self, driver)():
+                came[episode.key, episode.repeat] += 1
+                errors[self.checked(episode)] += 1
+        finally:
+            self.over.set()
+            saboteur.join()
+            self.vector.close()
+            vector_envs.HUNG.set()
+            vector_envs.HUNG.clear()
+        assert came == self.expected
+        return errors
+
+    def checked(self, episode: gem.Episode) -> str:
+        """Replay an episode alone; return the kind of its error."""
+        error = episode.error
+        whole = list(episode.transitions)
+        if error is not None:
+            assert isinstance(error, dict)
+            assert error["kind"] in KINDS_OF_ERRORS, error
+            if not whole:
+                return str(error["kind"])
+            del whole[-1]
+        env = gem.make(INLINE)
+        options = dict(episode.options) if episode.options else None
+        observation, info = env.reset(seed=episode.seed, options=options)
+        assert (episode.observation, info.items() <= episode.info.items()) == (observation, True)
+        for turn in whole:
+            assert turn.observation == observation
+            observation, reward, terminated, truncated, info = env.step(str(turn.action))
+            assert (turn.reward, turn.terminated, turn.truncated) == (reward, terminated, truncated)
+            assert {**turn.info, "extra": None} == {**info, "extra": None}
+        if error is None:
+            assert episode.final_observation == observation
+            assert whole[-1].terminated or whole[-1].truncated
+            return ""
+        return str(error["kind"])
+
+
+def threads() -> list[str]:
+    kept = ("gem-loop", "gem-blocking")  # what waits in a thread of its own ends with what it waits for
+    return sorted(one.name for one in threading.enumerate() if one.name.startswith("gem-") and one.name not in kept)
+
+
+def eventually(condition: Callable[[], object], limit_s: float = 60.0) -> bool:
+    """Look until something is so; the limit only ends a hang."""
+    end = time.monotonic() + limit_s
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        gc.collect()
+        threading.Event().wait(0.02)
+    return True
+
+
+def is_gone(pid: int) -> bool:
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+@pytest.mark.parametrize("driver", ["rollout", "rollout_async", "arollout", "send_and_recv"])
+@pytest.mark.parametrize("home", HOMES)
+def test_every_episode_is_accounted_for_exactly_once(home: str, driver: str) -> None:
+    """Each is right to the letter, or marked with an error; and nothing is left behind."""
+    until = time.monotonic() + SOAK_S / (4 * len(HOMES))
+    seed = FIRST_SEED
+    errors: Counter[str] = Counter()
+    with gem.make_vec(THREAD, backend="process", seed=0) as warm:
+        warm.reset()
+    background_loop()
+    eventually(lambda: not threads())
+    files = len(os.listdir("/proc/self/fd"))
+    while True:
+        attempt = Round(seed, HOMES[home], items=16 if seed == FIRST_SEED else 60)
+        try:
+            errors += attempt.run(driver)
+        except BaseException as error:
+            error.add_note(f"seed {seed}")
+            raise
+        pids = attempt.pids
+        del attempt
+        assert eventually(lambda: not threads()), (seed, threads())
+        assert eventually(lambda pids=pids: all(map(is_gone, pids))), seed
+        assert eventually(lambda: len(os.listdir("/proc/self/fd")) <= files), seed
+        seed += 1
+        if time.monotonic() >= until:
+            break
+    if SOAK_S:
+        text = f"{home}, {driver}: {seed - FIRST_SEED} rounds, episodes by the kind of their error: {dict(errors)}\n"
+        cast("TextIO", sys.__stderr__).write(text)
