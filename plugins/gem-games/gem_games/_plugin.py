@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 from gem_core.hookspecs import hookimpl
 from gem_core.specs import AgentSpec, EnvSpec
@@ -32,6 +32,7 @@ def gem_register_envs() -> Iterable[EnvSpec]:
     yield _game("TowerofHanoi-v0-easy", _HANOI, f"{tower}; 3 disks.", num_disks=3, max_turns=10)
     yield _game("TowerofHanoi-v0-hard", _HANOI, f"{tower}; 5 disks.", num_disks=5, max_turns=35)
     yield _game("TowerofHanoi-v0-random", _HANOI, f"{tower}; 3 to 5 disks.", num_disks=None, max_turns=None)
+    yield from _wiki_game()
 
 
 @hookimpl
@@ -44,8 +45,20 @@ def gem_register_agents() -> Iterable[AgentSpec]:
             name="mastermind", entry_point=f"{agents}:MastermindAgent", summary="Wins Mastermind by elimination."
         ),
         AgentSpec(name="hanoi", entry_point=f"{agents}:HanoiAgent", summary="Solves TowerofHanoi in the fewest moves."),
+        AgentSpec(
+            name="wikigame",
+            entry_point="gem_games.wiki.agent:WikiGameAgent",
+            summary="Wins WikiGame with the embedded articles, in the fewest turns.",
+        ),
     ]
 
 
 def _game(name: str, entry_point: str, summary: str, **kwargs: int | None) -> EnvSpec:
     return EnvSpec(id=f"game:{name}", entry_point=entry_point, kwargs=kwargs, summary=summary, tags=("game", "text"))
+
+
+def _wiki_game() -> Iterator[EnvSpec]:
+    entry, wiki = "gem_games.wiki_game:WikiGameEnv", "Go from one article to another by links"
+    yield _game("WikiGame-v0-easy", entry, f"{wiki}; 2 or 3 apart.", max_turns=30, min_distance=2, max_distance=3)
+    yield _game("WikiGame-v0-hard", entry, f"{wiki}; 4 to 6 apart.", max_turns=15, min_distance=4, max_distance=6)
+    yield _game("WikiGame-v0-random", entry, f"{wiki}; any distance.", max_turns=None, min_distance=2, max_distance=9)

@@ -43,6 +43,7 @@ class Game(Env):
 
     metadata: dict[str, Any] = {"render_modes": ["ansi"]}  # noqa: RUF012 - Gymnasium declares it without ClassVar
 
+    format_error_reward: float = FORMAT_ERROR_REWARD
     max_turns: int
     turn: int = 0
     outcome: str = _NOT_BEGUN
@@ -137,8 +138,9 @@ class Game(Env):
     def _format_error(self, feedback: str) -> StepResult:
         """The response cannot be read."""
         if self.format_error_ends:
-            return self._end(_LOST, f"{feedback} That ends the game.{self._solution()}", FORMAT_ERROR_REWARD, None)
-        return self._move(None, f"{feedback} The turn is lost.", FORMAT_ERROR_REWARD, FORMAT_ERROR_REWARD)
+            return self._end(_LOST, f"{feedback} That ends the game.{self._solution()}", self.format_error_reward, None)
+        reward = self.format_error_reward
+        return self._move(None, f"{feedback} The turn is lost.", reward, reward)
 
     def _invalid(self, feedback: str, at_limit: float = 0.0) -> StepResult:
         """The answer can be read and breaks a rule: nothing changes, and the turn is lost.
