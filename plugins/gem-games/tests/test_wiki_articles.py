@@ -66,7 +66,7 @@ def test_texts_are_clean() -> None:
         assert re.fullmatch(r"[\w\s.,;:'()/-]+[.]", text), title
         assert "  " not in text, title
         assert 80 <= len(text) <= 450, title
-        assert any(word[:5].rstrip("y") in text.casefold() for word in re.findall(r"\w+", title.casefold())), title
+        assert any(word[:4] in text.casefold() for word in re.findall(r"\w+", title.casefold())), title
 
 
 def test_links_are_words_of_the_text() -> None:
@@ -116,7 +116,7 @@ def test_pairs_have_the_wanted_distance() -> None:
 def test_pair_goes_on_to_a_start_that_has_targets() -> None:
     graph = EmbeddedArticles(SMALL)
     assert {tuple(graph.pair(Draws(seed), 2, 5)) for seed in range(50)} == {("A", "D", 2)}
-    with pytest.raises(ArgumentError, match="^no two embedded articles are 3 to 5 links apart; lower min_distance$"):
+    with pytest.raises(ArgumentError, match=r"^no two embedded articles are 3 to 5 links apart; lower min_distance$"):
         graph.pair(Draws(0), 3, 5)
 
 

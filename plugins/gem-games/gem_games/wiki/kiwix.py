@@ -87,8 +87,11 @@ class KiwixArticles(WebArticles):
         query = urlencode({"content": self._book_name(), "term": prefix, "count": _SUGGESTIONS})
         found = self._get(f"{self.url}/suggest?{query}").text
         try:
+            entries = json.loads(found)
+            if not isinstance(entries, list):
+                raise TypeError("no list")
             # The server escapes twice, for HTML and for JSON.
-            paths = [unescape(entry["path"]) for entry in json.loads(found) if entry["kind"] == "path"]
+            paths = [unescape(entry["path"]) for entry in entries if entry["kind"] == "path"]
         except (ValueError, TypeError, LookupError, RecursionError) as error:
             raise self._failure(f"gave suggestions that cannot be read ({error})") from error
         titles = (self._title_at(urljoin(self._content(), quote(path))) for path in paths)
@@ -143,7 +146,8 @@ class KiwixArticles(WebArticles):
         if not path.startswith(root) or urlsplit(url).netloc != urlsplit(self.url).netloc:
             return None
         title = path[len(root) :].replace("_", " ").strip()
-        return None if not title or _NO_ARTICLE.match(path[len(root) :]) else title
+        # A line break in a title could pass for a line of the game's own.
+        return None if not title.isprintable() or _NO_ARTICLE.match(path[len(root) :]) else title or None
 
 
 def _joined(base: str, href: str) -> str:

@@ -133,6 +133,8 @@ class WebArticles(ArticleGraph):
                     raise self._failure(f"answered more than {_MOST_BYTES:,} bytes to one request")
                 if time.monotonic() > deadline:
                     raise TimeoutError
+            if answer.length:  # what was announced and never came; the client itself does not complain
+                raise self._failure("hung up in the middle of an answer")
             charset = answer.headers.get_content_charset() or "utf-8"
             return Answer(answer.url, _decoded(b"".join(chunks), charset))
 
