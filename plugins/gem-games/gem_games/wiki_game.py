@@ -43,7 +43,7 @@ class WikiGameEnv(Game):
     - An article that cannot be fetched is no failure of yours: the episode is truncated with ``info["error"]``.
 
     Unlike in gem-llm the last turn ends the game as ``terminated``, the start and the target come from the seed, a way
-    between them exists, and an article where a word's meanings are told apart is never among the links.
+    between them exists, and pages known to do nothing but tell a word's meanings apart are left out of the links.
 
     Args:
         max_turns: Turns allowed. None draws 15 or 30.

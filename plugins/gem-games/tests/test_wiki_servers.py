@@ -104,7 +104,8 @@ def kiwix_page(title: str) -> str:
 <style>p {{ color: red }}</style><table class="infobox"><tr><td><p>Depth: <a href="{up}Depth.svg">4 km</a></p></td></tr>
 </table><div class="hatnote">See also <a href="#cite_note-1">the note</a>.</div>
 <p>The <b>{title}</b>&#160;is
-wide.<sup class="reference"><a href="#cite_note-1">[1]</a></sup> {links} <a class="new" href="{up}Nothing">red</a></p>
+wide.<sup class="reference"><a href="#cite_note-1">[1]</a></sup> {links} <a class="new" href="{up}Nothing">red</a>
+<a href="{up}Sea_(disambiguation)">other seas</a></p>
 <figure><p>A picture.</p><a href="{up}File:Sea.jpg"><img src="{up}_assets_/sea.webp"></a></figure>
 <p>It is <a href="https://www.example.org/Blue" class="external">blue</a>, at
 <a href="geo:1,2">1 N 2 E</a>. <a href="{up}{quote(title.replace(" ", "_"), safe="/")}">Itself</a>.</p>
@@ -166,7 +167,7 @@ def test_kiwix_article(serve: Any, root: str, prefix: str) -> None:
     article = graph.article("Sea")
     assert article.title == "Sea"
     assert article.text == (
-        "The Sea is wide. Coast End of the world River AC/DC red\nIt is blue, at 1 N 2 E. Itself.\nWater ? no address"
+        "The Sea is wide. Coast End of the world River AC/DC red other seas\nIt is blue, at 1 N 2 E. Itself.\nWater ? no address"
     )
     assert article.links == ("Coast", "End of the world", "River", "AC/DC")
     assert graph.article("AC/DC").links == ("River",)
@@ -406,7 +407,7 @@ def test_answer_without_end(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.parametrize(
     "reply",
     [
-        (302, {"Location": "file:///etc/passwd"}, b""),
+        (302, {"Location": "file:/etc/passwd"}, b""),
         (302, {"Location": "/"}, b""),
         (200, {"Content-Length": "100"}, b"{}"),
         (200, {"Transfer-Encoding": "chunked"}, b"zz\r\n"),

@@ -17,6 +17,7 @@ from gem_games.wiki.web import Answer, WebArticles
 _MOST_REFRESHES = 5
 _SUGGESTIONS = 50
 _PREFIXES = 10
+_APART = "(disambiguation)"
 _BOOK_LINK = re.compile(r'<link\b[^>]*\btype="text/html"[^>]*>', re.IGNORECASE)
 _HREF = re.compile(r'\bhref="([^"]*)"')
 # Pages about the collection rather than of it, and files.
@@ -81,7 +82,7 @@ class KiwixArticles(WebArticles):
             article = self.article(title)
         except ArticleNotFound:
             return None
-        return article if article.links and "(disambiguation)" not in article.title else None
+        return article if article.links and _APART not in article.title else None
 
     def _suggested(self, prefix: str) -> list[str]:
         query = urlencode({"content": self._book_name(), "term": prefix, "count": _SUGGESTIONS})
@@ -109,7 +110,7 @@ class KiwixArticles(WebArticles):
         if own is None:
             raise ArticleNotFound(f"{title!r:.200} leads out of the book {self._book_name()!r} of {self.url}")
         titles = dict.fromkeys(self._title_at(_joined(answer.url, href)) for href in reader.links)
-        return Article(own, reader.text, tuple(link for link in titles if link and link != own))
+        return Article(own, reader.text, tuple(link for link in titles if link and link != own and _APART not in link))
 
     def _page(self, title: str) -> Answer:
         path = quote(title.replace(" ", "_"), safe="/", errors="replace")

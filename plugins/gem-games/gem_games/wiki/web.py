@@ -52,7 +52,7 @@ class WebArticles(ArticleGraph):
 
     Args:
         url: Address of the server, ``http`` or ``https``.
-        timeout_s: Limit for one request, from the connection to the last byte.
+        timeout_s: How long the server may let one wait: for a connection, for the next data, for a whole answer.
         pause_s: Pause before a request to a busy server is tried a second time; the next one is twice as long. A
             server that names a time itself is waited for up to ten seconds.
     """
