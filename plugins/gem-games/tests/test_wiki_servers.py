@@ -167,7 +167,8 @@ def test_kiwix_article(serve: Any, root: str, prefix: str) -> None:
     article = graph.article("Sea")
     assert article.title == "Sea"
     assert article.text == (
-        "The Sea is wide. Coast End of the world River AC/DC red other seas\nIt is blue, at 1 N 2 E. Itself.\nWater ? no address"
+        "The Sea is wide. Coast End of the world River AC/DC red other seas\n"
+        "It is blue, at 1 N 2 E. Itself.\nWater ? no address"
     )
     assert article.links == ("Coast", "End of the world", "River", "AC/DC")
     assert graph.article("AC/DC").links == ("River",)
