@@ -1,0 +1,95 @@
+"""The lists of words: what is in them, what is not, and when they are read."""
+
+from __future__ import annotations
+
+import codecs
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gem_games.words import LENGTHS, is_word, nouns, word_list, words
+
+# Written in ROT13, so that these lines can be shown to a child as well.
+RUDE_LETTERS = codecs.decode(
+    "fuvg shpx phag avtt ovgpu jube fyhg cravf intva znfgheo sntt cbea encvfg betnf frkhny onfgneq jnax cebfgvghg "
+    "crqbcu rebgvp",
+    "rot13",
+)
+RUDE_WORDS = codecs.decode(
+    "nff nefr gvg gvgf pbpx qvpx cvff encr encrq ahqr anxrq frk frkl penc qnza urebva pbpnvar anmv xvxr fcvp tbbx qntb "
+    "pbba arteb zheqre fhvpvqr",
+    "rot13",
+)
+GRIM_WORDS = codecs.decode("xvyy tha qeht qrnq oybbq obzo qehax uryy gbegher greebe fynir", "rot13")
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+def test_lists_are_sorted_words_of_their_length(length: int) -> None:
+    """Lower case, a to z, no word twice; the nouns are common words, and these are among all."""
+    listed = word_list(length)
+    for group in listed[:3]:
+        assert list(group) == sorted(set(group))
+        assert all(len(word) == length and word.isascii() and word.isalpha() and word.islower() for word in group)
+    assert set(listed.nouns) <= set(listed.common) <= set(listed.every) == listed.known
+
+
+@pytest.mark.parametrize(("length", "common", "every"), [(3, 200, 700), (4, 800, 3_000), (5, 1_200, 6_000)])
+def test_lists_are_long_enough_for_games(length: int, common: int, every: int) -> None:
+    assert len(words(length)) >= common
+    assert len(word_list(length).every) >= every
+
+
+def test_words_of_every_length() -> None:
+    assert list(words()) == sorted(word for length in LENGTHS for word in words(length))
+    assert list(nouns()) == sorted(word for length in LENGTHS for word in nouns(length))
+    assert len(words()) > 10_000
+    assert {"apple", "house"} <= set(nouns(5)) <= set(nouns())
+    assert "quickly" not in nouns()
+
+
+def test_lengths_without_words() -> None:
+    assert words(1) == words(21) == words(-5) == nouns(0) == ()
+
+
+@pytest.mark.parametrize("text", ["apple", "APPLE", "Colour", "color", "zygotes", "it"])
+def test_words_are_known_in_any_case(text: str) -> None:
+    assert is_word(text)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "a b", "aplpe", "qqqqq", "apple ", "\ud800\ud800\ud800", "ａｐｐｌｅ", "x" * 10**7]
+)
+def test_other_texts_are_no_words(text: str) -> None:
+    assert not is_word(text)
+
+
+@settings(deadline=None)
+@given(st.text())
+def test_is_word_takes_any_text(text: str) -> None:
+    assert is_word(text) in (True, False)
+
+
+def test_no_word_is_rude() -> None:
+    """Neither an answer nor a guess; what is grim is no answer."""
+    every = {word for length in LENGTHS for word in word_list(length).every}
+    assert [word for word in every if any(stem in word for stem in RUDE_LETTERS.split())] == []
+    assert every & set(RUDE_WORDS.split()) == set()
+    assert set(words()) & set(GRIM_WORDS.split()) == set()
+
+
+def test_lists_are_read_when_they_are_asked_for() -> None:
+    """Neither the plugin nor the import of the module reads one, and asking for one length reads one."""
+    code = (
+        "import sys, gem_games._plugin as plugin\n"
+        "list(plugin.gem_register_envs())\n"
+        "unread = 'gem_games.words' not in sys.modules\n"
+        "from gem_games.words import word_list, words\n"
+        "sizes = [word_list.cache_info().currsize]\n"
+        "words(5), words(5)\n"
+        "print(unread, [*sizes, word_list.cache_info().currsize])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "True [0, 1]"
