@@ -33,6 +33,10 @@ def gem_register_envs() -> Iterable[EnvSpec]:
     yield _game("TowerofHanoi-v0-hard", _HANOI, f"{tower}; 5 disks.", num_disks=5, max_turns=35)
     yield _game("TowerofHanoi-v0-random", _HANOI, f"{tower}; 3 to 5 disks.", num_disks=None, max_turns=None)
     yield from _wiki_game()
+    yield from _wordle()
+    yield from _hangman()
+    yield from _crosswords()
+    yield from _word_search()
 
 
 @hookimpl
@@ -62,3 +66,31 @@ def _wiki_game() -> Iterator[EnvSpec]:
     yield _game("WikiGame-v0-easy", entry, f"{wiki}; 2 or 3 apart.", max_turns=30, min_distance=2, max_distance=3)
     yield _game("WikiGame-v0-hard", entry, f"{wiki}; 4 to 6 apart.", max_turns=15, min_distance=4, max_distance=6)
     yield _game("WikiGame-v0-random", entry, f"{wiki}; any distance.", max_turns=None, min_distance=2, max_distance=9)
+
+
+def _wordle() -> Iterator[EnvSpec]:
+    path, text = "gem_games.wordle:WordleEnv", "Find a secret word by green and yellow letters"
+    yield _game("Wordle-v0-easy", path, f"{text}; 3 letters.", word_length=3, only_real_words=True, max_turns=15)
+    yield _game("Wordle-v0-hard", path, f"{text}; 5 letters.", word_length=5, only_real_words=True, max_turns=25)
+    yield _game("Wordle-v0-random", path, f"{text}; 3 to 5.", word_length=None, only_real_words=True, max_turns=None)
+
+
+def _hangman() -> Iterator[EnvSpec]:
+    path, text = "gem_games.hangman:HangmanEnv", "Find a word by asking for letters"
+    yield _game("Hangman-v0-easy", path, f"{text}; 3 letters.", word_length=3, hardcore=False, max_turns=10)
+    yield _game("Hangman-v0-hard", path, f"{text}; 7 letters.", word_length=7, hardcore=False, max_turns=20)
+    yield _game("Hangman-v0-random", path, f"{text}; 3, 5 or 7.", word_length=None, hardcore=False, max_turns=None)
+
+
+def _crosswords() -> Iterator[EnvSpec]:
+    path, text = "gem_games.crosswords:CrosswordsEnv", "Fill a crossword from its clues"
+    yield _game("Crosswords-v0-easy", path, f"{text}; easy ones.", hardcore=False, max_turns=30, num_words=3)
+    yield _game("Crosswords-v0-hard", path, f"{text}; hard ones.", hardcore=True, max_turns=40, num_words=3)
+    yield _game("Crosswords-v0-random", path, f"{text}; any ones.", hardcore=None, max_turns=None, num_words=None)
+
+
+def _word_search() -> Iterator[EnvSpec]:
+    path, text = "gem_games.word_search:WordSearchEnv", "Find hidden words in a grid of letters"
+    yield _game("WordSearch-v0-easy", path, f"{text}; common ones.", hardcore=False, max_turns=20, num_words=5)
+    yield _game("WordSearch-v0-hard", path, f"{text}; rare, long ones.", hardcore=True, max_turns=20, num_words=5)
+    yield _game("WordSearch-v0-random", path, f"{text}; any ones.", hardcore=None, max_turns=None, num_words=None)

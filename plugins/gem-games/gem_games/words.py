@@ -13,6 +13,7 @@ from typing import NamedTuple
 LENGTHS = range(2, 21)
 """Lengths of words that there are lists of."""
 
+_LONGEST_SPACED = 1_000  # characters
 _FOLDER = Path(__file__).with_name("data") / "words"
 
 
@@ -65,3 +66,13 @@ def nouns(length: int | None = None) -> tuple[str, ...]:
 def is_word(text: str) -> bool:
     """Whether a text is an English word of ``LENGTHS``, common or not, in any case."""
     return len(text) in LENGTHS and text.lower() in word_list(len(text)).known
+
+
+def letters(text: str) -> str | None:
+    """Read letters from a to z in any case, with white space between them or not, as capitals; None if there is more.
+
+    White space is not looked for in a text of more than 1,000 characters.
+    """
+    if not text.isalpha() and len(text) <= _LONGEST_SPACED:
+        text = "".join(text.split())
+    return text.upper() if text.isascii() and text.isalpha() else None

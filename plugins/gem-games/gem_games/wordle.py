@@ -1,0 +1,184 @@
+r"""Wordle: find a secret word; each guess is marked letter by letter."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import Any
+
+from gem_core.errors import ArgumentError
+from gem_core.seeding import Draws
+from gem_core.types import StepResult
+from gem_games.game import Game, check_whole, painted, quote
+from gem_games.words import letters, word_list
+
+_SIZES = (3, 15), (4, 20), (5, 25)
+_SHORTEST, _LONGEST = 3, 12
+_ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+_COLOURS = {"G": "green", "Y": "yellow", "X": "dim"}
+
+
+class WordleEnv(Game):
+    r"""Find a word by guesses such as ``\boxed{crane}``.
+
+    Each letter of a guess is marked: G (green) in its right place, Y (yellow) elsewhere in the word, X not in the word.
+    A letter gets as many marks G and Y as the word has of it, G first.
+
+    - A guess: ``0.5 / length`` for each place that is green for the first time. The right word: 0.5 on top of that, and
+      the game is won. The rewards of a won game add up to 1.
+    - A guess of the wrong length, made before, or that is no word: reward 0, and no marks.
+    - The last turn is rewarded like any other.
+    - Not letters from a to z (capitals or not, with spaces between them or not): reward -0.1, the game is over.
+
+    The secret is a common word, a guess may be a rare one. gem-llm accepts any letters as a guess, whatever its
+    parameter ``only_real_words`` says; here the parameter does what it says.
+
+    Args:
+        word_length: Letters of the word.
+        only_real_words: Whether a guess must be an English word, as ``gem_games.words`` knows them.
+        max_turns: Guesses allowed.
+        format_error_ends: See ``Game``.
+
+    Where ``word_length`` or ``max_turns`` is None, a size is drawn from (3, 15), (4, 20) and (5, 25), and what was
+    given replaces its part of it.
+
+    Source: parameters and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem.
+    """
+
+    def __init__(
+        self,
+        word_length: int | None = 5,
+        only_real_words: bool = True,
+        max_turns: int | None = 20,
+        *,
+        format_error_ends: bool = True,
+    ) -> None:
+        super().__init__(format_error_ends=format_error_ends)
+        check_whole("word_length", word_length, _SHORTEST, _LONGEST)
+        check_whole("max_turns", max_turns, 1, 10**15)
+        if not isinstance(only_real_words, bool):
+            raise ArgumentError(f"only_real_words must be True or False, not {only_real_words!r}")
+        self.only_real_words = only_real_words
+        self._sizes = list(dict.fromkeys((word_length or length, max_turns or turns) for length, turns in _SIZES))
+        self.word_length, self.max_turns = self._sizes[0]
+        self.word = ""
+        self._begin()
+
+    def _deal(self, draws: Draws) -> None:
+        if len(self._sizes) > 1:
+            self.word_length, self.max_turns = self._sizes[draws.below(len(self._sizes))]
+        common = word_list(self.word_length).common
+        self.word = common[draws.below(len(common))].upper()
+        self._begin()
+
+    def _begin(self) -> None:
+        self.guesses: dict[str, str] = {}
+        """The guesses and their marks."""
+        self._green = [False] * self.word_length
+        self._marked = ""
+
+    def _rules(self) -> str:
+        accepted = ", or that is not an English word," if self.only_real_words else ""
+        return (
+            "Wordle: find a secret English word.\n"
+            "Each guess gets a mark for each of its letters, in their order: G for a letter in its right place, Y for "
+            "one that is elsewhere in the word, X for one that is not in it. A letter that the word has once gets G or "
+            "Y only once. A guess of another length, one that you have made before"
+            f"{accepted} costs a turn and gets no marks.\n"
+            f"Write your guess inside \\boxed{{}}, for example \\boxed{{{word_list(self.word_length).common[0]}}}; "
+            f"only the last box of a response counts. You have {self.max_turns} turns.\n"
+        )
+
+    def _situation(self) -> str:
+        return (
+            f"\nThe word has {self.word_length} letters. Guesses so far:{self._marked or ' none'}\n"
+            + self._turns_left("Put your guess inside \\boxed{}.")
+        )
+
+    def _opening_key(self) -> Hashable:
+        return self.word_length, self.max_turns
+
+    def _play(self, answer: str) -> StepResult:
+        guess = letters(answer)
+        if guess is None:
+            return self._format_error(f"{quote(answer)} is not a word of the letters from A to Z.")
+        if len(guess) != self.word_length:
+            return self._invalid(f"Your guess has {len(guess)} letters, and the word has {self.word_length}.")
+        if guess in self.guesses:
+            return self._invalid(f"You have guessed {guess} before.")
+        if self.only_real_words and guess.lower() not in word_list(self.word_length).known:
+            return self._invalid(f"{guess} is not in the list of words.")
+        reward = self._mark(guess)
+        if guess == self.word:
+            return self._win(guess, f"{guess} is right: you found the word.", reward + 0.5)
+        return self._move(guess, f"{guess} is marked {self.guesses[guess]}.", reward, reward)
+
+    def _mark(self, guess: str) -> float:
+        """Note the marks of a guess, and return the reward for places that are green for the first time."""
+        marks = marks_of(guess, self.word)
+        fresh = 0
+        for place, mark in enumerate(marks):
+            if mark == "G" and not self._green[place]:
+                self._green[place] = True
+                fresh += 1
+        self.guesses[guess] = spaced = " ".join(marks)
+        self._marked = f"{self._marked}\n{guess}: {spaced}"
+        return 0.5 * fresh / self.word_length
+
+    def _solution(self) -> str:
+        return f" The word was {self.word}."
+
+    def _random_answer(self) -> str:
+        """Draw a common word that was not guessed before."""
+        common = word_list(self.word_length).common
+        index = int(self.action_random.random() * len(common))
+        # The walk ends, since the secret word is not among the guesses while the game goes on.
+        while common[index % len(common)].upper() in self.guesses and self.outcome == "playing":
+            index += 1
+        return common[index % len(common)]
+
+    def _drawing(self) -> str:
+        rows = []
+        best: dict[str, str] = {}
+        for guess, marks in self.guesses.items():
+            pairs = list(zip(guess, marks.split(), strict=True))
+            rows.append("  " + " ".join(painted(letter, _COLOURS[mark]) for letter, mark in pairs))
+            for letter, mark in pairs:
+                best[letter] = min(best.get(letter, "Z"), mark, key="GYXZ".index)
+        if self.outcome == "playing":
+            rows.append("  " + " ".join("_" * self.word_length))
+        elif self.outcome == "lost":
+            rows.append("  " + painted(" ".join(self.word), "bold"))
+        keys = (painted(letter, _COLOURS[best[letter]]) if letter in best else letter for letter in _ALPHABET)
+        return "\n".join([*rows, "", "".join(keys)])
+
+    def _get_state(self) -> dict[str, Any]:
+        return {
+            **super()._get_state(),
+            "word_length": self.word_length,
+            "max_turns": self.max_turns,
+            "word": self.word,
+            "guesses": list(self.guesses),
+        }
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        super()._set_state(state)
+        self.word_length, self.max_turns = int(state["word_length"]), int(state["max_turns"])
+        self.word = str(state["word"])
+        self._begin()
+        for guess in state["guesses"]:
+            self._mark(str(guess))
+
+
+def marks_of(guess: str, word: str) -> list[str]:
+    """Return a mark for each letter of a guess: ``"G"``, ``"Y"`` or ``"X"``."""
+    left = [right for letter, right in zip(guess, word, strict=True) if letter != right]
+    marks = []
+    for letter, right in zip(guess, word, strict=True):
+        if letter == right:
+            marks.append("G")
+        elif letter in left:
+            left.remove(letter)
+            marks.append("Y")
+        else:
+            marks.append("X")
+    return marks

@@ -1,0 +1,423 @@
+"""What the word games promise: their parameters, and that a solver which reads the observation wins every instance."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import gem_core as gem
+from gem_core.errors import ResetNeededError
+from gem_core.seeding import Draws
+from gem_core.testing import check_env
+from gem_games.crossword_layout import lay_out
+from gem_games.crosswords import clues
+from gem_games.wordle import marks_of
+from gem_games.words import is_word, words
+
+PARAMETERS: dict[str, dict[str, Any]] = {
+    "game:Wordle-v0-easy": {"word_length": 3, "only_real_words": True, "max_turns": 15},
+    "game:Wordle-v0-hard": {"word_length": 5, "only_real_words": True, "max_turns": 25},
+    "game:Wordle-v0-random": {"word_length": None, "only_real_words": True, "max_turns": None},
+    "game:Hangman-v0-easy": {"word_length": 3, "hardcore": False, "max_turns": 10},
+    "game:Hangman-v0-hard": {"word_length": 7, "hardcore": False, "max_turns": 20},
+    "game:Hangman-v0-random": {"word_length": None, "hardcore": False, "max_turns": None},
+    "game:Crosswords-v0-easy": {"hardcore": False, "max_turns": 30, "num_words": 3},
+    "game:Crosswords-v0-hard": {"hardcore": True, "max_turns": 40, "num_words": 3},
+    "game:Crosswords-v0-random": {"hardcore": None, "max_turns": None, "num_words": None},
+    "game:WordSearch-v0-easy": {"hardcore": False, "max_turns": 20, "num_words": 5},
+    "game:WordSearch-v0-hard": {"hardcore": True, "max_turns": 20, "num_words": 5},
+    "game:WordSearch-v0-random": {"hardcore": None, "max_turns": None, "num_words": None},
+}
+IDS = list(PARAMETERS)
+ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+HOSTILE = [
+    "",
+    "\\boxed{}",
+    "\\boxed{\x00}",
+    "\\boxed{\ud800}",
+    "\\boxed{" * 5_000,
+    "\\boxed{{{{a}}}}",
+    "\\boxed{\u0430}",
+    "\\boxed{0 0 \u0130}",
+    "\\boxed{0 0 \u00df}",
+    f"\\boxed{{{'7 ' * 4}}}",
+    f"\\boxed{{{'9' * 5_000} 0 a}}",
+    f"\\boxed{{{'1 ' * 2_500_000}}}",
+    f"\\boxed{{a{' ' * 5_000_000}b}}",
+    "x" * 5_000_000,
+    "\\boxed{" + "x" * 5_000_000 + "}",
+]
+
+
+def box(answer: object) -> str:
+    return f"\\boxed{{{answer}}}"
+
+
+class WordleSolver:
+    """Guesses the first common word that agrees with all marks that the observation shows."""
+
+    def __call__(self, observation: str) -> str:
+        length = int(re.findall(r"The word has (\d+) letters", observation)[-1])
+        marked = re.findall(r"^([A-Z]+):((?: [GYX])+)$", observation, re.MULTILINE)
+        if not marked:
+            self.left = [word.upper() for word in words(length)]
+        else:
+            guess, marks = marked[-1][0], marked[-1][1].split()
+            self.left = [word for word in self.left if word != guess and marks_of(guess, word) == marks]
+        return box(self.left[0])
+
+
+class HangmanSolver:
+    """Asks for the letter that splits best what is left of the list, until there are turns enough to say every word."""
+
+    def __init__(self, asked: dict[tuple[str, ...], str]) -> None:
+        self.asked = asked
+        """What was asked in each state before, since most games begin alike."""
+
+    def __call__(self, observation: str) -> str:
+        shown = re.findall(r"letters: ([A-Z_ ]+)$", observation, re.MULTILINE)[-1].replace(" ", "")
+        tried = re.findall(r"Tried so far: (.*)\.$", observation, re.MULTILINE)[-1]
+        turns = int(re.findall(r"Turns left: (\d+)", observation)[-1])
+        tries = [] if tried == "nothing" else tried.split(", ")
+        if not tries:
+            self.left = [word.upper() for word in words(len(shown))]
+        form = re.compile(shown.replace("_", f"[^{''.join(each for each in tries if len(each) == 1)}0]"))
+        self.left = [word for word in self.left if form.fullmatch(word) and word not in tries]
+        if len(self.left) <= turns:
+            return box(self.left[0])
+        state = shown, *sorted(tries)
+        if state not in self.asked:
+            self.asked[state] = min((each for each in ALPHABET if each not in tries), key=self.size_of_parts)
+        return box(self.asked[state])
+
+    def size_of_parts(self, letter: str) -> float:
+        parts = Counter(tuple(each == letter for each in word) for word in self.left)
+        return sum(count**1.5 for count in parts.values())
+
+
+def crossword_solver(observation: str) -> str:
+    """Look the clues up in the lists they come from, and fill in the first letter that is missing."""
+    known = {clue: word for hard in (False, True) for word, clue in clues(hard).of.items()}
+    rows = [row.split()[1:] for row in re.findall(r"^ ?\d+(?:  \S)+$", observation, re.MULTILINE)]
+    listed = re.findall(r"^(across|down) from row (\d+) column (\d+), (\d+) letters: (.+)$", observation, re.MULTILINE)
+    for direction, row, column, length, clue in listed:
+        word = known[clue]
+        assert len(word) == int(length)
+        for place, letter in enumerate(word):
+            at = int(row) + place * (direction == "down"), int(column) + place * (direction == "across")
+            if rows[at[0]][at[1]] == "_":
+                return box(f"{at[0]} {at[1]} {letter.lower()}")
+    raise AssertionError("no cell is empty")
+
+
+def word_search_solver(observation: str) -> str:
+    """Scan rows and columns for the first word that is still to be found."""
+    word = re.findall(r"Words to find: ([A-Z]+)", observation)[-1]
+    rows = [row.split()[1:] for row in re.findall(r"^ ?\d+(?:  [A-Za-z])+$", observation, re.MULTILINE)]
+    grid = ["".join(row).upper() for row in rows]
+    for row, letters in enumerate(grid):
+        if word in letters:
+            column = letters.index(word)
+            return box(f"{row} {column} {row} {column + len(word) - 1}")
+    for column, down in enumerate(map("".join, zip(*grid, strict=True))):
+        if word in down:
+            row = down.index(word)
+            return box(f"{row} {column} {row + len(word) - 1} {column}")
+    raise AssertionError(f"{word} is not in the grid")
+
+
+def solver(env_id: str, asked: dict[tuple[str, ...], str] | None = None) -> Callable[[str], str]:
+    game = env_id.removeprefix("game:").partition("-")[0]
+    if game == "Wordle":
+        return WordleSolver()
+    if game == "Hangman":
+        return HangmanSolver({} if asked is None else asked)
+    return crossword_solver if game == "Crosswords" else word_search_solver
+
+
+def played(env: Any, seed: int, agent: Any = None) -> list[Any]:
+    """Play an episode and return all that it gave."""
+    observation, info = env.reset(seed=seed)
+    records: list[Any] = [(observation, info)]
+    over = False
+    while not over:
+        result = env.step(agent(observation) if agent else env.sample_random_action())
+        observation, over = result[0], result[2]
+        records.append(result)
+    return records
+
+
+def test_registered_ids_and_parameters() -> None:
+    """Every id has the parameters that published baselines were measured with."""
+    assert {env_id: dict(gem.spec(env_id).kwargs) for env_id in IDS} == PARAMETERS
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_keeps_the_contract(env_id: str) -> None:
+    check_env(env_id)
+
+
+@pytest.mark.parametrize("env_id", [env_id for env_id in IDS if "Hangman" not in env_id])
+def test_solver_wins_a_thousand_games(env_id: str) -> None:
+    """Every instance is solvable within its turns, from the observations alone; the rewards add up to 1."""
+    env, agent = gem.make(env_id), solver(env_id)
+    for seed in range(1_000):
+        records = played(env, seed, agent)
+        assert records[-1][4]["correct"], f"seed {seed}: {records[-1][0]}"
+        assert sum(record[1] for record in records[1:]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "least"),
+    [("game:Hangman-v0-easy", 800), ("game:Hangman-v0-hard", 1_000), ("game:Hangman-v0-random", 900)],
+)
+def test_hangman_is_won_a_thousand_times(env_id: str, least: int) -> None:
+    """Asking for the letters that a word has, and then saying it, takes few enough turns.
+
+    A solver that knows nothing but the list of words wins all games but some of those with 3 letters: of BAD, HAD, LAD,
+    PAD … it cannot try each within 10 turns.
+    """
+    env: Any = gem.make(env_id)
+    asked: dict[tuple[str, ...], str] = {}
+    wins = 0
+    for seed in range(1_000):
+        env.reset(seed=seed)
+        word = env.unwrapped.word
+        results = [env.step(box(answer)) for answer in [*dict.fromkeys(word), word]]
+        assert results[-1][4]["correct"]
+        assert sum(result[1] for result in results) == pytest.approx(1.0)
+        wins += played(env, seed, solver(env_id, asked))[-1][4]["correct"]
+    assert wins >= least
+
+
+def test_random_sizes() -> None:
+    wordle, hangman = gem.make("game:Wordle-v0-random"), gem.make("game:Hangman-v0-random")
+    sizes: list[set[tuple[int, int]]] = [set(), set()]
+    for seed in range(100):
+        for env, found in zip((wordle, hangman), sizes, strict=True):
+            env.reset(seed=seed)
+            game: Any = env.unwrapped
+            found.add((game.word_length, game.max_turns))
+            assert len(game.word) == game.word_length
+    assert sizes == [{(3, 15), (4, 20), (5, 25)}, {(3, 10), (5, 15), (7, 20)}]
+
+
+@pytest.mark.parametrize("name", ["Crosswords", "WordSearch"])
+def test_random_difficulty(name: str) -> None:
+    """Easy and hard turn up, with 20 turns."""
+    env: Any = gem.make(f"game:{name}-v0-random")
+    levels = {(env.reset(seed=seed), env.unwrapped.hardcore, env.unwrapped.max_turns)[1:] for seed in range(50)}
+    assert levels == {(False, 20), (True, 20)}
+
+
+@pytest.mark.parametrize("hard", [False, True])
+@pytest.mark.parametrize(("count", "cells"), [(1, 5), (3, 15), (3, 20), (5, 100), (20, 100)])
+def test_layouts_are_crosswords(hard: bool, count: int, cells: int) -> None:
+    """Each run of letters, across or down, is one of the words; all are connected; and there are cells enough."""
+    for seed in range(50):
+        placed = lay_out(clues(hard).words, count, cells, Draws(seed))
+        letters: dict[tuple[int, int], str] = {}
+        for row, column, across, word in placed:
+            for place, letter in enumerate(word):
+                cell = (row, column + place) if across else (row + place, column)
+                assert letters.setdefault(cell, letter) == letter
+        assert len(letters) <= cells
+        assert len({each.word for each in placed}) == count
+        assert min(row for row, _ in letters) == min(column for _, column in letters) == 0
+        assert sorted(runs(letters)) == sorted(each.word for each in placed)
+        assert connected(set(letters))
+
+
+def runs(letters: dict[tuple[int, int], str]) -> list[str]:
+    """Return all words of two letters or more that can be read across or down."""
+    found = []
+    for down, right in ((0, 1), (1, 0)):
+        for row, column in letters:
+            if (row - down, column - right) not in letters:
+                word, at = "", (row, column)
+                while at in letters:
+                    word, at = word + letters[at], (at[0] + down, at[1] + right)
+                if len(word) > 1:
+                    found.append(word)
+    return found
+
+
+def connected(cells: set[tuple[int, int]]) -> bool:
+    seen, edge = set(), [next(iter(cells))]
+    while edge:
+        row, column = edge.pop()
+        seen.add((row, column))
+        beside = {(row + 1, column), (row - 1, column), (row, column + 1), (row, column - 1)}
+        edge += (beside & cells) - seen
+    return seen == cells
+
+
+@pytest.mark.parametrize("hard", [False, True])
+def test_clues(hard: bool) -> None:
+    """Some hundred words each, every one with a short clue that does not give it away."""
+    known = clues(hard).of
+    assert len(known) >= 250
+    assert len(set(known.values())) == len(known)
+    for word, clue in known.items():
+        assert is_word(word)
+        assert word.lower() not in clue.lower()
+        assert 3 <= len(word) <= 10
+        assert 4 <= len(clue) <= 70
+        assert not clue.endswith(".")
+    assert sum(len(word) <= 5 for word in known) >= 60
+
+
+def test_easy_and_hard_clues_share_no_word() -> None:
+    assert set(clues(False).of) & set(clues(True).of) == set()
+
+
+@pytest.mark.parametrize(("num_words", "hardcore"), [(1, False), (5, True), (30, False), (30, True)])
+def test_word_search_hides_all_words(num_words: int, hardcore: bool) -> None:
+    """However many there are: each stands in the grid, across or down."""
+    env: Any = gem.make("game:WordSearch-v0-easy", num_words=num_words, hardcore=hardcore, max_turns=30).unwrapped
+    for seed in range(30):
+        env.reset(seed=seed)
+        lines = " ".join([*env.grid, *map("".join, zip(*env.grid, strict=True))])
+        assert len(set(env.words)) == num_words
+        assert all(word in lines for word in env.words)
+        assert not any(word[::-1] in env.words and word != word[::-1] for word in env.words)
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_observation_is_feedback_and_suffix(env_id: str) -> None:
+    """At every turn; infos are fresh, plain JSON."""
+    env = gem.make(env_id)
+    for seed in range(10):
+        for number, record in enumerate(played(env, seed)):
+            observation, info = record[0], record[-1]
+            assert observation == info["feedback"] + info["suffix"]
+            assert info == json.loads(json.dumps(info))
+            if number:
+                assert type(record[1]) is float
+                assert ("correct" in info) is record[2]
+                assert f"Turns left: {env.max_turns - number}." in info["suffix"] or record[2]
+            info.clear()
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_random_actions_are_valid(env_id: str) -> None:
+    """No sampled action is lost, over whole episodes."""
+    env = gem.make(env_id)
+    for seed in range(50):
+        for record in played(env, seed)[1:]:
+            assert record[-1]["parsed_action"] is not None
+            assert "The turn is lost." not in record[0]
+
+
+@pytest.mark.parametrize(
+    ("env_id", "kwargs"),
+    [
+        ("game:Hangman-v0-easy", {"max_turns": 10_000}),
+        ("game:Crosswords-v0-easy", {"max_turns": 10_000, "num_words": 1}),
+        ("game:Wordle-v0-easy", {"max_turns": 10_000}),
+        ("game:WordSearch-v0-easy", {"max_turns": 10_000, "num_words": 1}),
+    ],
+)
+def test_random_actions_exhaust_a_game(env_id: str, kwargs: dict[str, Any]) -> None:
+    """Actions never repeat what is known to be wrong, so that a random agent with turns enough wins."""
+    env = gem.make(env_id, **kwargs)
+    assert all(played(env, seed)[-1][4]["correct"] for seed in range(3))
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_sampling_after_the_end_still_gives_an_answer(env_id: str) -> None:
+    env = gem.make(env_id)
+    with pytest.raises(ResetNeededError, match="call reset"):
+        env.sample_random_action()
+    played(env, 0, solver(env_id))
+    assert re.fullmatch(r"\\boxed\{.+\}", env.sample_random_action())
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_same_seed_same_episode(env_id: str) -> None:
+    """Alone, after other episodes, and beside another instance; another seed gives another one."""
+    env, other = gem.make(env_id), gem.make(env_id)
+    first = [played(env, seed) for seed in range(20)]
+    assert [played(other, seed) for seed in reversed(range(20))] == first[::-1]
+    assert len({json.dumps(records) for records in first}) == 20
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_state_goes_through_json_into_another_instance(env_id: str) -> None:
+    """At every turn, the first and the last included; the drawn parameters come along."""
+    env = gem.make(env_id, render_mode="ansi")
+    for seed in range(3):
+        observation, _ = env.reset(seed=seed)
+        agent = solver(env_id)
+        over = False
+        while not over:
+            state = env.get_state()
+            assert state == json.loads(json.dumps(state))
+            sibling = gem.make(env_id, render_mode="ansi")
+            sibling.reset(seed=seed + 1)
+            sibling.set_state(json.loads(json.dumps(state)))
+            assert sibling.render() == env.render()
+            assert sibling.sample_random_action() == env.sample_random_action()
+            action = agent(observation)
+            result = env.step(action)
+            assert sibling.step(action) == result
+            assert sibling.get_state() == env.get_state()
+            observation, over = result[0], result[2]
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_state_before_the_first_reset(env_id: str) -> None:
+    env, other = gem.make(env_id), gem.make(env_id)
+    other.reset(seed=1)
+    other.set_state(env.get_state())
+    assert other.get_state() == env.get_state()
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_hostile_responses_are_answered_fast_and_briefly(env_id: str) -> None:
+    for format_error_ends in (True, False):
+        env = gem.make(env_id, format_error_ends=format_error_ends)
+        for response in HOSTILE:
+            opening, _ = env.reset(seed=0)
+            started = time.perf_counter()
+            observation, reward, *_ = env.step(response)
+            assert time.perf_counter() - started < 5, response[:40]
+            assert len(observation) < len(opening) + 500
+            assert observation.encode()
+            assert reward in (0.0, -0.1)
+
+
+@settings(deadline=None)
+@given(st.sampled_from(IDS), st.integers(0, 50), st.lists(st.text("ABCabc 012\\boxed{},-", max_size=12), max_size=8))
+def test_rewards_stay_within_bounds(env_id: str, seed: int, answers: list[str]) -> None:
+    """Whatever is said, a game pays from -0.1 to 1 a turn and at most 1 in all."""
+    env = gem.make(env_id)
+    env.reset(seed=seed)
+    total = 0.0
+    for answer in answers:
+        _, reward, terminated, truncated, _ = env.step(box(answer))
+        assert not truncated
+        assert -0.1 <= reward <= 1
+        total += reward
+        if terminated:
+            break
+    assert total <= 1 + 1e-9
+
+
+@settings(deadline=None)
+@given(st.text("ABC", min_size=5, max_size=5), st.text("ABC", min_size=5, max_size=5))
+def test_marks_count_each_letter_of_the_word_once(guess: str, word: str) -> None:
+    """G where the letters are the same; G and Y of a letter together as often as both words have it."""
+    marks = marks_of(guess, word)
+    assert [mark == "G" for mark in marks] == [letter == right for letter, right in zip(guess, word, strict=True)]
+    for letter in set(guess):
+        coloured = sum(mark != "X" for each, mark in zip(guess, marks, strict=True) if each == letter)
+        assert coloured == min(guess.count(letter), word.count(letter))
