@@ -102,7 +102,7 @@ class HangmanEnv(Game):
         if len(guess) == 1:
             return self._play_letter(guess)
         if len(guess) != self.word_length:
-            return self._invalid(f"Your word has {len(guess)} letters, and the secret one has {self.word_length}.")
+            return self._invalid(f"Your guess has length {len(guess)}, and the word has length {self.word_length}.")
         if guess == self.word:
             reward = 0.5 + 0.5 * self.shown.count("_") / self.word_length
             return self._win(guess, f"{guess} is right: you found the word.", reward)

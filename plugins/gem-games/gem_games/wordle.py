@@ -102,7 +102,7 @@ class WordleEnv(Game):
         if guess is None:
             return self._format_error(f"{quote(answer)} is not a word of the letters from A to Z.")
         if len(guess) != self.word_length:
-            return self._invalid(f"Your guess has {len(guess)} letters, and the word has {self.word_length}.")
+            return self._invalid(f"Your guess has length {len(guess)}, and the word has length {self.word_length}.")
         if guess in self.guesses:
             return self._invalid(f"You have guessed {guess} before.")
         if self.only_real_words and guess.lower() not in word_list(self.word_length).known:
