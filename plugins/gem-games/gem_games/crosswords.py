@@ -91,8 +91,8 @@ class CrosswordsEnv(Game):
         for row, column, across, word in self.placed:
             for place, letter in enumerate(word):
                 self.solution[(row, column + place) if across else (row + place, column)] = letter
-        self.height = max((row for row, _ in self.solution), default=-1) + 1
-        self.width = max((column for _, column in self.solution), default=-1) + 1
+        self.height = max([row + (1 if across else len(word)) for row, _, across, word in self.placed], default=0)
+        self.width = max([column + (len(word) if across else 1) for _, column, across, word in self.placed], default=0)
         self.grid = [["."] * self.width for _ in range(self.height)]
         for row, column in self.solution:
             self.grid[row][column] = "_"

@@ -116,10 +116,11 @@ class WordleEnv(Game):
         """Note the marks of a guess, and return the reward for places that are green for the first time."""
         marks = marks_of(guess, self.word)
         fresh = 0
-        for place, mark in enumerate(marks):
-            if mark == "G" and not self._green[place]:
-                self._green[place] = True
-                fresh += 1
+        if "G" in marks:
+            for place, mark in enumerate(marks):
+                if mark == "G" and not self._green[place]:
+                    self._green[place] = True
+                    fresh += 1
         self.guesses[guess] = spaced = " ".join(marks)
         self._marked = f"{self._marked}\n{guess}: {spaced}"
         return 0.5 * fresh / self.word_length
@@ -171,14 +172,15 @@ class WordleEnv(Game):
 
 def marks_of(guess: str, word: str) -> list[str]:
     """Return a mark for each letter of a guess: ``"G"``, ``"Y"`` or ``"X"``."""
-    left = [right for letter, right in zip(guess, word, strict=True) if letter != right]
-    marks = []
+    left, marks = word, []
     for letter, right in zip(guess, word, strict=True):
         if letter == right:
+            left = left.replace(letter, "", 1)
             marks.append("G")
-        elif letter in left:
-            left.remove(letter)
-            marks.append("Y")
         else:
             marks.append("X")
+    for place, letter in enumerate(guess):
+        if letter in left and marks[place] == "X":
+            left = left.replace(letter, "", 1)
+            marks[place] = "Y"
     return marks
