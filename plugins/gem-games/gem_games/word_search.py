@@ -6,8 +6,6 @@ import math
 from functools import cache
 from typing import Any
 
-import numpy as np
-
 from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
@@ -99,7 +97,7 @@ class WordSearchEnv(Game):
         size = max(math.ceil(1.5 * len(self.words[0])), math.isqrt(2 * sum(map(len, self.words))))
         while (placed := _place(self.words, size, draws)) is None:
             size += 1
-        cells = self.np_random.integers(65, 91, size * size, dtype=np.uint8).tobytes().decode("ascii")
+        cells = self.np_random.integers(65, 91, size * size, dtype="uint8").tobytes().decode("ascii")
         whole = list(cells)
         for cell, letter in placed.items():
             whole[cell] = letter
