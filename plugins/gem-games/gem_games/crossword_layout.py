@@ -80,44 +80,42 @@ def _try_to_lay_out(words: Sequence[str], count: int, most_cells: int, draws: Dr
 def _place(word: str, sheet: dict[int, str], begun: list[Begun], draws: Draws) -> tuple[int, int] | None:
     """Draw one of the places where a word crosses another and breaks no rule: its first cell and its stride."""
     crossings = [
-        (start + stride * theirs - (stride ^ _ACROSS ^ _DOWN) * ours, stride ^ _ACROSS ^ _DOWN)
+        (start + stride * theirs, stride, ours)
         for start, stride, other in begun
-        for ours, theirs in _common_letters(word, other)
+        for places in (_places(other),)
+        for ours, letter in enumerate(word)
+        if letter in places
+        for theirs in places[letter]
     ]
     if not crossings:
         return None
     first = draws.below(len(crossings))
-    for place in crossings[first:] + crossings[:first]:
-        if _fits(word, *place, sheet):
-            return place
+    for cell, theirs, ours in crossings[first:] + crossings[:first]:
+        stride = theirs ^ _ACROSS ^ _DOWN
+        if _fits(word, cell - stride * ours, stride, sheet):
+            return cell - stride * ours, stride
     return None
 
 
 def _fits(word: str, start: int, stride: int, sheet: dict[int, str]) -> bool:
     """Whether a word touches others only where it crosses them, with the same letter."""
-    end = start + stride * len(word)
-    if start - stride in sheet or end in sheet:
+    if start - stride in sheet or start + stride * len(word) in sheet:
         return False
     aside = stride ^ _ACROSS ^ _DOWN
     crossed = False
-    for cell, letter in zip(range(start, end, stride), word, strict=True):
-        there = sheet.get(cell)
-        if there is None:
-            if cell - aside in sheet or cell + aside in sheet:
-                return False
-            crossed = False
-        else:
+    cell = start
+    for letter in word:
+        if cell in sheet:
             # Two letters in a row that are there already belong to a word in the same direction.
-            if there != letter or crossed:
+            if crossed or sheet[cell] != letter:
                 return False
             crossed = True
+        elif cell - aside in sheet or cell + aside in sheet:
+            return False
+        else:
+            crossed = False
+        cell += stride
     return True
-
-
-def _common_letters(word: str, other: str) -> list[tuple[int, int]]:
-    """Return the places in a word and in another one that have the same letter."""
-    places = _places(other)
-    return [(ours, theirs) for ours, letter in enumerate(word) for theirs in places.get(letter, ())]
 
 
 @cache
