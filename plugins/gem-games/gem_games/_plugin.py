@@ -10,6 +10,11 @@ from gem_core.specs import AgentSpec, EnvSpec
 _GUESS = "gem_games.guess_the_number:GuessTheNumberEnv"
 _MASTERMIND = "gem_games.mastermind:MastermindEnv"
 _HANOI = "gem_games.tower_of_hanoi:TowerOfHanoiEnv"
+_MINESWEEPER = "gem_games.minesweeper:MinesweeperEnv"
+_FIFTEEN = "gem_games.fifteen_puzzle:FifteenPuzzleEnv"
+_SUDOKU = "gem_games.sudoku:SudokuEnv"
+_2048 = "gem_games.game_2048:Game2048Env"
+_SOKOBAN = "gem_games.sokoban:SokobanEnv"
 
 
 @hookimpl
@@ -37,6 +42,11 @@ def gem_register_envs() -> Iterable[EnvSpec]:
     yield from _hangman()
     yield from _crosswords()
     yield from _word_search()
+    yield from _minesweeper()
+    yield from _fifteen_puzzle()
+    yield from _sudoku()
+    yield from _game_2048()
+    yield from _sokoban()
 
 
 @hookimpl
@@ -57,7 +67,7 @@ def gem_register_agents() -> Iterable[AgentSpec]:
     ]
 
 
-def _game(name: str, entry_point: str, summary: str, **kwargs: int | None) -> EnvSpec:
+def _game(name: str, entry_point: str, summary: str, **kwargs: object) -> EnvSpec:
     return EnvSpec(id=f"game:{name}", entry_point=entry_point, kwargs=kwargs, summary=summary, tags=("game", "text"))
 
 
@@ -94,3 +104,44 @@ def _word_search() -> Iterator[EnvSpec]:
     yield _game("WordSearch-v0-easy", path, f"{text}; common ones.", hardcore=False, max_turns=20, num_words=5)
     yield _game("WordSearch-v0-hard", path, f"{text}; rare, long ones.", hardcore=True, max_turns=20, num_words=5)
     yield _game("WordSearch-v0-random", path, f"{text}; any ones.", hardcore=None, max_turns=None, num_words=None)
+
+
+def _minesweeper() -> Iterator[EnvSpec]:
+    field = "Reveal all cells that hide no mine"
+    name = "Minesweeper-v0"
+    yield _game(f"{name}-easy", _MINESWEEPER, f"{field}; 5x5.", rows=5, cols=5, num_mines=5, max_turns=25)
+    yield _game(f"{name}-hard", _MINESWEEPER, f"{field}; 8x8.", rows=8, cols=8, num_mines=12, max_turns=64)
+    yield _game(
+        f"{name}-random", _MINESWEEPER, f"{field}; 5x5 to 8x8.", rows=None, cols=None, num_mines=None, max_turns=None
+    )
+
+
+def _fifteen_puzzle() -> Iterator[EnvSpec]:
+    tiles = "Slide numbered tiles into order"
+    yield _game("FifteenPuzzle-v0-easy", _FIFTEEN, f"{tiles}; 2x2.", num_rows=2, max_turns=10)
+    yield _game("FifteenPuzzle-v0-hard", _FIFTEEN, f"{tiles}; 4x4.", num_rows=4, max_turns=50)
+    yield _game("FifteenPuzzle-v0-random", _FIFTEEN, f"{tiles}; 2x2 to 4x4.", num_rows=None, max_turns=None)
+
+
+def _sudoku() -> Iterator[EnvSpec]:
+    grid = "Fill a grid so that each row, column and box has every number"
+    yield _game("Sudoku-v0-easy", _SUDOKU, f"{grid}; 4x4.", clues=7, max_turns=15, scale=4)
+    yield _game("Sudoku-v0-hard", _SUDOKU, f"{grid}; 9x9.", clues=34, max_turns=50, scale=9)
+    yield _game("Sudoku-v0-random", _SUDOKU, f"{grid}; 4x4 or 9x9.", clues=None, max_turns=None, scale=None)
+
+
+def _game_2048() -> Iterator[EnvSpec]:
+    tile = "Slide and merge tiles"
+    yield _game("Game2048-v0-easy", _2048, f"{tile} up to 64.", target_tile=64, max_turns=50)
+    yield _game("Game2048-v0-hard", _2048, f"{tile} as far as 50 turns go; 512.", target_tile=512, max_turns=50)
+    yield _game(
+        "Game2048-v0-extreme-hard", _2048, f"{tile} as far as 100 turns go; 2048.", target_tile=2048, max_turns=100
+    )
+    yield _game("Game2048-v0-random", _2048, f"{tile} up to 16, 32 or 64.", target_tile=None, max_turns=None)
+
+
+def _sokoban() -> Iterator[EnvSpec]:
+    boxes = "Push boxes onto goals"
+    yield _game("Sokoban-v0-easy", _SOKOBAN, f"{boxes}; 2 boxes.", dim_room=(6, 6), num_boxes=2, max_turns=20)
+    yield _game("Sokoban-v0-hard", _SOKOBAN, f"{boxes}; 4 boxes.", dim_room=(8, 8), num_boxes=4, max_turns=50)
+    yield _game("Sokoban-v0-random", _SOKOBAN, f"{boxes}; 2 or 5 boxes.", dim_room=None, num_boxes=None, max_turns=None)

@@ -6,7 +6,7 @@ that settles nothing and for an invalid move, -0.1 for a response that cannot be
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from typing import Any
 
 from gem_core.env import Env
@@ -24,6 +24,7 @@ _COLOURS = {"bold": 1, "dim": 2, "red": 31, "green": 32, "yellow": 33, "blue": 3
 _LONGEST_NUMBER = 100  # characters: beyond every range a game can have, and far below what int() refuses
 _LONGEST_LIST = 1_000  # characters
 _LONGEST_QUOTE = 40
+_DIRECTIONS = frozenset({"up", "down", "left", "right"})
 
 
 class Game(Env):
@@ -221,6 +222,14 @@ def whole_numbers(text: str) -> list[int] | None:
     return numbers if 0 < len(numbers) == len(pieces) else None
 
 
+def read_direction(text: str) -> str | None:
+    """Read ``up``, ``down``, ``left`` or ``right``, in letters of any case; None if the text is anything else."""
+    if text in _DIRECTIONS:
+        return text
+    lowered = text.lower()
+    return lowered if lowered in _DIRECTIONS else None
+
+
 def painted(text: str, colour: str) -> str:
     """Return text in a colour for a terminal; text without anything to see stays as it is."""
     return f"\x1b[{_COLOURS[colour]}m{text}\x1b[0m" if text.strip() else text
@@ -240,3 +249,9 @@ def check_whole(name: str, value: object, low: int, high: int) -> None:
     if value is None or (type(value) is int and low <= value <= high):
         return
     raise ArgumentError(f"{name} must be a whole number from {low} to {high}, or None to draw it, not {value!r}")
+
+
+def sizes_to_draw(sizes: Sequence[tuple[Any, ...]], given: tuple[Any, ...]) -> list[tuple[Any, ...]]:
+    """Return the different sizes that are left when what was given, and is not None, replaces its part of each."""
+    replaced = (tuple(drawn if own is None else own for own, drawn in zip(given, size, strict=True)) for size in sizes)
+    return list(dict.fromkeys(replaced))
