@@ -12,9 +12,11 @@ from gem_games.game import Game, check_whole, painted, quote, read_direction, si
 _SIZES = (2, 10), (3, 20), (4, 50)
 _FEWEST_ROWS, _MOST_ROWS = 2, 10  # the tiles of more rows would need three digits
 _MOST_MOVES = 1_000
-_BLANK = " _"
 _WINDOW = 12  # on a 2x2 board, moves that never go back return to their beginning after this many
 _AT_ONCE = 32  # bytes that Draws gives at once
+_CHOICES = 12  # a multiple of 1, 2, 3 and 4, the ways that a gap can go
+_REMAINDERS = bytes(byte % _CHOICES for byte in range(256))
+_LABELS = [b" _", *(b"%2d" % tile for tile in range(1, _MOST_ROWS**2))]
 
 
 class FifteenPuzzleEnv(Game):
@@ -65,13 +67,15 @@ class FifteenPuzzleEnv(Game):
     def _set_size(self, num_rows: int, max_turns: int) -> None:
         self.num_rows, self.max_turns = num_rows, max_turns
         # The board is kept as the text that is shown: two characters for each cell, and a space or line break.
-        self._solved = _text(_goal(num_rows))
+        self._template = (b" ".join([b"%b"] * num_rows) + b"\n") * num_rows
         self._row = 3 * num_rows
-        self._put(_goal(num_rows))
+        self._goal = [*_LABELS[1 : num_rows * num_rows], _LABELS[0]]
+        self._solved = self._template % tuple(self._goal)
+        self._put(self._goal)
 
-    def _put(self, tiles: list[int]) -> None:
-        self._board = bytearray(_text(tiles))
-        self._gap = 3 * tiles.index(0)
+    def _put(self, labels: list[bytes]) -> None:
+        self._board = bytearray(self._template % tuple(labels))
+        self._gap = 3 * labels.index(_LABELS[0])
 
     @property
     def tiles(self) -> list[int]:
@@ -83,20 +87,16 @@ class FifteenPuzzleEnv(Game):
             self._set_size(*self._sizes[draws.below(len(self._sizes))])
         most = min(self.mix_moves, self.max_turns)
         moves = most - draws.below(min(_WINDOW, most))
-        tiles = _goal(self.num_rows)
-        before = gap = len(tiles) - 1
-        ways = _ways(self.num_rows)
-        for start in range(0, moves, _AT_ONCE):
-            count = min(_AT_ONCE, moves - start)
-            for number in draws.below(256**count).to_bytes(count, "little"):
-                onward = ways[before, gap]
-                before, gap = gap, onward[number % len(onward)]
-                tiles[before] = tiles[gap]
-        tiles[gap] = 0
-        if tiles == _goal(self.num_rows):
+        labels = self._goal.copy()
+        place = len(labels) - 1
+        for gap in gap_path(self.num_rows, moves, draws):
+            labels[place] = labels[gap]
+            place = gap
+        labels[place] = _LABELS[0]
+        if labels == self._goal:
             # As after 12 moves on a 2x2 board: one tile is taken out of its place again.
-            tiles[-1], tiles[-2] = tiles[-2], tiles[-1]
-        self._put(tiles)
+            labels[-1], labels[-2] = labels[-2], labels[-1]
+        self._put(labels)
 
     def _rules(self) -> str:
         last = self.num_rows**2 - 1
@@ -145,8 +145,8 @@ class FifteenPuzzleEnv(Game):
         return gap - 3 if gap % row else None
 
     def _share_in_place(self) -> float:
-        tiles = self.tiles
-        return sum(map(int.__eq__, tiles, _goal(self.num_rows))) / len(tiles)
+        cells = [bytes(self._board[place : place + 2]) for place in range(0, len(self._board), 3)]
+        return sum(cell == goal for cell, goal in zip(cells, self._goal, strict=True)) / len(cells)
 
     def _random_answer(self) -> str:
         """Draw a slide that is possible."""
@@ -171,38 +171,42 @@ class FifteenPuzzleEnv(Game):
     def _set_state(self, state: dict[str, Any]) -> None:
         super()._set_state(state)
         self._set_size(int(state["num_rows"]), int(state["max_turns"]))
-        self._put(list(map(int, state["tiles"])))
+        self._put([_LABELS[int(tile)] for tile in state["tiles"]])
 
 
-def _goal(num_rows: int) -> list[int]:
-    return [*range(1, num_rows * num_rows), 0]
-
-
-def _text(tiles: list[int]) -> bytes:
-    """Return the rows of a board, each with a line break."""
-    num_rows = int(len(tiles) ** 0.5)
-    cells = [f"{tile:>2}" if tile else _BLANK for tile in tiles]
-    rows = (" ".join(cells[start : start + num_rows]) + "\n" for start in range(0, len(cells), num_rows))
-    return "".join(rows).encode("ascii")
+def gap_path(num_rows: int, moves: int, draws: Draws) -> list[int]:
+    """Draw the cells that the gap goes through from the bottom right, never straight back."""
+    ways = _ways(num_rows)
+    way = ways[-1][1]
+    path = []
+    for start in range(0, moves, _AT_ONCE):
+        count = min(_AT_ONCE, moves - start)
+        for choice in draws.below(256**count).to_bytes(count, "little").translate(_REMAINDERS):
+            cell, way = ways[way[choice]]
+            path.append(cell)
+    return path
 
 
 @lru_cache(maxsize=_MOST_ROWS)
-def _ways(num_rows: int) -> dict[tuple[int, int], tuple[int, ...]]:
-    """Return where the gap can go on from a cell, given the cell before, which it does not return to.
+def _ways(num_rows: int) -> list[tuple[int, tuple[int, ...]]]:
+    """Return how the gap can go on without going straight back, as a graph.
 
-    A gap that has not moved yet comes from its own cell, and may go anywhere.
+    Each node stands for a cell and the one that the gap came from: the cell, and the ``_CHOICES`` nodes that may
+    follow, each as often as the others. The last node is the beginning, where the gap came from nowhere.
     """
     cells = range(num_rows * num_rows)
-    beside = {
-        cell: [
+    beside = [
+        [
             other
             for other in cells
             if abs(cell // num_rows - other // num_rows) + abs(cell % num_rows - other % num_rows) == 1
         ]
         for cell in cells
-    }
-    return {
-        (before, cell): tuple(other for other in beside[cell] if other != before)
-        for cell in cells
-        for before in [cell, *beside[cell]]
-    }
+    ]
+    nodes = [(before, cell) for cell in cells for before in beside[cell]] + [(-1, cells[-1])]
+    index = {node: number for number, node in enumerate(nodes)}
+    graph = []
+    for before, cell in nodes:
+        onward = [index[cell, other] for other in beside[cell] if other != before]
+        graph.append((cell, tuple(onward * (_CHOICES // len(onward)))))
+    return graph

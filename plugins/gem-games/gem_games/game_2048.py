@@ -97,8 +97,8 @@ class Game2048Env(Game):
         return (
             f"2048: make a tile of {self.target_tile}.\n"
             "A move slides all tiles one way as far as they go, and two equal tiles that meet become one of twice the "
-            "value. After each move a 2, or now and then a 4, appears in a free cell. A move that changes nothing costs "
-            "a turn; when no move is left, the game is lost.\n"
+            "value. After each move a 2, or now and then a 4, appears in a free cell. A move that changes nothing "
+            "costs a turn; when no move is left, the game is lost.\n"
             "Write your move inside \\boxed{}: up, down, left or right; only the last box of a response counts. "
             f"You have {self.max_turns} turns.\n"
         )

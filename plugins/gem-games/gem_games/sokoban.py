@@ -99,7 +99,8 @@ class SokobanEnv(Game):
         return (
             f"Sokoban: push all boxes onto goals; there are {self.num_boxes} of each.\n"
             "A move takes you to the next cell. A box in that cell is pushed one cell on, if neither a wall nor "
-            "another box is behind it; boxes cannot be pulled. A move that is not possible costs a turn and moves nothing.\n"
+            "another box is behind it; boxes cannot be pulled. A move that is not possible costs a turn and moves "
+            "nothing.\n"
             "Write your move inside \\boxed{}: up, down, left or right; only the last box of a response counts. "
             f"You have {self.max_turns} turns.\n"
         )

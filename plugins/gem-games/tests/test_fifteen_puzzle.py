@@ -1,0 +1,186 @@
+"""FifteenPuzzle: its boards can be solved, by search, by parity and by undoing the mixing; slides and rewards."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+
+from gem_core.seeding import Draws
+from gem_games.fifteen_puzzle import FifteenPuzzleEnv, gap_path
+
+Tiles = tuple[int, ...]
+BACK = {"up": "down", "down": "up", "left": "right", "right": "left"}
+
+
+def box(answer: object) -> str:
+    return f"I slide \\boxed{{{answer}}}."
+
+
+def puzzle(*tiles: int, max_turns: int = 10) -> FifteenPuzzleEnv:
+    """Return a game of 2x2 whose board is known."""
+    env = FifteenPuzzleEnv(max_turns, 2)
+    env.reset(seed=0)
+    state = env.get_state()
+    state["task"]["tiles"] = list(tiles)
+    env.set_state(state)
+    return env
+
+
+def distances(num_rows: int) -> dict[Tiles, int]:
+    """Return how many slides each board that can be solved is away from order, by breadth-first search."""
+    start = (*range(1, num_rows * num_rows), 0)
+    found = {start: 0}
+    for tiles in (queue := [start]):
+        gap = tiles.index(0)
+        for beside in (gap - num_rows, gap + num_rows, gap - 1, gap + 1):
+            if not 0 <= beside < len(tiles) or (abs(beside - gap) == 1 and beside // num_rows != gap // num_rows):
+                continue
+            after = list(tiles)
+            after[gap], after[beside] = after[beside], 0
+            if (key := tuple(after)) not in found:
+                found[key] = found[tiles] + 1
+                queue.append(key)
+    return found
+
+
+def is_even(tiles: list[int], num_rows: int) -> bool:
+    """Say whether a board can be solved: the order of its cells and the gap's distance from its corner agree.
+
+    Source: Johnson and Story, Notes on the "15" Puzzle, American Journal of Mathematics 2 (1879).
+    """
+    inversions = sum(tiles[i] > tiles[j] for i in range(len(tiles)) for j in range(i + 1, len(tiles)))
+    gap = tiles.index(0)
+    # The gap counts as the largest tile, not the smallest.
+    inversions += len(tiles) - 1 - 2 * gap
+    return (inversions + 2 * (num_rows - 1) - gap // num_rows - gap % num_rows) % 2 == 0
+
+
+@pytest.mark.parametrize(("num_rows", "max_turns"), [(2, 10), (3, 20)])
+def test_search_reaches_a_thousand_boards_within_the_turns(num_rows: int, max_turns: int) -> None:
+    env, away = FifteenPuzzleEnv(max_turns, num_rows), distances(num_rows)
+    for seed in range(1_000):
+        env.reset(seed=seed)
+        assert 0 < away[tuple(env.tiles)] <= max_turns
+        assert is_even(env.tiles, num_rows)
+
+
+def test_parity_agrees_with_search() -> None:
+    """The two proofs of solvability are the same for all boards of one size."""
+    away = distances(2)
+    assert len(away) == 12
+    assert all(is_even(list(tiles), 2) for tiles in away)
+    assert not is_even([2, 1, 3, 0], 2)
+
+
+@pytest.mark.parametrize(("num_rows", "max_turns"), [(2, 10), (3, 20), (4, 50), (10, 100)])
+def test_taking_the_mixing_back_solves_a_thousand_boards(num_rows: int, max_turns: int) -> None:
+    """In time, whatever the size; parity says the same."""
+    env = FifteenPuzzleEnv(max_turns, num_rows)
+    for seed in range(1_000 if num_rows < 10 else 50):
+        env.reset(seed=seed)
+        assert is_even(env.tiles, num_rows)
+        draws = Draws(seed)
+        moves = max_turns - draws.below(min(12, max_turns))
+        path = [num_rows**2 - 1, *gap_path(num_rows, moves, draws)]
+        over, result = False, None
+        for cell, before in zip(path[::-1], path[-2::-1], strict=False):
+            way = {num_rows: "up", -num_rows: "down", 1: "left", -1: "right"}[before - cell]
+            result = env.step(box(way))
+            over = result[2]
+            if over:
+                break
+        assert over
+        assert result is not None
+        assert (result[1], result[4]["correct"]) == (1.0, True)
+
+
+def test_mixing_never_goes_straight_back() -> None:
+    for seed in range(50):
+        path = gap_path(4, 50, Draws(seed))
+        assert len(path) == 50
+        assert all(cell != later for cell, later in zip(path, path[2:], strict=False))
+
+
+def test_small_boards_vary() -> None:
+    """gem-llm's 100 moves leave two boards of size 2x2; here all eleven turn up, and never the solved one."""
+    env = FifteenPuzzleEnv(12, 2)
+    boards: Counter[Tiles] = Counter()
+    for seed in range(500):
+        env.reset(seed=seed)
+        boards[tuple(env.tiles)] += 1
+    assert len(boards) == 11
+    assert (1, 2, 3, 0) not in boards
+
+
+def test_one_turn_leaves_one_slide() -> None:
+    env = FifteenPuzzleEnv(1, 4)
+    for seed in range(20):
+        env.reset(seed=seed)
+        assert env.tiles[-1] in (12, 15)
+
+
+@pytest.mark.parametrize(
+    ("answer", "tiles", "feedback"),
+    [
+        ("up", [1, 3, 0, 2], "Tile 1 slid up."),
+        ("Left", [3, 0, 1, 2], "Tile 3 slid left."),
+        ("down", [0, 3, 1, 2], "No tile can slide down. The turn is lost."),
+        ("right", [0, 3, 1, 2], "No tile can slide right. The turn is lost."),
+    ],
+)
+def test_a_tile_slides_into_the_gap(answer: str, tiles: list[int], feedback: str) -> None:
+    """From below for up, from the right for left; where there is none, nothing changes."""
+    env = puzzle(0, 3, 1, 2)
+    _, reward, terminated, truncated, info = env.step(box(answer))
+    assert (reward, terminated, truncated) == (0.0, False, False)
+    assert (env.tiles, info["feedback"]) == (tiles, feedback)
+    assert info["parsed_action"] == (None if "lost" in feedback else answer.lower())
+
+
+def test_every_slide_can_be_taken_back() -> None:
+    """In all four ways, on a board of which the gap is in the middle."""
+    env = FifteenPuzzleEnv(50, 3)
+    env.reset(seed=0)
+    state = env.get_state()
+    state["task"]["tiles"] = [1, 2, 3, 4, 0, 5, 6, 7, 8]
+    env.set_state(state)
+    boards = set()
+    for direction, back in BACK.items():
+        env.step(box(direction))
+        boards.add(tuple(env.tiles))
+        env.step(box(back))
+        assert env.tiles == [1, 2, 3, 4, 0, 5, 6, 7, 8]
+    assert len(boards) == 4
+
+
+def test_order_wins_with_one() -> None:
+    observation, reward, terminated, truncated, info = puzzle(1, 2, 0, 3).step(box("left"))
+    assert (reward, terminated, truncated, info["correct"]) == (1.0, True, False, True)
+    assert observation == (
+        "Tile 3 slid left. All tiles stand in order: well done.\n"
+        "The board (_ is the gap):\n 1  2\n 3  _\nThe game is over: you won."
+    )
+
+
+@pytest.mark.parametrize(
+    ("tiles", "answer", "reward"),
+    [([1, 0, 3, 2], "right", 0.25), ([0, 2, 1, 3], "up", 0.5), ([1, 0, 3, 2], "down", 0.5)],
+)
+def test_last_turn_pays_the_share_in_place(tiles: list[int], answer: str, reward: float) -> None:
+    """The gap's cell counts; and a turn that moves nothing pays it as well."""
+    observation, got, terminated, truncated, info = puzzle(*tiles, max_turns=1).step(box(answer))
+    assert (got, terminated, truncated, info["correct"]) == (reward, True, False, False)
+    assert observation.endswith("The game is over: you lost.")
+
+
+@pytest.mark.parametrize("answer", ["", "north", "5", "up up", "\x00", "\ud800"])
+def test_anything_else_ends_the_game(answer: str) -> None:
+    _, reward, terminated, _, info = puzzle(0, 3, 1, 2).step(box(answer))
+    assert (reward, terminated, info["correct"], info["parsed_action"]) == (-0.1, True, False, None)
+
+
+def test_drawing() -> None:
+    env = puzzle(1, 0, 3, 2)
+    env.render_mode = "ansi"
+    assert str(env.render()).startswith("\x1b[32m  1\x1b[0m  ·\n\x1b[32m  3\x1b[0m\x1b[33m  2\x1b[0m\n")

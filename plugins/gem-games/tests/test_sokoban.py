@@ -1,0 +1,184 @@
+"""Sokoban: its levels can be won, as their own solution and a search show; its pushes and rewards."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from gem_core.seeding import Draws
+from gem_games.sokoban import SokobanEnv
+from gem_games.sokoban_levels import make_level
+
+Boxes = frozenset[int]
+CORRIDOR = "########@$.-###-$-.#########"
+
+
+def box(answer: object) -> str:
+    return f"I go \\boxed{{{answer}}}."
+
+
+def corridor(**kwargs: Any) -> SokobanEnv:
+    """Return a game on a small board whose rows are ``#@$.-##`` and ``#-$-.##``."""
+    env = SokobanEnv((5, 7), num_boxes=2, **kwargs)
+    env.reset(seed=0)
+    env._set_cells(CORRIDOR)
+    return env
+
+
+def shortest_solution(cells: str, columns: int) -> int | None:
+    """Return the fewest moves that win a level, by breadth-first search over all positions; None if none do."""
+    goals = frozenset(cell for cell, mark in enumerate(cells) if mark in ".*+")
+    boxes = frozenset(cell for cell, mark in enumerate(cells) if mark in "$*")
+    walls = {cell for cell, mark in enumerate(cells) if mark == "#"}
+    start = next(cell for cell, mark in enumerate(cells) if mark in "@+"), boxes
+    moves = {start: 0}
+    for position in (queue := [start]):
+        player, boxes = position
+        if boxes == goals:
+            return moves[position]
+        for delta in (-columns, columns, -1, 1):
+            cell = player + delta
+            after = boxes
+            if cell in boxes:
+                if cell + delta in walls or cell + delta in boxes:
+                    continue
+                after = boxes ^ {cell, cell + delta}
+            if cell not in walls and (cell, after) not in moves:
+                moves[cell, after] = moves[position] + 1
+                queue.append((cell, after))
+    return None
+
+
+@pytest.mark.parametrize(("room", "num_boxes", "max_turns"), [((6, 6), 2, 20), ((8, 8), 4, 50), ((8, 8), 5, 50)])
+def test_thousand_levels_are_won_by_their_own_solution(room: tuple[int, int], num_boxes: int, max_turns: int) -> None:
+    """Played move by move, with a quarter of the turns left; and the board is the level's."""
+    env = SokobanEnv(room, max_turns, num_boxes)
+    names = {-room[1]: "up", room[1]: "down", -1: "left", 1: "right"}
+    boxes_on_goals = 0
+    for seed in range(1_000):
+        env.reset(seed=seed)
+        level = make_level(*room, num_boxes, max_turns * 3 // 4, Draws(seed))
+        assert env.cells == level.cells
+        assert [level.cells.count(mark) for mark in "$*"] == [
+            num_boxes - level.cells.count("*"),
+            level.cells.count("*"),
+        ]
+        assert level.cells.count("@") + level.cells.count("+") == 1
+        boxes_on_goals += level.cells.count("*")
+        assert 1 <= len(level.solution) <= max_turns * 3 // 4
+        results = [env.step(box(names[move])) for move in level.solution]
+        assert [(result[1], result[2]) for result in results[:-1]] == [(0.0, False)] * (len(results) - 1)
+        assert (results[-1][1], results[-1][4]["correct"]) == (1.0, True)
+    assert boxes_on_goals < 100
+
+
+def test_search_solves_a_thousand_levels() -> None:
+    """Independent of how levels are made: a search of all positions finds a way that fits into the turns."""
+    for seed in range(1_000):
+        level = make_level(6, 6, 2, 15, Draws(seed))
+        shortest = shortest_solution(level.cells, 6)
+        assert shortest is not None, f"seed {seed}"
+        assert shortest <= len(level.solution) <= 15
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "num_boxes", "moves"), [(5, 5, 2, 1), (5, 20, 13, 40), (20, 20, 9, 10**15)]
+)
+def test_odd_sizes_give_levels_too(rows: int, columns: int, num_boxes: int, moves: int) -> None:
+    """However few the moves, at least one box is off its goal; however many, the work is bounded."""
+    for seed in range(3):
+        level = make_level(rows, columns, num_boxes, moves, Draws(seed))
+        assert "$" in level.cells
+        assert 1 <= len(level.solution) <= moves
+
+
+def test_levels_differ() -> None:
+    """Nearly all of them: the small room has room for thousands."""
+    assert len({make_level(6, 6, 2, 15, Draws(seed)).cells for seed in range(300)}) > 290
+
+
+def test_step_and_push_give_nothing() -> None:
+    env = corridor()
+    _, reward, terminated, truncated, info = env.step(box("down"))
+    assert (reward, terminated, truncated) == (0.0, False, False)
+    assert (info["feedback"], info["parsed_action"]) == ("You went down.", "down")
+    _, reward, _, _, info = env.step(box("Right"))
+    assert (reward, info["feedback"], info["parsed_action"]) == (0.0, "You pushed a box right.", "right")
+    assert info["suffix"] == (
+        "\nThe board (# wall, - floor, . goal, $ box, * box on a goal, @ you, + you on a goal):\n"
+        "# # # # # # #\n# - $ . - # #\n# - @ $ . # #\n# # # # # # #\n"
+        "Turns left: 98. Answer like \\boxed{up}: up, down, left or right."
+    )
+
+
+def test_last_box_on_its_goal_wins_with_one() -> None:
+    env = corridor()
+    for move in ("down", "right", "right", "left", "left", "up"):
+        assert env.step(box(move))[1:3] == (0.0, False)
+    observation, reward, terminated, truncated, info = env.step(box("right"))
+    assert (reward, terminated, truncated, info["correct"]) == (1.0, True, False, True)
+    assert info["feedback"] == "You pushed a box right. All boxes are on goals: well done."
+    assert observation.endswith("# - @ * - # #\n# - - - * # #\n# # # # # # #\nThe game is over: you won.")
+
+
+@pytest.mark.parametrize(
+    ("moves", "feedback"),
+    [
+        (["up"], "There is a wall above you."),
+        (["left"], "There is a wall to your left."),
+        (["down", "down"], "There is a wall below you."),
+        (["right", "right", "right"], "The box to your right cannot move."),
+        (["right", "down"], "The box below you cannot move."),
+    ],
+)
+def test_move_that_is_not_possible_changes_nothing(moves: list[str], feedback: str) -> None:
+    env = corridor()
+    for move in moves[:-1]:
+        env.step(box(move))
+    before = env.cells
+    _, reward, terminated, _, info = env.step(box(moves[-1]))
+    assert (reward, terminated, info["parsed_action"]) == (0.0, False, None)
+    assert info["feedback"] == f"{feedback} The turn is lost."
+    assert env.cells == before
+
+
+def test_player_on_a_goal_is_drawn_apart_and_leaves_it_there() -> None:
+    env = corridor()
+    env.step(box("right"))
+    assert env.cells[7:14] == "#-@*-##"
+    env.step(box("right"))
+    assert env.cells[7:14] == "#--+$##"
+    env.step(box("left"))
+    assert env.cells[7:14] == "#-@.$##"
+
+
+@pytest.mark.parametrize("last", ["left", "up", "right"])
+def test_last_turn_pays_the_share_of_boxes_on_goals(last: str) -> None:
+    """Whether that turn moves anything or not."""
+    env = corridor(max_turns=2)
+    env.step(box("right"))
+    observation, reward, terminated, truncated, info = env.step(box(last))
+    assert (terminated, truncated, info["correct"]) == (True, False, False)
+    assert reward == (0.0 if last == "right" else 0.5)
+    assert "You have used all your turns." in observation
+    assert observation.endswith("The game is over: you lost.")
+
+
+@pytest.mark.parametrize("answer", ["", "north", "u", "up up", "\x00", "\ud800"])
+def test_anything_else_ends_the_game(answer: str) -> None:
+    _, reward, terminated, _, info = corridor().step(box(answer))
+    assert (reward, terminated, info["correct"], info["parsed_action"]) == (-0.1, True, False, None)
+    assert "is not one of up, down, left and right. That ends the game." in info["feedback"]
+
+
+def test_walled_in_player_can_still_sample() -> None:
+    env = corridor()
+    env._set_cells("########@$$####$#..#########")
+    assert env.sample_random_action().startswith("\\boxed{")
+
+
+def test_drawing() -> None:
+    env = corridor()
+    env.render_mode = "ansi"
+    assert "\x1b[36m☺ \x1b[0m\x1b[33m■ \x1b[0m\x1b[35m◇ \x1b[0m  " in str(env.render())
