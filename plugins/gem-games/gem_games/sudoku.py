@@ -86,7 +86,7 @@ class SudokuEnv(Game):
     def _deal(self, draws: Draws) -> None:
         if len(self._sizes) > 1:
             self._set_size(*self._sizes[draws.below(len(self._sizes))])
-        cells, self.solution = make_puzzle(self.scale, self.clues, self.np_random)
+        cells, self.solution = make_puzzle(self.scale, self.clues, draws)
         self._put(cells)
 
     def _rules(self) -> str:

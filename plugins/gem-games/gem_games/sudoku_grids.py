@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import NamedTuple
 
-import numpy as np
+from gem_core.seeding import Draws
 
 FEWEST_CLUES = {4: 5, 9: 31}
 """By scale: fewer clues than these take long to find, or leave more than one solution."""
@@ -35,7 +35,7 @@ def units(scale: int) -> Units:
     return Units(of, [[cell for cell in range(scale**2) if unit in of[cell]] for unit in range(3 * scale)])
 
 
-def make_puzzle(scale: int, clues: int, generator: np.random.Generator) -> tuple[list[int], list[int]]:
+def make_puzzle(scale: int, clues: int, draws: Draws) -> tuple[list[int], list[int]]:
     """Return a puzzle and its only solution, row by row; 0 stands for an empty cell.
 
     Each cell is emptied only if the rest forces it at once: no other number fits there, or the number fits nowhere else
@@ -45,32 +45,38 @@ def make_puzzle(scale: int, clues: int, generator: np.random.Generator) -> tuple
     Args:
         scale: 4 or 9.
         clues: Cells that stay filled, from ``FEWEST_CLUES[scale]`` to one below all.
-        generator: Where its randomness comes from.
+        draws: Where its randomness comes from.
     """
     while True:
-        solution = _full_grid(scale, generator)
-        puzzle = _emptied(solution, scale, clues, generator.permutation(scale**2).tolist())
+        solution = _full_grid(scale, draws)
+        puzzle = _emptied(solution, scale, clues, _shuffled(list(range(scale**2)), draws))
         if puzzle is not None:
             return puzzle, solution
 
 
-def _full_grid(scale: int, generator: np.random.Generator) -> list[int]:
+def _full_grid(scale: int, draws: Draws) -> list[int]:
     """Draw a full grid: the boxes of the diagonal, which share nothing, at random; then the rest by search."""
     of, cells = units(scale)
     side = int(scale**0.5)
     while True:
         grid, used = [0] * scale**2, [0] * (3 * scale)
         for box in range(0, scale, side + 1):
-            for cell, index in zip(cells[2 * scale + box], generator.permutation(scale).tolist(), strict=True):
-                grid[cell] = index + 1
+            numbers = _shuffled(list(range(1, scale + 1)), draws)
+            for cell, number in zip(cells[2 * scale + box], numbers, strict=True):
+                grid[cell] = number
                 for unit in of[cell]:
-                    used[unit] |= 2 << index
+                    used[unit] |= 1 << number
         left = [cell for cell in range(scale**2) if not grid[cell]]
-        if _fill(grid, used, left, scale, generator.random(scale**2).tolist()):
+        if _fill(grid, used, left, scale, draws):
             return grid
 
 
-def _fill(grid: list[int], used: list[int], left: list[int], scale: int, chances: list[float]) -> bool:
+def _shuffled(items: list[int], draws: Draws) -> list[int]:
+    """Return a list in an order that is drawn, each as likely as the others; the list is used up."""
+    return [items.pop(draws.below(left)) for left in range(len(items), 0, -1)]
+
+
+def _fill(grid: list[int], used: list[int], left: list[int], scale: int, draws: Draws) -> bool:
     """Fill the cells that are left, the one with the fewest numbers first; say whether that was possible.
 
     Args:
@@ -78,7 +84,7 @@ def _fill(grid: list[int], used: list[int], left: list[int], scale: int, chances
         used: For each unit, a bit for each number in it.
         left: Empty cells.
         scale: Numbers in the grid.
-        chances: For each cell, from 0 to 1, which of its numbers is tried first.
+        draws: Where the number that is tried first comes from.
     """
     if not left:
         return True
@@ -94,13 +100,13 @@ def _fill(grid: list[int], used: list[int], left: list[int], scale: int, chances
             if count < 2:
                 break
     numbers = [number for number in range(1, scale + 1) if best_open >> number & 1]
-    first = int(chances[best] * len(numbers))
+    first = draws.below(len(numbers)) if len(numbers) > 1 else 0
     rest = [cell for cell in left if cell != best]
     for number in numbers[first:] + numbers[:first]:
         grid[best] = number
         for unit in of[best]:
             used[unit] |= 1 << number
-        if _fill(grid, used, rest, scale, chances):
+        if _fill(grid, used, rest, scale, draws):
             return True
         for unit in of[best]:
             used[unit] ^= 1 << number
