@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from gem_core.hookspecs import hookimpl
 from gem_core.specs import AgentSpec, EnvSpec
+from gem_games.textarena.listing import textarena_specs
 
 _GUESS = "gem_games.guess_the_number:GuessTheNumberEnv"
 _MASTERMIND = "gem_games.mastermind:MastermindEnv"
@@ -47,6 +48,7 @@ def gem_register_envs() -> Iterable[EnvSpec]:
     yield from _sudoku()
     yield from _game_2048()
     yield from _sokoban()
+    yield from textarena_specs()
 
 
 @hookimpl

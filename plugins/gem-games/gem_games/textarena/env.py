@@ -1,0 +1,192 @@
+"""``TextArenaEnv``: one seat at a game of TextArena."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+from gem_core.agents.base import Context, as_agent
+from gem_core.background import run_sync
+from gem_core.env import Env
+from gem_core.errors import ArgumentError, ResetNeededError
+from gem_core.seeding import stable_hash
+from gem_core.types import Concurrency, Info, ResetResult, StepResult
+from gem_games.textarena.moves import random_move
+from gem_games.textarena.table import Table
+
+_MOST_OPPONENT_TURNS = 60
+
+
+class TextArenaEnv(Env):
+    """A seat at a game of TextArena; the other seats are played by opponents.
+
+    The reward is TextArena's own for this seat, at the end, and 0 before. ``info["textarena"]`` holds what it says
+    about the seat, ``info["invalid_move"]`` whether the last action was one, ``info["correct"]`` at the end whether
+    the reward is above 0, where TextArena gave one.
+
+    An action that makes the library raise loses the game with -1, if another action would not have done so; else the
+    episode is truncated with ``info["error"]``. Opponents who do not find a valid move in 60 turns end it too: it is
+    truncated, with ``info["stalled"]``.
+
+    Args:
+        game: The game's id in TextArena.
+        players: How many seats it has.
+        seat: Which of them the agent holds.
+        opponents: ``"random"``, an agent, or a sequence or mapping by seat of these.
+
+    Source: the games and rewards of textarena 0.7.4, https://github.com/LeonGuertler/TextArena.
+    """
+
+    concurrency: ClassVar[Concurrency] = "process"
+
+    def __init__(self, game: str, players: int = 1, seat: int = 0, opponents: Any = "random") -> None:
+        super().__init__()
+        if type(players) is not int or not 1 <= players <= 15:
+            raise ArgumentError(f"players must be a whole number from 1 to 15, not {players!r}")
+        if type(seat) is not int or not 0 <= seat < players:
+            raise ArgumentError(f"seat must be a whole number from 0 to {players - 1}, not {seat!r}")
+        self.game, self.players, self.seat = game, players, seat
+        others = [other for other in range(players) if other != seat]
+        self._opponents = {other: _opponent(opponents, other, others) for other in others}
+        self.table = Table(game, players)
+        self._begun = False
+        self._over = False
+        self._stalled = False
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """Begin a game, and let the opponents play until it is the agent's turn."""
+        super().reset(seed=seed)
+        self.table.reset(self.np_random_seed)
+        self._begun, self._over = True, False
+        failure = self._let_others_play()
+        observation, info = self._see()
+        if failure:
+            info["error"] = failure
+        return observation, info
+
+    def step(self, action: str) -> StepResult:
+        """Play for the agent's seat, and let the opponents answer."""
+        table = self.table
+        errors = table.errors()
+        try:
+            table.act(str(action))
+        except Exception as error:  # noqa: BLE001 - the library may raise anything; blame is told apart below
+            return self._failed(error)
+        invalid = not table.done and table.seat == self.seat and table.errors() > errors
+        failure = self._let_others_play()
+        observation, info = self._see()
+        info["parsed_action"] = str(action)
+        info["invalid_move"] = invalid or bool(info["textarena"].get("invalid_move"))
+        if failure:
+            self._over = True
+            info["error"] = failure
+            return observation, 0.0, False, True, info
+        rewards = table.rewards() if table.done else {}
+        reward = rewards.get(self.seat, 0.0)
+        if table.done:
+            self._over = True
+            if self.seat in rewards:
+                info["correct"] = reward > 0
+        if self._stalled:
+            info["stalled"] = f"the agent's turn did not come in {_MOST_OPPONENT_TURNS} turns of the opponents"
+        return observation, reward, table.done, self._stalled, info
+
+    def _failed(self, error: Exception) -> StepResult:
+        """End an episode in which the library raised: by the agent's fault if a valid action was to be had."""
+        played, seed = self.table.actions[:-1], self.table.seed
+        self._replay(seed, played)
+        self._over = True
+        move = random_move(self.table, random.Random(seed))
+        agents_fault = self.table.tries(move)
+        message = f"{type(error).__name__}: {error}"[:300]
+        observation, info = self._see()
+        info["invalid_move"] = agents_fault
+        if agents_fault:
+            info["feedback"] = f"The game could not read your response ({type(error).__name__}), and is lost."
+            info["correct"] = False
+            return info["feedback"] + info["suffix"], -1.0, True, False, info
+        info["error"] = {"kind": "textarena", "message": message}
+        return observation, 0.0, False, True, info
+
+    def _let_others_play(self) -> dict[str, str] | None:
+        """Play for the others until it is the agent's turn; return what failed, if anything did."""
+        table = self.table
+        self._stalled = False
+        for _ in range(_MOST_OPPONENT_TURNS):
+            if table.done or table.seat == self.seat:
+                return None
+            seat = table.seat
+            view = table.look(seat)
+            try:
+                table.act(self._answer(seat, view.feedback + _below(view.feedback, view.board)))
+            except Exception as error:  # noqa: BLE001 - the library or an opponent may raise anything
+                return {"kind": "opponent", "message": f"seat {seat}: {type(error).__name__}: {error}"[:300]}
+        self._stalled = True
+        return None
+
+    def _answer(self, seat: int, observation: str) -> str:
+        agent = self._opponents.get(seat)
+        turn = len(self.table.actions)
+        draws = random.Random(stable_hash(self.table.seed, "opponent", turn))
+        if agent is None:
+            return random_move(self.table, draws)
+        context = Context(
+            episode=str(self.table.seed),
+            env_id=self.env_id or self.game,
+            group=None,
+            turn=turn,
+            info={},
+            tools=[],
+            transitions=[],
+            _sample=lambda: random_move(self.table, draws),
+        )
+        answer = agent(observation, context)
+        return answer if isinstance(answer, str) else run_sync(answer)
+
+    def _see(self) -> tuple[str, Info]:
+        view = self.table.look(self.seat)
+        suffix = _below(view.feedback, view.board)
+        info: Info = {"feedback": view.feedback, "suffix": suffix, "textarena": self.table.report(self.seat)}
+        return view.feedback + suffix, info
+
+    def sample_random_action(self) -> str:
+        """Return a move that TextArena takes, wherever some tries on a copy of the game find one."""
+        if not self._begun:
+            raise ResetNeededError(f"{self.env_id or self.game}: call reset() before sample_random_action()")
+        return random_move(self.table, random.Random(int(self.action_random.integers(2**53))))
+
+    def _get_state(self) -> dict[str, Any]:
+        return {"begun": self._begun, "over": self._over, "seed": self.table.seed, "actions": list(self.table.actions)}
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self._begun, self._over = bool(state["begun"]), bool(state["over"])
+        if self._begun:
+            self._replay(int(state["seed"]), [str(action) for action in state["actions"]])
+
+    def _replay(self, seed: int, actions: list[str]) -> None:
+        """Bring the game to where these actions of all seats lead, and each seat to have seen what it saw."""
+        self.table.reset(seed)
+        for action in actions:
+            self.table.look(self.table.seat)
+            self.table.act(action)
+        self.table.look(self.seat)
+
+
+def _below(feedback: str, board: str) -> str:
+    return f"\n{board}" if board and feedback else board
+
+
+def _opponent(given: Any, seat: int, others: list[int]) -> Any:
+    """Return the agent of a seat, or None for the random player."""
+    if isinstance(given, Mapping):
+        given = given.get(seat, "random")
+    elif isinstance(given, Sequence) and not isinstance(given, str):
+        if len(given) != len(others):
+            raise ArgumentError(f"opponents must be {len(others)}, one for each other seat, not {len(given)}")
+        given = given[others.index(seat)]
+    if isinstance(given, str):
+        if given != "random":
+            raise ArgumentError(f"an opponent is 'random' or an agent, not {given!r}")
+        return None
+    return as_agent(given)

@@ -1,0 +1,47 @@
+"""The ids under ``ta:``, with what each needs; imports nothing of textarena."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+
+from gem_core.specs import EnvSpec
+from gem_games.textarena.games import GAMES
+
+_TURNS = 200
+_JUDGED = ("GuessWho", "TwentyQuestions", "Debate", "ScenarioPlanning")
+_FILES = ("UsedCarNegotiation", "ScorableGames")
+_CLOSED = {
+    "CharacterConclave": "in textarena 0.7.4 it calls its own state with an argument too few in every turn",
+    "Klondike": "its module in textarena 0.7.4 has a syntax error",
+    "UsedCar": "textarena 0.7.4 registers it without its module",
+    "BabyAiText": "it needs the package gym and the game files of BabyAI-Text, which textarena 0.7.4 does not bring",
+}
+
+
+def textarena_specs() -> Iterator[EnvSpec]:
+    """Return a record for each game. A slash in a name of TextArena becomes a hyphen."""
+    for name, players in GAMES.items():
+        seats = "one player" if players < 2 else f"{players} or more players" if players > 2 else "two players"
+        yield EnvSpec(
+            id=f"ta:{name.replace('/', '-')}",
+            entry_point="gem_games.textarena.env:TextArenaEnv",
+            kwargs={"game": name, "players": max(players, 1)},
+            summary=f"TextArena's {name.partition('-')[0]}; {seats}.",
+            tags=("game", "text", "textarena"),
+            max_turns=_TURNS,
+            requires=_needs(name.partition("-")[0]),
+            deterministic=name.partition("-")[0] not in _JUDGED,
+        )
+
+
+def _needs(family: str) -> tuple[str, ...]:
+    if family in _JUDGED:
+        return ("key:OPENROUTER_API_KEY", "network")
+    if family in _FILES:
+        return ("never:textarena 0.7.4 does not ship the text files of this game",)
+    if family in _CLOSED:
+        return (f"never:{_CLOSED[family]}",)
+    if family == "UltimateTexasHoldem" and sys.version_info < (3, 12):
+        return ("never:its module in textarena 0.7.4 needs Python 3.12 or newer",)
+    return ()

@@ -1,0 +1,119 @@
+"""TextArena: the table of ids, the fence, and that episodes are the same in another process."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import subprocess
+import sys
+
+import pytest
+
+from gem_core import make
+from gem_core.errors import ArgumentError, MissingRequirementError
+from gem_games.textarena.env import TextArenaEnv
+from gem_games.textarena.games import GAMES
+from gem_games.textarena.listing import textarena_specs
+
+RUNNABLE = [spec for spec in textarena_specs() if not spec.requires]
+_SLOW = "Sokoban"
+_EPISODES = """
+import json, sys
+from gem_games.textarena.env import TextArenaEnv
+logs = {}
+for kwargs, actions in json.load(sys.stdin):
+    env = TextArenaEnv(**kwargs)
+    logs[kwargs["game"]] = [env.reset(seed=7)[0], *(list(env.step(action)[:4]) for action in actions)]
+print(json.dumps(logs))
+"""
+
+
+def test_the_table_matches_the_installed_library():
+    from textarena.envs.registration import ENV_REGISTRY
+
+    assert list(GAMES) == [name for name in ENV_REGISTRY if not name.endswith(("-raw", "-train"))]
+
+
+def test_each_runnable_game_is_the_same_in_another_process():
+    """With another hash seed the same actions give the same observations and rewards; nothing is an error."""
+    logs, asked = {}, []
+    for spec in RUNNABLE:
+        if _SLOW in spec.id:
+            continue
+        env = TextArenaEnv(**spec.kwargs)
+        observation, info = env.reset(seed=7)
+        log, actions = [observation], []
+        while len(actions) < 2:
+            actions.append(env.sample_random_action())
+            *result, info = env.step(actions[-1])
+            log.append(result)
+            assert "error" not in info, (spec.id, info)
+            if result[2] or result[3]:
+                break
+        logs[spec.kwargs["game"]] = log
+        asked.append((dict(spec.kwargs), actions))
+    done = subprocess.run(
+        [sys.executable, "-c", _EPISODES],
+        input=json.dumps(asked),
+        env={**os.environ, "PYTHONHASHSEED": "12345"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert json.loads(done.stdout) == json.loads(json.dumps(logs))
+
+
+def test_the_callers_random_state_is_left_alone():
+    before = random.getstate()
+    env = TextArenaEnv("TicTacToe-v0", players=2)
+    env.reset(seed=1)
+    env.step(env.sample_random_action())
+    assert random.getstate() == before
+
+
+def test_a_state_goes_on_in_another_instance():
+    one = TextArenaEnv("ConnectFour-v0", players=2)
+    one.reset(seed=3)
+    one.step(one.sample_random_action())
+    other = TextArenaEnv("ConnectFour-v0", players=2)
+    other.set_state(json.loads(json.dumps(one.get_state())))
+    move = one.sample_random_action()
+    assert other.step(move)[:4] == one.step(move)[:4]
+
+
+def test_a_callable_plays_the_other_seat():
+    """The opponent is asked with what its own seat sees."""
+    asked = []
+
+    def opponent(observation):
+        asked.append(observation)
+        return "[4]"
+
+    env = TextArenaEnv("TicTacToe-v0", players=2, seat=1, opponents=opponent)
+    env.reset(seed=1)
+    assert len(asked) == 1
+    assert asked[0]
+
+
+@pytest.mark.parametrize("action", ["", "[", "]" * 100_000, "\ud800", "\x00", "[" * 50_000, "[999999999999 -1]"])
+@pytest.mark.parametrize("game", ["TicTacToe-v0", "Wordle-v0", "Chess-v0"])
+def test_any_text_is_answered(game, action):
+    env = TextArenaEnv(game, players=GAMES[game])
+    env.reset(seed=1)
+    observation, reward, _, _, info = env.step(action)
+    assert isinstance(observation, str)
+    assert isinstance(reward, float)
+    assert "error" not in info
+
+
+def test_a_closed_game_says_why():
+    with pytest.raises(MissingRequirementError) as caught:
+        make("ta:Klondike-v0")
+    assert str(caught.value) == "ta:Klondike-v0 cannot run here: its module in textarena 0.7.4 has a syntax error"
+
+
+def test_a_seat_that_is_not_there_is_refused():
+    with pytest.raises(ArgumentError) as caught:
+        TextArenaEnv("TicTacToe-v0", players=2, seat=2)
+    assert str(caught.value) == "seat must be a whole number from 0 to 1, not 2"
