@@ -1,10 +1,12 @@
 """Write ``gem_games/textarena/games.py``: the games of the installed textarena and how many players they take.
 
-Run it with Python 3.12 or newer and OPENROUTER_API_KEY set to any text (nothing is asked of the server), by ``.venv/bin/python scripts/textarena_games.py`` after an upgrade of textarena, then see what the tests say.
+Run it by ``.venv/bin/python scripts/textarena_games.py`` after an upgrade of textarena, with Python 3.12 or newer and
+OPENROUTER_API_KEY set to any text (nothing is asked of the server); then see what the tests say.
 """
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 
 from gem_games.textarena.table import Table
@@ -21,15 +23,16 @@ GAMES: dict[str, int] = {
 
 def main() -> None:
     """Start every game with ever more players."""
-    from textarena.envs.registration import ENV_REGISTRY
+    registered = importlib.import_module("textarena.envs.registration").ENV_REGISTRY
 
-    names = [name for name in ENV_REGISTRY if not name.endswith(("-raw", "-train"))]
+    names = [name for name in registered if not name.endswith(("-raw", "-train"))]
     lines = [f'    "{name}": {fewest_players(name)},\n' for name in names]
     TARGET.write_text(HEAD + "".join(lines) + "}\n", encoding="utf-8")
 
 
 def fewest_players(name: str) -> int:
     """Return with how few players a game starts; 0 if it does not with any number up to 7."""
+    failure: Exception | None = None
     for players in range(1, 8):
         try:
             table = Table(name, players)

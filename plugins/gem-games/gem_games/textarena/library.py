@@ -94,7 +94,8 @@ def load(name: str) -> tuple[Any, bool, int | None]:
         The game, whether its wrappers put an action into brackets, and how many characters they leave of one.
     """
     with LOCK:
-        nltk, corpus = importlib.import_module("nltk"), importlib.import_module("nltk.corpus")
+        nltk: Any = importlib.import_module("nltk")
+        corpus: Any = importlib.import_module("nltk.corpus")
         kept = nltk.download, corpus.words
         nltk.download, corpus.words = _nothing, _Words
         try:
@@ -167,5 +168,3 @@ def _mend() -> None:
             space["EnglishDictionary"] = _Dictionary
         if "en_uk_dict" in space:
             space["en_uk_dict"] = _everything()
-
-

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-import random
 import re
+from typing import TYPE_CHECKING, Any
 
-from gem_games.textarena.table import Table
+if TYPE_CHECKING:
+    import random
+
+    from gem_games.textarena.table import Table
 
 _BRACKETED = re.compile(r"\[[^\[\]\n]{1,60}\]")
 _NUMBER = re.compile(r"\d+")
@@ -25,8 +28,8 @@ def random_move(table: Table, rng: random.Random) -> str:
 
 def _candidates(table: Table, rng: random.Random) -> list[str]:
     board = getattr(table.state, "game_state", None) or {}
-    position = board.get("board") if isinstance(board, dict) else None
-    if hasattr(position, "legal_moves"):  # a board of the package chess
+    position: Any = board.get("board") if isinstance(board, dict) else None
+    if position is not None and hasattr(position, "legal_moves"):  # a board of the package chess
         listed = [f"[{move.uci()}]" for move in position.legal_moves]
         if listed:
             return [rng.choice(sorted(listed))]

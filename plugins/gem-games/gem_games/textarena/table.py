@@ -29,8 +29,9 @@ class Table:
 
     def __init__(self, name: str, players: int) -> None:
         self.name, self.players = name, players
-        self._game, self._brackets, self._clip = load(name)
         self._fence = Fence(0)
+        with self._fence.inside():
+            self._game, self._brackets, self._clip = load(name)
         self.seed = 0
         self.actions: list[str] = []
         self.done = False
@@ -41,9 +42,10 @@ class Table:
         """Deal a game."""
         self.seed, self.actions, self.done = seed, [], False
         self._boards, self.seen = {}, {}
-        self._game, self._brackets, self._clip = load(self.name)
         self._fence = Fence(seed)
         with self._fence.inside():
+            # Made anew, since some constructors draw too.
+            self._game, self._brackets, self._clip = load(self.name)
             self._game.reset(num_players=self.players, seed=seed % 2**32)
         if self._game.state.max_turns is None:
             # DontSayIt-v0-unlimited compares it with the turn, in textarena 0.7.4.
@@ -91,20 +93,30 @@ class Table:
     def tries(self, action: str) -> bool:
         """Tell, on a copy of the game, whether TextArena takes an action as a valid one."""
         invalid: list[Any] = []
+
+        def note(*args: Any, **kwargs: Any) -> bool:
+            invalid.append((args, kwargs))
+            return False
+
         fence = self._fence.copy()
         with fence.inside():
             try:
                 # Word lists are never changed, and copying them takes a second: the copy shares them.
-                game = copy.deepcopy(self._game, {id(part): part for part in vars(self._game).values() if _is_long(part)})
-                game.state.set_invalid_move = lambda *args, **kwargs: bool(invalid.append((args, kwargs)))
+                shared = {id(part): part for part in vars(self._game).values() if _is_long(part)}
+                game = copy.deepcopy(self._game, shared)
+                game.state.set_invalid_move = note
                 game.step(action=self._formed(action))
             except Exception:  # noqa: BLE001 - whatever the library raises, the action is not valid
                 return False
         return not invalid
 
     def rewards(self) -> dict[int, float]:
-        """Return each seat's reward of a finished game."""
-        return {int(seat): float(reward) for seat, reward in (self._game.state.rewards or {}).items()}
+        """Return each seat's reward of a finished game.
+
+        Some games of textarena 0.7.4 give the reason of an invalid move in the reward's place: that is -1, as usual.
+        """
+        rewards = (self._game.state.rewards or {}).items()
+        return {int(seat): float(reward) if isinstance(reward, int | float) else -1.0 for seat, reward in rewards}
 
     def report(self, seat: int) -> dict[str, Any]:
         """Return what TextArena says about a seat, as plain data."""
