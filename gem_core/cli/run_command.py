@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,8 @@ from gem_core.cli.completion import complete_agents, complete_backends, complete
 from gem_core.cli.list_command import matching
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.registry import make_vec, registry
-from gem_core.specs import ToolSpec
+from gem_core.requirements import unmet
+from gem_core.specs import EnvSpec, ToolSpec
 
 if TYPE_CHECKING:
     from gem_core.agents.base import Agent
@@ -249,7 +250,7 @@ def _expanded(ids: tuple[str, ...]) -> list[str]:
     expanded: dict[str, None] = {}
     for env_id in ids:
         if any(character in env_id for character in "*?["):
-            expanded.update(dict.fromkeys(record.id for record in matching(env_id)))
+            expanded.update(dict.fromkeys(_runnable(matching(env_id))))
         else:
             expanded[registry().env(env_id).id] = None
     return list(expanded)
@@ -292,3 +293,13 @@ def _new_path(folder: Path, stem: str) -> Path:
         raise EpisodeFileError(
             f"cannot write in {folder}: {error.strerror or error}; name another file by --out"
         ) from error
+
+
+def _runnable(records: Sequence[EnvSpec]) -> list[str]:
+    """Return the ids of what a glob found, without those that cannot run here; all of them if none can."""
+    missing = {record.id: unmet(record.requires) for record in records if record.requires}
+    closed = [env_id for env_id, found in missing.items() if found]
+    if not closed or len(closed) == len(records):
+        return [record.id for record in records]
+    click.echo(f"left out, since it cannot run here ('gem info ID' says why): {', '.join(closed)}", err=True)
+    return [record.id for record in records if record.id not in closed]
