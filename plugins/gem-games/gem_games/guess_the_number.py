@@ -73,7 +73,6 @@ class GuessTheNumberEnv(Game):
 
     def _begin(self) -> None:
         self.guesses = []
-        self._low, self._high = self.min_number, self.max_number
         self._hints = ""
 
     def _rules(self) -> str:
@@ -106,19 +105,12 @@ class GuessTheNumberEnv(Game):
         self.guesses.append(guess)
         if guess == self.number:
             return self._win(str(guess), f"{guess} is right: you found the number.")
-        return self._move(str(guess), f"The number is {self._take_hint(guess)}.", 0.0, closeness)
-
-    def _take_hint(self, guess: int) -> str:
-        if guess < self.number:
-            if guess >= self._low:
-                self._low = guess + 1
-            hint = f"higher than {guess}"
-        else:
-            if guess <= self._high:
-                self._high = guess - 1
-            hint = f"lower than {guess}"
+        hint = self._hint(guess)
         self._hints = f"{self._hints}, {hint}" if self._hints else hint
-        return hint
+        return self._move(str(guess), f"The number is {hint}.", 0.0, closeness)
+
+    def _hint(self, guess: int) -> str:
+        return f"higher than {guess}" if guess < self.number else f"lower than {guess}"
 
     def _solution(self) -> str:
         return f" The number was {self.number}."
@@ -133,12 +125,14 @@ class GuessTheNumberEnv(Game):
     def _drawing(self) -> str:
         width = 50
         share = width / (self.max_number - self.min_number + 1)
-        first = int((self._low - self.min_number) * share)
-        last = max(first + 1, int((self._high - self.min_number + 1) * share))
+        low = max((guess + 1 for guess in self.guesses if guess < self.number), default=self.min_number)
+        high = min((guess - 1 for guess in self.guesses if guess > self.number), default=self.max_number)
+        first = int((low - self.min_number) * share)
+        last = max(first + 1, int((high - self.min_number + 1) * share))
         closed = painted("·" * first, "dim"), painted("·" * (width - last), "dim")
         line = painted("█" * (last - first), "cyan").join(closed)
         guesses = ", ".join(map(str, self.guesses)) or "none"
-        return f"{self.min_number} {line} {self.max_number}\nopen: {self._low} to {self._high} · guesses: {guesses}"
+        return f"{self.min_number} {line} {self.max_number}\nopen: {low} to {high} · guesses: {guesses}"
 
     def _get_state(self) -> dict[str, Any]:
         return {
@@ -155,7 +149,5 @@ class GuessTheNumberEnv(Game):
         self.min_number, self.max_number = int(state["min_number"]), int(state["max_number"])
         self.max_turns, self.number = int(state["max_turns"]), int(state["number"])
         self._begin()
-        for guess in map(int, state["guesses"]):
-            self.guesses.append(guess)
-            if guess != self.number:
-                self._take_hint(guess)
+        self.guesses = [int(guess) for guess in state["guesses"]]
+        self._hints = ", ".join(self._hint(guess) for guess in self.guesses if guess != self.number)
