@@ -6,6 +6,7 @@ What is mended was seen in textarena 0.7.4:
 - ``EnglishDictionary`` spends a second on tables whose order depends on the hash seed: it is replaced;
 - some games go through a ``set`` of words: theirs has an order;
 - some games print what they deal: ``print`` is silent inside the library;
+- six games raise when someone has won: ``endings.py`` puts them right;
 - six modules have nested quotes in f-strings, which Python 3.11 cannot read: such lines get other quotes.
 """
 
@@ -21,6 +22,7 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 from gem_games import words as our_words
+from gem_games.textarena import endings
 from gem_games.textarena.fence import LOCK
 
 _INNER_QUOTES = re.compile(r'\["(\w+)"\]')
@@ -152,10 +154,9 @@ def _read_with_other_quotes(name: str, path: str) -> None:
 
 def _mend() -> None:
     """Replace what the loaded modules of the library would download, or print to."""
-    for name, module in list(sys.modules.items()):
-        if not name.startswith("textarena.envs."):
-            continue
-        space = vars(module)
+    spaces = [vars(module) for name, module in list(sys.modules.items()) if name.startswith("textarena.envs.")]
+    endings.put_right(importlib.import_module("textarena.state"), spaces)
+    for space in spaces:
         space["print"] = _nothing
         space["set"] = _Ordered
         if "nltk" in space:

@@ -1,0 +1,52 @@
+"""Puts right how games of textarena 0.7.4 end: as it is, these six raise when someone has won.
+
+- Tak names the winner under another keyword than its state takes;
+- Checkers and FifteenPuzzle call what their state does not have, and so do Briscola and Golf with more than two seats;
+- Stratego keeps a bomb that was defused in its list of pieces, and later looks for it on the board.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+_WINNER = re.compile(r"Player (\d+) wins")
+
+
+def put_right(states: Any, spaces: list[dict[str, Any]]) -> None:
+    """Change the state classes, and the class of Stratego where it is loaded; once is enough, twice does no harm.
+
+    Args:
+        states: The module ``textarena.state``.
+        spaces: The names in the modules of games that are loaded.
+    """
+    two = states.TwoPlayerState
+    if not hasattr(states.SinglePlayerState, "set_winners"):
+        win = two.set_winner
+
+        def set_winner(self: Any, player_id: Any = None, reason: str = "", player_ids: Any = None) -> None:
+            win(self, player_ids if player_id is None else player_id, reason)
+
+        two.set_winner = two.set_winners = set_winner
+        states.SinglePlayerState.set_winners = _solved
+        states.FFAMultiPlayerState.set_outcome = _one_wins
+    for space in spaces:
+        if "StrategoEnv" in space:
+            space["StrategoEnv"]._check_winner = _stratego_winner
+
+
+def _solved(self: Any, player_ids: Any, reason: str) -> None:
+    self.set_outcome(reward=1, reason=reason)
+
+
+def _one_wins(self: Any, reward: float, reason: str) -> None:
+    """Note the winner that is named in the reason; the reward is that of the seat which moved last."""
+    named = _WINNER.search(reason)
+    self.set_winners([int(named.group(1))] if named else [], reason)
+
+
+def _stratego_winner(self: Any) -> int | None:
+    """Return who has won, if one has only bombs and the flag left on the board."""
+    pieces = [piece for row in self.board for piece in row if isinstance(piece, dict)]
+    movable = {piece["player"] for piece in pieces if piece["rank"] not in ("Bomb", "Flag")}
+    return next((1 - player for player in range(2) if player not in movable), None)
