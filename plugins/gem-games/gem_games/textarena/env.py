@@ -15,7 +15,7 @@ from gem_core.types import Concurrency, Info, ResetResult, StepResult
 from gem_games.textarena.moves import random_move
 from gem_games.textarena.table import Table
 
-_MOST_OPPONENT_TURNS = 60
+_MOST_OPPONENT_TURNS = 300
 
 
 class TextArenaEnv(Env):
@@ -26,8 +26,8 @@ class TextArenaEnv(Env):
     the reward is above 0, where TextArena gave one.
 
     An action that makes the library raise loses the game with -1, if another action would not have done so; else the
-    episode is truncated with ``info["error"]``. Opponents who do not find a valid move in 60 turns end it too: it is
-    truncated, with ``info["stalled"]``.
+    episode is truncated with ``info["error"]``. So it is where the agent's turn does not come in 300 turns of the
+    opponents.
 
     Args:
         game: The game's id in TextArena.
@@ -89,7 +89,8 @@ class TextArenaEnv(Env):
             if self.seat in rewards:
                 info["correct"] = reward > 0
         if self._stalled:
-            info["stalled"] = f"the agent's turn did not come in {_MOST_OPPONENT_TURNS} turns of the opponents"
+            message = f"the agent's turn did not come in {_MOST_OPPONENT_TURNS} turns of the opponents"
+            info["error"] = {"kind": "opponent", "message": message}
         return observation, reward, table.done, self._stalled, info
 
     def _failed(self, error: Exception) -> StepResult:
@@ -151,7 +152,7 @@ class TextArenaEnv(Env):
         return view.feedback + suffix, info
 
     def sample_random_action(self) -> str:
-        """Return a move that TextArena takes, wherever some tries on a copy of the game find one."""
+        """Return a move that TextArena takes as a valid one; where there is none, ``"[no move]"``."""
         if not self._begun:
             raise ResetNeededError(f"{self.env_id or self.game}: call reset() before sample_random_action()")
         return random_move(self.table, random.Random(int(self.action_random.integers(2**53))))

@@ -36,12 +36,11 @@ class Table:
         self.actions: list[str] = []
         self.done = False
         self._boards: dict[int, str] = {}
-        self.seen: dict[int, list[str]] = {}
 
     def reset(self, seed: int) -> None:
         """Deal a game."""
         self.seed, self.actions, self.done = seed, [], False
-        self._boards, self.seen = {}, {}
+        self._boards = {}
         self._fence = Fence(seed)
         with self._fence.inside():
             # Made anew, since some constructors draw too.
@@ -57,9 +56,9 @@ class Table:
         return int(self._game.state.current_player_id)
 
     @property
-    def state(self) -> Any:
-        """TextArena's own state of the game; read only."""
-        return self._game.state
+    def game(self) -> Any:
+        """TextArena's own game; read only."""
+        return self._game
 
     def look(self, seat: int) -> View:
         """Return what is new for a seat; what was seen once is not shown again, but for the board."""
@@ -68,7 +67,6 @@ class Table:
         texts = []
         for place, (sender, text, kind) in enumerate(messages):
             text = str(text)
-            self.seen.setdefault(seat, []).append(text)
             if _kind(kind) == "GAME_BOARD":
                 self._boards[seat] = text
                 if not any(_kind(later[2]) == "GAME_BOARD" for later in messages[place + 1 :]):

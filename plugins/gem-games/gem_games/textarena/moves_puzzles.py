@@ -1,0 +1,190 @@
+"""Moves of puzzles and games for one. Each function returns moves that are all valid now.
+
+TextArena takes a wrong letter of a crossword, a wrong digit of a sudoku and a mine for invalid moves. A random player
+who makes none thus knows the solution, and finishes these puzzles if the turns are enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise, permutations
+from typing import TYPE_CHECKING, Any
+
+from gem_games.textarena.moves_talk import Sampler, always
+
+if TYPE_CHECKING:
+    import random
+
+_TRIES = 50
+_MOST_COUNTDOWN = 1_000_000
+
+
+def cells(board: Sequence[Sequence[Any]]) -> Iterator[tuple[int, int, Any]]:
+    """Return row, column and content of each cell."""
+    return ((r, c, content) for r, row in enumerate(board) for c, content in enumerate(row))
+
+
+def _bandit(game: Any, rng: random.Random) -> Sequence[str]:
+    return [f"[{button}]" for button in game.buttons]
+
+
+def _countdown(game: Any, rng: random.Random) -> Sequence[str]:
+    def taken(a: int, b: int, sign: str) -> bool:
+        if sign == "/":
+            return b != 0 and a % b == 0
+        return abs(a * b if sign == "*" else a + b if sign == "+" else a - b) <= _MOST_COUNTDOWN
+
+    pairs = permutations(enumerate(game.numbers), 2)
+    return [f"[{i} {j} {sign}]" for (i, a), (j, b) in pairs for sign in "+-*/" if taken(a, b, sign)]
+
+
+def _crosswords(game: Any, rng: random.Random) -> Sequence[str]:
+    state = game.state.game_state
+    letters = ((r, c, state["solution"][r][c]) for r, c, content in cells(state["board"]) if content == "_")
+    return [f"[{r} {c} {letter}]" for r, c, letter in letters if letter.isascii() and letter.isalpha()]
+
+
+def _cryptarithm(game: Any, rng: random.Random) -> Sequence[str]:
+    return [
+        f"[{letter} {digit}]"
+        for letter in sorted(game.letters)
+        for digit in range(letter in game.first_letters, 10)
+        if game.digit_used.get(digit, letter) == letter
+    ]
+
+
+def _fifteen(game: Any, rng: random.Random) -> Sequence[str]:
+    row, column = next((r, c) for r, c, tile in cells(game.board) if tile is None)
+    ways = {"up": row < 3, "down": row > 0, "left": column < 3, "right": column > 0}
+    return [f"[{way}]" for way, free in ways.items() if free]
+
+
+def _frozen_lake(game: Any, rng: random.Random) -> Sequence[str]:
+    row, column = game.state.game_state["player_pos"]
+    ends = {way: (row + dr, column + dc) for way, (dr, dc) in game.actions.items()}
+    return [f"[{way}]" for way, end in ends.items() if all(0 <= place < game.size for place in end)]
+
+
+def _2048(game: Any, rng: random.Random) -> Sequence[str]:
+    rows = [list(row) for row in game.state.game_state["board"]]
+    columns = [list(column) for column in zip(*rows, strict=True)]
+    ways = {"Left": rows, "Right": [row[::-1] for row in rows], "Up": columns, "Down": [row[::-1] for row in columns]}
+
+    def slides(line: list[int]) -> bool:
+        return any(tile and before in (0, tile) for before, tile in pairwise(line))
+
+    return [f"[{way}]" for way, lines in ways.items() if any(map(slides, lines))]
+
+
+def _guess_the_number(game: Any, rng: random.Random) -> Sequence[str]:
+    numbers = range(game.min_number, game.max_number + 1)
+    return [f"[{number}]" for number in numbers if number not in game.guessed_numbers]
+
+
+def _lights_out(game: Any, rng: random.Random) -> Sequence[str]:
+    return [f"[{rng.randrange(game.size)} {rng.randrange(game.size)}]"]
+
+
+def _logic_puzzle(game: Any, rng: random.Random) -> Sequence[str]:
+    marks = [
+        (row, column, mark, content)
+        for grid in game.game_board.values()
+        for row, line in grid.items()
+        for column, content in line.items()
+        for mark in "XO"
+    ]
+    # Names are read in lower case, and made of letters only.
+    return [
+        f"[{row} {column} {mark}]"
+        for row, column, mark, content in marks
+        if content != mark and (row + column).isalpha() and (row + column).islower()
+    ]
+
+
+def _mastermind(game: Any, rng: random.Random) -> Sequence[str]:
+    state = game.state.game_state
+    guessed = [entry["guess"] for entry in state["history"]]
+    numbers = range(1, state["num_numbers"] + 1)
+    for _ in range(_TRIES):
+        length = state["code_length"]
+        guess = rng.choices(numbers, k=length) if state["duplicate_numbers"] else rng.sample(numbers, length)
+        if guess not in guessed:
+            return [f"[{' '.join(map(str, guess))}]"]
+    return ()
+
+
+def _minesweeper(game: Any, rng: random.Random) -> Sequence[str]:
+    return [f"[{r} {c}]" for r, c, content in cells(game.grid) if content != -1 and not game.revealed[r][c]]
+
+
+def _peg_jump(game: Any, rng: random.Random) -> Sequence[str]:
+    board = game.state.game_state["board"]
+    jumps = game.ALLOWED_MOVES
+    return [f"[{start} {end}]" for start, over, end in jumps if board[start] and board[over] and not board[end]]
+
+
+def _rush_hour(game: Any, rng: random.Random) -> Sequence[str]:
+    taken = {(r, c) for r, c, content in cells(game._occupied()) if content is not None}
+    size = range(game.BOARD_SIZE)
+    fronts = [
+        (f"[{name}{sign}]", car.front(sign == "+"))
+        for name, car in sorted(game.state.game_state["vehicles"].items())
+        for sign in "+-"
+    ]
+    return [move for move, front in fronts if front not in taken and front[0] in size and front[1] in size]
+
+
+def _set(game: Any, rng: random.Random) -> Sequence[str]:
+    return [f"[{', '.join(map(str, rng.sample(range(1, len(game.state.game_state['board']) + 1), 3)))}]"]
+
+
+def _slitherlink(game: Any, rng: random.Random) -> Sequence[str]:
+    kind = rng.choice("hv")
+    return [f"[{kind} {rng.randrange(game.R + (kind == 'h'))} {rng.randrange(game.C + (kind == 'v'))}]"]
+
+
+def _sokoban(game: Any, rng: random.Random) -> Sequence[str]:
+    return [f"[{way}]" for way in game.action_space if not game._would_collide_with_wall(way)]
+
+
+def _sudoku(game: Any, rng: random.Random) -> Sequence[str]:
+    board = game.state.game_state["board"]
+    return [f"[{r + 1} {c + 1} {game.full_grid[r][c]}]" for r, c, digit in cells(board) if not digit]
+
+
+def _monte(game: Any, rng: random.Random) -> Sequence[str]:
+    return [f"[{cup}]" for cup in range(game.num_cups)]
+
+
+def _hanoi(game: Any, rng: random.Random) -> Sequence[str]:
+    towers = game.state.game_state["towers"]
+    return [
+        f"[{start} {end}]"
+        for start, end in permutations(towers, 2)
+        if towers[start] and (not towers[end] or towers[end][-1] > towers[start][-1])
+    ]
+
+
+SAMPLERS: dict[str, Sampler] = {
+    "2048": _2048,
+    "Bandit": _bandit,
+    "Countdown": _countdown,
+    "Crosswords": _crosswords,
+    "Cryptarithm": _cryptarithm,
+    "FifteenPuzzle": _fifteen,
+    "FrozenLake": _frozen_lake,
+    "GuessTheNumber": _guess_the_number,
+    "LightsOut": _lights_out,
+    "LogicPuzzle": _logic_puzzle,
+    "Mastermind": _mastermind,
+    "Minesweeper": _minesweeper,
+    "PegJump": _peg_jump,
+    "RushHour": _rush_hour,
+    "Secretary": always("[accept]", "[continue]"),
+    "Set": _set,
+    "Slitherlink": _slitherlink,
+    "Sokoban": _sokoban,
+    "Sudoku": _sudoku,
+    "ThreeCardMonte": _monte,
+    "TowerOfHanoi": _hanoi,
+}
