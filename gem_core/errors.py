@@ -23,7 +23,7 @@
     │   └── SamplingNotSupported   sample_random_action
     ├── StateError                 a saved state that does not fit
     ├── BridgeError                synchronous call from the library's own event loop
-    ├── EnvFaultError              an environment failed and on_error="raise"
+    ├── EnvFaultError              an environment failed, at its reset or with on_error="raise"
     │   └── WorkerLostError        a worker died before it answered
     ├── FaultBudgetError           replacements fail again and again
     ├── RequestError               a model server did not answer, whatever the answer would have been
@@ -131,7 +131,7 @@ class BridgeError(GemError, RuntimeError):
 
 
 class EnvFaultError(GemError):
-    """An environment failed, and the vector environment was made with ``on_error="raise"``."""
+    """An environment failed: at its reset, or in a vector environment made with ``on_error="raise"``."""
 
 
 class WorkerLostError(EnvFaultError):

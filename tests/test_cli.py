@@ -45,7 +45,7 @@ def act(observation, context):
         (["run", "--agnt", "x", COUNTDOWN], "No such option '--agnt'. Did you mean '--agent'?"),
         (["run", "toy:Cuntdown-v0"], "no environment 'toy:Cuntdown-v0'. Did you mean 'toy:Countdown-v0'"),
         (["run", "toy:nothing*"], "no environment matches 'toy:nothing*'"),
-        (["run", "toy:Cuntdown*"], "no environment matches 'toy:Cuntdown*'. Did you mean 'toy:Countdown-v0'?"),
+        (["run", "toy:Cuntdown*"], "no environment matches 'toy:Cuntdown*'. Did you mean 'toy:Countdown-v0'"),
         (["run", COUNTDOWN, "--out", ""], "--out takes the name of a file, not ''"),
         (["run", COUNTDOWN, "--out", "-"], "--out takes the name of a file, not '-'"),
         (["run", COUNTDOWN, "--agent", ":x"], "no agent ':x': name one as MODULE:CALLABLE, or one of "),
@@ -114,9 +114,11 @@ def test_list_finds_by_namespace_part_and_glob(run_gem) -> None:
         "toy:Echo-v0",
         "toy:Sums-v0",
     ]
-    assert run_gem("list", "countd").out.split()[0] == COUNTDOWN
+    found = [line.split()[0] for line in run_gem("list", "countd").out.splitlines()]
+    assert COUNTDOWN in found
+    assert all("countd" in env_id.lower() for env_id in found)
     assert run_gem("list", "toy:*-v0").out.count("\n") == 3
-    (entry,) = json.loads(run_gem("list", "countd", "--json").out)
+    (entry,) = json.loads(run_gem("list", "toy:countd", "--json").out)
     assert entry["id"] == COUNTDOWN
     assert entry["deterministic"] is True
 
@@ -201,6 +203,34 @@ def test_max_turns_counts_calls_of_tools(run_gem, monkeypatch: pytest.MonkeyPatc
     (episode,) = read_episodes("a.jsonl")
     assert (episode.turns, episode.transitions[-1].truncated) == (3, True)
     assert [name for name, _ in episode.wrappers] == ["tools", "turn_limit", "concat"]
+
+
+def test_a_glob_leaves_out_what_cannot_run_here(run_gem, own_registry) -> None:
+    """It says so in one line; with --json too, standard output holds nothing else."""
+    register_open_and_closed()
+    outcome = run_gem("run", "half:*", "--seed", "1", "--episodes", "1", "--json")
+    assert outcome.code == 0
+    assert outcome.err == (
+        "gem: left out 2 of 3 that cannot run here ('gem info ID' says why): half:Closed-v0, half:Shut-v0\n"
+    )
+    assert [row["id"] for row in json.loads(outcome.out)["environments"]] == ["half:Open-v0"]
+
+
+@pytest.mark.parametrize("ids", [["half:Closed-v0"], ["half:Closed*"], ["half:*", "half:Closed-v0"]])
+def test_what_cannot_run_here_and_is_asked_for_itself_is_an_error(run_gem, own_registry, ids: list[str]) -> None:
+    """Named outright, or by a glob that finds nothing else; the exit code is that of a missing requirement."""
+    register_open_and_closed()
+    outcome = run_gem("run", *ids, "--episodes", "1")
+    assert outcome.code == 1
+    assert outcome.out == ""
+    assert outcome.err.splitlines()[-1] == "gem: half:Closed-v0 cannot run here: it is under repair"
+
+
+def register_open_and_closed() -> None:
+    """Register an environment that runs and two that cannot."""
+    gem.register("half:Open-v0", "toys:CountdownEnv")
+    gem.register("half:Closed-v0", "toys:CountdownEnv", requires=("never:it is under repair",))
+    gem.register("half:Shut-v0", "toys:CountdownEnv", requires=("never:it is shut",))
 
 
 def test_errors_are_counted_apart_and_give_exit_code_1(run_gem) -> None:

@@ -256,6 +256,19 @@ def _expanded(ids: tuple[str, ...]) -> list[str]:
     return list(expanded)
 
 
+def _runnable(records: Sequence[EnvSpec]) -> list[str]:
+    """Return the ids of what a glob found, without those that cannot run here; all of them if none can."""
+    closed = {record.id for record in records if unmet(record.requires)}
+    if not closed or len(closed) == len(records):
+        return [record.id for record in records]
+    click.echo(
+        f"gem: left out {len(closed)} of {len(records)} that cannot run here ('gem info ID' says why): "
+        f"{', '.join(sorted(closed))}",
+        err=True,
+    )
+    return [record.id for record in records if record.id not in closed]
+
+
 def _out_path(out: str | None, seed: int, overwrite: bool) -> Path:
     if out is None:
         return _new_path(Path("runs"), f"{time.strftime('%Y%m%d-%H%M%S')}-{seed}")
@@ -293,13 +306,3 @@ def _new_path(folder: Path, stem: str) -> Path:
         raise EpisodeFileError(
             f"cannot write in {folder}: {error.strerror or error}; name another file by --out"
         ) from error
-
-
-def _runnable(records: Sequence[EnvSpec]) -> list[str]:
-    """Return the ids of what a glob found, without those that cannot run here; all of them if none can."""
-    missing = {record.id: unmet(record.requires) for record in records if record.requires}
-    closed = [env_id for env_id, found in missing.items() if found]
-    if not closed or len(closed) == len(records):
-        return [record.id for record in records]
-    click.echo(f"left out, since it cannot run here ('gem info ID' says why): {', '.join(closed)}", err=True)
-    return [record.id for record in records if record.id not in closed]

@@ -17,7 +17,6 @@ from gem_games.textarena.games import GAMES
 from gem_games.textarena.listing import textarena_specs
 
 RUNNABLE = [spec for spec in textarena_specs() if not spec.requires]
-_SLOW = "Sokoban"
 _EPISODES = """
 import json, sys
 from gem_games.textarena.env import TextArenaEnv
@@ -39,8 +38,6 @@ def test_each_runnable_game_is_the_same_in_another_process():
     """With another hash seed the same actions give the same observations and rewards; nothing is an error."""
     logs, asked = {}, []
     for spec in RUNNABLE:
-        if _SLOW in spec.id:
-            continue
         env = TextArenaEnv(**spec.kwargs)
         observation, info = env.reset(seed=7)
         log, actions = [observation], []

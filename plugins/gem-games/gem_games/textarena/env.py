@@ -9,13 +9,14 @@ from typing import Any, ClassVar
 from gem_core.agents.base import Context, as_agent
 from gem_core.background import run_sync
 from gem_core.env import Env
-from gem_core.errors import ArgumentError, ResetNeededError
+from gem_core.errors import ArgumentError, EnvFaultError, ResetNeededError
 from gem_core.seeding import stable_hash
 from gem_core.types import Concurrency, Info, ResetResult, StepResult
 from gem_games.textarena.moves import random_move
-from gem_games.textarena.table import Table
+from gem_games.textarena.table import LONGEST_ACTION, Table
 
 _MOST_OPPONENT_TURNS = 300
+_STALLED = f"the agent's turn did not come in {_MOST_OPPONENT_TURNS} turns of the opponents"
 
 
 class TextArenaEnv(Env):
@@ -55,32 +56,40 @@ class TextArenaEnv(Env):
         self._stalled = False
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
-        """Begin a game, and let the opponents play until it is the agent's turn."""
+        """Begin a game, and let the opponents play until it is the agent's turn.
+
+        Where they end the game before that, the first step returns its outcome, whatever the action is.
+
+        Raises:
+            EnvFaultError: An opponent failed, or the agent's turn did not come.
+        """
         super().reset(seed=seed)
+        self._begun = self._over = False
         self.table.reset(self.np_random_seed)
-        self._begun, self._over = True, False
-        failure = self._let_others_play()
-        observation, info = self._see()
-        if failure:
-            info["error"] = failure
-        return observation, info
+        failure, cause = self._let_others_play()
+        if failure or self._stalled:
+            raise EnvFaultError(f"{self.env_id or self.game}: {failure or _STALLED}") from cause
+        self._begun = True
+        return self._see()
 
     def step(self, action: str) -> StepResult:
         """Play for the agent's seat, and let the opponents answer."""
         table = self.table
         errors = table.errors()
-        try:
-            table.act(str(action))
-        except Exception as error:  # noqa: BLE001 - the library may raise anything; blame is told apart below
-            return self._failed(error)
-        invalid = not table.done and table.seat == self.seat and table.errors() > errors
-        failure = self._let_others_play()
+        invalid, failure = False, ""
+        if not table.done:  # else the opponents ended the game at reset
+            try:
+                table.act(str(action))
+            except Exception as error:  # noqa: BLE001 - the library may raise anything; blame is told apart below
+                return self._failed(error)
+            invalid = not table.done and table.seat == self.seat and table.errors() > errors
+            failure, _ = self._let_others_play()
         observation, info = self._see()
-        info["parsed_action"] = str(action)
+        info["parsed_action"] = str(action)[-LONGEST_ACTION:]
         info["invalid_move"] = invalid or bool(info["textarena"].get("invalid_move"))
         if failure:
             self._over = True
-            info["error"] = failure
+            info["error"] = {"kind": "opponent", "message": failure}
             return observation, 0.0, False, True, info
         rewards = table.rewards() if table.done else {}
         reward = rewards.get(self.seat, 0.0)
@@ -89,16 +98,14 @@ class TextArenaEnv(Env):
             if self.seat in rewards:
                 info["correct"] = reward > 0
         if self._stalled:
-            message = f"the agent's turn did not come in {_MOST_OPPONENT_TURNS} turns of the opponents"
-            info["error"] = {"kind": "opponent", "message": message}
+            info["error"] = {"kind": "opponent", "message": _STALLED}
         return observation, reward, table.done, self._stalled, info
 
     def _failed(self, error: Exception) -> StepResult:
         """End an episode in which the library raised: by the agent's fault if a valid action was to be had."""
-        played, seed = self.table.actions[:-1], self.table.seed
-        self._replay(seed, played)
+        self._replay(self.table.seed, self.table.actions)
         self._over = True
-        move = random_move(self.table, random.Random(seed))
+        move = random_move(self.table, random.Random(self.table.seed))
         agents_fault = self.table.tries(move)
         message = f"{type(error).__name__}: {error}"[:300]
         observation, info = self._see()
@@ -110,21 +117,21 @@ class TextArenaEnv(Env):
         info["error"] = {"kind": "textarena", "message": message}
         return observation, 0.0, False, True, info
 
-    def _let_others_play(self) -> dict[str, str] | None:
-        """Play for the others until it is the agent's turn; return what failed, if anything did."""
+    def _let_others_play(self) -> tuple[str, Exception | None]:
+        """Play for the others until it is the agent's turn; return what failed, ``""`` if nothing did."""
         table = self.table
         self._stalled = False
         for _ in range(_MOST_OPPONENT_TURNS):
             if table.done or table.seat == self.seat:
-                return None
+                return "", None
             seat = table.seat
             view = table.look(seat)
             try:
                 table.act(self._answer(seat, view.feedback + _below(view.feedback, view.board)))
             except Exception as error:  # noqa: BLE001 - the library or an opponent may raise anything
-                return {"kind": "opponent", "message": f"seat {seat}: {type(error).__name__}: {error}"[:300]}
-        self._stalled = True
-        return None
+                return f"seat {seat}: {type(error).__name__}: {error}"[:300], error
+        self._stalled = not table.done and table.seat != self.seat
+        return "", None
 
     def _answer(self, seat: int, observation: str) -> str:
         agent = self._opponents.get(seat)

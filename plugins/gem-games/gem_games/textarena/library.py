@@ -6,27 +6,38 @@ What is mended was seen in textarena 0.7.4:
 - ``EnglishDictionary`` spends a second on tables whose order depends on the hash seed: it is replaced;
 - some games go through a ``set`` of words: theirs has an order;
 - some games print what they deal: ``print`` is silent inside the library;
+- Sokoban searches for a room without a limit of time: ``rooms.py`` makes one in milliseconds;
+- Sudoku, RushHour and WordLadder search for a second and more: ``searches.py`` finds the same in milliseconds;
+- five games mix up the arguments of their state: ``argument_order.py`` puts them right;
+- some constructors go through all words: a game is copied from the first one, unless its constructor draws;
 - six games raise when someone has won: ``endings.py`` puts them right;
-- six modules have nested quotes in f-strings, which Python 3.11 cannot read: such lines get other quotes.
+- seven modules have nested quotes in f-strings, which Python 3.11 cannot read: such lines are written in another way.
 """
 
 from __future__ import annotations
 
+import copy
 import importlib
 import importlib.util
+import random
 import re
 import sys
 from collections.abc import Iterator
 from functools import cache
 from types import ModuleType, SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from gem_games import words as our_words
-from gem_games.textarena import endings
+from gem_games.textarena import argument_order, endings, searches
 from gem_games.textarena.fence import LOCK
+from gem_games.textarena.rooms import generate_room
 
 _INNER_QUOTES = re.compile(r'\["(\w+)"\]')
+_INNER_STRING = re.compile(r'f"\{([^{}"]+)\}\{([^{}"]+)\}"')
 _MOST_LINES = 100
+_LONG = 1_000
 
 
 class _Words:
@@ -48,7 +59,7 @@ class _Ordered(set[Any]):
         return iter(sorted(super().__iter__(), key=repr))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> _Ordered:
-        return self if len(self) > 1_000 else _Ordered(self)
+        return self if len(self) > _LONG else _Ordered(self)
 
 
 class _Dictionary:
@@ -75,8 +86,14 @@ def _everything() -> set[str]:
     return _Ordered(_Words.words("en"))
 
 
+@cache
+def _nouns() -> frozenset[str]:
+    return frozenset(word for length in our_words.LENGTHS for word in our_words.nouns(length))
+
+
 def _tagged(tokens: list[str]) -> list[tuple[str, str]]:
-    return [(word, "NN" if word.lower() in our_words.nouns(len(word)) else "JJ") for word in tokens]
+    nouns = _nouns()
+    return [(word, "NN" if word.lower() in nouns else "JJ") for word in tokens]
 
 
 def _nothing(*_: Any, **__: Any) -> bool:
@@ -84,6 +101,19 @@ def _nothing(*_: Any, **__: Any) -> bool:
 
 
 _NLTK = SimpleNamespace(download=_nothing, pos_tag=_tagged, corpus=SimpleNamespace(words=_Words))
+
+
+class _Recipe(NamedTuple):
+    """How to make a game: its class, what that is called with, and what the game's own wrappers do to an action."""
+
+    build: Any
+    kwargs: dict[str, Any]
+    brackets: bool
+    clip: int | None
+
+
+_MADE: dict[str, Any] = {}
+"""For each game that was made, the first one, before its reset; None where the constructor draws."""
 
 
 def load(name: str) -> tuple[Any, bool, int | None]:
@@ -96,22 +126,54 @@ def load(name: str) -> tuple[Any, bool, int | None]:
         The game, whether its wrappers put an action into brackets, and how many characters they leave of one.
     """
     with LOCK:
-        nltk: Any = importlib.import_module("nltk")
-        corpus: Any = importlib.import_module("nltk.corpus")
-        kept = nltk.download, corpus.words
-        nltk.download, corpus.words = _nothing, _Words
-        try:
-            registration = importlib.import_module("textarena.envs.registration")
-            record = registration.ENV_REGISTRY[name]
-            module_name, _, class_name = record.entry_point.partition(":")
-            module = _module(module_name)
-            _mend()
-        finally:
-            nltk.download, corpus.words = kept
-        wrappers = {wrapper.__name__ for wrapper in record.default_wrappers or ()}
-        game = getattr(module, class_name)(**record.kwargs)
-        clip = 1_000 if "ClipCharactersActionWrapper" in wrappers else None
-        return game, "ActionFormattingWrapper" in wrappers, clip
+        recipe = _recipe(name)
+        first = _MADE.get(name)
+        if first is not None:
+            game = copied(first)
+        else:
+            before = random.getstate(), np.random.get_state()
+            game = recipe.build(**recipe.kwargs)
+            if name not in _MADE:
+                _MADE[name] = copied(game) if _same_draws(before, (random.getstate(), np.random.get_state())) else None
+    return game, recipe.brackets, recipe.clip
+
+
+def copied(game: Any) -> Any:
+    """Return a copy of a game; it shares long word lists, which games never change, and the messages in its lists."""
+    shared: dict[int, Any] = {
+        id(part): part for part in vars(game).values() if isinstance(part, _LISTS) and len(part) > _LONG
+    }
+    if hasattr(game, "state"):
+        for messages in (game.state.logs, *game.state.observations.values()):
+            shared[id(messages)] = list(messages)
+    return copy.deepcopy(game, shared)
+
+
+_LISTS = list, set, frozenset
+
+
+def _same_draws(before: tuple[Any, Any], after: tuple[Any, Any]) -> bool:
+    return bool(before[0] == after[0]) and repr(before[1]) == repr(after[1])
+
+
+@cache
+def _recipe(name: str) -> _Recipe:
+    nltk: Any = importlib.import_module("nltk")
+    corpus: Any = importlib.import_module("nltk.corpus")
+    kept = nltk.download, corpus.words
+    nltk.download, corpus.words = _nothing, _Words
+    try:
+        registration = importlib.import_module("textarena.envs.registration")
+        record = registration.ENV_REGISTRY[name]
+        module_name, _, class_name = record.entry_point.partition(":")
+        module = _module(module_name)
+        _mend()
+        argument_order.put_right(importlib.import_module("textarena.state"))
+    finally:
+        nltk.download, corpus.words = kept
+    wrappers = {wrapper.__name__ for wrapper in record.default_wrappers or ()}
+    clip = 1_000 if "ClipCharactersActionWrapper" in wrappers else None
+    return _Recipe(getattr(module, class_name), record.kwargs, "ActionFormattingWrapper" in wrappers, clip)
 
 
 def _module(name: str) -> ModuleType:
@@ -134,7 +196,7 @@ def _read_with_other_quotes(name: str, path: str) -> None:
             break
         except SyntaxError as error:
             number = (error.lineno or 1) - 1
-            mended = _INNER_QUOTES.sub(r"['\1']", lines[number])
+            mended = _INNER_STRING.sub(r"str(\1) + str(\2)", _INNER_QUOTES.sub(r"['\1']", lines[number]))
             if mended == lines[number]:
                 raise
             lines[number] = mended
@@ -143,6 +205,10 @@ def _read_with_other_quotes(name: str, path: str) -> None:
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None:
         raise ImportError(f"{path} is no module")
+    package = name.rpartition(".")[0]
+    above = None if package in sys.modules else importlib.util.find_spec(package)
+    if above is not None:  # not run: it would import the module that cannot be read
+        sys.modules[package] = importlib.util.module_from_spec(above)
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
@@ -169,3 +235,17 @@ def _mend() -> None:
             space["EnglishDictionary"] = _Dictionary
         if "en_uk_dict" in space:
             space["en_uk_dict"] = _everything()
+        _hasten(space)
+
+
+def _hasten(space: dict[str, Any]) -> None:
+    """Replace what a module searches for a second and more."""
+    if "generate_room" in space:
+        space["generate_room"] = generate_room
+    if "SudokuEnv" in space:
+        space["SudokuEnv"]._count_solutions = searches.count_solutions
+    if "RushHourEnv" in space:
+        space["RushHourEnv"]._is_solvable = searches.is_solvable
+    if "WordLadderEnv" in space:
+        space["WordLadderEnv"]._build_neighbor_map = staticmethod(searches.neighbour_map)
+        space["WordLadderEnv"]._find_valid_pairs = searches.word_pairs

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 
 from gem_core.specs import EnvSpec
@@ -12,7 +11,6 @@ _TURNS = 200
 _JUDGED = ("GuessWho", "TwentyQuestions", "Debate", "ScenarioPlanning")
 _FILES = ("UsedCarNegotiation", "ScorableGames")
 _CLOSED = {
-    "CharacterConclave": "in textarena 0.7.4 it calls its own state with an argument too few in every turn",
     "Klondike": "its module in textarena 0.7.4 has a syntax error",
     "UsedCar": "textarena 0.7.4 registers it without its module",
     "BabyAiText": "it needs the package gym and the game files of BabyAI-Text, which textarena 0.7.4 does not bring",
@@ -42,6 +40,4 @@ def _needs(family: str) -> tuple[str, ...]:
         return ("never:textarena 0.7.4 does not ship the text files of this game",)
     if family in _CLOSED:
         return (f"never:{_CLOSED[family]}",)
-    if family == "UltimateTexasHoldem" and sys.version_info < (3, 12):
-        return ("never:its module in textarena 0.7.4 needs Python 3.12 or newer",)
     return ()

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import copy
 import sys
 from typing import Any, NamedTuple
 
 from gem_games.textarena.fence import Fence
-from gem_games.textarena.library import load
+from gem_games.textarena.library import copied, load
 
-_LONGEST_ACTION = 20_000  # characters: some patterns of the library take quadratic time
+LONGEST_ACTION = 4_000
+"""Characters; of a longer action the end is read, since some patterns of the library take quadratic time."""
 
 
 class View(NamedTuple):
@@ -67,23 +67,24 @@ class Table:
         texts = []
         for place, (sender, text, kind) in enumerate(messages):
             text = str(text)
-            if _kind(kind) == "GAME_BOARD":
+            if kind.name == "GAME_BOARD":
                 self._boards[seat] = text
-                if not any(_kind(later[2]) == "GAME_BOARD" for later in messages[place + 1 :]):
+                if not any(later[2].name == "GAME_BOARD" for later in messages[place + 1 :]):
                     continue
             who = state.role_mapping.get(sender, f"Player {sender}")
-            texts.append(text if _kind(kind) == "PROMPT" else f"[{who}] {text}")
+            texts.append(text if kind.name == "PROMPT" else f"[{who}] {text}")
         return View("\n".join(texts), self._boards.get(seat, ""))
 
     def act(self, action: str) -> None:
-        """Play a text for the seat whose turn it is. What TextArena raises comes through."""
-        self.actions.append(action)
+        """Play a text for the seat whose turn it is. What TextArena raises comes through, and is not noted."""
+        action = action[-LONGEST_ACTION:]
         with self._fence.inside():
             self.done = bool(self._game.step(action=self._formed(action))[0])
+        self.actions.append(action)
 
     def _formed(self, action: str) -> str:
         """Do what the game's own wrappers do to an action."""
-        action = action[: self._clip or _LONGEST_ACTION]
+        action = action[: self._clip]
         if self._brackets and not ("[" in action and "]" in action):
             action = f"[{action}]"
         return action
@@ -99,9 +100,7 @@ class Table:
         fence = self._fence.copy()
         with fence.inside():
             try:
-                # Word lists are never changed, and copying them takes a second: the copy shares them.
-                shared = {id(part): part for part in vars(self._game).values() if _is_long(part)}
-                game = copy.deepcopy(self._game, shared)
+                game = copied(self._game)
                 game.state.set_invalid_move = note
                 game.step(action=self._formed(action))
             except Exception:  # noqa: BLE001 - whatever the library raises, the action is not valid
@@ -109,12 +108,8 @@ class Table:
         return not invalid
 
     def rewards(self) -> dict[int, float]:
-        """Return each seat's reward of a finished game.
-
-        Some games of textarena 0.7.4 give the reason of an invalid move in the reward's place: that is -1, as usual.
-        """
-        rewards = (self._game.state.rewards or {}).items()
-        return {int(seat): float(reward) if isinstance(reward, int | float) else -1.0 for seat, reward in rewards}
+        """Return each seat's reward of a finished game."""
+        return {int(seat): float(reward) for seat, reward in (self._game.state.rewards or {}).items()}
 
     def report(self, seat: int) -> dict[str, Any]:
         """Return what TextArena says about a seat, as plain data."""
@@ -124,12 +119,3 @@ class Table:
     def errors(self) -> int:
         """Return the number of invalid moves in a row by the seat whose turn it is."""
         return int(getattr(self._game.state, "error_count", 0))
-
-
-def _kind(kind: Any) -> str:
-    """Return the name of a kind of message; three games of textarena 0.7.4 give a text instead of one."""
-    return str(getattr(kind, "name", kind))
-
-
-def _is_long(part: Any) -> bool:
-    return isinstance(part, list | set | frozenset) and len(part) > 1_000
