@@ -79,6 +79,7 @@ def test_registered_ids_and_parameters() -> None:
 
 
 def test_readme_lists_the_registered_ids() -> None:
+    """All but TextArena's, of which it tells how they are named."""
     from gem_games._plugin import gem_register_agents, gem_register_envs
 
     readme = Path(__file__).parents[1].joinpath("README.md").read_text(encoding="utf-8")

@@ -24,6 +24,18 @@ def remark(game: Any, rng: random.Random) -> Sequence[str]:
     return [rng.choice(_REMARKS).format(rng.choice(words.nouns(rng.randrange(4, 8))))]
 
 
+def _conclave(game: Any, rng: random.Random) -> Sequence[str]:
+    """A tenth of what may be said in all, or all that is left; in the end, a vote for another player."""
+    board, seat = game.state.game_state, game.state.current_player_id
+    if board["phase"] != "discussion":
+        return [f"[{other}]" for other in range(game.state.num_players) if other != seat]
+    length = max(1, min(board["budget_remaining"][seat], game.character_budget // 10))
+    text = ""
+    while len(text) < length:
+        text += f"{remark(game, rng)[0]} "
+    return [text[:length]]
+
+
 def _talk_then(decide: Sampler) -> Sampler:
     """Return a sampler for a game whose state tells that it is time to talk, or else to decide."""
     return lambda game, rng: (remark if game.state.game_state["phase"] == "conversation" else decide)(game, rng)
@@ -135,7 +147,7 @@ def _facts(game: Any, rng: random.Random) -> Sequence[str]:
 
 
 SAMPLERS: dict[str, Sampler] = {
-    "CharacterConclave": remark,
+    "CharacterConclave": _conclave,
     "Debate": remark,
     "GuessWho": remark,
     "IteratedMatchingPennies": always("[heads]", "[tails]"),
