@@ -1,0 +1,1 @@
+"""Tools for agents: Python in a sandbox, search, and any MCP server."""
