@@ -21,15 +21,17 @@ class Progress:
     """Shows how far a run is.
 
     Args:
-        total: Number of episodes; None where that is not known.
+        total: How many there are; None where that is not known.
         title: Shown before the bar.
         quiet: Show nothing, as when a person answers.
+        unit: What is counted, for the lines without a bar.
     """
 
-    def __init__(self, total: int | None, title: str, *, quiet: bool = False) -> None:
+    def __init__(self, total: int | None, title: str, *, quiet: bool = False, unit: str = "episodes") -> None:
         self._total = total
         self._title = title
         self._quiet = quiet
+        self._unit = unit
         self._bar: RichProgress | None = None
         self._task: TaskID | None = None
         self._last = time.monotonic()
@@ -46,12 +48,12 @@ class Progress:
             self._bar.stop()
 
     def advance(self, done: int, status: str = "") -> None:
-        """Note that so many episodes are over."""
+        """Note that so many are done."""
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=done, status=status)
         elif not self._quiet and time.monotonic() - self._last > _PLAIN_EVERY_S:
             self._last = time.monotonic()
-            counted = f"{done} episodes" if self._total is None else f"{done} of {self._total} episodes"
+            counted = f"{done} {self._unit}" if self._total is None else f"{done} of {self._total} {self._unit}"
             with suppress(OSError, ValueError):  # nobody reads it any more; the run goes on
                 sys.stderr.write(f"gem: {counted}{', ' if status else ''}{status}\n")
 
