@@ -1,0 +1,174 @@
+"""A corpus on disk: a file of JSON lines, or a folder of text files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gem_core.errors import ArgumentError, DatasetError
+from gem_tools.search.passages import Passage, printable
+
+ARTICLES = "articles"
+"""Name of the corpus that is shipped with the plugin."""
+
+TEXT_SUFFIXES = (".txt", ".md", ".rst")
+
+PASSAGE_CHARS = 1200
+"""About so long are the passages into which the files of a folder are cut."""
+
+_FORM = '{"id": …, "title": …, "text": …}'
+
+
+@dataclass(frozen=True)
+class Corpus:
+    """Where passages come from.
+
+    Args:
+        path: The file or folder.
+        files: The files to read, in order.
+        size: Bytes of all files.
+    """
+
+    path: Path
+    files: tuple[Path, ...]
+    size: int
+
+    def passages(self, read: Callable[[int], object] = lambda _: None) -> Iterator[Passage]:
+        """Yield the passages in order.
+
+        Args:
+            read: Told, now and then, how many bytes have been read.
+
+        Raises:
+            DatasetError: A line is no passage; the message names file and line.
+        """
+        if self.path.is_dir():
+            return self._from_folder(read)
+        return _from_lines(self.path, read)
+
+    def digest(self) -> str:
+        """Return a hash of all that is in the corpus."""
+        hashed = hashlib.blake2b(digest_size=20)
+        folder = self.path if self.path.is_dir() else self.path.parent
+        for file in self.files:
+            # The name of a lone file does not matter; in a folder names are titles.
+            name = os.fsencode(file.relative_to(folder)) if self.path.is_dir() else b""
+            hashed.update(b"%d:%s:%d:" % (len(name), name, file.stat().st_size))
+            with file.open("rb") as stream:
+                while block := stream.read(2**20):
+                    hashed.update(block)
+        return hashed.hexdigest()
+
+    def stamp(self) -> list[Any]:
+        """Return what changes when a file is changed, found without reading any."""
+        found = [(file, file.stat()) for file in self.files]
+        return [[str(file), stat.st_size, stat.st_mtime_ns, stat.st_ino] for file, stat in found]
+
+    def _from_folder(self, read: Callable[[int], object]) -> Iterator[Passage]:
+        done = 0
+        for file in self.files:
+            name = printable(file.relative_to(self.path).as_posix())
+            content = file.read_bytes()
+            pieces = _pieces(content.decode("utf-8", "replace"))
+            title = printable(file.stem).replace("_", " ")
+            for number, piece in enumerate(pieces, start=1):
+                yield Passage(name if len(pieces) == 1 else f"{name}#{number}", title, piece)
+            done += len(content)
+            read(done)
+
+
+def find_corpus(place: str | os.PathLike[str]) -> Corpus:
+    """Return the corpus at a path, or the shipped one for the name ``"articles"``.
+
+    Raises:
+        ArgumentError: There is none; the message says what was expected.
+    """
+    if place == ARTICLES:
+        place = Path(__file__).with_name("articles.jsonl")
+    try:
+        path = Path(place).expanduser().resolve()
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ArgumentError(f"{place!r} is no path of a corpus: {error}") from None
+    expected = f"expected a file of lines {_FORM}, a folder of {', '.join(TEXT_SUFFIXES)} files, or {ARTICLES!r}"
+    try:
+        if path.is_dir():
+            files = tuple(_files_of(path))
+            if not files:
+                raise ArgumentError(f"the folder {str(place)!r} holds no text files; {expected}")
+        elif path.is_file():
+            files = (path,)
+        elif path.exists():
+            raise ArgumentError(f"{str(place)!r} is neither a file nor a folder; {expected}")
+        else:
+            raise ArgumentError(f"no corpus at {str(place)!r}; {expected}")
+        size = sum(file.stat().st_size for file in files)
+    except OSError as error:
+        raise ArgumentError(f"the corpus {str(place)!r} cannot be read: {error.strerror}") from None
+    return Corpus(path, files, size)
+
+
+def _files_of(folder: Path) -> Iterator[Path]:
+    for place, folders, names in os.walk(folder):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        for name in sorted(names):
+            file = Path(place, name)
+            # A pipe among them would never end.
+            if not name.startswith(".") and file.suffix.lower() in TEXT_SUFFIXES and file.is_file():
+                yield file
+
+
+def _from_lines(file: Path, read: Callable[[int], object]) -> Iterator[Passage]:
+    done = 0
+    with file.open("rb") as stream:
+        for number, line in enumerate(stream, start=1):
+            done += len(line)
+            if number % 1000 == 0:
+                read(done)
+            if line.strip():
+                yield _passage(line, f"{file.name}, line {number}", number)
+
+
+def _passage(line: bytes, place: str, number: int) -> Passage:
+    try:
+        row = json.loads(line.removeprefix(b"\xef\xbb\xbf").decode("utf-8", "replace"))
+    except (ValueError, RecursionError) as error:
+        raise DatasetError(f"{place} is no JSON ({error}); expected {_FORM}") from None
+    if not isinstance(row, dict):
+        raise DatasetError(f"{place} is a {type(row).__name__}, not an object; expected {_FORM}")
+    title, text = row.get("title") or "", row.get("text")
+    if text is None and isinstance(row.get("contents"), str):
+        # The form of Search-R1's corpora.
+        title, text = split_contents(row["contents"])
+    if not isinstance(title, str) or not isinstance(text, str):
+        raise DatasetError(f"{place} has no text in 'text' (or 'title' is none); expected {_FORM}")
+    name = row.get("id", row.get("_id"))
+    return Passage(printable(str(number if name is None else name)), printable(title), printable(text))
+
+
+def split_contents(contents: str) -> tuple[str, str]:
+    """Return title and text of ``contents`` in Search-R1's form: the title in quotes on the first line."""
+    first, line_break, rest = contents.partition("\n")
+    return (first.strip().strip('"'), rest) if line_break else ("", contents)
+
+
+def _pieces(text: str) -> list[str]:
+    """Cut a text into passages, between paragraphs where that is possible, else between words."""
+    text = printable(text.replace("\r\n", "\n"))
+    pieces: list[str] = []
+    for paragraph in filter(None, map(str.strip, text.split("\n\n"))):
+        if pieces and len(pieces[-1]) + len(paragraph) + 2 <= PASSAGE_CHARS:
+            pieces[-1] += f"\n\n{paragraph}"
+            continue
+        while len(paragraph) > PASSAGE_CHARS:
+            end = max(paragraph.rfind(" ", 0, PASSAGE_CHARS), paragraph.rfind("\n", 0, PASSAGE_CHARS))
+            end = end if end > PASSAGE_CHARS // 2 else PASSAGE_CHARS
+            pieces.append(paragraph[:end].rstrip())
+            paragraph = paragraph[end:].lstrip()
+        if paragraph:
+            pieces.append(paragraph)
+    return pieces
