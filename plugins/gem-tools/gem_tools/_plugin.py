@@ -5,10 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from gem_core.hookspecs import hookimpl
-from gem_core.specs import ToolSpec
+from gem_core.specs import CommandSpec, ToolSpec
 
 
 @hookimpl
 def gem_register_tools() -> Iterable[ToolSpec]:
     """The tools; each entry point takes the tool's options by keyword."""
-    yield from ()
+    yield ToolSpec(
+        name="search",
+        entry_point="gem_tools.search.tool:make_search",
+        summary="Searches a local corpus, a retrieval server, or the web.",
+    )
+
+
+@hookimpl
+def gem_add_commands() -> Iterable[CommandSpec]:
+    """The commands."""
+    yield CommandSpec(
+        name="serve-search",
+        entry_point="gem_tools.search.serve_command:command",
+        summary="Serve a corpus to many trainers, in the form of Search-R1's server.",
+    )

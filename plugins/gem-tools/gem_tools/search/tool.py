@@ -1,0 +1,274 @@
+"""The tool ``search``: one for corpora on this machine, one for servers, and the function that makes the right one."""
+
+from __future__ import annotations
+
+import os
+import threading
+import urllib.parse
+import weakref
+from collections.abc import Sequence
+from typing import Any
+
+import pydantic
+
+from gem_core.errors import ArgumentError
+from gem_core.tools import Tool, ToolResult
+from gem_core.types import Concurrency
+from gem_tools.search.building import open_index
+from gem_tools.search.corpus import ARTICLES
+from gem_tools.search.passages import MAX_QUERY_CHARS, MAX_TOP_K, Budget, Passage, cleaned_query, rendered
+from gem_tools.search.remote import Limits, RemoteEngine, SearchFault
+from gem_tools.search.services import find_service
+
+LOCAL = "local"
+
+_LOCAL_DESCRIPTION = (
+    "Looks for passages in a collection of texts and shows those that fit best. Ask with the few words that such a "
+    "passage would contain, such as names; for a question in several steps, search once for each step."
+)
+_WEB_DESCRIPTION = (
+    "Looks something up with a search engine and shows the results that fit best. Ask with a few telling words; for a "
+    "question in several steps, search once for each step."
+)
+_FEW = 20_000
+"""Passages of which so many can be searched in well under a millisecond, without a thread."""
+
+_lock = threading.Lock()
+_engines: weakref.WeakValueDictionary[tuple[Any, ...], RemoteEngine] = weakref.WeakValueDictionary()
+"""The servers that are asked: tools with the same settings share connections, rate limit and cache."""
+
+
+def make_search(
+    engine: str | None = None,
+    *,
+    corpus: str | os.PathLike[str] | None = None,
+    url: str | None = None,
+    top_k: int = 3,
+    max_chars: int = 4000,
+    max_tokens: int | None = None,
+    tokenizer: Any = None,
+    name: str = "search",
+    description: str | None = None,
+    instructions: str | None = None,
+    cache_dir: str | os.PathLike[str] | None = None,
+    timeout_s: float = 20.0,
+    max_retries: int = 3,
+    max_concurrency: int = 64,
+    requests_per_s: float | None = None,
+    cache_size: int = 10_000,
+) -> Tool:
+    """Return a search tool.
+
+    Args:
+        engine: ``"local"`` for a corpus on this machine, ``"retrieve"`` for a server of Search-R1's form, or
+            ``"serper"``, ``"serpapi"`` or ``"tavily"`` for the web. By default ``"retrieve"`` where an address is
+            given, else ``"local"``.
+        corpus: A file of lines ``{"id", "title", "text"}``, a folder of text files, or ``"articles"``, which come with
+            the plugin and are the default. Indexed on first use; the index is kept.
+        url: Address of the server. For ``"retrieve"`` by default the environment variable ``SEARCH_URL``, for a web
+            engine its own.
+        top_k: Passages in a result.
+        max_chars: Most characters in a result, titles included.
+        max_tokens: Most tokens in a result; needs a tokenizer.
+        tokenizer: A function that returns the tokens of a text, or an object whose ``encode`` does.
+        name: What the agent calls it by, and its tag; for two searches in one environment.
+        description: What it is, in the instructions and the schema.
+        instructions: The line that explains the tool to an agent, in place of the usual one.
+        cache_dir: Where indices are kept; by default ``gem/search`` in the user's cache folder.
+        timeout_s: Limit of one search on a server, in seconds, all attempts included.
+        max_retries: Attempts after the first on a server, for status 429 and faults that may pass.
+        max_concurrency: Requests to a server at once.
+        requests_per_s: Most requests to a server in a second; None for no limit.
+        cache_size: Searches on a server whose results are kept in memory.
+
+    Raises:
+        ArgumentError: An option that cannot be right.
+        DatasetError: The corpus cannot be read.
+        MissingRequirementError: A web engine without its key.
+    """
+    options = {option: value for option, value in locals().items() if value is not None}
+    engine = engine or (LOCAL if url is None else "retrieve")
+    if type(top_k) is not int or not 1 <= top_k <= MAX_TOP_K:
+        raise ArgumentError(f"top_k must be a whole number from 1 to {MAX_TOP_K}, not {top_k!r}")
+    budget = Budget(max_chars, max_tokens, tokenizer)
+    tool: SearchTool
+    if engine == LOCAL:
+        if url is not None:
+            raise ArgumentError("the engine 'local' takes a corpus, not a url; for a server name another engine")
+        tool = LocalSearch(ARTICLES if corpus is None else corpus, top_k, budget, cache_dir=cache_dir)
+    else:
+        if corpus is not None:
+            raise ArgumentError(f"the engine {engine!r} asks a server and takes no corpus")
+        limits = _checked(Limits(timeout_s, max_retries, max_concurrency, requests_per_s, cache_size))
+        tool = RemoteSearch(shared_engine(engine, url, limits), top_k, budget)
+    tool.present(name, description, instructions)
+    tool.options = options
+    return tool
+
+
+class SearchTool(Tool):
+    """What both search tools have in common.
+
+    Args:
+        top_k: Passages in a result.
+        budget: How much an agent is given to read.
+    """
+
+    name = "search"
+    description = _LOCAL_DESCRIPTION
+
+    class Parameters(pydantic.BaseModel):
+        """What is looked for."""
+
+        query: str = pydantic.Field(description="what to look for, in a few words")
+
+    def __init__(self, top_k: int, budget: Budget) -> None:
+        self.top_k = top_k
+        self.budget = budget
+        self.options: dict[str, Any] = {}
+        self._instructions: str | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # In another process the tool is made again, and finds the index on disk.
+        return _remade, (self.options,)
+
+    def present(self, name: str, description: str | None, instructions: str | None) -> None:
+        """Set what the agent is told of the tool."""
+        for option, text in (("name", name), ("description", description), ("instructions", instructions)):
+            if text is not None and (not isinstance(text, str) or not text.strip() or "\n" in text):
+                raise ArgumentError(f"{option} must be one line of text, not {text!r}")
+        # Class variables of Tool; this instance has its own.
+        vars(self)["name"] = name
+        if description is not None:
+            vars(self)["description"] = description
+        self._instructions = instructions
+
+    def instructions(self) -> str:
+        """Return the line that explains the tool to an agent."""
+        return self._instructions or super().instructions()
+
+    def _result(self, asked: str, passages: Sequence[Passage], cut: bool, **info: Any) -> ToolResult:
+        note = f"Only the first {MAX_QUERY_CHARS} characters of your query were used.\n\n" if cut else ""
+        text = rendered(passages, self.budget)
+        if not passages:
+            text = f'Nothing was found for "{asked[:200]}". Try other or fewer words.'
+        elif not text:
+            text = "Something was found, but no piece of it is short enough to be shown."
+        results = [{"id": p.id, "title": p.title, "score": p.score, "url": p.url} for p in passages]
+        return ToolResult(f"{note}{text}", info={**info, "results": results})
+
+    def _empty(self) -> ToolResult:
+        return ToolResult("The query is empty. Write what you look for, in a few words.", failed=True)
+
+
+class LocalSearch(SearchTool):
+    """Searches a corpus on this machine.
+
+    Args:
+        corpus: A file of JSON lines, a folder of text files, or ``"articles"``.
+        top_k: Passages in a result.
+        budget: How much an agent is given to read.
+        cache_dir: Where indices are kept.
+    """
+
+    def __init__(
+        self,
+        corpus: str | os.PathLike[str],
+        top_k: int,
+        budget: Budget,
+        *,
+        cache_dir: str | os.PathLike[str] | None = None,
+    ) -> None:
+        super().__init__(top_k, budget)
+        self.index = open_index(corpus, cache_dir)
+        self.concurrency: Concurrency = "inline" if len(self.index) <= _FEW else "thread"
+
+    def call(self, arguments: Any, session: Any) -> ToolResult:
+        """Return the passages that fit best."""
+        query = cleaned_query(arguments.query)
+        if not query.text:
+            return self._empty()
+        passages = self.index.search(query.text, self.top_k)
+        return self._result(query.text, passages, query.cut, engine=LOCAL)
+
+
+class RemoteSearch(SearchTool):
+    """Searches on a server.
+
+    Args:
+        engine: The server.
+        top_k: Passages in a result.
+        budget: How much an agent is given to read.
+    """
+
+    description = _WEB_DESCRIPTION
+
+    def __init__(self, engine: RemoteEngine, top_k: int, budget: Budget) -> None:
+        super().__init__(top_k, budget)
+        self.engine = engine
+        if engine.service.name == "retrieve":
+            vars(self)["description"] = _LOCAL_DESCRIPTION
+
+    async def call(self, arguments: Any, session: Any) -> ToolResult:
+        """Return what the server finds; where it does not answer, say so."""
+        query = cleaned_query(arguments.query)
+        if not query.text:
+            return self._empty()
+        name = self.engine.service.name
+        try:
+            found = await self.engine.search(query.text, self.top_k)
+        except SearchFault as fault:
+            text = (
+                f"The search server did not answer: {fault.message}. This is no fault of your query. "
+                "Try again later, or go on without searching."
+            )
+            # For trainers: a machine failed, not the agent.
+            return ToolResult(text, failed=True, info={"engine": name, "fault": fault.message, "results": []})
+        return self._result(query.text, found.passages, query.cut, engine=name, cached=found.cached)
+
+
+def shared_engine(name: str, url: str | None, limits: Limits) -> RemoteEngine:
+    """Return the engine for a server, the same for the same settings.
+
+    Raises:
+        ArgumentError: No such engine, or no address that could be right.
+        MissingRequirementError: Its key is not set.
+    """
+    service = find_service(name)
+    address = url or service.url or os.environ.get(service.url_name, "").strip()
+    if not address:
+        raise ArgumentError(f"the engine {name!r} needs an address: pass url=…, or set {service.url_name}")
+    engine = RemoteEngine(service, _checked_address(name, address), limits)
+    engine.key()
+    with _lock:
+        return _engines.setdefault((name, engine.url, limits), engine)
+
+
+def _checked_address(name: str, address: str) -> str:
+    try:
+        parts = urllib.parse.urlsplit(address)
+        right = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
+    except (TypeError, ValueError, AttributeError):
+        right, parts = False, None
+    if parts is None or not right:
+        # Not shown: an address may hold a password.
+        raise ArgumentError(f"the address of the engine {name!r} must look like 'http://localhost:8000/retrieve'")
+    return parts._replace(path="/retrieve").geturl() if name == "retrieve" and parts.path in ("", "/") else address
+
+
+def _checked(limits: Limits) -> Limits:
+    for option, least in (("max_retries", 0), ("max_concurrency", 1), ("cache_size", 0)):
+        value = getattr(limits, option)
+        if type(value) is not int or value < least:
+            raise ArgumentError(f"{option} must be a whole number from {least} up, not {value!r}")
+    for option in ("timeout_s", "requests_per_s"):
+        value = getattr(limits, option)
+        if value is None and option == "requests_per_s":
+            continue
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
+            raise ArgumentError(f"{option} must be a positive number, not {value!r}")
+    return limits
+
+
+def _remade(options: dict[str, Any]) -> Tool:
+    return make_search(**options)

@@ -1,0 +1,225 @@
+"""``gem serve-search``: what the server answers, what it refuses, and how it ends."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from aiohttp import web
+
+from gem_core.background import run_sync
+from gem_tools.search.building import open_index
+from gem_tools.search.server import RetrievalServer
+from gem_tools.search.tool import RemoteSearch, make_search
+
+if TYPE_CHECKING:
+    from gem_tools.search.index import Index
+
+ROWS = [
+    {"id": "r", "title": "Rivers", "text": "The Loire flows through France."},
+    {"id": "m", "title": "Mountains", "text": "The Jura lies between France and Switzerland."},
+]
+RIVERS = {**ROWS[0], "contents": '"Rivers"\nThe Loire flows through France.'}
+
+
+@pytest.fixture
+def corpus(tmp_path: Path) -> Path:
+    path = tmp_path / "corpus.jsonl"
+    path.write_text("".join(json.dumps(row) + "\n" for row in ROWS), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def index(corpus: Path, tmp_path: Path) -> Index:
+    return open_index(corpus, tmp_path / "cache")
+
+
+def running(server: RetrievalServer) -> Iterator[str]:
+    async def start() -> web.AppRunner:
+        runner = web.AppRunner(server.app(), access_log=None, shutdown_timeout=0.1)
+        await runner.setup()
+        await web.TCPSite(runner, "127.0.0.1", 0).start()
+        return runner
+
+    runner = run_sync(start())
+    yield f"http://127.0.0.1:{runner.addresses[0][1]}"
+    run_sync(runner.cleanup())
+    server.close()
+
+
+@pytest.fixture
+def url(index: Index) -> Iterator[str]:
+    yield from running(RetrievalServer(index, workers=2, max_pending=100))
+
+
+def ask(url: str, body: Any) -> tuple[int, Any]:
+    data = body if isinstance(body, bytes) else json.dumps(body).encode()
+    try:
+        with urllib.request.urlopen(urllib.request.Request(f"{url}/retrieve", data), timeout=60) as response:
+            return response.status, json.loads(response.read())
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, json.loads(error.read())
+
+
+def test_queries_are_answered_in_the_form_of_search_r1(url: str) -> None:
+    """A list for each query, in order, with scores."""
+    status, answer = ask(url, {"queries": ["loire", "nothing"], "topk": 1, "return_scores": True})
+    assert status == 200
+    ((hit,), none) = answer["result"]
+    assert hit["document"] == RIVERS
+    assert hit["score"] > 0
+    assert none == []
+
+
+def test_without_scores_the_documents_are_bare(url: str) -> None:
+    """As that form has it; three of them where no number is given."""
+    assert ask(url, {"queries": ["loire"]}) == (200, {"result": [[RIVERS]]})
+
+
+EXPECTED = 'expected {"queries": [text, …], "topk": number, "return_scores": true or false}'
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "message"),
+    [
+        (b"no JSON", 400, "the body is no JSON"),
+        (b"\xff", 400, "the body is no JSON"),
+        (b"[" * 200_000, 400, "the body is no JSON"),
+        ([], 400, EXPECTED),
+        ({"queries": "loire"}, 400, EXPECTED),
+        ({"queries": [1]}, 400, EXPECTED),
+        ({"queries": ["x"], "topk": 0}, 400, "topk must be a whole number from 1 to 100"),
+        ({"queries": ["x"], "topk": True}, 400, "topk must be a whole number from 1 to 100"),
+        ({"queries": ["x"] * 513}, 413, "at most 512 queries in one request, not 513"),
+        (b" " * 4_000_001, 413, "the body is longer than 4 MB"),
+    ],
+)
+def test_what_is_no_request_is_refused(url: str, body: Any, status: int, message: str) -> None:
+    """With what was wrong; and the server goes on."""
+    assert ask(url, body) == (status, {"error": message})
+    assert ask(url, {"queries": []}) == (200, {"result": []})
+
+
+def test_hostile_queries_are_answered(url: str) -> None:
+    """Broken Unicode, control characters, and much of it."""
+    queries = ["\ud800 loire", "\x00", "", "loire " * 100_000, "\u202eloire"]
+    status, answer = ask(url, {"queries": queries, "return_scores": True})
+    assert status == 200
+    assert [len(hits) for hits in answer["result"]] == [1, 0, 0, 1, 1]
+
+
+def test_its_health_tells_what_it_did(url: str) -> None:
+    """For whoever watches over it."""
+    ask(url, {"queries": ["loire", "jura"]})
+    ask(url, b"no JSON")
+    with urllib.request.urlopen(f"{url}/health", timeout=60) as response:
+        health = json.loads(response.read())
+    assert health == {"status": "ok", "passages": 2, "requests": 2, "queries": 2, "refused": 1, "pending": 0}
+
+
+def test_many_ask_at_once(url: str) -> None:
+    """And each gets its own answer."""
+    with concurrent.futures.ThreadPoolExecutor(16) as pool:
+        words = ["loire", "jura"] * 100
+        answers = list(pool.map(lambda word: ask(url, {"queries": [word]})[1]["result"][0][0]["id"], words))
+    assert answers == ["r", "m"] * 100
+
+
+class HeldIndex:
+    """An index whose searches wait until they may go on."""
+
+    def __init__(self, index: Index) -> None:
+        self._index = index
+        self.entered, self.go_on = threading.Event(), threading.Event()
+
+    def __len__(self) -> int:
+        return len(self._index)
+
+    def search(self, query: str, top_k: int) -> Any:
+        self.entered.set()
+        self.go_on.wait(60)
+        return self._index.search(query, top_k)
+
+
+def test_too_many_at_once_are_told_to_come_back(index: Index) -> None:
+    """With status 503 and a time; those under way are answered."""
+    held = HeldIndex(index)
+    server = RetrievalServer(held, workers=1, max_pending=1)  # type: ignore[arg-type]
+    for url in running(server):
+        with concurrent.futures.ThreadPoolExecutor(1) as pool:
+            first = pool.submit(ask, url, {"queries": ["loire"]})
+            assert held.entered.wait(60)
+            assert ask(url, {"queries": ["jura"]}) == (503, {"error": "too many requests at once"})
+            held.go_on.set()
+            assert first.result()[0] == 200
+
+
+def test_the_tool_searches_it(url: str) -> None:
+    """The two halves fit together."""
+    tool = make_search(url=url)
+    assert isinstance(tool, RemoteSearch)
+    result = run_sync(tool.call(tool.Parameters(query="switzerland"), None))
+    assert result.content == "[1] Mountains\nThe Jura lies between France and Switzerland."
+    assert result.info["results"][0]["id"] == "m"
+
+
+# The command.
+
+
+def command(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "gem_core", "serve-search", *arguments]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_command_serves_until_it_is_told_to_end(corpus: Path, tmp_path: Path, number: int) -> None:
+    """Cleanly: exit code 0, and no traceback."""
+    options = ["--port", "0", "--cache-dir", str(tmp_path / "cache")]
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(
+        command(str(corpus), *options), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            assert line.startswith("Serving 2 passages at http://127.0.0.1:")
+            url = line.split(" at ")[1].split("/retrieve")[0]
+            assert ask(url, {"queries": ["loire"]})[0] == 200
+            process.send_signal(number)
+            out, err = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    assert (process.returncode, out, err) == (0, "Stopped\n", "")
+
+
+def test_a_port_that_is_taken_is_told(corpus: Path, tmp_path: Path) -> None:
+    """In one line, with what to do next."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        arguments = command(str(corpus), "--port", str(port), "--cache-dir", str(tmp_path))
+        done = subprocess.run(arguments, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert done.stderr == (
+        f"gem: cannot listen on 127.0.0.1:{port}: Address already in use. Name another by --host and --port\n"
+    )
+
+
+def test_a_corpus_that_is_not_there_is_told() -> None:
+    """With exit code 2, as all that was asked wrongly."""
+    done = subprocess.run(command("no-such.jsonl"), capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr.startswith("gem: no corpus at 'no-such.jsonl'; expected a file of lines")
