@@ -138,6 +138,16 @@ def test_many_ask_at_once(url: str) -> None:
     assert answers == ["r", "m"] * 100
 
 
+def test_a_body_that_does_not_arrive_is_given_up(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that nobody can hold all places by sending nothing."""
+    monkeypatch.setattr("gem_tools.search.server.BODY_S", 0.1)
+    with socket.create_connection(("127.0.0.1", int(url.rpartition(":")[2])), 60) as connection:
+        connection.sendall(b"POST /retrieve HTTP/1.1\r\nHost: x\r\nContent-Length: 10\r\n\r\n{")
+        answer = connection.recv(1000)
+    assert answer.startswith(b"HTTP/1.1 408 ")
+    assert answer.endswith(b'{"error": "the body did not arrive within 0.1 s"}')
+
+
 class HeldIndex:
     """An index whose searches wait until they may go on."""
 

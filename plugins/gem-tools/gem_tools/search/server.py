@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 MAX_BODY_BYTES = 4_000_000
 MAX_QUERIES = 512
 SHUTDOWN_S = 5.0
+BODY_S = 30.0
+"""A request whose body takes longer would hold a place for ever."""
 
 _DEFAULT_TOP_K = 3
 
@@ -143,7 +145,11 @@ async def serve(server: RetrievalServer, host: str, port: int, started: Callable
 
 async def _json_of(request: web.Request) -> Any:
     try:
-        return json.loads(await request.read())
+        async with asyncio.timeout(BODY_S):
+            body = await request.read()
+        return json.loads(body)
+    except TimeoutError:
+        raise RefusedError(f"the body did not arrive within {BODY_S:g} s", 408) from None
     except web.HTTPRequestEntityTooLarge:
         raise RefusedError(f"the body is longer than {MAX_BODY_BYTES // 1_000_000} MB", 413) from None
     except (ValueError, RecursionError):

@@ -272,3 +272,12 @@ def _checked(limits: Limits) -> Limits:
 
 def _remade(options: dict[str, Any]) -> Tool:
     return make_search(**options)
+
+
+def _after_fork() -> None:
+    global _lock
+    _lock = threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
