@@ -370,9 +370,9 @@ def make_vec(
         ArgumentError: A value that is not accepted.
     """
     from gem_core.making import construct
-    from gem_core.vector.setup import VectorSetup
+    from gem_core.vector.setup import VectorSetup, backend_and_options
 
-    name, options = (backend, {}) if isinstance(backend, str) else backend
+    name, options = backend_and_options(backend)
     setup = VectorSetup.of(
         ids,
         num_envs,

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import gymnasium
+
 from gem_core.agents.asking import Asking
 from gem_core.agents.base import Agent, as_agent, prepare_agent
 from gem_core.background import in_thread
@@ -217,6 +219,8 @@ def _as_vector(env: Environments, seed: int | None, *, plain: bool) -> tuple[Vec
         return env, False
     if isinstance(env, Sequence):
         return make_vec(env, seed=seed), True
+    if not isinstance(env, gymnasium.Env):
+        raise ArgumentError(f"rollout takes a vector environment, an environment, an id or several, not {env!r:.200}")
     return around(env, seed=seed, keep_open=True, plain=plain), True
 
 

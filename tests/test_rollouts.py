@@ -277,6 +277,12 @@ def test_plan_and_episodes_together_are_refused() -> None:
         gem.rollout(COUNTDOWN, sampling_agent, episodes=-1)
 
 
+def test_what_is_no_environment_is_refused() -> None:
+    """The message says what is one."""
+    with pytest.raises(ArgumentError, match="rollout takes a vector environment, an environment, an id or several"):
+        list(gem.rollout(None, lambda observation: "", episodes=1))  # type: ignore[arg-type]  # that is the point
+
+
 def test_an_agent_that_returns_no_text_is_named() -> None:
     """It is a mistake of the program, not an answer."""
     with pytest.raises(AgentError, match="this one returned NoneType"):

@@ -58,6 +58,8 @@ def test_a_mapping_steps_some_slots_in_the_order_asked() -> None:
     [
         (["a"], "1 actions for 2 slots; give one for each, or a mapping of slot to action"),
         ("ab", "one string for 2 slots"),
+        (None, "a NoneType for 2 slots; give one for each"),
+        ((word for word in "ab"), "a generator for 2 slots; give one for each"),
         ({2: "a"}, "no slot 2; there are slots 0 to 1"),
         ({"a": "a"}, "no slot 'a'"),
         ({-1: "a"}, "no slot -1"),
@@ -286,10 +288,41 @@ def test_what_cannot_be_right_is_raised_at_once() -> None:
             gem.make_vec(COUNTDOWN, count)  # type: ignore[arg-type]  # that is the point
     with pytest.raises(ArgumentError, match="at least one environment id"):
         gem.make_vec([])
+    with pytest.raises(ArgumentError, match=r"environments are an id, .* or a list of these, not 3"):
+        gem.make_vec(3)  # type: ignore[arg-type]  # that is the point
     with pytest.raises(ArgumentError, match="on_error must be 'truncate' or 'raise'"):
         gem.make_vec(COUNTDOWN, on_error="ignore")
     with pytest.raises(ArgumentError, match="a plan is an iterable of PlanItem records, not str"):
         gem.make_vec(COUNTDOWN, plan=COUNTDOWN)  # type: ignore[arg-type]  # that is the point
+
+
+@pytest.mark.parametrize("backend", [None, ("process",), ("process", 2), (2, {}), {"process": {"workers": 2}}])
+def test_backends_that_are_no_name_with_options_are_refused(backend: Any) -> None:
+    """The message says what form they have."""
+    with pytest.raises(ArgumentError, match=r"a backend is a name, or \(name, \{option: value\}\), not "):
+        gem.make_vec(COUNTDOWN, backend=backend)
+
+
+def test_questions_about_slots_that_are_not_there_are_refused() -> None:
+    """Also counted from the end, as no slot is."""
+    vector = make(2)
+    vector.reset()
+    for slot in (2, -1):
+        with pytest.raises(ArgumentError, match=f"no slot {slot}; there are slots 0 to 1"):
+            vector.sample_random_action(slot)
+        with pytest.raises(ArgumentError, match=f"no slot {slot}; there are slots 0 to 1"):
+            vector.describe(slot)
+
+
+def test_options_of_a_reset_are_a_mapping() -> None:
+    """What else comes in their place, such as a seed, is refused."""
+    with pytest.raises(ArgumentError, match="options must be a mapping of names to values, not 5"):
+        make(2).reset(None, 5)  # type: ignore[arg-type]  # that is the point
+
+
+def test_it_says_what_it_is() -> None:
+    """For whoever looks at it in a notebook."""
+    assert repr(make(3)) == f"VectorEnv({COUNTDOWN}, num_envs=3, seed=5)"
 
 
 def test_close_closes_every_environment_and_may_be_called_again() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
 from typing import Any, NamedTuple, SupportsIndex
 
 import numpy as np
@@ -61,10 +61,11 @@ def indices_and_actions(actions: Actions, num_envs: int) -> list[tuple[int, str]
         ArgumentError: The number of actions is not the number of slots, or one is no text, or a slot does not exist.
     """
     if isinstance(actions, Mapping):
-        return [(_checked_slot(slot, num_envs), _checked_action(slot, action)) for slot, action in actions.items()]
-    if isinstance(actions, str) or len(actions) != num_envs:
-        given = "one string" if isinstance(actions, str) else f"{len(actions)} actions"
-        raise ArgumentError(f"{given} for {num_envs} slots; give one for each, or a mapping of slot to action")
+        return [(checked_slot(slot, num_envs), _checked_action(slot, action)) for slot, action in actions.items()]
+    if isinstance(actions, str) or not hasattr(actions, "__len__") or len(actions) != num_envs:
+        raise ArgumentError(
+            f"{_counted(actions)} for {num_envs} slots; give one for each, or a mapping of slot to action"
+        )
     for slot, action in enumerate(actions):
         if not isinstance(action, str):
             _checked_action(slot, action)
@@ -83,7 +84,12 @@ def masked_slots(mask: Any, num_envs: int) -> list[int]:
     return [int(slot) for slot in np.flatnonzero(array)]
 
 
-def _checked_slot(slot: SupportsIndex, num_envs: int) -> int:
+def checked_slot(slot: SupportsIndex, num_envs: int) -> int:
+    """Return the number of a slot.
+
+    Raises:
+        ArgumentError: There is no such slot.
+    """
     try:
         index = operator.index(slot)  # whole numbers of NumPy too, as its index functions return them
     except TypeError:
@@ -91,6 +97,12 @@ def _checked_slot(slot: SupportsIndex, num_envs: int) -> int:
     if not 0 <= index < num_envs:
         raise ArgumentError(f"no slot {slot!r}; there are slots 0 to {num_envs - 1}")
     return index
+
+
+def _counted(actions: object) -> str:
+    if isinstance(actions, str):
+        return "one string"
+    return f"{len(actions)} actions" if isinstance(actions, Sized) else f"a {type(actions).__name__}"
 
 
 def _checked_action(slot: SupportsIndex, action: str) -> str:

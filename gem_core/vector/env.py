@@ -14,7 +14,7 @@ from gem_core.errors import ArgumentError, BridgeError, EnvFaultError, NotSuppor
 from gem_core.plans import Draw, DrawSource
 from gem_core.registry import registry
 from gem_core.types import Info, Observation
-from gem_core.vector.actions import Actions, Received, VectorStep, indices_and_actions, masked_slots
+from gem_core.vector.actions import Actions, Received, VectorStep, checked_slot, indices_and_actions, masked_slots
 from gem_core.vector.commands import Failure
 from gem_core.vector.engine import Batch, Engine, Start
 from gem_core.vector.host import Host
@@ -25,7 +25,7 @@ from gem_core.wrapper import AnyEnv
 
 
 class VectorEnv:
-    """Many environments that are reset and stepped together, each in a slot of its own.
+    """Many environments that are reset and stepped together, each in a slot of its own; ``make_vec`` makes one.
 
     It is not a ``gymnasium.vector.VectorEnv``: texts and infos come as lists.
 
@@ -126,6 +126,7 @@ class VectorEnv:
 
     def describe(self, slot: int) -> dict[str, Any]:
         """Return ``id``, ``kwargs`` (over the registered ones) and ``wrappers`` of the environment in a slot."""
+        slot = checked_slot(slot, self.num_envs)
         described: dict[str, Any] = self._engine.at[slot].ask(slot, "describe")
         if described["id"] is None:
             described["id"] = self.ids[slot] or "unknown"
@@ -141,12 +142,14 @@ class VectorEnv:
         return cast("int | None", host.ask(slot, "num_tasks", wanted, dict(kwargs)))
 
     def sample_random_action(self, slot: int) -> str:
-        """Return a valid action for the present state of a slot.
+        """Return a valid action for the present state of a slot; an empty one where there is no environment yet.
 
         Raises:
+            ArgumentError: There is no such slot.
             SamplingNotSupported: The environment does not say what is valid.
             EnvFaultError: It failed.
         """
+        slot = checked_slot(slot, self.num_envs)
         current = self._slots[slot]
         seed = None if current.draw is None else current.draw.action_seed
         try:
@@ -169,8 +172,14 @@ class VectorEnv:
             options: Passed to the first episode of every slot. ``"reset_mask"``, a bool for each slot, resets some
                 only, as in Gymnasium; of the others comes what was observed last, with an empty info.
 
+        Returns:
+            The observations and the infos, one of each for every slot.
+
         Raises:
-            ArgumentError: The run cannot start over, because its plan is an iterator that has been drawn from.
+            ArgumentError: The run cannot start over, because its plan is an iterator that has been drawn from; or a
+                mask does not fit.
+            EnvFaultError: An environment failed, and ``on_error`` is ``"raise"``.
+            FaultBudgetError: Environments fail again and again.
         """
         order, options = self._chosen(seed, options)
         if len(order) == self.num_envs:
@@ -215,6 +224,8 @@ class VectorEnv:
         Raises:
             ArgumentError: The number of actions is not the number of slots, or a slot does not exist or is under way.
             ResetNeededError: A slot has no episode, and none begins by itself.
+            EnvFaultError: An environment failed, and ``on_error`` is ``"raise"``.
+            FaultBudgetError: Environments fail again and again.
         """
         batch, order = self._start_step(actions)
         if batch.left:
@@ -278,6 +289,8 @@ class VectorEnv:
 
         Raises:
             ArgumentError: Nothing is under way.
+            EnvFaultError: An environment failed, and ``on_error`` is ``"raise"``.
+            FaultBudgetError: Environments fail again and again.
         """
         enough, deadline = self._awaited(min_envs, timeout)
         for seconds in self._engine.until(enough, deadline):
@@ -327,9 +340,17 @@ class VectorEnv:
     def __len__(self) -> int:
         return self.num_envs
 
+    def __repr__(self) -> str:
+        names = ", ".join(dict.fromkeys(str(env_id) for env_id in self.ids))
+        return (
+            f"VectorEnv({names if len(names) < 200 else names[:200] + '…'}, num_envs={self.num_envs}, seed={self.seed})"
+        )
+
     # Its own matters.
 
     def _chosen(self, seed: int | None, options: dict[str, Any] | None) -> tuple[list[int], dict[str, Any] | None]:
+        if options is not None and not isinstance(options, Mapping):
+            raise ArgumentError(f"options must be a mapping of names to values, not {options!r:.200}")
         chosen = list(range(self.num_envs))
         if options and "reset_mask" in options:
             options = dict(options)

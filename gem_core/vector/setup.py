@@ -65,6 +65,10 @@ class VectorSetup:
             ArgumentError: There is no id, or one has not the form ``id`` or ``(id, {keyword: value})``.
             UnknownEnvError: There is no such environment.
         """
+        if not isinstance(ids, Iterable):
+            raise ArgumentError(
+                f"environments are an id, (id, {{keyword: value}}) or a list of these, not {ids!r:.200}"
+            )
         given = [ids] if isinstance(ids, str) or _is_pair(ids) else list(ids)
         entries = [_entry(one) for one in given]
         if not entries:
@@ -123,6 +127,21 @@ class VectorSetup:
             return concurrency_of(env)
         finally:
             env.close()
+
+
+def backend_and_options(backend: object) -> tuple[str, Mapping[str, Any]]:
+    """Return the name of a backend and its options.
+
+    Raises:
+        ArgumentError: It has not the form ``name`` or ``(name, {option: value})``.
+    """
+    if isinstance(backend, str):
+        return backend, {}
+    if isinstance(backend, Sequence) and len(backend) == 2:
+        name, options = backend
+        if isinstance(name, str) and isinstance(options, Mapping):
+            return name, options
+    raise ArgumentError(f"a backend is a name, or (name, {{option: value}}), not {backend!r:.200}")
 
 
 def new_source(plan: Iterable[PlanItem] | None, seed: int | None) -> DrawSource:
