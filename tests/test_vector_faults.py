@@ -403,6 +403,25 @@ def test_arguments_of_a_plan_that_cannot_travel_are_refused(item: PlanItem) -> N
     )
 
 
+def test_arguments_of_all_environments_that_cannot_travel_are_refused() -> None:
+    """The message says what to give instead."""
+    with pytest.raises(ArgumentError) as caught:
+        gem.make_vec(INLINE, 2, backend="process", mark=threading.Lock())
+    assert str(caught.value) == (
+        "what environments are made from cannot be sent to another process: TypeError: cannot pickle '_thread.lock' "
+        "object; give arguments that can be pickled, and an entry point 'package.module:Class', which is imported there"
+    )
+
+
+def test_memory_that_is_too_little_to_start_a_worker_is_one_clear_error() -> None:
+    """It names the option, and nothing that is in order."""
+    with (
+        gem.make_vec(INLINE, 2, backend=("process", {"worker_memory_bytes": 2**20}), seed=1) as vector,
+        pytest.raises(EnvFaultError, match="A worker has too little memory to start; see worker_memory_bytes"),
+    ):
+        vector.reset()
+
+
 def test_action_that_cannot_travel_is_a_fault_of_its_slot() -> None:
     """A ``Response`` may hold anything."""
     action = gem.Response("a")

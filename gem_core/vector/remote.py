@@ -12,7 +12,7 @@ from typing import Any, cast
 
 import cloudpickle  # type: ignore[import-untyped]  # it has no types
 
-from gem_core.errors import EnvFaultError, WorkerLostError
+from gem_core.errors import ArgumentError, EnvFaultError, WorkerLostError
 from gem_core.registry import registry
 from gem_core.specs import EnvSpec
 from gem_core.vector.commands import Failure, Reset
@@ -279,6 +279,9 @@ def pack_by_value(thing: object, callables: list[Any]) -> bytes:
     Args:
         thing: What is pickled.
         callables: What it refers to; modules of these that a worker could not import go along by value.
+
+    Raises:
+        ArgumentError: It holds what cannot be pickled, such as a lock or an open connection.
     """
     import importlib.util
     import sys
@@ -293,7 +296,13 @@ def pack_by_value(thing: object, callables: list[Any]) -> bytes:
             found = False
         if not found and module.__name__ not in cloudpickle.list_registry_pickle_by_value():
             cloudpickle.register_pickle_by_value(module)
-    return cast("bytes", cloudpickle.dumps(thing))
+    try:
+        return cast("bytes", cloudpickle.dumps(thing))
+    except Exception as error:
+        raise ArgumentError(
+            f"what environments are made from cannot be sent to another process: {type(error).__name__}: {error}; give "
+            "arguments that can be pickled, and an entry point 'package.module:Class', which is imported there"
+        ) from error
 
 
 def worker_setup(setup: VectorSetup, options: Mapping[str, Any]) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import mmap
 import os
 import pickle
@@ -258,8 +259,11 @@ def _received(connection: Connection) -> bytes | None:
 def _as_ours(failure: Failure) -> BaseException:
     from gem_core.errors import EnvFaultError, GemError
 
-    if isinstance(failure.error, GemError):
-        return failure.error
+    error = failure.error
+    if isinstance(error, GemError):
+        return error
+    if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
+        return EnvFaultError(f"{failure.message}. A worker has too little memory to start; see worker_memory_bytes")
     return EnvFaultError(
         f"{failure.message}. A worker imports what the environment is made from; give it an entry point "
         "'package.module:Class' that can be imported, or define it in the script itself"
