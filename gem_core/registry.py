@@ -45,6 +45,9 @@ PUBLISHED_NAMESPACES = {
 }
 """Which distributions of this project offer a namespace, for the advice in an error message."""
 
+PUBLISHED_BACKENDS = {"ray": "gem-ray"}
+"""Which distribution of this project offers a vector backend, for the advice in an error message."""
+
 _SPEC_KEYWORDS = ("summary", "tags", "requires", "deterministic")
 
 
@@ -236,10 +239,10 @@ class Registry:
         if name in records:
             return records[name]
         what = "wrapper or tool" if space == "wrapper" else space
-        raise error(
-            f"no {what} {name!r}.{did_you_mean(name, records)} There are: {', '.join(sorted(records))}."
-            f"{self._failed_plugins()}"
-        )
+        plugin = PUBLISHED_BACKENDS.get(name) if space == "vector backend" else None
+        missing = plugin is not None and all(present.distribution != plugin for present in self._plugins)
+        hint = f" It comes with a plugin: try 'pip install {plugin}'." if missing else did_you_mean(name, records)
+        raise error(f"no {what} {name!r}.{hint} There are: {', '.join(sorted(records))}.{self._failed_plugins()}")
 
     def _refuse_contested(self, space: str, name: str) -> None:
         message = self._contested.get((space, name))

@@ -115,6 +115,14 @@ def test_unknown_backend_and_agent(own_registry: registry.Registry) -> None:
     )
 
 
+def test_backend_of_a_plugin_that_is_not_installed(own_registry: registry.Registry) -> None:
+    """The error says what to install."""
+    assert message(own_registry.backend, "ray") == (
+        "UnknownBackendError: no vector backend 'ray'. It comes with a plugin: try 'pip install gem-ray'. "
+        "There are: async, auto, process, sync."
+    )
+
+
 def test_unknown_plugin(own_registry: registry.Registry) -> None:
     """An unknown plugin gives the installed ones."""
     assert message(own_registry.plugin, "cor") == (
