@@ -11,7 +11,7 @@ import gymnasium
 from gem_core.arguments import RemembersArguments, signature_of
 from gem_core.background import in_thread, on_library_loop, run_sync
 from gem_core.env import AsyncEnv, Env, reset_arguments
-from gem_core.errors import GemError, ResetNeededError, StateError, StateNotSupported
+from gem_core.errors import ArgumentError, GemError, ResetNeededError, StateError, StateNotSupported
 from gem_core.types import Concurrency, ResetResult, StepResult
 
 if TYPE_CHECKING:
@@ -285,8 +285,16 @@ def reset_needed(env: Wrapper) -> ResetNeededError:
 
 
 def concurrency_of(env: AnyEnv) -> Concurrency:
-    """Return what an environment and all its wrappers need, those of Gymnasium included."""
-    return cast("Concurrency", env.get_wrapper_attr("concurrency"))
+    """Return what an environment and all its wrappers need, those of Gymnasium included.
+
+    Raises:
+        ArgumentError: It is another environment of Gymnasium, and none of GEM.
+    """
+    try:
+        return cast("Concurrency", env.get_wrapper_attr("concurrency"))
+    except AttributeError:
+        name = type(env.unwrapped).__name__
+        raise ArgumentError(f"{name} is not an environment of GEM; derive its class from gem_core.Env") from None
 
 
 async def reset_async(env: AnyEnv, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:

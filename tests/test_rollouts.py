@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -281,6 +282,8 @@ def test_what_is_no_environment_is_refused() -> None:
     """The message says what is one."""
     with pytest.raises(ArgumentError, match="rollout takes a vector environment, an environment, an id or several"):
         list(gem.rollout(None, lambda observation: "", episodes=1))  # type: ignore[arg-type]  # that is the point
+    with pytest.raises(ArgumentError, match=r"Env is not an environment of GEM; derive its class from gem_core\.Env"):
+        list(gem.rollout(gymnasium.Env(), lambda observation: "", episodes=1))
 
 
 def test_an_agent_that_returns_no_text_is_named() -> None:
