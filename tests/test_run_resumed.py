@@ -30,6 +30,15 @@ def act(observation, context):
     return context.sample_random_action()
 """
 
+IMPATIENT_USER = """
+from gem_core.episodes import EpisodeWriter
+leave = EpisodeWriter.__exit__
+def interrupted_again(*arguments):
+    signal.raise_signal(signal.SIGINT)
+    return leave(*arguments)
+EpisodeWriter.__exit__ = interrupted_again
+"""
+
 FAILING_AGENT = """
 from pathlib import Path
 from gem_core.errors import RequestError
@@ -42,6 +51,15 @@ def act(observation, context):
 
 def by_key(path: str | Path) -> list[gem.Episode]:
     return sorted(read_episodes(path), key=lambda episode: int(episode.key))
+
+
+def test_a_second_interrupt_cuts_off_nothing(tmp_path: Path) -> None:
+    """Whoever presses Ctrl-C twice is told how to go on as well."""
+    (tmp_path / "mine.py").write_text(STOPPED_AGENT + IMPATIENT_USER)
+    (tmp_path / "stop").touch()
+    stopped = subprocess_gem("run", COUNTDOWN, "-n", "20", "-k", "2", "-a", "mine:act", "-o", "b.jsonl", cwd=tmp_path)
+    assert stopped.returncode == 130
+    assert stopped.stderr.splitlines()[-1].startswith("gem: go on with: gem run ")
 
 
 def test_an_interrupted_run_says_how_to_go_on_and_then_does(tmp_path: Path) -> None:

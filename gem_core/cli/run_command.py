@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 import json
+import signal
+import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -165,6 +167,7 @@ def command(
         before = summary.total.episodes
         started = time.perf_counter()
         stopped_by: BaseException | None = None
+        deaf = ExitStack()
         with (
             EpisodeWriter(path, append=resumed is not None) as writer,
             Progress(len(plan), f"seed {vector.seed}", quiet=interactive) as progress,
@@ -177,6 +180,8 @@ def command(
                     progress.advance(summary.total.episodes + summary.total.errors, status_of(summary.total))
             except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - raised again below, behind the table
                 stopped_by = error
+                if isinstance(error, KeyboardInterrupt):
+                    deaf.enter_context(_interrupts_ignored())
         seconds = time.perf_counter() - started
     if as_json:
         click.echo(json.dumps({**summary.to_dict(seconds), "seed": vector.seed, "out": str(path)}, indent=1))
@@ -187,11 +192,26 @@ def command(
     if summary.first_error is not None:
         click.echo(f"gem: {_counted(summary.total.errors)} had an error; the first: {summary.first_error}", err=True)
     if stopped_by is not None:
-        _stop(ctx, stopped_by, before + writer.count, len(plan), path)
+        _stop(ctx, stopped_by, before + writer.count, len(plan), path, deaf)
     ctx.exit(1 if summary.first_error is not None else 0)
 
 
-def _stop(ctx: click.Context, stopped_by: BaseException, count: int, total: int, path: Path) -> NoReturn:
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Let a second Ctrl-C not cut off what is said after the first."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _stop(
+    ctx: click.Context, stopped_by: BaseException, count: int, total: int, path: Path, deaf: ExitStack
+) -> NoReturn:
     """Say how a run that was stopped goes on, and end as what stopped it asks for."""
     from gem_core.cli.resumed_run import command_to_go_on
 
@@ -200,6 +220,7 @@ def _stop(ctx: click.Context, stopped_by: BaseException, count: int, total: int,
         click.echo(f"gem: interrupted after {count} of {total} episodes", err=True)
     if count:
         click.echo(f"gem: go on with: {command_to_go_on(ctx, path)}", err=True)
+    deaf.close()
     if interrupted:
         ctx.exit(INTERRUPTED)
     raise stopped_by
