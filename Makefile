@@ -34,7 +34,7 @@ help: ## show this list
 	@echo "Another interpreter, in an environment of its own: make test PYTHON=python3.13 VENV=.venv-3.13"
 
 .PHONY: demo
-demo: $(VENV)/.installed ## watch built-in agents play three games, and write what they did to runs/
+demo: $(VENV)/.demo ## watch built-in agents play three games, and write what they did to runs/
 	$(call say,a random agent plays three games)
 	@$(BIN)/gem run game:GuessTheNumber-v0 game:Mastermind-v0-easy game:TowerofHanoi-v0-easy \
 		--agent random --episodes 1000 --num-envs 8 --seed 1 --out runs/demo-random.jsonl --overwrite
@@ -103,9 +103,15 @@ $(VENV)/.made:
 	$(call quietly,$(PYTHON) -m venv --clear $(VENV))
 	@printf '%s\n' "$(MADE_FROM)" > $@
 
-$(VENV)/.installed: $(VENV)/.made pyproject.toml constraints.txt $(PLUGIN_PROJECTS)
-	$(call say,installing gem-core $(notdir $(PLUGINS)))
+# What a first look needs; other plugins bring engines that take their time to install.
+$(VENV)/.demo: $(VENV)/.made pyproject.toml constraints.txt plugins/gem-games/pyproject.toml
+	$(call say,installing gem-core and gem-games)
 	$(call quietly,$(INSTALL) hatchling editables)
+	$(call quietly,$(INSTALL) -e . -e plugins/gem-games)
+	@touch $@
+
+$(VENV)/.installed: $(VENV)/.demo $(PLUGIN_PROJECTS)
+	$(call say,installing $(notdir $(PLUGINS)))
 	$(call quietly,$(INSTALL) -e . $(addprefix -e ,$(PLUGINS)))
 	@touch $@
 
