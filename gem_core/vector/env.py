@@ -133,7 +133,10 @@ class VectorEnv:
         return described
 
     def num_tasks(self, env_id: str | None, kwargs: Mapping[str, Any] = MappingProxyType({})) -> int | None:
-        """Return the number of tasks of an environment that has a data set; None for any other."""
+        """Return the number of tasks of an environment that has a data set; None for any other.
+
+        Ask before the first ``reset``: the environment may be made in a slot, in the place of the one that is there.
+        """
         slot = self.ids.index(env_id) if env_id in self.ids else 0
         wanted = env_id or self.ids[slot]
         engine = self._engine
