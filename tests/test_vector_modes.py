@@ -386,6 +386,30 @@ def test_a_step_that_is_cancelled_leaves_the_slots_usable() -> None:
     asyncio.run(run())
 
 
+def test_what_a_cancelled_step_waited_for_is_received() -> None:
+    """Those that were ready, and the one that was not: no turn of an episode is lost."""
+
+    async def run() -> None:
+        vector = gem.make_vec([THREAD, INLINE], 2, backend="async", seed=1, length=9)
+        await vector.reset_async()
+        hold([-1, 0])
+        task = asyncio.create_task(vector.step_async(["0@gate", "b"]))
+        await asyncio.sleep(0)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        with pytest.raises(ArgumentError, match="call recv"):
+            await vector.step_async({1: "c"})
+        received = await vector.recv_async()
+        assert (received.slots, received.infos[0]["path"]) == ([1], ["b"])
+        release()
+        received = await vector.recv_async()
+        assert (received.slots, len(received.infos[0]["path"])) == ([0], 1)
+        vector.close()
+
+    asyncio.run(run())
+
+
 def test_waiting_blocks_no_loop() -> None:
     """Something else goes on while a batch is awaited."""
 

@@ -52,7 +52,8 @@ class Engine:
         for host in hosts:
             host.engine = self
         self.signal = Signal()
-        self._closings = 0
+        self.closings = 0
+        """How often it was closed."""
         # Under the lock: which tickets are out, who waits for what, and what is done.
         self._lock = threading.RLock()
         self._tickets = [0] * len(ids)
@@ -202,17 +203,25 @@ class Engine:
     def _settle(self, index: int) -> None:
         """Note that a slot has a result."""
         with self._lock:
+            if index in self.sent:
+                self.done.append(index)
+                if len(self.done) >= self.target:
+                    self.signal.set()
             batch = self._batches.pop(index, None)
-            if batch is None:
-                if index in self.sent:
-                    self.done.append(index)
-                    if len(self.done) >= self.target:
-                        self.signal.set()
+            if batch is not None:
+                batch.left -= 1
+                batch.unsettled -= 1
+                if not batch.left:
+                    batch.signal.set()  # the last, since whoever waits may send the slot at once
+
+    def leave(self, batch: Batch, order: Iterable[int]) -> None:
+        """Leave what a call waited for, which was cancelled or interrupted, to ``recv``; nothing of it is lost."""
+        with self._lock:
+            if batch.closings != self.closings:
                 return
-            batch.left -= 1
-            batch.unsettled -= 1
-            if not batch.left:
-                batch.signal.set()
+            self.sent.update(order)
+            self.done += [index for index in order if index not in self._batches]
+            self.signal.set()
 
     def _wait_for(self, slot: Slot, batch: Batch) -> Batch:
         """Let a batch wait for a slot; under the lock."""
@@ -249,12 +258,17 @@ class Engine:
     # Waiting.
 
     def until(
-        self, over: Callable[[], bool], deadline: float | None = None, *, blocking: bool = True
+        self,
+        over: Callable[[], bool],
+        deadline: float | None = None,
+        *,
+        blocking: bool = True,
+        closings: int | None = None,
     ) -> Iterator[float | None]:
         """Yield in how many seconds to look again, until something is over; see to what takes too long."""
-        closings = self._closings
+        closings = self.closings if closings is None else closings
         while not over() or time.monotonic() >= self._look_again:
-            if closings != self._closings:
+            if closings != self.closings:
                 raise ResetNeededError("the vector environment was closed while it was waited for; call reset()")
             if blocking and on_background_loop() and not over():
                 raise BridgeError(
@@ -306,7 +320,7 @@ class Engine:
             self._quick = [None] * len(self.slots)
             waiting = [self.signal, *(batch.signal for batch in self._batches.values())]
             self._batches, self.sent, self.done = {}, set(), []
-            self._closings += 1
+            self.closings += 1
         for signal in waiting:
             signal.set()
         for slot in self.slots:
@@ -376,9 +390,11 @@ class Batch:
 
     Args:
         size: Number of slots.
+        closings: How often the engine had been closed when the call began.
     """
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, size: int, closings: int) -> None:
+        self.closings = closings
         self.signal = _NEVER
         """What is set when all have a result; there is one once there is something to wait for."""
         self.left = size

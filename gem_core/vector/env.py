@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 from typing import Any, Self, cast
@@ -188,8 +188,7 @@ class VectorEnv:
         if len(order) == self.num_envs:
             self._engine.drain()
         batch = self._begin(self._own_source, options, order)
-        for seconds in self._engine.until(batch.is_over):
-            batch.signal.wait(seconds)
+        self._wait_for(batch, order)
         return self._observed(order)
 
     async def reset_async(
@@ -200,16 +199,14 @@ class VectorEnv:
         if len(order) == self.num_envs:
             await self.drain_async()
         batch = self._begin(self._own_source, options, order)
-        for seconds in self._engine.until(batch.is_over, blocking=False):
-            await batch.signal.wait_async(seconds)
+        await self._wait_for_async(batch, order)
         return self._observed(order)
 
     def begin(self, source: DrawSource, options: dict[str, Any] | None = None) -> tuple[list[Observation], list[Info]]:
         """Begin an episode in every slot, drawn from a source; see ``reset``."""
         self._engine.drain()
         batch = self._begin(source, options, list(range(self.num_envs)))
-        for seconds in self._engine.until(batch.is_over):
-            batch.signal.wait(seconds)
+        self._wait_for(batch, range(self.num_envs))
         return self._observed(list(range(self.num_envs)))
 
     def step(self, actions: Actions) -> VectorStep:
@@ -232,15 +229,16 @@ class VectorEnv:
         """
         batch, order = self._start_step(actions)
         if batch.left:
-            for seconds in self._engine.until(batch.is_over):
-                batch.signal.wait(seconds)
+            self._wait_for(batch, order)
         return self._results(order)
 
     async def step_async(self, actions: Actions) -> VectorStep:
-        """``step`` for code that runs in an event loop, without blocking it."""
+        """``step`` for code that runs in an event loop, without blocking it.
+
+        Where it is cancelled, as by a time limit, the slots go on, and ``recv`` returns what comes of it.
+        """
         batch, order = self._start_step(actions)
-        for seconds in self._engine.until(batch.is_over, blocking=False):
-            await batch.signal.wait_async(seconds)
+        await self._wait_for_async(batch, order)
         return self._results(order)
 
     # Waiting for nobody.
@@ -372,7 +370,7 @@ class VectorEnv:
         else:
             self._rules.source = source
             self._rules.budget.finished()
-        batch = Batch(len(chosen))
+        batch = Batch(len(chosen), self._engine.closings)
         self._engine.run_all(
             ((self._slots[index], partial(self._slots[index].begin, options)) for index in chosen), batch
         )
@@ -380,7 +378,7 @@ class VectorEnv:
 
     def _start_step(self, actions: Actions) -> tuple[Batch, list[int]]:
         pairs = self._checked(actions)
-        batch = Batch(len(pairs))
+        batch = Batch(len(pairs), self._engine.closings)
         self._engine.act(pairs, batch)
         return batch, [index for index, _ in pairs]
 
@@ -401,6 +399,22 @@ class VectorEnv:
         wanted = min(min_envs, len(engine.sent))
         engine.target = max(1, wanted)
         return lambda: len(engine.done) >= wanted, None if timeout is None else time.monotonic() + timeout
+
+    def _wait_for(self, batch: Batch, order: Iterable[int]) -> None:
+        try:
+            for seconds in self._engine.until(batch.is_over, closings=batch.closings):
+                batch.signal.wait(seconds)
+        except BaseException:
+            self._engine.leave(batch, order)
+            raise
+
+    async def _wait_for_async(self, batch: Batch, order: Iterable[int]) -> None:
+        try:
+            for seconds in self._engine.until(batch.is_over, blocking=False, closings=batch.closings):
+                await batch.signal.wait_async(seconds)
+        except BaseException:
+            self._engine.leave(batch, order)
+            raise
 
     # Results.
 
