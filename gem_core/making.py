@@ -167,7 +167,7 @@ def _dressed(
 
 def wrap(env: AnyEnv, wrappers: Wrappers, look_up: LookUp) -> AnyEnv:
     """Put wrappers and tools around an environment, innermost first. Tools that stand side by side share one."""
-    choices = [_choice(choice) for choice in _split(wrappers)]
+    choices = wrapper_choices(wrappers)
     position = 0
     while position < len(choices):
         maker, options = choices[position]
@@ -238,6 +238,11 @@ def _set_render_mode(task: AnyEnv, render_mode: str, env_id: str) -> None:
             f"{env_id}: no render mode {render_mode!r}; it offers {', '.join(map(repr, modes)) or 'none'}"
         )
     task.render_mode = render_mode
+
+
+def wrapper_choices(wrappers: Wrappers) -> list[tuple[str | Callable[..., Any], dict[str, Any]]]:
+    """Return each wrapper or tool that is asked for, by name or callable, with its options, innermost first."""
+    return [_choice(choice) for choice in _split(wrappers)]
 
 
 def _split(wrappers: Wrappers) -> list[WrapperChoice]:

@@ -32,6 +32,14 @@ def nothing_left_hanging() -> Iterator[None]:
     vector_envs.TURNS.clear()
 
 
+def test_a_wrapper_that_computes_goes_to_workers_with_its_environment() -> None:
+    """``auto`` looks at all that is put around a task."""
+    for wrappers, home in [([], "LocalHost"), (["concat", vector_envs.Computing], "RemoteHost")]:
+        with gem.make_vec(INLINE, 2, wrappers=wrappers, length=2) as vector:
+            assert [type(host).__name__ for host in vector._engine.hosts] == [home]
+            vector.reset()
+
+
 # Autoreset.
 
 

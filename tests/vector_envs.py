@@ -294,3 +294,9 @@ def register_vector_envs() -> None:
     gem.register(LUCKY_THREAD, f"{here}:ThreadWalkEnv", deterministic=False)
     gem.register(MISSING, "vector_envs_that_are_not_there:Env")
     gem.register(IMAGES, f"{here}:ImagesEnv")
+
+
+class Computing(gem.Wrapper):
+    """A wrapper whose own hooks compute for long."""
+
+    needs = "process"

@@ -117,6 +117,8 @@ def around(
 def _kind(setup: VectorSetup, env_id: str) -> Concurrency:
     """Return what an environment needs, as far as it decides between here and workers, by its class if that will do."""
     by_class = setup.task_kind(env_id)
+    if setup.wrappers_compute():
+        return "process"
     if by_class is None or (by_class == "inline" and setup.step_timeout is not None):
         return setup.stack_kind(env_id)
     return by_class

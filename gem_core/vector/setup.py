@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from gem_core.errors import ArgumentError
-from gem_core.making import Wrappers, load_entry_point, make_from
+from gem_core.making import Wrappers, load_entry_point, make_from, wrapper_choices
 from gem_core.plans import DrawSource, PlanItem
 from gem_core.registry import registry
 from gem_core.types import Concurrency
@@ -116,6 +116,17 @@ class VectorSetup:
                 return None
             self._kinds[env_id] = kind  # type: ignore[assignment]  # checked where it is used
         return self._kinds[env_id]
+
+    def wrappers_compute(self) -> bool:
+        """Tell whether a wrapper or tool, by its class, needs a process to itself as ``"process"`` tasks do."""
+        for maker, _ in wrapper_choices(self.wrappers):
+            target = maker
+            if isinstance(maker, str):
+                entry_point = maker if ":" in maker else registry().wrapper(maker).entry_point
+                target = load_entry_point(entry_point, f"wrapper {maker!r}")
+            if "process" in (getattr(target, "needs", None), getattr(target, "concurrency", None)):
+                return True
+        return False
 
     def stack_kind(self, env_id: str) -> Concurrency:
         """Return what an environment needs together with its wrappers; one may be made and closed to find it out."""
