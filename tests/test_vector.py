@@ -408,7 +408,8 @@ def test_resets_that_are_none_are_faults(result: Any, message: str) -> None:
             return result
 
     vector = gem.VectorEnv.around(Odd(), seed=0)
-    info = vector.begin(new_source(lasting(1, 1), 0))[1][0]
+    vector.send_reset(new_source(lasting(1, 1), 0))
+    info = vector.recv().infos[0]
     assert info["failed_resets"][0]["error"]["message"] == f"reset raised TypeError: {message}"
 
 

@@ -13,7 +13,7 @@ from gem_core.errors import ArgumentError
 from gem_core.types import Concurrency
 from gem_core.vector.env import VectorEnv
 from gem_core.vector.host import Host
-from gem_core.vector.local import LocalHost
+from gem_core.vector.local import LocalHost, timeout_refused
 from gem_core.vector.setup import VectorSetup
 from gem_core.wrapper import AnyEnv
 
@@ -43,10 +43,7 @@ def asynchronous(setup: VectorSetup) -> VectorEnv:
     if setup.step_timeout is not None:
         for env_id in setup.all_ids:
             if setup.stack_kind(env_id) == "inline":
-                raise ArgumentError(
-                    f"step_timeout cannot be kept for {env_id!r}, which runs in place; use backend='auto' or "
-                    "'process', whose workers can be killed"
-                )
+                raise timeout_refused(env_id)
     return VectorEnv(setup, _local(setup))
 
 

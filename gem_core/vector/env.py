@@ -202,13 +202,6 @@ class VectorEnv:
         await self._wait_for_async(batch, order)
         return self._observed(order)
 
-    def begin(self, source: DrawSource, options: dict[str, Any] | None = None) -> tuple[list[Observation], list[Info]]:
-        """Begin an episode in every slot, drawn from a source; see ``reset``."""
-        self._engine.drain()
-        batch = self._begin(source, options, list(range(self.num_envs)))
-        self._wait_for(batch, range(self.num_envs))
-        return self._observed(list(range(self.num_envs)))
-
     def step(self, actions: Actions) -> VectorStep:
         """Step all slots, or those that a mapping names, and wait for them.
 

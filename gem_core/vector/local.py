@@ -215,10 +215,7 @@ class LocalHost(Host):
             return None
         failure = body.prepare(command.env_id, command.kwargs)
         if failure is None and self._step_timeout is not None and body.kind == "inline":
-            error = ArgumentError(
-                f"step_timeout cannot be kept for {command.env_id!r}, which runs in place; use backend='auto' or "
-                "'process', whose workers can be killed"
-            )
+            error = timeout_refused(command.env_id)
             failure = Failure("exception", str(error), error, hopeless=True)
         return failure
 
@@ -235,6 +232,14 @@ class LocalHost(Host):
             self._left.discard(body)
         if left:
             body.discard()
+
+
+def timeout_refused(env_id: str | None) -> ArgumentError:
+    """Return the error of a ``step_timeout`` for an environment that runs in place, where nothing could keep it."""
+    return ArgumentError(
+        f"step_timeout cannot be kept for {env_id!r}, which runs in place; use backend='auto' or 'process', whose "
+        "workers can be killed"
+    )
 
 
 def timeout_of(step_timeout: float | None) -> Failure:
