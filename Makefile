@@ -12,7 +12,8 @@ PLUGINS := $(patsubst %/pyproject.toml,%,$(PLUGIN_PROJECTS))
 PLUGIN_PACKAGES := $(patsubst %/__init__.py,%,$(wildcard plugins/*/gem_*/__init__.py))
 BENCHMARKS := $(filter-out benchmarks/harness.py,$(wildcard benchmarks/*.py))
 BIN := $(VENV)/bin
-# No build isolation: hatchling comes pinned from constraints.txt, and a second install works offline.
+# No build isolation: hatchling comes pinned from constraints.txt, and a second install works offline. setuptools builds
+# the dependencies that come as source alone (chess).
 INSTALL := $(BIN)/python -m pip install --quiet --no-build-isolation -c constraints.txt
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
@@ -106,7 +107,7 @@ $(VENV)/.made:
 # What a first look needs; other plugins bring engines that take their time to install.
 $(VENV)/.demo: $(VENV)/.made pyproject.toml constraints.txt plugins/gem-games/pyproject.toml
 	$(call say,installing gem-core and gem-games)
-	$(call quietly,$(INSTALL) hatchling editables)
+	$(call quietly,$(INSTALL) hatchling editables setuptools)
 	$(call quietly,$(INSTALL) -e . -e plugins/gem-games)
 	@touch $@
 
