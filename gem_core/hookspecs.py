@@ -45,6 +45,9 @@ def gem_register_envs() -> Iterable[EnvSpec]:  # type: ignore[empty-body]
 def gem_register_tools() -> Iterable[ToolSpec]:  # type: ignore[empty-body]
     """Offer tools, which ``make(…, wrappers="name")`` puts around any task.
 
+    An entry point may return several tools, as those of a server. ``gem doctor`` shows what ``status`` returns, where
+    it is given: ``status="gem_mine.status:sandbox"``.
+
     Example::
 
         @hookimpl

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, cast
@@ -13,10 +12,10 @@ from gymnasium.envs.registration import EnvSpec as GymnasiumSpec
 from gymnasium.envs.registration import WrapperSpec as GymnasiumWrapperSpec
 
 from gem_core.arguments import check_arguments
-from gem_core.errors import ArgumentError, EntryPointError, RegistrationError
+from gem_core.entry_points import load_entry_point
+from gem_core.errors import ArgumentError, RegistrationError
 from gem_core.requirements import check_requirements
-from gem_core.specs import EntryPoint, EnvSpec, NamedSpec, ToolSpec
-from gem_core.suggestions import did_you_mean
+from gem_core.specs import EnvSpec, NamedSpec, ToolSpec
 from gem_core.wrapper import AnyEnv, Guard, Wrapper
 
 WrapperChoice = str | tuple[str | Callable[..., Any], Mapping[str, Any]] | Callable[..., Any]
@@ -182,42 +181,6 @@ def wrap(env: AnyEnv, wrappers: Wrappers, look_up: LookUp) -> AnyEnv:
         else:
             env = _with_wrapper(env, maker, options, record)
     return env
-
-
-def load_entry_point(entry_point: EntryPoint, owner: str) -> Callable[..., Any]:
-    """Import what ``"package.module:Name"`` points to.
-
-    Raises:
-        EntryPointError: The module is not there, fails while it is imported, or has no such name.
-    """
-    if not isinstance(entry_point, str):
-        return entry_point
-    module_name, _, path = entry_point.partition(":")
-    try:
-        target: Any = importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        if error.name and (module_name == error.name or module_name.startswith(f"{error.name}.")):
-            raise EntryPointError(
-                f"{owner}: there is no module {error.name!r} (entry point {entry_point!r}); "
-                "correct the entry point, or install the distribution that has it"
-            ) from error
-        raise EntryPointError(
-            f"{owner}: {module_name!r} needs the module {error.name!r}, which is not installed; "
-            f"try 'pip install {(error.name or '').partition('.')[0].replace('_', '-')}'"
-        ) from error
-    except Exception as error:  # a module of somebody else's may fail in any way while it is imported
-        raise EntryPointError(f"{owner}: importing {module_name!r} failed: {type(error).__name__}: {error}") from error
-    for part in path.split("."):
-        try:
-            target = getattr(target, part)
-        except AttributeError:
-            names = [name for name in dir(target) if not name.startswith("_")]
-            raise EntryPointError(
-                f"{owner}: {module_name!r} has no {part!r}.{did_you_mean(part, names)} (entry point {entry_point!r})"
-            ) from None
-    if not callable(target):
-        raise EntryPointError(f"{owner}: {entry_point!r} is a {type(target).__name__}, which cannot be called")
-    return cast("Callable[..., Any]", target)
 
 
 def construct(record: NamedSpec, *args: Any, **options: Any) -> Any:

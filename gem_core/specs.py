@@ -128,9 +128,22 @@ class NamedSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class ToolSpec(NamedSpec):
-    """A tool: the entry point returns a ``Tool`` when it is called with the tool's options."""
+    """A tool: the entry point returns a ``Tool``, or a sequence of them, when it is called with the tool's options.
+
+    Args:
+        status: What ``gem doctor`` calls to learn what is in force on this machine, such as the level of a sandbox:
+            without arguments, it returns a line of text or a mapping of facts to plain values. Its module should load
+            quickly, and what it says holds no secrets.
+    """
 
     kind: ClassVar[str] = "tool"
+
+    status: EntryPoint | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.status is not None:
+            _check_entry_point(f"tool {self.name}", self.status, "status")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,11 +178,11 @@ class CommandSpec(NamedSpec):
     kind: ClassVar[str] = "command"
 
 
-def _check_entry_point(owner: str, entry_point: object) -> None:
+def _check_entry_point(owner: str, entry_point: object, what: str = "entry_point") -> None:
     if callable(entry_point) or (isinstance(entry_point, str) and _ENTRY_POINT.fullmatch(entry_point)):
         return
     raise RegistrationError(
-        f"{owner}: entry_point must be 'package.module:Name' or a callable, not {entry_point!r}",
+        f"{owner}: {what} must be 'package.module:Name' or a callable, not {entry_point!r}",
     )
 
 

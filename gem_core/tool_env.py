@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import logging
 import weakref
-from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 import pydantic
@@ -24,6 +24,9 @@ T = TypeVar("T")
 
 logger = logging.getLogger("gem_core")
 
+ToolChoice = Tool | str | tuple[str, Mapping[str, Any]]
+"""A tool, the name of a registered one, or such a name with its options."""
+
 
 class ToolEnv(Wrapper):
     """Lets an agent use tools in a task.
@@ -41,7 +44,7 @@ class ToolEnv(Wrapper):
 
     Args:
         env: The task.
-        tools: Tools, or names of registered ones, or names with their options.
+        tools: Tools, or names of registered ones, or names with their options; what a name stands for may be several.
         tool_reward: Added for each call that could be read.
         tool_success_reward: Added for each call that succeeded.
         tool_error_reward: Added for each call that failed or could not be read.
@@ -53,7 +56,7 @@ class ToolEnv(Wrapper):
     def __init__(
         self,
         env: AnyEnv,
-        tools: Sequence[Tool | str | tuple[str, Mapping[str, Any]]],
+        tools: Sequence[ToolChoice],
         *,
         tool_reward: float = 0.0,
         tool_success_reward: float = 0.0,
@@ -62,9 +65,7 @@ class ToolEnv(Wrapper):
         instructions: bool | str = True,
     ) -> None:
         super().__init__(env)
-        self.tools = {tool.name: tool for tool in map(_resolved, [tools] if isinstance(tools, str) else tools)}
-        if len(self.tools) != len([tools] if isinstance(tools, str) else tools):
-            raise ArgumentError(f"two tools have one name among {list(self.tools)}")
+        self.tools = _by_name([tools] if isinstance(tools, str | Tool) else tools)
         if max_tool_uses is not None and (not isinstance(max_tool_uses, int) or max_tool_uses < 0):
             raise ArgumentError(f"max_tool_uses must be a whole number from 0 up or None, not {max_tool_uses!r}")
         self.tool_reward = tool_reward
@@ -166,7 +167,7 @@ class ToolEnv(Wrapper):
             return ToolResult(f"The call could not be read: {call.error}", failed=True)
         tool = self.tools[call.name]
         try:
-            arguments = tool.Parameters.model_validate(dict(call.arguments))
+            arguments = tool.validate(call.arguments)
         except Exception as error:  # noqa: BLE001 - a validator of the tool's own may fail in any way
             return ToolResult(_validation_message(error), failed=True)
         try:
@@ -284,17 +285,44 @@ def _parsed_action(action: str, call: ToolCall) -> str | None:
     return action[: call.end] if call.end else None
 
 
-def _resolved(tool: Tool | str | tuple[str, Mapping[str, Any]]) -> Tool:
-    if isinstance(tool, Tool):
-        return tool
+def _by_name(choices: Iterable[ToolChoice]) -> dict[str, Tool]:
+    """Return the tools that were chosen by their names, in order."""
+    tools: dict[str, Tool] = {}
+    origins: dict[str, str] = {}
+    for choice in choices:
+        origin, found = _resolved(choice)
+        for tool in found:
+            if tool.name in tools:
+                raise ArgumentError(
+                    f"two tools have one name, {tool.name!r}: {origins[tool.name]} and {origin}; calls could not be "
+                    "told apart, so leave one out, or give it another name by its options"
+                )
+            tools[tool.name], origins[tool.name] = tool, origin
+    return tools
+
+
+def _resolved(choice: ToolChoice) -> tuple[str, list[Tool]]:
+    """Return where tools come from, in words, and the tools."""
+    if isinstance(choice, Tool):
+        return f"an instance of {type(choice).__name__}", [choice]
     from gem_core.making import construct
     from gem_core.registry import registry
 
-    name, options = (tool, {}) if isinstance(tool, str) else tool
-    made = construct(registry().tool(name), **dict(options))
-    if not isinstance(made, Tool):
-        raise ArgumentError(f"the entry point of tool {name!r} returned {type(made).__name__}, not a Tool")
-    return made
+    name, options = _name_and_options(choice)
+    made = construct(registry().tool(name), **options)
+    found = list(made) if isinstance(made, Sequence) and not isinstance(made, str) else [made]
+    for tool in found:
+        if not isinstance(tool, Tool):
+            raise ArgumentError(f"the entry point of tool {name!r} returned {type(tool).__name__}, not a Tool")
+    return f"one of {name!r}", found
+
+
+def _name_and_options(choice: object) -> tuple[str, dict[str, Any]]:
+    if isinstance(choice, str):
+        return choice, {}
+    if isinstance(choice, Sequence) and len(choice) == 2 and isinstance(choice[1], Mapping):
+        return str(choice[0]), dict(choice[1])
+    raise ArgumentError(f"a tool is a Tool, a name, or (name, {{options}}), not {choice!r}")
 
 
 def _needs(tools: Any) -> Concurrency:
@@ -354,6 +382,8 @@ def _close_sessions(tools: Mapping[str, Tool], sessions: dict[str, Any]) -> None
 def _validation_message(error: Exception) -> str:
     if isinstance(error, RecursionError):
         return "The arguments are nested too deeply."
+    if isinstance(error, ArgumentError):
+        return f"The arguments are not valid. {error}"[:2000]
     if not isinstance(error, pydantic.ValidationError):
         return f"The arguments are not valid. {type(error).__name__}: {error}"[:2000]
     lines = [f"{'.'.join(map(str, item['loc'])) or 'arguments'}: {item['msg']}"[:300] for item in error.errors()[:10]]

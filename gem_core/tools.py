@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Awaitable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
 import pydantic
 
@@ -70,11 +71,14 @@ class Tool:
 
     A tool with one text parameter is also called by a tag, ``<name>…</name>``, or by a fenced block in one of
     ``fences``. State that belongs to an episode is a *session*: override ``open`` and ``close``.
+
+    What is known only at run time, as the tools of a server are, is set on the instance: ``name``, ``description`` and
+    ``fences``. One that has a JSON Schema and no pydantic model overrides ``parameters_schema`` and ``validate``.
     """
 
-    name: ClassVar[str]
-    description: ClassVar[str] = ""
-    fences: ClassVar[tuple[str, ...]] = ()
+    name: str
+    description: str = ""
+    fences: tuple[str, ...] = ()
     """Languages of fenced blocks that are calls of this tool."""
 
     concurrency: Concurrency = "thread"
@@ -87,7 +91,7 @@ class Tool:
         """Do what was asked.
 
         Args:
-            arguments: A valid instance of ``Parameters``.
+            arguments: What ``validate`` returned: a valid instance of ``Parameters``.
             session: What ``open`` returned for this episode.
 
         Returns:
@@ -113,13 +117,36 @@ class Tool:
         """Return a session from what ``get_session_state`` returned."""
         return None
 
-    @property
+    def parameters_schema(self) -> dict[str, Any]:
+        """Return the JSON Schema of the arguments, an object; by default that of ``Parameters``.
+
+        The caller may change what is returned.
+        """
+        schema: dict[str, Any] = json.loads(_schema_of(self.Parameters))
+        return schema
+
+    def validate(self, arguments: Mapping[str, Any]) -> Any:
+        """Return the arguments as ``call`` takes them; by default an instance of ``Parameters``.
+
+        Args:
+            arguments: What the agent wrote, by name: any plain JSON.
+
+        Raises:
+            ArgumentError: They do not fit; the agent reads the message. Pydantic's ``ValidationError`` does as well.
+        """
+        return self.Parameters.model_validate(dict(arguments))
+
+    @functools.cached_property
     def text_parameter(self) -> str | None:
         """The parameter that a tag or a fenced block fills; None where the tool has not exactly one of text."""
-        fields = self.Parameters.model_fields
-        required = [name for name, info in fields.items() if info.is_required()]
-        names = required or list(fields)
-        return names[0] if len(names) == 1 and fields[names[0]].annotation is str else None
+        schema = self.parameters_schema()
+        properties, required = schema.get("properties"), schema.get("required")
+        if not isinstance(properties, Mapping) or not isinstance(required or [], list):
+            return None
+        names = list(required or properties)
+        if len(names) != 1 or not isinstance(names[0], str):
+            return None
+        return names[0] if _is_free_text(properties.get(names[0])) else None
 
     def parse(self, action: str, *, fences: bool = True) -> ToolCall | None:
         """Find the first call of this tool in its text forms.
@@ -141,10 +168,7 @@ class Tool:
 
     def schema(self) -> dict[str, Any]:
         """Return the tool as the OpenAI chat API describes functions."""
-        parameters = self.Parameters.model_json_schema()
-        parameters.pop("title", None)
-        parameters.pop("description", None)
-        function = {"name": self.name, "description": self.description, "parameters": parameters}
+        function = {"name": self.name, "description": self.description, "parameters": self.parameters_schema()}
         return {"type": "function", "function": function}
 
     def instructions(self) -> str:
@@ -154,8 +178,11 @@ class Tool:
             forms += [f"a fenced block marked {language}" for language in self.fences[:1]]
             how = " or ".join(forms)
         else:
-            example = {name: _placeholder(info) for name, info in self.Parameters.model_fields.items()}
-            how = f"{CALL_OPEN}{json.dumps({'name': self.name, 'arguments': example})}{CALL_CLOSE}"
+            properties = self.parameters_schema().get("properties")
+            described = properties.items() if isinstance(properties, Mapping) else ()
+            example = {name: _placeholder(parameter) for name, parameter in described}
+            written = json.dumps({"name": self.name, "arguments": example}, ensure_ascii=False)
+            how = f"{CALL_OPEN}{written}{CALL_CLOSE}"
         return f"- {self.name}: {self.description} Call it with {how}".replace(": . ", ": ")
 
     def _tagged(self, action: str, parameter: str) -> ToolCall | None:
@@ -185,5 +212,22 @@ def first_call(calls: Sequence[ToolCall | None]) -> ToolCall | None:
     return min(complete or found, key=lambda call: call.start, default=None)
 
 
-def _placeholder(info: pydantic.fields.FieldInfo) -> str:
-    return "…" if info.description is None else info.description
+@functools.lru_cache(maxsize=1024)
+def _schema_of(parameters: type[pydantic.BaseModel]) -> str:
+    # Kept as text: pydantic takes a tenth of a millisecond, and everyone gets a copy.
+    schema = parameters.model_json_schema()
+    schema.pop("title", None)
+    schema.pop("description", None)
+    return json.dumps(schema)
+
+
+def _is_free_text(described: object) -> bool:
+    """Tell whether a parameter takes any text, and not a date, a path or one of a few words."""
+    if not isinstance(described, Mapping) or described.get("type") != "string":
+        return False
+    return not {"enum", "const", "format"} & described.keys()
+
+
+def _placeholder(parameter: object) -> str:
+    text = parameter.get("description") if isinstance(parameter, Mapping) else None
+    return " ".join(text.split()) if isinstance(text, str) else "…"

@@ -11,6 +11,7 @@ import toys
 import vector_envs
 from chat_server import KEY, MODEL, ChatServer, HandClock, MakeAgent
 from command_calls import Outcome, RunGem
+from distributions import install
 from hypothesis import settings
 from in_terminal import InTerminal
 
@@ -33,6 +34,21 @@ def own_registry(monkeypatch: pytest.MonkeyPatch) -> registry.Registry:
     monkeypatch.setattr(plugins, "_find", list)
     monkeypatch.setattr(registry, "_registry", fresh)
     return fresh
+
+
+@pytest.fixture(scope="session")
+def toolbox_site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which a third party's distribution of tools is installed."""
+    return install("toolbox", tmp_path_factory.mktemp("toolbox"))
+
+
+@pytest.fixture
+def toolbox(toolbox_site: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Make that distribution visible to this process, and load the plugins anew."""
+    monkeypatch.syspath_prepend(toolbox_site)
+    monkeypatch.setattr(registry, "_registry", registry.Registry())
+    toys.register_toys()
+    return toolbox_site
 
 
 @pytest.fixture

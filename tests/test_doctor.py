@@ -264,3 +264,85 @@ def test_a_file_called_runs_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert diagnosis._runs_folder() == {"status": "met", "detail": "can be made"}
     (tmp_path / "runs").touch()
     assert diagnosis._runs_folder() == {"status": "unmet", "detail": "cannot be written to"}
+
+
+def test_tools_say_what_is_in_force(toolbox_site: Path) -> None:
+    """A line or facts, each in a row, and in the JSON as they are; a tool that says nothing is listed."""
+    report = found([toolbox_site])
+    assert [tool for tool in report["tools"] if tool["tool"] in ("box", "mute", "vault")] == [
+        {"tool": "box", "summary": "Two tools.", "status": {"level": "high", "drawers": 2}, "error": None},
+        {"tool": "mute", "summary": "Says nothing of itself.", "status": None, "error": None},
+        {"tool": "vault", "summary": "Opens.", "status": "two locks in force", "error": None},
+    ]
+    shown = doctor(paths=[toolbox_site]).stdout
+    assert "    ok      box: level: high, drawers: 2\n" in shown
+    assert "            mute: Says nothing of itself.\n" in shown
+    assert "    ok      vault: two locks in force\n" in shown
+
+
+def fails() -> str:
+    """Fail as a status may."""
+    raise OSError("no such sandbox")
+
+
+def leaves() -> str:
+    """End the program, as a status must not."""
+    raise SystemExit(3)
+
+
+def returns_a_number() -> int:
+    """Return what is neither text nor facts."""
+    return 3
+
+
+@pytest.mark.parametrize(
+    ("status", "error"),
+    [
+        (fails, "OSError: no such sandbox"),
+        (leaves, "SystemExit: 3"),
+        (returns_a_number, "TypeError: it returned int, neither a line of text nor a mapping"),
+        (
+            "gem_core_missing:status",
+            "EntryPointError: the status of tool 'odd': there is no module 'gem_core_missing' (entry point "
+            "'gem_core_missing:status'); correct the entry point, or install the distribution that has it",
+        ),
+    ],
+)
+def test_status_that_fails_is_told_and_spoils_nothing(
+    status: Any, error: str, own_registry: Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each is asked in its own guard; what fails is broken."""
+    own_registry.load()
+    odd = gem.ToolSpec(name="odd", entry_point="toys:Calculator", status=status)
+    fine = gem.ToolSpec(name="well", entry_point="toys:Calculator", status=lambda: {1: Path("x")})
+    monkeypatch.setitem(own_registry._named, "wrapper", {"odd": odd, "well": fine})
+    report = diagnosis.diagnose()
+    assert [(tool["status"], tool["error"]) for tool in report["tools"]] == [(None, error), ({"1": "x"}, None)]
+    assert report["broken"] == [f"the status of tool 'odd' failed: {error}"]
+
+
+def test_status_that_hangs_is_left_behind(own_registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The report comes all the same."""
+    go_on = threading.Event()
+    own_registry.load()
+    hangs = gem.ToolSpec(name="hangs", entry_point="toys:Calculator", status=lambda: str(go_on.wait()))
+    monkeypatch.setitem(own_registry._named, "wrapper", {"hangs": hangs})
+    (tool,) = diagnosis.tool_statuses(own_registry, timeout_s=0.01)
+    go_on.set()
+    assert tool["error"] == "it did not answer within 0.01 s"
+
+
+def test_status_is_no_part_of_a_listing(toolbox_site: Path) -> None:
+    """Only the doctor asks for it."""
+    done = python(
+        "import sys\nfrom gem_core.cli import main\n"
+        "try:\n    main(['list'])\nexcept SystemExit:\n    pass\nprint('gem_toolbox_status' in sys.modules)",
+        [toolbox_site],
+    )
+    assert done.stdout.splitlines()[-1] == "False"
+
+
+def test_status_must_be_an_entry_point() -> None:
+    """As every record is checked when it is made."""
+    with pytest.raises(gem.errors.RegistrationError, match=r"tool x: status must be .* or a callable"):
+        gem.ToolSpec(name="x", entry_point="a:b", status="not one")

@@ -310,12 +310,6 @@ def test_tools_by_name_need_a_registered_tool() -> None:
         ToolEnv(EchoEnv(), ["calculatr"])
 
 
-def test_two_tools_of_one_name_are_refused() -> None:
-    """Calls could not be told apart."""
-    with pytest.raises(ArgumentError, match="two tools have one name"):
-        ToolEnv(EchoEnv(), [Notebook(), Notebook()])
-
-
 def test_a_tool_that_returns_nonsense_is_an_observation() -> None:
     """Even a broken tool raises nothing for the trainer."""
 

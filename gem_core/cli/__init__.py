@@ -70,7 +70,7 @@ class _Commands(click.Group):
         record = _plugin_commands().get(cmd_name)
         if record is None:
             return None
-        from gem_core.making import load_entry_point
+        from gem_core.entry_points import load_entry_point
 
         loaded = load_entry_point(record.entry_point, f"command {cmd_name!r}")
         if not isinstance(loaded, click.Command):

@@ -1,17 +1,20 @@
-"""What ``gem doctor`` finds out: versions, plugins, what is broken, and which requirements are met."""
+"""What ``gem doctor`` finds out: versions, plugins, what is broken, how tools stand, which requirements are met."""
 
 from __future__ import annotations
 
 import importlib.machinery
 import importlib.metadata
 import importlib.util
+import json
 import logging
 import os
 import platform
+import queue
 import re
 import sys
+import threading
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +22,7 @@ from gem_core import __version__
 from gem_core.plugins import Plugin
 from gem_core.registry import Registry, registry
 from gem_core.requirements import SERVICES, find, installed_version, which_gem
-from gem_core.specs import EnvSpec
+from gem_core.specs import EnvSpec, ToolSpec
 
 PACKAGES = ("gymnasium", "numpy", "pydantic", "pluggy", "click", "rich")
 """What the core is built on; their versions belong into every report of a bug."""
@@ -41,6 +44,8 @@ def diagnose() -> dict[str, Any]:
         for plugin in plugins
         if plugin.failure is not None
     ]
+    tools = tool_statuses(found)
+    unknown = [f"the status of tool {tool['tool']!r} failed: {tool['error']}" for tool in tools if tool["error"]]
     return {
         "gem_core": __version__,
         "python": platform.python_version(),
@@ -50,7 +55,8 @@ def diagnose() -> dict[str, Any]:
         "packages": {name: installed_version(name) for name in PACKAGES},
         "plugins": [described(plugin) for plugin in plugins],
         "contested": found.contested(),
-        "broken": [*broken, *dangling],
+        "broken": [*broken, *dangling, *unknown],
+        "tools": tools,
         "requirements": requirements(found),
         "extras": _extras(),
         "command": vars(which_gem()),
@@ -103,6 +109,47 @@ def requirements(found: Registry) -> list[dict[str, Any]]:
     ]
     order = ["unmet", "unknown", "untried", "met"]
     return sorted(rows, key=lambda row: (not row["environments"], order.index(row["status"])))
+
+
+def tool_statuses(found: Registry, timeout_s: float = 30.0) -> list[dict[str, Any]]:
+    """Return every tool with what it says of itself on this machine, each asked in its own guard.
+
+    Args:
+        found: Where the tools are.
+        timeout_s: Seconds after which an answer is no longer waited for.
+    """
+    return [
+        {"tool": record.name, "summary": record.summary, "status": status, "error": error}
+        for record in found.named(ToolSpec)
+        for status, error in [_status_of(record, timeout_s)]
+    ]
+
+
+def _status_of(record: ToolSpec, timeout_s: float) -> tuple[Any, str | None]:
+    """Return what a tool says of itself, and what is wrong with that."""
+    from gem_core.entry_points import load_entry_point
+
+    entry_point = record.status
+    if entry_point is None:
+        return None, None
+    answers: queue.SimpleQueue[tuple[Any, str | None]] = queue.SimpleQueue()
+
+    def ask() -> None:
+        try:
+            status = load_entry_point(entry_point, f"the status of tool {record.name!r}")()
+            if not isinstance(status, str | Mapping):
+                raise TypeError(f"it returned {type(status).__name__}, neither a line of text nor a mapping")
+            plain = status if isinstance(status, str) else {str(key): value for key, value in status.items()}
+            answers.put((json.loads(json.dumps(plain, default=str)), None))
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - somebody else's code, which may fail in any way
+            answers.put((None, f"{type(error).__name__}: {error}"[:500]))
+
+    # In a thread, so that one that hangs does not hold up the report, nor the end of the program.
+    threading.Thread(target=ask, name=f"gem-status-{record.name}", daemon=True).start()
+    try:
+        return answers.get(timeout=timeout_s)
+    except queue.Empty:
+        return None, f"it did not answer within {timeout_s:g} s"
 
 
 def dangling_entry_points(plugins: Iterable[Plugin]) -> list[str]:

@@ -26,8 +26,9 @@ A requirement is met, unmet, untried (known only when it is used, as the network
 of a plugin's own). Of keys only the presence is looked at, and nothing is sent anywhere but a ping to
 the container engine.
 \b
-Modules of implementations are looked for and not imported, as that may take long; that one works is
-shown by 'gem info ID', and by 'pytest --gem-envs ID', which tries all that it promises.
+Tools say what is in force here, as the level of a sandbox. Modules of other implementations are looked
+for and not imported, as that may take long; that one works is shown by 'gem info ID', and by
+'pytest --gem-envs ID', which tries all that it promises.
 
 \b
 Exit code: 1 when something installed is broken, 0 otherwise, whatever requirements are unmet.
@@ -38,8 +39,8 @@ Exit code: 1 when something installed is broken, 0 otherwise, whatever requireme
 def command(ctx: click.Context, as_json: bool) -> None:
     """Find out what is installed, what is broken and why, and what is missing to run the rest.
 
-    Shows versions, every plugin with the time that it takes to load, the traceback of each that failed, and what the
-    environments require of this machine with the way to get it.
+    Shows versions, every plugin with the time that it takes to load, the traceback of each that failed, how the tools
+    stand on this machine, and what the environments require of it with the way to get it.
     """
     found = diagnose()
     if as_json:
@@ -47,6 +48,7 @@ def command(ctx: click.Context, as_json: bool) -> None:
     else:
         _print_versions(found)
         _print_plugins(found)
+        _print_tools(found["tools"])
         _print_requirements(found["requirements"])
         _print_rest(found)
         _print_verdict(found)
@@ -74,6 +76,19 @@ def _print_plugins(found: dict[str, Any]) -> None:
                 click.echo(f"{'':{_INDENT + 8}}{line}")
     for line in [*found["contested"], *found["notes"]]:
         _row(line, "note", "yellow")
+
+
+def _print_tools(tools: list[dict[str, Any]]) -> None:
+    _heading("Tools")
+    for tool in tools:
+        status = tool["status"]
+        if isinstance(status, dict):
+            status = ", ".join(f"{key}: {value}" for key, value in status.items())
+        text = " ".join(str(tool["error"] or status or tool["summary"]).split())
+        state, colour = ("broken", "red") if tool["error"] else ("ok", "green") if status else ("", None)
+        _row(f"{tool['tool']}: {text}" if text else tool["tool"], state, colour)
+    if not tools:
+        _row("none is installed; 'pip install gem-tools' brings some")
 
 
 def _print_requirements(rows: list[dict[str, Any]]) -> None:

@@ -56,7 +56,7 @@ def _lines(record: EnvSpec, facts: dict[str, object]) -> list[tuple[str, str]]:
 
 
 def _print_class(record: EnvSpec) -> None:
-    from gem_core.making import load_entry_point
+    from gem_core.entry_points import load_entry_point
     from gem_core.registry import make
 
     maker = load_entry_point(record.entry_point, f"environment {record.id!r}")

@@ -13,8 +13,9 @@ from typing import Any, cast
 
 import gymnasium
 
+from gem_core.entry_points import load_entry_point
 from gem_core.env import Env
-from gem_core.making import load_entry_point, make_from, wrap
+from gem_core.making import make_from, wrap
 from gem_core.registry import registry
 from gem_core.specs import EnvSpec
 from gem_core.testing.comparing import json_loss, shown

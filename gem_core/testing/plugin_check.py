@@ -117,7 +117,7 @@ def _report() -> None:
 
 def _error_of(record: Any) -> str:
     from gem_core.arguments import check_arguments
-    from gem_core.making import load_entry_point
+    from gem_core.entry_points import load_entry_point
     from gem_core.requirements import unmet
     from gem_core.specs import EnvSpec
 

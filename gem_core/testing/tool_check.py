@@ -7,10 +7,8 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import pydantic
-
 from gem_core.dataset import DatasetEnv
-from gem_core.errors import StateNotSupported
+from gem_core.errors import ArgumentError, StateNotSupported
 from gem_core.testing.findings import Findings
 from gem_core.testing.hostile import hostile_actions
 from gem_core.tool_env import ToolEnv
@@ -20,44 +18,59 @@ _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _ROWS = ({"question": "What is 1 + 1?", "answer": "2"},)
 
 
-def check_tool(tool: Tool | str | Callable[[], Tool], arguments: Mapping[str, Any] | None = None) -> list[str]:
+def check_tool(
+    tool: Tool | str | tuple[str, Mapping[str, Any]] | Callable[[], Tool],
+    arguments: Mapping[str, Any] | None = None,
+    *,
+    name: str | None = None,
+) -> list[str]:
     """Try everything that a tool promises.
 
     Args:
-        tool: A tool, a class that needs no options, or the name of a registered one.
+        tool: A tool, a class that needs no options, or the name of a registered one, with its options or without.
         arguments: Those of a call that succeeds; without them no call is tried that should.
+        name: The tool to try where the registered name stands for several; by default each is tried.
 
     Returns:
-        The promises that were kept, in one sentence each.
+        The promises that were kept, in one sentence each; of several tools, those of one after the other.
 
     Raises:
         CheckError: Promises are broken; the message names each, with what was seen.
+        ArgumentError: Arguments without a name where there are several tools, or no tool of that name.
         GemError: The tool cannot be made, as with an unknown name.
     """
-    chosen = tool if isinstance(tool, Tool | str) else tool()
+    chosen = tool if isinstance(tool, Tool | str | tuple) else tool()
     env = ToolEnv(DatasetEnv(_ROWS), [chosen], max_tool_uses=None)
     try:
-        ((name, made),) = env.tools.items()
-        findings = Findings(f"tool {name!r}")
-        _check_description(findings, made)
-        env.reset(seed=0)
-        if arguments is not None:
-            _check_call(findings, env, name, dict(arguments))
-        _check_hostile(findings, env, name)
-        env.close()
-        findings.attempt("Closing twice is harmless.", env.close)
+        names = list(env.tools) if name is None else [name]
+        if any(each not in env.tools for each in names) or (arguments is not None and len(names) != 1):
+            raise ArgumentError(f"name one of these tools: {', '.join(env.tools)}; not {name!r}")
+        return [kept for each in names for kept in _check_one(env, each, arguments)]
     finally:
         env.close()
+
+
+def _check_one(env: ToolEnv, name: str, arguments: Mapping[str, Any] | None) -> list[str]:
+    findings = Findings(f"tool {name!r}")
+    _check_description(findings, env.tools[name])
+    env.reset(seed=0)
+    if arguments is not None:
+        _check_call(findings, env, name, dict(arguments))
+    _check_hostile(findings, env, name)
+    env.close()
+    findings.attempt("Closing twice is harmless.", env.close)
     return findings.result()
 
 
 def _check_description(findings: Findings, tool: Tool) -> None:
     findings.expect("Its name is one that model servers take.", bool(_NAME.fullmatch(tool.name)), repr(tool.name))
     findings.expect("It has a description.", bool(tool.description.strip()), "an empty one")
-    parameters = tool.Parameters
-    model = isinstance(parameters, type) and issubclass(parameters, pydantic.BaseModel)
-    if findings.expect("Its Parameters are a pydantic model.", model, repr(parameters)):
-        findings.attempt("Its schema is plain JSON.", lambda: json.dumps(tool.schema()))
+    schemas: list[Any] = []
+    findings.attempt("Its schema is plain JSON.", lambda: schemas.append(json.loads(json.dumps(tool.schema()))))
+    if schemas:
+        parameters = schemas[0].get("function", {}).get("parameters")
+        is_object = isinstance(parameters, dict) and parameters.get("type") == "object"
+        findings.expect("Its parameters are the JSON Schema of an object.", is_object, repr(parameters)[:200])
         findings.expect("Its instructions are one line.", "\n" not in tool.instructions(), tool.instructions())
 
 

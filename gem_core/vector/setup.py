@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+from gem_core.entry_points import load_entry_point
 from gem_core.errors import ArgumentError
-from gem_core.making import Wrappers, load_entry_point, make_from, wrapper_choices
+from gem_core.making import Wrappers, make_from, wrapper_choices
 from gem_core.plans import DrawSource, PlanItem
 from gem_core.registry import registry
 from gem_core.types import Concurrency

@@ -151,7 +151,7 @@ class Worker:
 
     def _kind(self, env_id: str | None) -> Concurrency | None:
         """Return what a task asks for."""
-        from gem_core.making import load_entry_point
+        from gem_core.entry_points import load_entry_point
 
         if env_id is None:
             return None

@@ -137,10 +137,9 @@ class SearchTool(Tool):
         for option, text in (("name", name), ("description", description), ("instructions", instructions)):
             if text is not None and (not isinstance(text, str) or not text.strip() or "\n" in text):
                 raise ArgumentError(f"{option} must be one line of text, not {text!r}")
-        # Class variables of Tool; this instance has its own.
-        vars(self)["name"] = name
+        self.name = name
         if description is not None:
-            vars(self)["description"] = description
+            self.description = description
         self._instructions = instructions
 
     def instructions(self) -> str:
@@ -207,7 +206,7 @@ class RemoteSearch(SearchTool):
         super().__init__(top_k, budget)
         self.engine = engine
         if engine.service.name == "retrieve":
-            vars(self)["description"] = _LOCAL_DESCRIPTION
+            self.description = _LOCAL_DESCRIPTION
 
     async def call(self, arguments: Any, session: Any) -> ToolResult:
         """Return what the server finds; where it does not answer, say so."""
