@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import typing
 from collections.abc import Callable, Mapping
 from typing import Any, Self
 
@@ -34,11 +35,24 @@ def signature_of(maker: Callable[..., Any]) -> inspect.Signature | None:
         # inspect may show its __new__, which takes anything.
         if maker.__init__ is object.__init__:
             return inspect.Signature()
-        return inspect.Signature(list(inspect.signature(maker.__init__).parameters.values())[1:])
+        return inspect.Signature(_spelt_out(maker.__init__)[1:])
     try:
         return inspect.signature(maker)
     except (TypeError, ValueError):
         return None
+
+
+def _spelt_out(constructor: Callable[..., Any]) -> list[inspect.Parameter]:
+    """Return what a constructor takes; ``**options: Unpack[SomeTypedDict]`` becomes the keywords it stands for."""
+    found = list(inspect.signature(constructor).parameters.values())
+    if found[-1].kind is not inspect.Parameter.VAR_KEYWORD or "Unpack[" not in str(found[-1].annotation):
+        return found
+    try:
+        hint = typing.get_type_hints(constructor)[found[-1].name]
+        options = typing.get_type_hints(typing.get_args(hint)[0])
+    except (NameError, TypeError, AttributeError):  # what is imported for the type checker alone
+        return found
+    return [*found[:-1], *(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None) for name in options)]
 
 
 def check_arguments(maker: Callable[..., Any], args: tuple[Any, ...], options: Mapping[str, Any], owner: str) -> None:

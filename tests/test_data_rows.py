@@ -1,0 +1,399 @@
+"""Rows of data sets: where they may come from, how they are shared, and what is said when they are not there."""
+
+from __future__ import annotations
+
+import gc
+import gzip
+import json
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import datasets
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import gem_core as gem
+from gem_core import data_rows
+from gem_core.data_rows import load_rows
+from gem_core.errors import ArgumentError, DatasetError, EntryPointError
+from gem_core.registry import Registry
+
+ROWS: list[dict[str, Any]] = [
+    {"problem": f"{number} + 1 = ?", "answer": str(number + 1), "level": number % 3} for number in range(10)
+]
+LINES = "".join(json.dumps(row) + "\n" for row in ROWS)
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """``datasets`` writes into a folder of the test."""
+    monkeypatch.setattr(datasets.config, "HF_DATASETS_CACHE", tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture
+def lines(tmp_path: Path) -> Path:
+    """A file of JSON lines."""
+    path = tmp_path / "sums.jsonl"
+    path.write_text(LINES, encoding="utf-8")
+    return path
+
+
+def is_easy(row: Any) -> bool:
+    """A filter that workers find by name."""
+    return int(row["level"]) == 0
+
+
+def doubled(row: Any) -> dict[str, Any]:
+    """A change that workers find by name."""
+    return {**row, "problem": f"Twice: {row['problem']}"}
+
+
+def write_as(kind: str, folder: Path) -> Path:
+    """Write ROWS in one of the forms."""
+    path = folder / f"sums{kind}"
+    if kind == ".jsonl":
+        path.write_text(LINES, encoding="utf-8")
+    elif kind == ".jsonl.gz":
+        path.write_bytes(gzip.compress(LINES.encode()))
+    elif kind == ".json":
+        path.write_text(json.dumps(ROWS, indent=1), encoding="utf-8")
+    elif kind in (".csv", ".tsv"):
+        mark = "," if kind == ".csv" else "\t"
+        text = mark.join(ROWS[0]) + "\r\n" + "".join(mark.join(map(str, row.values())) + "\r\n" for row in ROWS)
+        path.write_text(text, encoding="utf-8-sig")
+    elif kind == ".parquet":
+        datasets.Dataset.from_list(ROWS).to_parquet(path)
+    elif kind == "-saved":
+        datasets.Dataset.from_list(ROWS).save_to_disk(path)
+    elif kind == "-folder":
+        path.mkdir()
+        datasets.Dataset.from_list(ROWS).to_parquet(path / "train-00000-of-00001.parquet")
+    return path
+
+
+@pytest.mark.parametrize("kind", [".jsonl", ".jsonl.gz", ".json", ".csv", ".tsv", ".parquet", "-saved", "-folder"])
+def test_every_form_gives_the_same_rows(kind: str, tmp_path: Path) -> None:
+    """A path in any form that is known; CSV knows only text."""
+    rows = load_rows(str(write_as(kind, tmp_path)))
+    expected = [{**row, "level": str(row["level"])} for row in ROWS] if kind in (".csv", ".tsv") else ROWS
+    assert [dict(row) for row in rows] == expected
+    assert (dict(rows[-1]), [dict(row) for row in rows[2:4]]) == (expected[-1], expected[2:4])
+    with pytest.raises(IndexError, match="there is no row 10; there are 10"):
+        rows[10]
+    assert [dict(row) for row in pickle.loads(pickle.dumps(rows))] == expected
+
+
+def test_json_that_holds_lines_is_read_as_lines(tmp_path: Path) -> None:
+    """Many such are called .json; blank lines, a byte order mark and a last line without its end are fine."""
+    path = tmp_path / "sums.json"
+    path.write_bytes(b"\xef\xbb\xbf" + LINES.replace("\n", "\r\n\r\n").encode().strip())
+    assert list(load_rows(path)) == ROWS
+    path = path.rename(tmp_path / "sums.jsonl")
+    assert list(load_rows(path)) == ROWS
+
+
+def test_rows_may_be_a_dataset_with_chosen_rows() -> None:
+    """A selection or shuffle of the user's holds, and images and the like are decoded by the library."""
+    whole = datasets.Dataset.from_list(ROWS)
+    chosen = load_rows(whole.select([7, 3]))
+    assert [row["answer"] for row in chosen] == ["8", "4"]
+    upper = load_rows(whole.with_transform(lambda batch: {"problem": [text.upper() for text in batch["problem"]]}))
+    assert dict(upper[0]) == {"problem": "0 + 1 = ?".upper()}
+
+
+def test_images_are_decoded() -> None:
+    """A column of images gives images of Pillow, and only when it is read."""
+    from PIL import Image
+
+    pictures = datasets.Dataset.from_dict(
+        {"problem": ["Which colour?"], "answer": ["red"], "images": [[Image.new("RGB", (2, 2), "red")]]},
+        features=datasets.Features(
+            {
+                "problem": datasets.Value("string"),
+                "answer": datasets.Value("string"),
+                "images": datasets.List(datasets.Image()),
+            }
+        ),
+    )
+    (image,) = load_rows(pictures)[0]["images"]
+    assert (image.size, image.getpixel((0, 0))) == ((2, 2), (255, 0, 0))
+
+
+def test_split_of_several_must_be_chosen(tmp_path: Path) -> None:
+    """The error names the splits that are there; so it is with a folder, a saved one and a dictionary of data sets."""
+    both = datasets.DatasetDict(
+        {"train": datasets.Dataset.from_list(ROWS), "test": datasets.Dataset.from_list(ROWS[:2])}
+    )
+    both.save_to_disk(tmp_path / "saved")
+    (tmp_path / "files").mkdir()
+    for name, rows in both.items():
+        rows.to_parquet(tmp_path / "files" / f"{name}-00000-of-00001.parquet")
+    sources: list[Any] = [tmp_path / "saved", str(tmp_path / "files"), both]
+    for source in sources:
+        assert len(load_rows(source, split="test")) == 2
+        with pytest.raises(DatasetError, match=r"several splits; choose one with split=: 'train', 'test'"):
+            load_rows(source)
+        with pytest.raises(DatasetError, match=r"no split 'tets' .*Did you mean 'test'\? Splits: 'train', 'test'"):
+            load_rows(source, split="tets")
+
+
+def test_lone_file_is_the_split_train(lines: Path) -> None:
+    """As ``datasets`` has it; any other is an error that says what to do."""
+    assert len(load_rows(lines, split="train")) == 10
+    with pytest.raises(DatasetError, match=r"no split 'test' in .*a lone file is the split 'train'; leave split away"):
+        load_rows(lines, split="test")
+
+
+@pytest.mark.parametrize(
+    ("part", "expected"),
+    [("train[:3]", range(3)), ("train[-2:]", range(8, 10)), ("[2:50%]", range(2, 5)), ("train[10%:30%]", range(1, 3))],
+)
+def test_part_of_a_split(lines: Path, part: str, expected: range) -> None:
+    """A slice by numbers or per cent, as ``datasets`` writes it."""
+    assert list(load_rows(lines, split=part)) == [ROWS[index] for index in expected]
+
+
+def test_filter_and_map_by_function_and_by_name(lines: Path) -> None:
+    """The filter sees the rows as they are; the map changes what is left, whenever it is asked for."""
+    rows = load_rows(lines, row_filter=is_easy, map_row=f"{__name__}:doubled")
+    assert [row["problem"] for row in rows] == [f"Twice: {number} + 1 = ?" for number in (0, 3, 6, 9)]
+    assert list(load_rows(ROWS, row_filter=f"{__name__}:is_easy")) == ROWS[::3]
+    with pytest.raises(EntryPointError, match=r"row_filter: '.*test_data_rows' has no 'is_eazy'\. Did you mean"):
+        load_rows(lines, row_filter=f"{__name__}:is_eazy")
+    with pytest.raises(ArgumentError, match=r"row_filter must be a function or 'package\.module:function', not 3"):
+        load_rows(lines, row_filter=3)  # type: ignore[arg-type]
+
+
+def test_filter_or_map_that_fails_names_the_row(lines: Path) -> None:
+    """With what it raised, and the columns there are."""
+    with pytest.raises(
+        DatasetError, match=r"row_filter failed on row 0: KeyError: 'lvl'\. Columns: 'problem', 'answer'"
+    ):
+        load_rows(lines, row_filter=lambda row: row["lvl"])
+    with pytest.raises(DatasetError, match="map_row must return a mapping of columns to values, not a NoneType"):
+        load_rows(lines, map_row=lambda row: None)[0]
+    with pytest.raises(DatasetError, match=r"row_filter leaves none of the 10 rows of '.*sums\.jsonl'"):
+        load_rows(lines, row_filter=lambda row: False)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.jsonl", b'{"a": 1}\n{"a": \n', "line 2 is not JSON"),
+        (
+            "a.jsonl",
+            b'{"a": 1}\n[1, 2]\n',
+            'line 2: a row must be an object, as in {"question": …}, and this is: [1',
+        ),
+        ("a.jsonl", b"\xff\xfe\x00", "line 1 is not JSON"),
+        ("a.jsonl", b"[" * 100_000, "line 1 is not JSON"),
+        ("a.jsonl", b'{"a": ' + b"1" * 5000 + b"}", "line 1 is not JSON"),
+        ("a.jsonl.gz", b"not gzip", "cannot be read"),
+        ("a.json", b"{", "is not JSON"),
+        ("a.json", b'{"data": []}', "must hold a list of objects, and holds one dict, with the keys 'data'"),
+        ("a.json", b"[1]", "row 0: a row must be an object, and this is: 1"),
+        ("a.csv", b"a,b\n1,2\n1\n", "line 3: 1 fields, and the header has 2"),
+        ("a.csv", b"a,a\n1,2\n", "has a column twice: 'a', 'a'"),
+        ("a.csv", b'a,b\n"1,2\n', "is not CSV in UTF-8"),
+        ("a.csv", b"a,b\n\xff,2\n", "is not CSV in UTF-8"),
+        ("a.parquet", b"garbage", "cannot be loaded"),
+        ("a.xlsx", b"", "has an ending that is not known; known are: .jsonl, .ndjson, .json, .csv, .tsv, .parquet"),
+    ],
+)
+def test_garbled_file_is_an_error_that_says_where(name: str, content: bytes, message: str, tmp_path: Path) -> None:
+    """Never a crash, and never rows that were not meant."""
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(DatasetError) as caught:
+        load_rows(path)
+    assert message in str(caught.value)
+
+
+@given(content=st.binary(max_size=200), name=st.sampled_from(["a.jsonl", "a.json", "a.csv", "a.jsonl.gz"]))
+def test_any_bytes_give_rows_or_an_error_of_ours(
+    content: bytes, name: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Whatever a file holds."""
+    path = tmp_path_factory.mktemp("any") / name
+    path.write_bytes(content)
+    try:
+        rows = load_rows(path)
+    except DatasetError:
+        return
+    assert all(isinstance(row, dict) for row in rows)
+
+
+cells = st.dictionaries(st.text(max_size=5), st.text(max_size=20) | st.integers() | st.none() | st.lists(st.text()))
+
+
+@given(rows=st.lists(cells, max_size=5))
+def test_json_lines_come_back_the_same(rows: list[dict[str, Any]], tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Line separators of Unicode inside texts included."""
+    path = tmp_path_factory.mktemp("same") / "a.jsonl"
+    path.write_text("".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows), encoding="utf-8", newline="")
+    assert list(load_rows(path)) == rows
+
+
+def test_unknown_path_names_what_lies_there(tmp_path: Path) -> None:
+    """A name that is none of a hub either."""
+    (tmp_path / "right.jsonl").write_text(LINES, encoding="utf-8")
+    with pytest.raises(DatasetError) as caught:
+        load_rows(str(tmp_path / "wrong.jsonl"))
+    assert str(caught.value) == (
+        f"there is no file or folder {str(tmp_path / 'wrong.jsonl')!r}, and it is no name of the hub. "
+        f"In {str(tmp_path)!r} there is: right.jsonl"
+    )
+    with pytest.raises(DatasetError, match="is no path"):
+        load_rows("a" * 5000)
+
+
+OFFLINE = """
+import sys, gem_core as gem
+for _ in range(2):
+    try:
+        gem.DatasetEnv(dataset_name="nobody/nothing-of-this-name")
+    except gem.GemError as error:
+        print(type(error).__name__, error)
+"""
+
+
+def test_hub_that_is_not_reached_is_an_error_with_advice() -> None:
+    """It comes from the library's own attempt."""
+    done = subprocess.run(
+        [sys.executable, "-c", OFFLINE],
+        env={**os.environ, "HF_HUB_OFFLINE": "1"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    first, second = done.stdout.splitlines()
+    assert first.startswith("DatasetError the data set 'nobody/nothing-of-this-name' is not in the cache")
+    assert first.endswith("go online once, or give the path of a local copy as dataset_name")
+    assert second == first
+
+
+def test_without_the_library_the_error_names_the_command(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, lines: Path
+) -> None:
+    """Text files need no more than the core."""
+    monkeypatch.setitem(sys.modules, "datasets", None)
+    assert len(load_rows(lines)) == 10
+    path = tmp_path / "sums.parquet"
+    path.write_bytes(b"")
+    with pytest.raises(gem.GemError, match=r"needs the package datasets: pip install 'gem-core\[datasets\]'"):
+        load_rows(path)
+
+
+@pytest.fixture
+def nothing_kept() -> Iterator[None]:
+    """No rows outlive their environments."""
+    data_rows._recent.clear()
+    yield
+    data_rows._recent.clear()
+
+
+@pytest.mark.usefixtures("nothing_kept")
+def test_environments_share_their_rows(lines: Path) -> None:
+    """Filtered or not; a file that was changed since is loaded anew, and what is used by none is given up."""
+    first, second = (gem.DatasetEnv(dataset_name=lines, question_key="problem", row_filter=is_easy) for _ in range(2))
+    assert first.rows is second.rows
+    with lines.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(ROWS[0]) + "\n")
+    assert len(gem.DatasetEnv(dataset_name=lines, question_key="problem").rows) == 11
+    assert first.num_tasks == 4
+    del first, second
+    data_rows._recent.clear()
+    gc.collect()
+    assert not data_rows._living
+
+
+@pytest.mark.usefixtures("nothing_kept")
+def test_few_sources_are_kept_for_the_next_environment(tmp_path: Path) -> None:
+    """The last eight; older ones are given up."""
+    for number in range(12):
+        path = tmp_path / f"{number}.jsonl"
+        path.write_text(LINES, encoding="utf-8")
+        load_rows(path)
+    gc.collect()
+    assert len(data_rows._living) == 8
+
+
+def test_file_replaced_while_in_use_changes_nothing(lines: Path) -> None:
+    """A file that is overwritten in place is an error, and no crash."""
+    rows = load_rows(lines)
+    other = lines.with_name("other")
+    other.write_text("", encoding="utf-8")
+    other.rename(lines)
+    assert list(rows) == ROWS
+    lines.write_text(LINES, encoding="utf-8")
+    again = load_rows(lines)
+    lines.write_text("", encoding="utf-8")
+    with pytest.raises(DatasetError, match=r"sums\.jsonl was overwritten while it was in use: row 3 is gone"):
+        again[3]
+
+
+def test_registered_file_is_made_and_planned(lines: Path, own_registry: Registry) -> None:
+    """One call of ``register``; a covering plan asks each row once, in worker processes too."""
+    gem.register(
+        "toy:File",
+        "gem_core:DatasetEnv",
+        dataset_name=str(lines),
+        question_key="problem",
+        row_filter=f"{__name__}:is_easy",
+        prompt_template="Compute {question} (level {level}) in \\boxed{answer}, {other}.",
+    )
+    env = gem.make("toy:File")
+    assert env.reset(options={"index": 1})[0] == "Compute 3 + 1 = ? (level 0) in \\boxed{answer}, {other}."
+    for backend in ("sync", "process"):
+        vector = gem.make_vec("toy:File", 2, backend=backend, seed=0)
+        try:
+            episodes = list(gem.rollout(vector, lambda observation: f"\\boxed{{{int(observation.split()[1]) + 1}}}"))
+        finally:
+            vector.close()
+        assert sorted(episode.info["task_id"] for episode in episodes) == ["0", "1", "2", "3"]
+        assert [episode.transitions[-1].reward for episode in episodes] == [1.0] * 4
+
+
+def test_braces_of_a_problem_survive() -> None:
+    """Only places of the template are filled, and what fills them is not read again."""
+    rows = [{"question": "{level} of {question} in \\frac{1}{2}", "answer": "1", "level": "{answer}"}]
+    env = gem.DatasetEnv(rows, prompt_template="{level}: {question} {}{{x}}")
+    assert env.reset()[0] == "{answer}: {level} of {question} in \\frac{1}{2} {}{{x}}"
+
+
+def test_template_without_a_place_is_refused() -> None:
+    """The error names the places there could be, the gold answer's not among them."""
+    with pytest.raises(ArgumentError) as caught:
+        gem.DatasetEnv(ROWS, question_key="problem", prompt_template="Solve {questoin}: {answer}")
+    assert str(caught.value) == (
+        "prompt_template shows nothing of a row: 'Solve {questoin}: {answer}'. "
+        "It may name {question} or a column: {problem}, {level}"
+    )
+
+
+def test_later_row_without_a_column_is_an_error_at_its_reset() -> None:
+    """Columns of JSON lines may differ from row to row."""
+    env = gem.DatasetEnv([{"question": "a", "answer": "b"}, {"question": "a"}])
+    env.reset(options={"index": 0})
+    with pytest.raises(DatasetError, match=r"row 1 has no column 'answer'\. Columns: 'question'"):
+        env.reset(options={"index": 1})
+
+
+@pytest.mark.parametrize("given", [{}, {"rows": ROWS, "dataset_name": "x"}])
+def test_rows_or_a_name_must_be_given(given: dict[str, Any]) -> None:
+    """Exactly one of them."""
+    with pytest.raises(ArgumentError, match="give either rows or dataset_name"):
+        gem.DatasetEnv(**given)
+
+
+def test_split_of_given_rows_is_refused() -> None:
+    """It would be ignored otherwise."""
+    with pytest.raises(ArgumentError, match="split chooses from a named data set, and rows were given"):
+        gem.DatasetEnv(ROWS, split="test")
