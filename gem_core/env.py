@@ -68,6 +68,9 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
     answer_fences: ClassVar[tuple[str, ...]] = ()
     """Languages of fenced blocks that are answers of this task, so that tools leave them alone."""
 
+    answer_tags: ClassVar[tuple[str, ...]] = ("answer",)
+    """Tags around answers of this task; a tool of such a name is called in JSON only."""
+
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium declares it as an instance attribute
     spec: MadeSpec | None = None
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard, cast
 
 import gymnasium
 from gymnasium.envs.registration import EnvSpec as GymnasiumSpec
@@ -18,10 +19,19 @@ from gem_core.requirements import check_requirements
 from gem_core.specs import EnvSpec, NamedSpec, ToolSpec
 from gem_core.wrapper import AnyEnv, Guard, Wrapper
 
-WrapperChoice = str | tuple[str | Callable[..., Any], Mapping[str, Any]] | Callable[..., Any]
-"""A name, a name or callable with its options, or a callable that takes an environment."""
+if TYPE_CHECKING:
+    from gem_core.tools import Tool
 
-Wrappers = str | Sequence[WrapperChoice]
+Maker: TypeAlias = "str | Tool | Callable[..., Any]"
+"""A name, a tool, or a callable that takes an environment; a class of tools is called without one."""
+
+Choice: TypeAlias = "tuple[Maker, dict[str, Any]]"
+"""A maker with its options."""
+
+WrapperChoice: TypeAlias = "Maker | tuple[Maker, Mapping[str, Any]]"
+"""A maker, or a name or callable with its options."""
+
+Wrappers: TypeAlias = "str | Sequence[WrapperChoice]"
 """Innermost first: ``"python,concat"`` or ``["python", ("concat", {"max_turns": 4})]``."""
 
 LookUp = Callable[[str], NamedSpec]
@@ -50,9 +60,8 @@ class MadeSpec(GymnasiumSpec):
         """Make the same environment again, with some arguments changed and ``wrappers`` around it."""
         from gem_core.registry import registry
 
-        look_up = registry().wrapper
-        same = make_from(cast("EnvSpec", self.record), {**self.kwargs, **kwargs}, self.stack, look_up)
-        return wrap(same, wrappers, look_up)
+        stack: list[WrapperChoice] = [*self.stack, *wrapper_choices(wrappers)]
+        return make_from(cast("EnvSpec", self.record), {**self.kwargs, **kwargs}, stack, registry().wrapper)
 
     @property
     def stack(self) -> tuple[tuple[str, dict[str, Any]], ...]:
@@ -165,21 +174,9 @@ def _dressed(
 
 
 def wrap(env: AnyEnv, wrappers: Wrappers, look_up: LookUp) -> AnyEnv:
-    """Put wrappers and tools around an environment, innermost first. Tools that stand side by side share one."""
-    choices = wrapper_choices(wrappers)
-    position = 0
-    while position < len(choices):
-        maker, options = choices[position]
-        position += 1
-        record = look_up(maker) if isinstance(maker, str) and ":" not in maker else None
-        if isinstance(record, ToolSpec):
-            tools = [(record.name, options)]
-            while position < len(choices) and _is_tool(choices[position][0], look_up):
-                tools.append(cast("tuple[str, dict[str, Any]]", choices[position]))
-                position += 1
-            env = _with_tools(env, tools)
-        else:
-            env = _with_wrapper(env, maker, options, record)
+    """Put wrappers and tools around an environment, innermost first; all tools share one, in the place of the first."""
+    for maker, options in _tools_gathered(wrapper_choices(wrappers), look_up):
+        env = _with_wrapper(env, maker, options, look_up(maker) if _is_name(maker) else None)
     return env
 
 
@@ -203,9 +200,25 @@ def _set_render_mode(task: AnyEnv, render_mode: str, env_id: str) -> None:
     task.render_mode = render_mode
 
 
-def wrapper_choices(wrappers: Wrappers) -> list[tuple[str | Callable[..., Any], dict[str, Any]]]:
-    """Return each wrapper or tool that is asked for, by name or callable, with its options, innermost first."""
+def wrapper_choices(wrappers: Wrappers) -> list[Choice]:
+    """Return each wrapper or tool that is asked for, by name or object, with its options, innermost first."""
     return [_choice(choice) for choice in _split(wrappers)]
+
+
+def makers_of(wrappers: Wrappers) -> list[Maker]:
+    """Return the name or object of each wrapper and tool that is asked for, those among the options of tools too."""
+    makers: list[Maker] = []
+    for maker, options in wrapper_choices(wrappers):
+        makers.append(maker)
+        if maker == "tools":
+            makers += [each if isinstance(each, str) or _is_tool(each) else each[0] for each in _named_tools(options)]
+    return makers
+
+
+def _named_tools(options: Mapping[str, Any]) -> list[Any]:
+    from gem_core.tool_choices import tool_choices
+
+    return tool_choices(options.get("tools", []))
 
 
 def _split(wrappers: Wrappers) -> list[WrapperChoice]:
@@ -216,20 +229,19 @@ def _split(wrappers: Wrappers) -> list[WrapperChoice]:
     raise ArgumentError(f"wrappers must be names joined by commas or a list, not {wrappers!r}")
 
 
-def _choice(choice: WrapperChoice) -> tuple[str | Callable[..., Any], dict[str, Any]]:
-    if isinstance(choice, str) or callable(choice):
-        return choice, {}
+def _choice(choice: WrapperChoice) -> Choice:
+    if isinstance(choice, str) or callable(choice) or _is_tool(choice):
+        return cast("Maker", choice), {}
     if isinstance(choice, Sequence) and len(choice) == 2 and isinstance(choice[1], Mapping):
         return choice[0], dict(choice[1])
-    raise ArgumentError(f"a wrapper is a name, a callable, or (name, {{options}}), not {choice!r}")
+    raise ArgumentError(f"a wrapper is a name, a tool, a callable, or (name, {{options}}), not {choice!r}")
 
 
-def _with_wrapper(
-    env: AnyEnv, maker: str | Callable[..., Any], options: dict[str, Any], record: NamedSpec | None
-) -> AnyEnv:
+def _with_wrapper(env: AnyEnv, maker: Maker, options: dict[str, Any], record: NamedSpec | None) -> AnyEnv:
     if record is not None:
         wrapped, name = construct(record, env, **options), record.name
     else:
+        maker = cast("str | Callable[..., Any]", maker)
         name = maker if isinstance(maker, str) else getattr(maker, "__qualname__", repr(maker))
         wrapped = _construct(load_entry_point(maker, f"wrapper {name!r}"), (env,), options, f"wrapper {name!r}")
     if not isinstance(wrapped, gymnasium.Env):
@@ -239,13 +251,45 @@ def _with_wrapper(
     return cast("AnyEnv", wrapped)
 
 
-def _is_tool(maker: str | Callable[..., Any], look_up: LookUp) -> bool:
-    return isinstance(maker, str) and ":" not in maker and isinstance(look_up(maker), ToolSpec)
+def _is_name(maker: object) -> TypeGuard[str]:
+    return isinstance(maker, str) and ":" not in maker
 
 
-def _with_tools(env: AnyEnv, tools: list[tuple[str, dict[str, Any]]]) -> AnyEnv:
-    from gem_core.tool_env import ToolEnv
+def _tools_gathered(choices: Iterable[Choice], look_up: LookUp) -> list[Choice]:
+    """Return the wrappers with all tools, and the options of ``"tools"``, in one: a call counts once, wherever."""
+    result: list[Choice] = []
+    gathered: dict[str, Any] | None = None
+    for maker, options in choices:
+        found = _as_tools(maker, options, look_up)
+        if found is None:
+            result.append((maker, options))
+            continue
+        if gathered is None:
+            gathered = {"tools": []}
+            result.append(("tools", gathered))
+        gathered["tools"] += found.pop("tools")
+        for name, value in found.items():
+            if gathered.setdefault(name, value) != value:
+                raise ArgumentError(f"the tools are given {name} twice, as {gathered[name]!r} and as {value!r}")
+    if gathered is not None and not gathered["tools"]:
+        raise ArgumentError("options for tools are given, and no tool; name some, as in 'python,tools'")
+    return result
 
-    wrapped = ToolEnv(env, tools)
-    wrapped._made_as = ("tools", {"tools": tools})
-    return wrapped
+
+def _as_tools(maker: Maker, options: dict[str, Any], look_up: LookUp) -> dict[str, Any] | None:
+    """Return a choice as options of ``ToolEnv``; None for any other wrapper."""
+    if _is_tool(maker):
+        return {"tools": [(maker, options) if isinstance(maker, type) else maker]}
+    if maker == "tools" or maker == "gem_core.tool_env:ToolEnv" or getattr(maker, "__name__", "") == "ToolEnv":
+        return {**options, "tools": _named_tools(options)}
+    if _is_name(maker) and isinstance(look_up(maker), ToolSpec):
+        return {"tools": [(maker, options)]}
+    return None
+
+
+def _is_tool(maker: object) -> bool:
+    """Tell whether this is a tool or a class of tools, without loading what would be loaded if there were any."""
+    module = sys.modules.get("gem_core.tools")
+    if module is None:
+        return False
+    return isinstance(maker, module.Tool) or (isinstance(maker, type) and issubclass(maker, module.Tool))

@@ -1,42 +1,160 @@
-"""How calls of tools are read: as JSON in the text of a response, and as native calls of a chat server."""
+"""How calls of tools are read: in the text of a response as tags, fenced blocks or JSON, and as native calls."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from gem_core.nesting import is_deep
+from gem_core.parsing import extract_code_blocks
 from gem_core.suggestions import did_you_mean
-from gem_core.tools import CALL_CLOSE, CALL_OPEN, Tool, ToolCall
+from gem_core.tools import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, first_call
 from gem_core.wrappers.views import call_id
 
+WELL_KNOWN = ("python", "search")
+"""Tags that models are trained to call tools by: such a tag is a call even where there is no such tool."""
+
 _FORM = '{"name": "…", "arguments": {…}}'
+_NAMES = ("name", "tool_name", "function")
+_ARGUMENTS = ("arguments", "parameters")
+_TAG = re.compile(r"<([A-Za-z][\w.-]{0,63}+)>", re.ASCII)
+_MOST_TAGS = 50
+"""Different tags of a response that are held against the names of tools."""
+
+_SPACE = re.compile(r"\s*+")
+_END_OF_CALL = re.compile(rf"\s*+{re.escape(CALL_CLOSE)}")
+_ELEMENTS = re.compile(r"\s*+<tool_name>(.*?)</tool_name>(.*)", re.DOTALL)
+# The closing quote is optional, so that a text that is never closed is read once, and not again from each quote in it.
+_STRING_OR_LAST_COMMA = re.compile(r'"(?:[^"\\]|\\.)*+"?|,(?=\s*+[}\]])', re.DOTALL)
+
+
+class CallReader:
+    """Finds the call in the text of a response.
+
+    What stands in a thinking block was thought and not called, unless the block is never closed, as where the server
+    stopped at the call. What stands in a fenced block that is the task's answer is part of the answer.
+
+    Args:
+        tools: By name.
+        answer_fences: Languages of the blocks in which the task is answered.
+        answer_tags: Tags in which the task is answered; a tool of such a name is called in JSON only.
+        thinking_tag: Name of the tag around thinking; None where calls in it count as well.
+    """
+
+    def __init__(
+        self,
+        tools: Mapping[str, Tool],
+        *,
+        answer_fences: Iterable[str] = (),
+        answer_tags: Iterable[str] = (),
+        thinking_tag: str | None = "think",
+    ) -> None:
+        self._tools = tools
+        self._answer_fences = {language.casefold() for language in answer_fences}
+        self._thinking_tag = thinking_tag
+        self.reserved = {*answer_tags, *([] if thinking_tag is None else [thinking_tag]), "tool_call"}
+        self._tagged = [tool for tool in tools.values() if tool.name not in self.reserved]
+
+    def find(self, action: str) -> ToolCall | None:
+        """Return the first complete call, or the first that is begun; None for an answer to the task."""
+        action = str.__str__(action)
+        thinking, opened_before = _thinking(action, self._thinking_tag)
+        quiet = [*thinking, *self._answers(_blanked(action, thinking))]
+        call = self._visible(action, quiet)
+        if call is not None and call.error is None:
+            return call
+        if opened_before:
+            # What looks like the end of thinking may stand within a call, as in a program that prints it.
+            around = self._visible(action, quiet[1:])
+            if around is not None and around.error is None and around.end > thinking[0][1]:
+                return around
+        if call is None and thinking and not _blanked(action, thinking).strip():
+            thought = self._first(action)
+            if thought is not None:
+                error = (
+                    f"it stands in a thinking block, where nothing is called; write it behind </{self._thinking_tag}>"
+                )
+                return ToolCall(thought.name, start=thought.start, end=thought.end, error=error)
+        return call
+
+    def _visible(self, action: str, quiet: Sequence[tuple[int, int]]) -> ToolCall | None:
+        """Return the first call that does not begin in a quiet part."""
+        seen = _blanked(action, quiet)
+        call = self._first(seen)
+        if call is None or not any(call.start < start and (call.error or start < call.end) for start, _ in quiet):
+            return call
+        # A quiet part inside the call belongs to its arguments.
+        return self._first(seen[: call.start] + action[call.start :])
+
+    def _first(self, text: str) -> ToolCall | None:
+        found = [json_call(text, self._tools)]
+        for tool in self._tagged:
+            fences = not any(language.casefold() in self._answer_fences for language in tool.fences)
+            found.append(tool.parse(text, fences=fences))
+            if tool.text_parameter is None:
+                found.append(_object_in_tag(text, tool))
+        return first_call(found) or self._misspelt(text)
+
+    def _answers(self, text: str) -> list[tuple[int, int]]:
+        if not self._answer_fences:
+            return []
+        return [(block.start, block.end) for block in extract_code_blocks(text, *self._answer_fences)]
+
+    def _misspelt(self, text: str) -> ToolCall | None:
+        """Return an element whose tag was surely meant for a tool, and is none."""
+        if not self._tools:
+            return None
+        names = [tool.name for tool in self._tagged]
+        tried = set(self.reserved)
+        for tag in _TAG.finditer(text):
+            name = tag[1]
+            if name in tried:
+                continue
+            tried.add(name)
+            if len(tried) > _MOST_TAGS:
+                break
+            if name not in self._tools and (name in WELL_KNOWN or any(_one_slip(name, each) for each in names)):
+                closing = f"</{name}>"
+                end = text.find(closing, tag.end())
+                if end >= 0:
+                    return ToolCall(name, {}, tag.start(), end + len(closing), _unknown(name, self._tools))
+        return None
+
+
+class _Read(NamedTuple):
+    """What was read between two tags: a value, or what is wrong with it."""
+
+    value: Any
+    problem: str | None = None
 
 
 def json_call(action: str, tools: Mapping[str, Tool]) -> ToolCall | None:
     """Return the first ``<tool_call>{"name": …, "arguments": …}</tool_call>`` of a response.
 
-    A call that is not complete, no valid JSON, or of no tool has an ``error``.
+    A call that is not complete, no valid JSON, or of no tool has an ``error``. Read as well are ``parameters`` in place
+    of ``arguments``, arguments that are JSON in a string, a comma too many, and the form of gem-llm,
+    ``<tool_call><tool_name>…</tool_name><arguments>{…}</arguments></tool_call>``.
     """
     start = action.find(CALL_OPEN)
     if start < 0:
         return None
-    end = action.find(CALL_CLOSE, start)
-    if end < 0:
+    read, stop = _content(action, start + len(CALL_OPEN))
+    if stop < 0:
         return ToolCall("", start=start, error=f"{CALL_OPEN} is never closed by {CALL_CLOSE}")
-    stop = end + len(CALL_CLOSE)
-    content, problem = _loaded(action[start + len(CALL_OPEN) : end])
-    if problem is not None:
-        return ToolCall(
-            "", start=start, end=stop, error=f"between {CALL_OPEN} and {CALL_CLOSE} is no valid JSON: {problem}"
-        )
-    if not isinstance(content, dict) or not isinstance(content.get("name"), str):
+    if read.problem is not None:
+        problem = f"between {CALL_OPEN} and {CALL_CLOSE} is no valid JSON: {read.problem}"
+        return ToolCall("", start=start, end=stop, error=problem)
+    content = read.value
+    if isinstance(content, dict) and isinstance(content.get("function"), dict):
+        content = content["function"]  # as the chat API nests it
+    name = next((content[key] for key in _NAMES if key in content), None) if isinstance(content, dict) else None
+    if not isinstance(name, str):
         return ToolCall("", start=start, end=stop, error=f"a call must be an object of the form {_FORM}")
-    name, arguments = content["name"], content.get("arguments", {})
-    error = _problem(name, arguments, tools)
-    return ToolCall(name[:100], {} if error else arguments, start, stop, error)
+    arguments: Any = next((content[key] for key in _ARGUMENTS if key in content), {})
+    return _called(name, arguments, tools, start, stop)
 
 
 def native_calls(calls: Sequence[Mapping[str, Any]], tools: Mapping[str, Tool]) -> list[ToolCall]:
@@ -71,22 +189,97 @@ def _native_arguments(function: Mapping[str, Any], tool: Tool | None) -> tuple[A
     return content, None if problem is None else f"its arguments are no valid JSON: {problem}"
 
 
+def _called(name: str, arguments: Any, tools: Mapping[str, Tool], start: int, stop: int) -> ToolCall:
+    """Return a call in the text, its arguments being an object, nothing, or a string that holds one or is the text."""
+    tool, error = tools.get(name), None
+    if arguments is None:
+        arguments = {}
+    if isinstance(arguments, str):
+        parameter = None if tool is None else tool.text_parameter
+        if parameter is not None and not arguments.lstrip().startswith("{"):
+            arguments = {parameter: arguments}
+        else:
+            arguments, problem = _loaded(arguments)
+            error = None if problem is None else f"its arguments are no valid JSON: {problem}"
+    error = _problem(name, {}, tools) or error or _problem(name, arguments, tools)
+    return ToolCall(name[:100], {} if error else arguments, start, stop, error)
+
+
 def _problem(name: str, arguments: Any, tools: Mapping[str, Tool]) -> str | None:
     if name not in tools:
-        return f"no tool {name[:100]!r}.{did_you_mean(name, tools)} There are: {', '.join(tools)}"
+        return _unknown(name, tools)
     if not isinstance(arguments, dict):
         return "its arguments must be an object of names and values"
     return None
 
 
-def _loaded(text: str) -> tuple[Any, str | None]:
+def _unknown(name: str, tools: Mapping[str, Tool]) -> str:
+    return f"no tool {name[:100]!r}.{did_you_mean(name[:100], tools)} There are: {', '.join(tools)}"
+
+
+def _content(action: str, begin: int) -> tuple[_Read, int]:
+    """Return what a JSON call holds, and where it ends; -1 where it does not."""
+    first = _SPACE.match(action, begin)
     try:
-        content = json.loads(text, parse_float=_finite_number, parse_constant=_finite_number)
-        return (None, "it is nested too deeply") if is_deep(content) else (content, None)
+        # As far as the JSON goes, since a string in it may hold the closing tag.
+        value, end = _DECODER.raw_decode(action, first.end() if first else begin)
+    except (ValueError, RecursionError):
+        end = -1
+    else:
+        closing = _END_OF_CALL.match(action, end)
+        if closing is not None:
+            return (_Read(None, "it is nested too deeply") if is_deep(value) else _Read(value)), closing.end()
+    end = action.find(CALL_CLOSE, begin)
+    if end < 0:
+        return _Read(None), -1
+    content = action[begin:end]
+    elements = _ELEMENTS.fullmatch(content)
+    read = _of_elements(elements[1], elements[2]) if elements else _loaded(content)
+    return read, end + len(CALL_CLOSE)
+
+
+def _of_elements(name: str, rest: str) -> _Read:
+    opening, closing = "<arguments>", "</arguments>"
+    start, end = rest.find(opening), rest.rfind(closing)
+    if start >= 0 and end > start:
+        arguments = _loaded(rest[start + len(opening) : end].strip() or "{}")
+        return _Read({"name": name.strip(), "arguments": arguments.value}, arguments.problem)
+    if rest.strip():
+        return _Read(None, f"behind <tool_name> must stand {opening}{{…}}{closing}")
+    return _Read({"name": name.strip()})
+
+
+def _object_in_tag(text: str, tool: Tool) -> ToolCall | None:
+    """Return a call of a tool without a text form that is written as a tag all the same, around its arguments."""
+    opening, closing = f"<{tool.name}>", f"</{tool.name}>"
+    start = text.find(opening)
+    if start < 0:
+        return None
+    content = start + len(opening)
+    end = text.find(closing, content)
+    if end < 0:
+        return ToolCall(tool.name, start=start, error=f"{opening} is never closed by {closing}")
+    arguments, problem = _loaded(text[content:end].strip() or "{}")
+    error = None
+    if problem is not None or not isinstance(arguments, dict):
+        error = f"between {opening} and {closing} must stand its arguments as a JSON object"
+    return ToolCall(tool.name, {} if error else arguments, start, end + len(closing), error)
+
+
+def _loaded(text: str) -> _Read:
+    try:
+        try:
+            content = _DECODER.decode(text)
+        except ValueError:
+            mended = _STRING_OR_LAST_COMMA.sub(lambda found: "" if found[0] == "," else found[0], text)
+            if len(mended) == len(text):
+                raise
+            content = _DECODER.decode(mended)
     except RecursionError:
-        return None, "it is nested too deeply"
+        return _Read(None, "it is nested too deeply")
     except ValueError as error:
-        return None, str(error)[:200]
+        return _Read(None, str(error)[:200])
+    return _Read(None, "it is nested too deeply") if is_deep(content) else _Read(content)
 
 
 def _finite_number(text: str) -> float:
@@ -95,3 +288,52 @@ def _finite_number(text: str) -> float:
     if not math.isfinite(number):
         raise ValueError(f"{text[:20]} is no finite number")
     return number
+
+
+# Not strict: a program of several lines may stand in a string with its line breaks as they are.
+_DECODER = json.JSONDecoder(strict=False, parse_float=_finite_number, parse_constant=_finite_number)
+
+
+def _thinking(action: str, tag: str | None) -> tuple[list[tuple[int, int]], bool]:
+    """Return the closed thinking blocks, and whether the first was opened before the response, as templates do."""
+    if tag is None:
+        return [], False
+    opening, closing = f"<{tag}>", f"</{tag}>"
+    end = action.find(closing)
+    if end < 0:
+        return [], False
+    start = action.find(opening)
+    opened_before = not 0 <= start < end
+    spans = [(0 if opened_before else start, end + len(closing))]
+    while True:
+        start = action.find(opening, spans[-1][1])
+        end = action.find(closing, start) if start >= 0 else -1
+        if end < 0:
+            return spans, opened_before
+        spans.append((start, end + len(closing)))
+
+
+def _blanked(action: str, spans: Collection[tuple[int, int]]) -> str:
+    """Return the text with line breaks in place of some parts, so that all else stays where it is."""
+    if not spans:
+        return action
+    pieces, position = [], 0
+    for start, end in sorted(spans):
+        if end > position:
+            pieces += [action[position:start], "\n" * (end - max(start, position))]
+            position = end
+    return "".join([*pieces, action[position:]])
+
+
+def _one_slip(written: str, name: str) -> bool:
+    """Tell whether a name was meant: the case apart, one letter too many, missing or wrong, or two exchanged."""
+    written, name = written.casefold(), name.casefold()
+    if written == name:
+        return True
+    if min(len(written), len(name)) < 5:
+        return False
+    while written and name and written[0] == name[0]:
+        written, name = written[1:], name[1:]
+    while written and name and written[-1] == name[-1]:
+        written, name = written[:-1], name[:-1]
+    return max(len(written), len(name)) <= 1 or (len(written) == 2 and written == name[::-1])

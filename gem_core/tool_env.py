@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-import inspect
-import logging
-import weakref
-from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
-from typing import Any, TypeVar, cast
+from collections.abc import Awaitable
+from typing import Any
 
+import gymnasium
 import pydantic
 
-from gem_core.background import finish_or_start, in_thread
 from gem_core.env import observation_from
 from gem_core.errors import ArgumentError, StateNotSupported
-from gem_core.spaces import is_part
-from gem_core.tool_calls import json_call, native_calls
-from gem_core.tools import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, ToolResult, first_call
-from gem_core.types import Concurrency, Observation, ResetResult, Response, StepResult
+from gem_core.tool_calls import CallReader, native_calls
+from gem_core.tool_choices import ToolChoice, ToolChoices, tool_choices, tools_by_name
+from gem_core.tool_sessions import ToolSessions
+from gem_core.tools import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, ToolResult
+from gem_core.types import Observation, ResetResult, Response, StepResult
 from gem_core.wrapper import AnyEnv, Wrapper, reset_needed
 from gem_core.wrappers.views import joined, told_apart
 
-T = TypeVar("T")
-
-logger = logging.getLogger("gem_core")
-
-ToolChoice = Tool | str | tuple[str, Mapping[str, Any]]
-"""A tool, the name of a registered one, or such a name with its options."""
+__all__ = ["ToolChoice", "ToolChoices", "ToolEnv"]
 
 
 class ToolEnv(Wrapper):
@@ -36,51 +29,66 @@ class ToolEnv(Wrapper):
     response is executed; what follows it is left out of ``info["parsed_action"]``. Native calls
     (``Response.tool_calls``) win over text: all are executed, in order, and answered under their ids in
     ``info["messages"]``. A call that fails or cannot be read is told to the agent, and never reaches the task as an
-    answer.
+    answer; so is a tag that is a tool's but for one letter.
+
+    What stands in a thinking block is no call, as long as the block is closed; neither is what stands in a fenced block
+    that is the task's answer (``answer_fences``). A tool that has the name of a tag of the task's answers
+    (``answer_tags``) is called in JSON only.
 
     ``info["tool"]`` says what a tool step did: ``name``, ``arguments``, ``failed`` and ``error`` of the call, the last
     of several; ``calls``, the same for each; and the counters ``uses``, ``successes`` and ``failures`` of the episode.
     ``info["tools"]`` holds the schemas at reset.
 
+    There is one around a task: ``make`` gathers all tools that it is given, and their options, into one.
+
     Args:
         env: The task.
-        tools: Tools, or names of registered ones, or names with their options; what a name stands for may be several.
+        tools: Tools, classes of tools, or names of registered ones, a name or class with its options as in
+            ``("search", {"top_k": 5})``; what a name stands for may be several. Names may be joined by commas.
         tool_reward: Added for each call that could be read.
         tool_success_reward: Added for each call that succeeded.
         tool_error_reward: Added for each call that failed or could not be read.
         max_tool_uses: Calls in an episode, those that could not be read included; after that every response goes to the
             task. None for no limit.
         instructions: Whether the first observation ends by explaining the tools; or the text to do so.
+        thinking_tag: Name of the tag around thinking; with None, calls in it count as any other.
+        call_timeout_s: Seconds that a call may take; what takes longer is given up, together with its session, and
+            told to the agent. A coroutine is cancelled; a thread, which cannot be, is left behind. None for no limit.
     """
 
     def __init__(
         self,
         env: AnyEnv,
-        tools: Sequence[ToolChoice],
+        tools: ToolChoices,
         *,
         tool_reward: float = 0.0,
         tool_success_reward: float = 0.0,
         tool_error_reward: float = 0.0,
         max_tool_uses: int | None = 5,
         instructions: bool | str = True,
+        thinking_tag: str | None = "think",
+        call_timeout_s: float | None = None,
     ) -> None:
         super().__init__(env)
-        self.tools = _by_name([tools] if isinstance(tools, str | Tool) else tools)
-        if max_tool_uses is not None and (not isinstance(max_tool_uses, int) or max_tool_uses < 0):
-            raise ArgumentError(f"max_tool_uses must be a whole number from 0 up or None, not {max_tool_uses!r}")
+        _check(env, max_tool_uses, call_timeout_s)
+        self.tools = tools_by_name(tool_choices(tools))
         self.tool_reward = tool_reward
         self.tool_success_reward = tool_success_reward
         self.tool_error_reward = tool_error_reward
         self.max_tool_uses = max_tool_uses
         self.instructions = instructions
-        self.needs = _needs(self.tools.values())
-        self._answer_fences = {language.casefold() for language in getattr(env.unwrapped, "answer_fences", ())}
+        task = env.unwrapped
+        self._reader = CallReader(
+            self.tools,
+            answer_fences=getattr(task, "answer_fences", ()),
+            answer_tags=getattr(task, "answer_tags", ()),
+            thinking_tag=thinking_tag,
+        )
+        self._sessions = ToolSessions(self.tools, call_timeout_s)
+        self.needs = self._sessions.needs
         self._live = False
         self._suffix: Observation | None = None
         self._uses = self._successes = self._failures = 0
-        self._sessions: dict[str, Any] = {}
-        # Also runs when the wrapper is collected and when the interpreter exits.
-        self._finalizer = weakref.finalize(self, _close_sessions, self.tools, self._sessions)
 
     # The hooks.
 
@@ -88,10 +96,8 @@ class ToolEnv(Wrapper):
         """Close the sessions of the episode that is over."""
         self._live = False
         self._uses = self._successes = self._failures = 0
-        if not self._sessions:
-            return None
-        closing = _close_all(self.tools, self._take_sessions())
-        return closing if self.needs == "async" else _finish_now(closing)
+        sessions = self._sessions.take()
+        return self._sessions.finished(self._sessions.close_all(sessions)) if sessions else None
 
     def after_reset(self, result: ResetResult) -> ResetResult:
         """Explain the tools."""
@@ -120,8 +126,7 @@ class ToolEnv(Wrapper):
             calls = [call]
         if not self._live:
             raise reset_needed(self)
-        answering = self._answer(action, calls)
-        return answering if self.needs == "async" else _finish_now(answering)
+        return self._sessions.finished(self._answer(action, calls))
 
     def after_step(self, action: str, result: StepResult) -> StepResult:
         """Remember how things stand, for the tool steps that follow."""
@@ -132,18 +137,14 @@ class ToolEnv(Wrapper):
 
     def close(self) -> None:
         """Close the sessions, then the task."""
-        _close_sessions(self.tools, self._take_sessions())
+        self._sessions.close()
         super().close()
 
     # Reading and executing calls.
 
     def find_call(self, action: str) -> ToolCall | None:
         """Return the first complete call in a response, or the first that is begun; None for an answer to the task."""
-        found = [json_call(action, self.tools)]
-        for tool in self.tools.values():
-            fences = not any(language.casefold() in self._answer_fences for language in tool.fences)
-            found.append(tool.parse(action, fences=fences))
-        return first_call(found)
+        return self._reader.find(action)
 
     async def _answer(self, action: str, calls: list[ToolCall]) -> StepResult:
         outcomes, reward = [], 0.0
@@ -170,23 +171,7 @@ class ToolEnv(Wrapper):
             arguments = tool.validate(call.arguments)
         except Exception as error:  # noqa: BLE001 - a validator of the tool's own may fail in any way
             return ToolResult(_validation_message(error), failed=True)
-        try:
-            if call.name not in self._sessions:
-                self._sessions[call.name] = await _run(self.needs, tool, tool.open)
-            return await self._call(tool, arguments)
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - a failing tool is an observation for the agent
-            message = f"{type(error).__name__}: {error}".strip()[:2000]
-            return ToolResult(f"The tool failed: {message}", failed=True)
-
-    async def _call(self, tool: Tool, arguments: Any) -> ToolResult:
-        outcome = await _run(self.needs, tool, tool.call, arguments, self._sessions[tool.name])
-        result = outcome if isinstance(outcome, ToolResult) else ToolResult(outcome)
-        content = result.content
-        if isinstance(content, str) or (isinstance(content, list) and all(map(is_part, content))):
-            return result
-        raise TypeError(
-            f"{tool.name} returned {type(content).__name__}, not text, content parts or a ToolResult of them"
-        )
+        return await self._sessions.call(tool, arguments)
 
     def _answered(self, action: str, outcomes: list[tuple[ToolCall, ToolResult]], reward: float) -> StepResult:
         outputs = [joined([_title(call, result), result.content]) for call, result in outcomes]
@@ -231,21 +216,22 @@ class ToolEnv(Wrapper):
         return f"Tool calls left: {left}. Call a tool again, or give your answer."
 
     def _instructions(self) -> str:
-        if self.max_tool_uses == 0:
+        if self.max_tool_uses == 0 or not self.tools:
             return ""
         limit = "" if self.max_tool_uses is None else f" You have {self.max_tool_uses} tool calls."
         lines = [
             "You may use tools before you answer. Make one call in a response: the result comes back to you, and "
             f"nothing that you write behind the call is read.{limit}",
-            *(tool.instructions() for tool in self.tools.values()),
+            *(self._explained(tool) for tool in self.tools.values()),
             f'Any tool can also be called as {CALL_OPEN}{{"name": …, "arguments": {{…}}}}{CALL_CLOSE}.',
         ]
         return "\n".join(lines)
 
-    def _take_sessions(self) -> dict[str, Any]:
-        taken = dict(self._sessions)
-        self._sessions.clear()
-        return taken
+    def _explained(self, tool: Tool) -> str:
+        return tool.explained_in_json() if tool.name in self._reader.reserved else tool.instructions()
+
+    def _own_record(self) -> tuple[str, dict[str, Any]]:
+        return "tools", super()._own_record()[1]
 
     def _get_state(self) -> dict[str, Any]:
         if self._suffix is not None and not isinstance(self._suffix, str):
@@ -254,15 +240,15 @@ class ToolEnv(Wrapper):
             "live": self._live,
             "counters": [self._uses, self._successes, self._failures],
             "suffix": self._suffix,
-            "sessions": {name: self.tools[name].get_session_state(s) for name, s in self._sessions.items()},
+            "sessions": {name: self.tools[name].get_session_state(s) for name, s in self._sessions.open.items()},
         }
 
     def _set_state(self, state: dict[str, Any]) -> None:
-        _close_sessions(self.tools, self._take_sessions())
+        self._sessions.close()
         self._uses, self._successes, self._failures = state["counters"]
         self._suffix, self._live = state["suffix"], bool(state["live"])
         for name, session in state["sessions"].items():
-            self._sessions[name] = self.tools[name].set_session_state(session)
+            self._sessions.open[name] = self.tools[name].set_session_state(session)
 
 
 def _title(call: ToolCall, result: ToolResult) -> str:
@@ -285,98 +271,19 @@ def _parsed_action(action: str, call: ToolCall) -> str | None:
     return action[: call.end] if call.end else None
 
 
-def _by_name(choices: Iterable[ToolChoice]) -> dict[str, Tool]:
-    """Return the tools that were chosen by their names, in order."""
-    tools: dict[str, Tool] = {}
-    origins: dict[str, str] = {}
-    for choice in choices:
-        origin, found = _resolved(choice)
-        for tool in found:
-            if tool.name in tools:
-                raise ArgumentError(
-                    f"two tools have one name, {tool.name!r}: {origins[tool.name]} and {origin}; calls could not be "
-                    "told apart, so leave one out, or give it another name by its options"
-                )
-            tools[tool.name], origins[tool.name] = tool, origin
-    return tools
-
-
-def _resolved(choice: ToolChoice) -> tuple[str, list[Tool]]:
-    """Return where tools come from, in words, and the tools."""
-    if isinstance(choice, Tool):
-        return f"an instance of {type(choice).__name__}", [choice]
-    from gem_core.making import construct
-    from gem_core.registry import registry
-
-    name, options = _name_and_options(choice)
-    made = construct(registry().tool(name), **options)
-    found = list(made) if isinstance(made, Sequence) and not isinstance(made, str) else [made]
-    for tool in found:
-        if not isinstance(tool, Tool):
-            raise ArgumentError(f"the entry point of tool {name!r} returned {type(tool).__name__}, not a Tool")
-    return f"one of {name!r}", found
-
-
-def _name_and_options(choice: object) -> tuple[str, dict[str, Any]]:
-    if isinstance(choice, str):
-        return choice, {}
-    if isinstance(choice, Sequence) and len(choice) == 2 and isinstance(choice[1], Mapping):
-        return str(choice[0]), dict(choice[1])
-    raise ArgumentError(f"a tool is a Tool, a name, or (name, {{options}}), not {choice!r}")
-
-
-def _needs(tools: Any) -> Concurrency:
-    wanted = {"async" if _has_coroutines(tool) else tool.concurrency for tool in tools}
-    for need in ("process", "async", "thread"):
-        if need in wanted:
-            return need
-    return "inline"
-
-
-def _has_coroutines(tool: Tool) -> bool:
-    return any(map(inspect.iscoroutinefunction, (tool.call, tool.open, tool.close)))
-
-
-async def _run(needs: Concurrency, tool: Tool, method: Callable[..., Any], *args: Any) -> Any:
-    """Run a method of a tool; on the loop, that of a tool that blocks goes into a thread."""
-    blocks = tool.concurrency != "inline" and not inspect.iscoroutinefunction(tool.call)
-    if needs == "async" and blocks and not inspect.iscoroutinefunction(method):
-        return await _settled(await in_thread(method, *args))
-    return await _settled(method(*args))
-
-
-async def _settled(value: Any) -> Any:
-    return await value if inspect.isawaitable(value) else value
-
-
-def _finish_now(coroutine: Coroutine[Any, Any, T]) -> T:
-    """Run a coroutine in which nothing waits; one that does wait goes on the library's loop instead."""
-    try:
-        coroutine.send(None)
-    except StopIteration as finished:
-        return cast("T", finished.value)
-    coroutine.close()
-    raise ArgumentError("a plain tool waited for something; make its call() a coroutine function")
-
-
-async def _close_all(tools: Mapping[str, Tool], sessions: Mapping[str, Any]) -> None:
-    needs = _needs(tools.values())
-    for name, session in sessions.items():
-        try:
-            await _run(needs, tools[name], tools[name].close, session)
-        except (Exception, SystemExit):
-            logger.warning("gem: closing the session of tool %r failed", name, exc_info=True)
-
-
-def _close_sessions(tools: Mapping[str, Tool], sessions: dict[str, Any]) -> None:
-    taken = dict(sessions)
-    sessions.clear()
-    if taken:
-        closing = _close_all(tools, taken)
-        if _needs(tools.values()) == "async":
-            finish_or_start(closing)
-        else:
-            _finish_now(closing)
+def _check(env: AnyEnv, max_tool_uses: object, call_timeout_s: object) -> None:
+    layer: Any = env
+    while isinstance(layer, gymnasium.Wrapper):
+        if isinstance(layer, ToolEnv):
+            raise ArgumentError(
+                f"there are tools around this environment already: {', '.join(layer.tools)}; give all tools to one "
+                "ToolEnv, or to make(), which gathers them"
+            )
+        layer = layer.env
+    if max_tool_uses is not None and (type(max_tool_uses) is not int or max_tool_uses < 0):
+        raise ArgumentError(f"max_tool_uses must be a whole number from 0 up or None, not {max_tool_uses!r}")
+    if call_timeout_s is not None and (not isinstance(call_timeout_s, int | float) or not call_timeout_s > 0):
+        raise ArgumentError(f"call_timeout_s must be a number of seconds above 0 or None, not {call_timeout_s!r}")
 
 
 def _validation_message(error: Exception) -> str:

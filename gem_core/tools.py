@@ -172,18 +172,25 @@ class Tool:
         return {"type": "function", "function": function}
 
     def instructions(self) -> str:
-        """Return a line that tells an agent how to call this tool in its text."""
-        if self.text_parameter is not None:
-            forms = [f"<{self.name}>{self.text_parameter}</{self.name}>"]
-            forms += [f"a fenced block marked {language}" for language in self.fences[:1]]
-            how = " or ".join(forms)
-        else:
-            properties = self.parameters_schema().get("properties")
-            described = properties.items() if isinstance(properties, Mapping) else ()
-            example = {name: _placeholder(parameter) for name, parameter in described}
-            written = json.dumps({"name": self.name, "arguments": example}, ensure_ascii=False)
-            how = f"{CALL_OPEN}{written}{CALL_CLOSE}"
-        return f"- {self.name}: {self.description} Call it with {how}".replace(": . ", ": ")
+        """Return a line that tells an agent how to call this tool in its text; override it for other words."""
+        if self.text_parameter is None:
+            return self.explained_in_json()
+        forms = [f"<{self.name}>{self.text_parameter}</{self.name}>"]
+        forms += [f"a fenced block marked {language}" for language in self.fences[:1]]
+        return self._explained(" or ".join(forms))
+
+    def explained_in_json(self) -> str:
+        """Return the line that tells how to call this tool in JSON, as where its name is a tag of the task's own."""
+        properties = self.parameters_schema().get("properties")
+        described = properties.items() if isinstance(properties, Mapping) else ()
+        arguments = {name: _placeholder(parameter) for name, parameter in described}
+        written = json.dumps({"name": self.name, "arguments": arguments}, ensure_ascii=False)
+        return self._explained(f"{CALL_OPEN}{written}{CALL_CLOSE}")
+
+    def _explained(self, how: str) -> str:
+        description = " ".join(self.description.split())
+        end = "" if description.endswith((".", "!", "?")) or not description else "."
+        return f"- {self.name}: {description}{end} Call it with {how}"
 
     def _tagged(self, action: str, parameter: str) -> ToolCall | None:
         opening, closing = f"<{self.name}>", f"</{self.name}>"

@@ -65,7 +65,7 @@ def test_a_tool_may_validate_by_itself(toolbox: Path) -> None:
     env = ToolEnv(EchoEnv(), ["box"])
     env.reset()
     assert "Error from look:\nThe arguments are not valid. lock is missing\n" in env.step(json_call("look"))[0]
-    assert env.find_call("<count>1</count>") is None
+    assert env.tools["count"].parse("<count>1</count>") is None
 
 
 @pytest.mark.parametrize(

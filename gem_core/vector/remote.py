@@ -13,6 +13,7 @@ from typing import Any, cast
 import cloudpickle  # type: ignore[import-untyped]  # it has no types
 
 from gem_core.errors import ArgumentError, EnvFaultError, WorkerLostError
+from gem_core.making import makers_of
 from gem_core.registry import registry
 from gem_core.specs import EnvSpec
 from gem_core.vector.commands import Failure, Reset
@@ -309,9 +310,7 @@ def worker_setup(setup: VectorSetup, options: Mapping[str, Any]) -> bytes:
     """Return what a worker is made from; see ``worker.Worker``."""
     records = [registry().env(env_id) for env_id in setup.all_ids]
     wrappers = setup.wrappers if isinstance(setup.wrappers, str) else list(setup.wrappers)
-    makers = (
-        [] if isinstance(wrappers, str) else [choice[0] if isinstance(choice, tuple) else choice for choice in wrappers]
-    )
+    makers = makers_of(wrappers)
     return pack_by_value(
         {
             "records": records,

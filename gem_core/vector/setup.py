@@ -9,7 +9,7 @@ from typing import Any
 
 from gem_core.entry_points import load_entry_point
 from gem_core.errors import ArgumentError
-from gem_core.making import Wrappers, make_from, wrapper_choices
+from gem_core.making import Wrappers, make_from, makers_of
 from gem_core.plans import DrawSource, PlanItem
 from gem_core.registry import registry
 from gem_core.types import Concurrency
@@ -120,8 +120,8 @@ class VectorSetup:
 
     def wrappers_compute(self) -> bool:
         """Tell whether a wrapper or tool, by its class, needs a process to itself as ``"process"`` tasks do."""
-        for maker, _ in wrapper_choices(self.wrappers):
-            target = maker
+        for maker in makers_of(self.wrappers):
+            target: Any = maker
             if isinstance(maker, str):
                 entry_point = maker if ":" in maker else registry().wrapper(maker).entry_point
                 target = load_entry_point(entry_point, f"wrapper {maker!r}")

@@ -1,0 +1,200 @@
+"""Any task with any tools, by name or object: in one place, with one budget, and made again from the record."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from toys import AsyncNotebook, Calculator, EchoEnv, Notebook
+
+import gem_core as gem
+from gem_core.episodes import EpisodeWriter, read_episodes
+from gem_core.errors import ArgumentError
+from gem_core.tool_env import ToolEnv
+
+
+def layers(env: Any) -> list[str]:
+    """Return the names of the wrappers around a task, outermost first, without what make puts around each."""
+    names = []
+    while isinstance(env, gem.Wrapper):
+        names.append(type(env).__name__)
+        env = env.env
+    return [name for name in names if name != "Guard"]
+
+
+@pytest.mark.parametrize(
+    ("wrappers", "expected"),
+    [
+        ("box,vault,concat", ["Concat", "ToolEnv"]),
+        ("box,concat,vault", ["Concat", "ToolEnv"]),
+        ("concat,box,episode_stats,vault", ["EpisodeStats", "ToolEnv", "Concat"]),
+        (["box", ("tools", {"tools": "vault"})], ["ToolEnv"]),
+        ([("tools", {"tools": ["box"]}), ("tools", {"tools": [("vault", {})]}), "concat"], ["Concat", "ToolEnv"]),
+        ([["tools", {"tools": [["box", {}], "vault"]}]], ["ToolEnv"]),
+        (["box", "vault", ("tools", {"max_tool_uses": 2})], ["ToolEnv"]),
+    ],
+)
+def test_all_tools_share_one_wrapper(toolbox: Path, wrappers: Any, expected: list[str]) -> None:
+    """In the place of the first: one explanation, one budget, one set of schemas."""
+    env = gem.make("toy:Countdown-v0", wrappers=wrappers)
+    assert layers(env) == expected
+    observation, info = env.reset(seed=1, options={"left": 9})
+    assert [tool["function"]["name"] for tool in info["tools"]] == ["look", "count", "vault"]
+    assert str(observation).count("You may use tools before you answer.") == 1
+    limit = env.get_wrapper_attr("max_tool_uses")
+    for _ in range(limit):
+        assert "tool" in env.step("<look>north</look>")[4]
+    assert "tool" not in env.step("<look>north</look>")[4]
+
+
+def test_options_of_tools_are_gathered(toolbox: Path) -> None:
+    """Rewards and limits may stand beside the names; two that contradict each other are refused."""
+    options = {"tools": ["box", ("box", {"prefix": "my_"})], "max_tool_uses": 10, "tool_reward": 0.5}
+    env = gem.make("toy:Countdown-v0", wrappers=[("tools", options), "vault", "concat"])
+    env.reset(seed=1)
+    assert env.step("<my_look>north</my_look>")[1] == 0.5
+    assert env.get_wrapper_attr("max_tool_uses") == 10
+    with pytest.raises(ArgumentError, match="the tools are given max_tool_uses twice, as 10 and as 3"):
+        gem.make("toy:Countdown-v0", wrappers=[("tools", options), ("tools", {"max_tool_uses": 3})])
+    with pytest.raises(ArgumentError, match="options for tools are given, and no tool"):
+        gem.make("toy:Countdown-v0", wrappers=[("tools", {"max_tool_uses": 3})])
+    with pytest.raises(ArgumentError, match="Did you mean 'max_tool_uses'"):
+        gem.make("toy:Countdown-v0", wrappers=["box", ("tools", {"max_tool_use": 3})])
+    with pytest.raises(ArgumentError, match="It accepts: prefix"):
+        gem.make("toy:Countdown-v0", wrappers=[("box", {"suffix": "x"})])
+
+
+@pytest.mark.parametrize(
+    "tools",
+    [
+        [Notebook()],
+        [Notebook],
+        [(Notebook, {})],
+        [("tools", {"tools": Notebook()})],
+        [("tools", {"tools": [Notebook]})],
+    ],
+)
+def test_tools_may_be_given_as_objects(tools: Any) -> None:
+    """Or classes, among names of wrappers."""
+    env = gem.make("toy:Countdown-v0", wrappers=[*tools, "concat"])
+    assert layers(env) == ["Concat", "ToolEnv"]
+    env.reset(seed=1)
+    assert "Output of note:\nx" in str(env.step("<note>x</note>")[0])
+
+
+def test_what_is_neither_a_wrapper_nor_a_tool_is_refused() -> None:
+    """The error says what would do."""
+    with pytest.raises(ArgumentError, match="a wrapper is a name, a tool, a callable"):
+        gem.make("toy:Countdown-v0", wrappers=[3])  # type: ignore[list-item]  # the point
+
+
+def test_tools_around_tools_are_refused() -> None:
+    """They would count, explain and refuse each other's calls apart; make gathers them instead."""
+    inner = gem.make("toy:Countdown-v0", wrappers=[Notebook(), "concat"])
+    with pytest.raises(ArgumentError) as caught:
+        ToolEnv(inner, [Calculator()])
+    assert str(caught.value) == (
+        "there are tools around this environment already: note; give all tools to one ToolEnv, or to make(), which "
+        "gathers them"
+    )
+    assert list(gem.make(inner.spec, wrappers=[Calculator()]).get_wrapper_attr("tools")) == ["note", "calculator"]
+
+
+def test_a_made_environment_with_tools_is_made_again(toolbox: Path) -> None:
+    """From its spec, and from JSON, options included; also where the tools were put around it by hand."""
+    by_hand = ToolEnv(gem.make("toy:Countdown-v0"), ["box", ("box", {"prefix": "my_"})], max_tool_uses=7)
+    by_name = gem.make(
+        "toy:Countdown-v0", wrappers=["box", ("tools", {"tools": [("box", {"prefix": "my_"})], "max_tool_uses": 7})]
+    )
+    for env in (by_hand, by_name):
+        for spec in (env.spec, type(env.spec).from_json(env.spec.to_json())):
+            again = spec.make()
+            assert layers(again) == ["ToolEnv"]
+            assert list(again.tools) == ["look", "count", "my_look", "my_count"]
+            assert again.max_tool_uses == 7
+
+
+def test_a_record_names_the_tools_and_can_be_played_again(toolbox: Path, tmp_path: Path) -> None:
+    """By id, keyword arguments, wrappers and seed, after it was read from a file."""
+    wrappers = ["vault", ("box", {"prefix": "my_"}), "concat", ("tools", {"tool_success_reward": 0.25})]
+    answers = [
+        "<my_look>north</my_look>",
+        json_call("vault", lock="north", key="brass"),
+        "<vault>",
+        "7",
+        "8",
+        "9",
+        "10",
+    ]
+
+    def agent(observation: Any, context: Any) -> str:
+        return answers[context.turn]
+
+    vector = gem.make_vec("toy:Countdown-v0", wrappers=wrappers)
+    with EpisodeWriter(tmp_path / "run.jsonl") as writer:
+        for episode in gem.rollout(vector, agent, episodes=2, seed=3):
+            writer.write(episode)
+    vector.close()
+    for episode in read_episodes(tmp_path / "run.jsonl"):
+        assert episode.tools == ["vault", "my_look", "my_count"]
+        assert episode.wrappers == [
+            [
+                "tools",
+                {"tools": [["vault", {}], ["box", {"prefix": "my_"}]], "tool_success_reward": 0.25},
+            ],
+            ["concat", {}],
+        ]
+        env = gem.make(episode.id, wrappers=episode.wrappers, **episode.kwargs)
+        observation, _ = env.reset(seed=episode.seed)
+        assert observation == episode.observation
+        for turn in episode.transitions:
+            observation, reward, terminated, truncated, info = env.step(turn.action)
+            assert (reward, terminated, truncated, info) == (turn.reward, turn.terminated, turn.truncated, turn.info)
+        assert observation == episode.final_observation
+
+
+def json_call(name: str, **arguments: Any) -> str:
+    return f"<tool_call>{json.dumps({'name': name, 'arguments': arguments})}</tool_call>"
+
+
+def test_a_third_partys_tool_solves_a_task_in_several_turns(toolbox: Path) -> None:
+    """The agent reads which keys there are, tries a wrong one, opens both locks, and answers with what it found."""
+
+    def agent(observation: Any, context: Any) -> str:
+        if "The word is" in str(observation):
+            return "\\boxed{" + str(observation).split("The word is '")[1].split("'")[0] + "}"
+        steps = ["north", "wrong", "north", "south", "south"]
+        lock = steps[min(context.turn, 4)]
+        if lock == "wrong":
+            return json_call("vault", lock="north", key="glass")
+        if "Output of look:" in str(observation) or "does not turn" in str(observation):
+            return json_call("vault", lock=lock, key={"north": "brass", "south": "iron"}[lock])
+        return f"Which key? <look>{lock}</look>"
+
+    vector = gem.make_vec("vault:Word-v0", wrappers="vault,box")
+    (episode,) = gem.rollout(vector, agent, episodes=1)
+    vector.close()
+    assert episode.success
+    assert episode.turns == 6
+    assert episode.episode_return == 1.0
+    tool = episode.transitions[-2].info["tool"]
+    assert (tool["uses"], tool["successes"], tool["failures"]) == (5, 4, 1)
+
+
+def test_the_tools_explain_themselves_in_one_text() -> None:
+    """Every tool with its form, the limit, and the form that suits all; pinned, since scores depend on it."""
+    assert ToolEnv(EchoEnv(), [Calculator(), Notebook()], max_tool_uses=3).reset()[0] == (
+        "Say something.\n"
+        "You may use tools before you answer. Make one call in a response: the result comes back to you, and nothing "
+        "that you write behind the call is read. You have 3 tool calls.\n"
+        "- calculator: Adds or divides two numbers. Call it with <tool_call>"
+        '{"name": "calculator", "arguments": {"left": "…", "right": "…", "operation": "…"}}</tool_call>\n'
+        "- note: Writes a line into the notebook and shows it all. Call it with <note>line</note> or a fenced block "
+        "marked note\n"
+        'Any tool can also be called as <tool_call>{"name": …, "arguments": {…}}</tool_call>.\n'
+    )
+    assert ToolEnv(EchoEnv(), [Notebook()], max_tool_uses=0).reset()[0] == "Say something."
+    assert "You have" not in ToolEnv(EchoEnv(), [Notebook()], max_tool_uses=None).reset()[0]
+    assert ToolEnv(EchoEnv(), [AsyncNotebook()], instructions="Use it.").reset()[0] == "Say something.\nUse it.\n"
