@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Collection, MutableMapping
 from typing import Any, cast
 
-from gem_core.background import DaemonPool, background_loop, finish_or_start
+from gem_core.background import DaemonPool, background_loop, finish_or_start, on_background_loop
 from gem_core.errors import ArgumentError, FaultBudgetError
 from gem_core.types import Concurrency
 from gem_core.vector.body import Body, EnvFactory
@@ -23,7 +23,7 @@ _NONE = "\0none"
 """In the place of an id: there is no environment."""
 
 _CLOSING_S = 5.0
-"""How long ``close`` waits for tasks to let go of what they hold."""
+"""How long ``close`` waits for tasks and threads to let go of what they hold."""
 
 
 class LocalHost(Host):
@@ -61,6 +61,8 @@ class LocalHost(Host):
         # Under the lock, so that a thread knows whether what it ran is its own to close.
         self._left: set[Body] = set()
         """What was left to threads that have not come back."""
+        self._closing: set[threading.Event] = set()
+        """Set when what a slot gave back has been closed, which takes place in a thread."""
 
     def body(self, slot: int) -> Body:
         """Return the environment of a slot in its place."""
@@ -105,7 +107,16 @@ class LocalHost(Host):
         else:
             # In the place of this one, since the slot may be asked for an episode before it is closed.
             self._bodies[slot] = Body(slot, self._factories[slot])
-            self._pool.submit(body.discard)
+            closed = threading.Event()
+            self._closing.add(closed)
+            self._pool.submit(functools.partial(self._discard, body, closed))
+
+    def _discard(self, body: Body, closed: threading.Event) -> None:
+        try:
+            body.discard()
+        finally:
+            self._closing.discard(closed)
+            closed.set()
 
     def overdue(self, now: float) -> list[int]:
         """Return the slots whose command takes too long."""
@@ -168,6 +179,9 @@ class LocalHost(Host):
         for body in bodies:
             if body not in busy:
                 body.discard()
+        deadline = time.monotonic() + _CLOSING_S
+        for closed in [] if on_background_loop() else list(self._closing):
+            closed.wait(max(0.0, deadline - time.monotonic()))
         self._pool.close()
 
     def _is_inline(self, env_id: str | None) -> bool:
