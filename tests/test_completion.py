@@ -157,3 +157,12 @@ def test_completing_options_of_run_loads_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout == "[]\n"
+
+
+def test_tools_are_completed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For --tools behind the last comma, and for info beside the ids; wrappers are none."""
+    named = {"calculator": gem.ToolSpec(name="calculator", entry_point="toys:Calculator")}
+    monkeypatch.setitem(registry.registry()._named, "wrapper", {**registry.registry()._named["wrapper"], **named})
+    assert completed("run", "one:Alpha-v0", "--tools", "") == ["calculator"]
+    assert completed("play", "one:Alpha-v0", "--tools", "calculator,c") == ["calculator,calculator"]
+    assert completed("info", "calc") == ["calculator"]

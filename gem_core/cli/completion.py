@@ -65,6 +65,23 @@ def complete_wrappers(ctx: click.Context, param: click.Parameter, incomplete: st
     return []
 
 
+def complete_tools(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
+    """Return the tools that fit behind the last comma."""
+    from gem_core.specs import ToolSpec
+
+    before, comma, begun = incomplete.rpartition(",")
+    with _quiet_registry() as found:
+        items = _items(begun, ((record.name, record.summary) for record in found.named(ToolSpec)))
+        return [CompletionItem(f"{before}{comma}{item.value}", help=item.help) for item in items]
+    return []
+
+
+def complete_ids_and_tools(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
+    """Return the ids that begin so, and the tools."""
+    ids = complete_env_ids(ctx, param, incomplete)
+    return [*ids, *complete_tools(ctx, param, incomplete)] if "," not in incomplete else ids
+
+
 def complete_plugins(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
     """Return the installed plugins whose names begin so."""
     with _quiet_registry() as found:

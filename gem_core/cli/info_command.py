@@ -1,4 +1,4 @@
-"""``gem info``: one environment described."""
+"""``gem info``: one environment or tool described."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import json
 
 import click
 
-from gem_core.cli.completion import complete_env_ids
+from gem_core.cli.completion import complete_ids_and_tools
 from gem_core.cli.list_command import described
+from gem_core.cli.tool_info import find_tool, print_tool
 from gem_core.registry import registry
 from gem_core.requirements import unmet
 from gem_core.specs import EnvSpec
@@ -20,12 +21,17 @@ from gem_core.specs import EnvSpec
 Examples:
   gem info game:GuessTheNumber-v0
   gem info game:Mastermind-v0-hard --json
+  gem info search                     a tool: its options, and what an agent is told
 """,
 )
-@click.argument("env_id", metavar="ID", shell_complete=complete_env_ids)
+@click.argument("env_id", metavar="ID", shell_complete=complete_ids_and_tools)
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON object.")
 def command(env_id: str, as_json: bool) -> None:
-    """Describe one environment: its task, its arguments, what it needs, and what an agent sees first."""
+    """Describe one environment: its task, its arguments, what it needs, and what an agent sees first; or one tool."""
+    tool = None if ":" in env_id else find_tool(env_id)
+    if tool is not None:
+        print_tool(tool, as_json)
+        return
     record = registry().env(env_id)
     facts = described(record)
     missing = unmet(record.requires)

@@ -9,7 +9,9 @@ import sys
 
 import click
 
+from gem_core.cli import tool_info
 from gem_core.cli.completion import complete_env_ids
+from gem_core.cli.tool_info import KINDS
 from gem_core.errors import UnknownEnvError
 from gem_core.registry import registry
 from gem_core.specs import EnvSpec
@@ -23,6 +25,7 @@ Examples:
   gem list
   gem list game
   gem list '*-easy'
+  gem list tools                      likewise wrappers, agents, backends
   gem list --json | python -m json.tool
 """,
 )
@@ -31,8 +34,11 @@ Examples:
 def command(pattern: str | None, as_json: bool) -> None:
     """List the environments that can be made.
 
-    PATTERN is a namespace, a part of an id, or a glob in quotes.
+    PATTERN is a namespace, a part of an id, or a glob in quotes; or one of tools, wrappers, agents and backends.
     """
+    if pattern in KINDS and not any(record.namespace == pattern for record in registry().envs()):
+        _print_named(pattern, as_json)
+        return
     records = matching(pattern)
     if as_json:
         click.echo(json.dumps([described(record) for record in records], indent=1))
@@ -76,16 +82,30 @@ def described(record: EnvSpec) -> dict[str, object]:
     }
 
 
+def _print_named(kind: str, as_json: bool) -> None:
+    named = registry().named(KINDS[kind])
+    if as_json:
+        click.echo(json.dumps([tool_info.described(record) for record in named], indent=1))
+    elif not named:
+        click.echo(f"No {kind} are installed." + (" Try 'pip install gem-tools'." if kind == "tools" else ""))
+    else:
+        _print_rows([(record.name, record.summary) for record in named])
+
+
 def _print_columns(records: list[EnvSpec]) -> None:
+    needs = [f" [needs {', '.join(record.requires)}]" if record.requires else "" for record in records]
+    _print_rows([(record.id, f"{record.summary}{need}") for record, need in zip(records, needs, strict=True)])
+
+
+def _print_rows(rows: list[tuple[str, str]]) -> None:
     # Plain lines, made without rich: importing it would take longer than all the rest.
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-    id_width = max(len(record.id) for record in records)
-    for record in records:
-        needs = f" [needs {', '.join(record.requires)}]" if record.requires else ""
-        rest = f"  {record.summary}{needs}"
-        if width is not None and id_width + len(rest) > width:
-            rest = rest[: max(width - id_width - 1, 0)] + "…"
-        click.echo(f"{click.style(record.id.ljust(id_width), fg='cyan')}{rest}".rstrip())
+    first = max(len(name) for name, _ in rows)
+    for name, text in rows:
+        rest = f"  {text}"
+        if width is not None and first + len(rest) > width:
+            rest = rest[: max(width - first - 1, 0)] + "…"
+        click.echo(f"{click.style(name.ljust(first), fg='cyan')}{rest}".rstrip())
 
 
 def _is_plain(value: object) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from contextlib import ExitStack, closing
-from typing import Any
 
 import click
 
@@ -14,6 +13,7 @@ from gem_core.cli.play_session import PlaySession
 from gem_core.cli.play_view import PlayView, in_one_line
 from gem_core.cli.run_command import free_path
 from gem_core.cli.terminal import EndOfInput, Terminal
+from gem_core.cli.tool_options import options_again, tool_options, wrapper_stack
 from gem_core.episodes import Episode, EpisodeWriter
 from gem_core.errors import ArgumentError, NotSupportedError
 from gem_core.jsonable import ImageFolder
@@ -31,6 +31,7 @@ Examples:
   gem play game:GuessTheNumber-v0
   gem play game:Mastermind-v0-hard --seed 7 --out runs/mine.jsonl
   gem play game:TowerofHanoi-v0-easy --wrappers concat_with_action
+  gem play game:Sudoku-v0-easy --tools python
   printf '25\\n12\\n' | gem play game:GuessTheNumber-v0 --seed 1
 
 \b
@@ -73,6 +74,7 @@ Exit code: 0 at the end or at the end of input, 2 for a wrong argument, 130 afte
     help="Wrappers and tools by name, innermost first; each observation is then shown exactly as a model gets it. "
     "With '' it is that of the bare environment.",
 )
+@tool_options
 @click.option("-r", "--raw", is_flag=True, help="Send answers as they are typed, without the expected form.")
 @click.option("-o", "--out", type=click.Path(dir_okay=False), help="Record the finished episodes in this file.")
 @click.option("--overwrite", is_flag=True, help="Write the file anew if it is there.")
@@ -84,6 +86,8 @@ def command(
     episodes: int | None,
     max_turns: int | None,
     wrappers: str | None,
+    tools: tuple[str, ...],
+    max_tool_uses: int | str | None,
     raw: bool,
     out: str | None,
     overwrite: bool,
@@ -93,9 +97,7 @@ def command(
     Shows each observation and reads your answer, with the reward of each turn.
     """
     record = registry().env(env_id)
-    stack: list[Any] = [name.strip() for name in (wrappers or "").split(",") if name.strip()]
-    if max_turns is not None:
-        stack.insert(0, ("turn_limit", {"max_turns": max_turns}))
+    stack = wrapper_stack(wrappers or "", tools, max_tool_uses, max_turns)
     path = None if out is None else free_path(out, overwrite)
     with closing(make(record, wrappers=stack)) as env, ExitStack() as files:
         if wrappers is None:
@@ -114,7 +116,9 @@ def command(
             interrupted = True
         finally:
             if session.started:
-                view.farewell(player.finished, out, _options_again(max_turns, wrappers, raw))
+                view.farewell(
+                    player.finished, out, _again(max_turns, wrappers, raw, options_again(tools, max_tool_uses))
+                )
     if interrupted:
         click.echo("gem: interrupted", err=True)
         ctx.exit(INTERRUPTED)
@@ -200,11 +204,11 @@ class _Player:
         raise EndOfInput
 
 
-def _options_again(max_turns: int | None, wrappers: str | None, raw: bool) -> str:
+def _again(max_turns: int | None, wrappers: str | None, raw: bool, tools: list[str]) -> str:
     """Return the options without which the same seed would look different."""
     turns = [] if max_turns is None else ["--max-turns", str(max_turns)]
     around = [] if wrappers is None else ["--wrappers", wrappers]
-    return "".join(f" {shlex.quote(word)}" for word in [*turns, *around, *["--raw"] * raw])
+    return "".join(f" {shlex.quote(word)}" for word in [*turns, *around, *tools, *["--raw"] * raw])
 
 
 def _draw_boards(env: AnyEnv) -> None:

@@ -19,10 +19,11 @@ from gem_core.cli import INTERRUPTED
 from gem_core.cli.agent_options import agent_options, given
 from gem_core.cli.completion import complete_agents, complete_backends, complete_env_ids, complete_wrappers
 from gem_core.cli.list_command import matching
+from gem_core.cli.tool_options import tool_options, wrapper_stack
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.registry import make_vec, registry
 from gem_core.requirements import unmet
-from gem_core.specs import EnvSpec, ToolSpec
+from gem_core.specs import EnvSpec
 
 if TYPE_CHECKING:
     from gem_core.agents.base import Agent
@@ -43,6 +44,7 @@ Examples:
   gem run game:GuessTheNumber-v0 --agent bisect --episodes 100
   gem run 'game:*-easy' --agent random --num-envs 16 --seed 7
   gem run game:Mastermind-v0-easy --agent my_module:my_agent --wrappers concat_with_action
+  gem run math:GSM8K --agent openai:gpt-5-mini --tools python,search:top_k=2 --max-tool-uses 10
   gem run game:GuessTheNumber-v0 --agent openai:gpt-5-mini --max-tokens 2000
   gem run game:GuessTheNumber-v0 --agent openai:my-model --base-url http://localhost:8000/v1
   gem run game:GuessTheNumber-v0 --agent openai:gpt-5-mini --resume runs/stopped.jsonl
@@ -89,6 +91,7 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     shell_complete=complete_wrappers,
     help="Wrappers and tools by name, innermost first: 'concat,episode_stats'.",
 )
+@tool_options
 @click.option(
     "--backend",
     default="auto",
@@ -123,6 +126,8 @@ def command(
     seed: int | None,
     max_turns: int | None,
     wrappers: str,
+    tools: tuple[str, ...],
+    max_tool_uses: int | str | None,
     backend: str,
     step_timeout: float | None,
     out: str | None,
@@ -150,7 +155,7 @@ def command(
         _refuse_beside_resume({"--seed": seed is not None, "--out": out is not None, "--overwrite": overwrite})
     env_ids = _expanded(ids)
     acting = load_agent(agent, **given(options))
-    stack = _stack(wrappers, max_turns)
+    stack = wrapper_stack(wrappers, tools, max_tool_uses, max_turns)
     interactive = getattr(acting, "interactive", False)
     if interactive and num_envs not in (None, 1):
         raise ArgumentError(f"the agent {agent!r} answers one episode at a time; use --num-envs 1, not {num_envs}")
@@ -234,19 +239,6 @@ def _refuse_beside_resume(given: dict[str, bool]) -> None:
 
 def _counted(episodes: int) -> str:
     return "1 episode" if episodes == 1 else f"{episodes} episodes"
-
-
-def _stack(wrappers: str, max_turns: int | None) -> list[Any]:
-    stack: list[Any] = [name.strip() for name in wrappers.split(",") if name.strip()]
-    if max_turns is not None:
-        # Outside the tools, whose calls are turns too, and inside the views and statistics, which see the end.
-        place = max((number for number, name in enumerate(stack, start=1) if _is_tool(name)), default=0)
-        stack.insert(place, ("turn_limit", {"max_turns": max_turns}))
-    return stack
-
-
-def _is_tool(name: str) -> bool:
-    return name == "tools" or isinstance(registry().wrapper(name), ToolSpec)
 
 
 @contextmanager

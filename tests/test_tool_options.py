@@ -1,0 +1,188 @@
+"""Tools on the command line: how they are chosen, what is recorded, and what is said of them."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+import gem_core as gem
+from gem_core.cli.tool_options import parsed_tools, wrapper_stack
+from gem_core.episodes import read_episodes
+from gem_core.errors import ArgumentError, UnknownToolError
+from gem_core.registry import registry
+
+if TYPE_CHECKING:
+    from command_calls import RunGem
+
+COUNTDOWN = "toy:Countdown-v0"
+
+AGENT = """
+def caller(observation, context):
+    return "7" if context.turn % 2 else "<my_look>north</my_look>"
+"""
+
+
+@pytest.fixture(autouse=True)
+def installed(toolbox: Path) -> None:
+    """A third party's tools are there: vault, and box, which stands for two."""
+
+
+@pytest.fixture
+def agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """An agent that calls a tool in every other turn."""
+    (tmp_path / "tool_option_agents.py").write_text(AGENT)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "tool_option_agents", raising=False)
+    return "tool_option_agents:caller"
+
+
+@pytest.mark.parametrize(
+    ("text", "tools"),
+    [
+        ("box", [("box", {})]),
+        ("box, vault", [("box", {}), ("vault", {})]),
+        ("box:prefix=my_", [("box", {"prefix": "my_"})]),
+        ("vault,box:prefix=my_,count=2,vault", [("vault", {}), ("box", {"prefix": "my_", "count": 2}), ("vault", {})]),
+        ("box:url=http://localhost:8000/x?a=b", [("box", {"url": "http://localhost:8000/x?a=b"})]),
+        ('box:on=true,limit=null,rate=0.5,text="7"', [("box", {"on": True, "limit": None, "rate": 0.5, "text": "7"})]),
+        ("box:empty=", [("box", {"empty": ""})]),
+        ('["vault", ["box", {"prefix": "a,b"}]]', [("vault", {}), ("box", {"prefix": "a,b"})]),
+        ('{"box": {"prefix": "a,b"}, "vault": {}}', [("box", {"prefix": "a,b"}), ("vault", {})]),
+        ("", []),
+    ],
+)
+def test_tools_are_read(text: str, tools: list[Any]) -> None:
+    """Names with options behind a colon, or JSON where a value holds commas."""
+    assert parsed_tools(text) == tools
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("box:prefix", "--tools: 'prefix' is no option of 'box'; write 'python,search:top_k=2' or JSON"),
+        ("prefix=2", "--tools: 'prefix=2' is no name of a tool; write"),
+        ("[", "--tools is no valid JSON: Expecting value"),
+        ("[3]", "--tools must be a list of names, or of names with options"),
+        ('["a", ["b"]]', "--tools must be a list of names, or of names with options"),
+        ('[["b", 3]]', "--tools must be a list of names, or of names with options"),
+    ],
+)
+def test_what_cannot_be_read_is_told_with_an_example(text: str, told: str) -> None:
+    """In one line."""
+    with pytest.raises(ArgumentError) as caught:
+        parsed_tools(text)
+    assert told in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_tools_are_told_with_the_nearest() -> None:
+    """A wrapper is no tool."""
+    with pytest.raises(UnknownToolError, match="no tool 'valt'"):
+        parsed_tools("valt")
+    with pytest.raises(UnknownToolError, match="concat"):
+        parsed_tools("concat")
+
+
+def test_the_limit_of_turns_stands_outside_the_tools_and_inside_the_views() -> None:
+    """Tools are innermost, wherever they were named; without tools the limit is."""
+    limit = ("turn_limit", {"max_turns": 3})
+    assert wrapper_stack("concat", ("box",), None, 3) == [("box", {}), limit, "concat"]
+    assert wrapper_stack("concat,box", (), None, 3) == ["concat", "box", limit]
+    assert wrapper_stack("concat", (), None, 3) == [limit, "concat"]
+    uses = ("tools", {"max_tool_uses": None})
+    assert wrapper_stack("concat,vault", ("box",), "none", None) == [uses, ("box", {}), "concat", "vault"]
+    with pytest.raises(ArgumentError, match="--max-tool-uses is a limit of tools, and there are none"):
+        wrapper_stack("concat", (), 3, None)
+
+
+def test_run_with_tools_records_them(run_gem: RunGem, agent: str) -> None:
+    """By name and options, so that the episode can be made again; calls are counted up to the limit."""
+    words = ("--tools", "vault,box:prefix=my_", "--tools", "box", "--max-tool-uses", "1", "--wrappers", "concat")
+    done = run_gem("run", COUNTDOWN, "-a", agent, "-n", "3", "--seed", "1", "-o", "x.jsonl", *words)
+    assert done.code == 0, done.err
+    for episode in read_episodes("x.jsonl"):
+        assert episode.tools == ["vault", "my_look", "my_count", "look", "count"]
+        assert episode.wrappers[0][1]["tools"] == [["vault", {}], ["box", {"prefix": "my_"}], ["box", {}]]
+        assert episode.wrappers[0][1]["max_tool_uses"] == 1
+        assert [("tool" in turn.info) for turn in episode.transitions[:2]] == [True, False]
+        env = gem.make(episode.id, wrappers=episode.wrappers)
+        assert env.reset(seed=episode.seed)[0] == episode.observation
+
+
+def test_run_with_tools_goes_on(run_gem: RunGem, agent: str) -> None:
+    """The episodes that were left are those of the whole run."""
+    words = ("run", COUNTDOWN, "-a", agent, "--tools", "box:prefix=my_")
+    assert run_gem(*words, "-n", "4", "--seed", "1", "-o", "whole.jsonl").code == 0
+    lines = Path("whole.jsonl").read_text().splitlines(keepends=True)
+    Path("half.jsonl").write_text("".join(lines[:2]))
+    assert run_gem(*words, "-n", "4", "--resume", "half.jsonl").code == 0
+    whole, half = (sorted(read_episodes(name), key=lambda each: each.key) for name in ("whole.jsonl", "half.jsonl"))
+    assert len(whole) == 4
+    assert whole == half
+
+
+@pytest.mark.parametrize("uses", ["-1", "1.5", "many", ""])
+def test_a_limit_of_uses_is_a_number_or_none(run_gem: RunGem, uses: str) -> None:
+    """Anything else is a wrong argument."""
+    done = run_gem("run", COUNTDOWN, "--tools", "box", "--max-tool-uses", uses)
+    assert done.code == 2
+    assert f"{uses!r} is neither a whole number from 0 up nor 'none'" in done.err
+
+
+def test_play_with_tools(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A person calls them as a model does, and is told how to play the same again."""
+    monkeypatch.setattr(sys, "stdin", io.StringIO("<look>south</look>\n!quit\n"))
+    done = run_gem("play", COUNTDOWN, "--seed", "1", "--tools", "box", "--max-tool-uses", "none")
+    assert "Output of look:\niron\n" in done.out
+    assert "gem play toy:Countdown-v0 --seed 1 --tools box --max-tool-uses none" in done.out
+
+
+def test_info_describes_a_tool(run_gem: RunGem) -> None:
+    """Its options, who offers it, its docstring, and what an agent is told; also as JSON."""
+    done = run_gem("info", "box")
+    assert done.code == 0
+    assert done.out == (
+        "box · Two tools.\n"
+        "  options:      prefix=''\n"
+        "  offered by:   gem-toolbox\n"
+        "  entry point:  gem_toolbox_tools:make_box\n"
+        "\nReturn two tools.\n"
+        "\nWhat an agent is told, without options:\n"
+        "- look: Looks at a lock. Call it with <look>lock</look>\n"
+        '- count: Counts the locks. Call it with <tool_call>{"name": "count", "arguments": {}}</tool_call>\n'
+    )
+    facts = json.loads(run_gem("info", "box", "--json").out)
+    assert [schema["function"]["name"] for schema in facts["schemas"]] == ["look", "count"]
+    assert (facts["distribution"], facts["options"], facts["problem"]) == ("gem-toolbox", ["prefix=''"], None)
+
+
+def test_info_of_a_tool_that_needs_options_says_so(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And tells all else."""
+    gem.list_envs()
+    spec = gem.ToolSpec(name="needy", entry_point="gem_toolbox_tools:Listed", summary="Needs much.")
+    monkeypatch.setitem(registry()._named, "wrapper", {**registry()._named["wrapper"], "needy": spec})
+    done = run_gem("info", "needy")
+    assert done.code == 0
+    assert "  missing:      tool 'needy': missing a required argument: 'name'" in done.out
+    assert "A tool of a list" in done.out
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), [("tools", "vault"), ("wrappers", "concat"), ("agents", "random"), ("backends", "process")]
+)
+def test_list_of_what_has_a_short_name(run_gem: RunGem, kind: str, name: str) -> None:
+    """In two columns, or as JSON."""
+    done = run_gem("list", kind)
+    assert done.code == 0
+    assert any(line.split()[0] == name for line in done.out.splitlines())
+    assert name in [each["name"] for each in json.loads(run_gem("list", kind, "--json").out)]
+
+
+def test_list_of_tools_where_there_are_none(run_gem: RunGem, own_registry: Any) -> None:
+    """It says where to get some."""
+    assert run_gem("list", "tools").out == "No tools are installed. Try 'pip install gem-tools'.\n"
