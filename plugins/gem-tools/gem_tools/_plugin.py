@@ -12,6 +12,11 @@ from gem_core.specs import CommandSpec, ToolSpec
 def gem_register_tools() -> Iterable[ToolSpec]:
     """The tools; each entry point takes the tool's options by keyword."""
     yield ToolSpec(
+        name="python",
+        entry_point="gem_tools.python.tool:make_python",
+        summary="Runs Python code in a sandbox, each call anew or with its variables kept.",
+    )
+    yield ToolSpec(
         name="search",
         entry_point="gem_tools.search.tool:make_search",
         summary="Searches a local corpus, a retrieval server, or the web.",

@@ -1,0 +1,155 @@
+"""How a process that was just forked is cut off from all the others, before it sees any code."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+from typing import Any
+
+from gem_tools.python.inside import kernel, syscalls
+
+FOLDER = "/tmp"
+INSIDE_ID = 1000
+_MB = 1 << 20
+
+
+def hide(folder: str, shown: list[str]) -> None:
+    """Put an empty folder in the place of one that only root may enter, with what code needs of it shown again.
+
+    Args:
+        folder: As in ``/root``.
+        shown: Folders in it, as those of the interpreter.
+
+    Raises:
+        OSError: This process may not mount anything.
+    """
+    kernel.unshare(kernel.NEWNS)
+    kernel.mount("none", "/", "none", kernel.MS_REC | kernel.MS_PRIVATE)
+    kept = [os.open(path, os.O_PATH | os.O_DIRECTORY) for path in shown]
+    kernel.mount("tmpfs", folder, "tmpfs", kernel.MS_NOSUID | kernel.MS_NODEV, "mode=0755,size=1m")
+    for path, descriptor in zip(shown, kept, strict=True):
+        os.makedirs(path, mode=0o755, exist_ok=True)
+        kernel.mount(f"/proc/self/fd/{descriptor}", path, "none", kernel.MS_BIND | kernel.MS_REC)
+        os.close(descriptor)
+
+
+def leave_network() -> None:
+    """Leave the network and shared memory behind, where this process may; the filter of system calls does so too."""
+    with contextlib.suppress(OSError):
+        kernel.unshare(kernel.NEWNET | kernel.NEWIPC)
+
+
+def enter(settings: dict[str, Any], proc: int | None, uid: int | None) -> None:
+    """Take this process out of reach of the others.
+
+    Args:
+        settings: Those of the level: ``namespaces``.
+        proc: File descriptor of ``/proc``, which is not in the tree; None where there are no namespaces.
+        uid: The user to become; None to stay.
+    """
+    os.setsid()
+    if uid is not None:
+        os.setgroups([])
+        os.setresgid(uid, uid, uid)
+        os.setresuid(uid, uid, uid)
+    if settings["namespaces"] and proc is not None:
+        # Without this its own files in /proc belong to root, and the maps below could not be written.
+        kernel.prctl(kernel.PR_SET_DUMPABLE, 1)
+        user = os.getuid()
+        group = os.getgid()
+        # A user namespace for each call: its processes are counted by themselves, and its capabilities reach nothing.
+        kernel.unshare(kernel.NEWUSER | kernel.NEWIPC)
+        _write(proc, "self/setgroups", "deny")
+        _write(proc, "self/uid_map", f"{INSIDE_ID} {user} 1")
+        _write(proc, "self/gid_map", f"{INSIDE_ID} {group} 1")
+        _write(proc, "self/oom_score_adj", "1000")
+    elif not settings["namespaces"]:
+        # The first to go when the machine runs out of memory; and gone with the process that forked it.
+        _try_write("/proc/self/oom_score_adj", "1000")
+        kernel.prctl(kernel.PR_SET_PDEATHSIG, 9)
+
+
+def private_folder(limits: dict[str, Any]) -> None:
+    """Mount a folder that only this process and its children see, for a session."""
+    kernel.unshare(kernel.NEWNS)
+    mount_folder(limits, "")
+
+
+def mount_folder(limits: dict[str, Any], owner: str) -> None:
+    """Mount an empty folder of limited size in memory."""
+    size = limits["folder_mb"] * _MB
+    options = f"size={size},nr_inodes={limits['folder_files']},mode=0700{owner}"
+    kernel.mount("tmpfs", FOLDER, "tmpfs", kernel.MS_NOSUID | kernel.MS_NODEV, options)
+
+
+def limit(limits: dict[str, Any], settings: dict[str, Any], base_bytes: int) -> None:
+    """Set every limit that the kernel keeps for one process, hard ones, and give up the rights to change them.
+
+    Args:
+        limits: Those of a call.
+        settings: Those of the level.
+        base_bytes: Address space that the interpreter has before it runs any code.
+    """
+    cpu = None if limits["session"] else int(limits["cpu_s"]) + 1
+    memory = base_bytes + limits["memory_mb"] * _MB
+    wanted = [
+        (resource.RLIMIT_CORE, 0),
+        (resource.RLIMIT_AS, memory),
+        (resource.RLIMIT_FSIZE, limits["file_mb"] * _MB),
+        (resource.RLIMIT_NOFILE, limits["open_files"]),
+        (resource.RLIMIT_MEMLOCK, 0),
+        (resource.RLIMIT_MSGQUEUE, 0),
+        (resource.RLIMIT_SIGPENDING, 1024),
+    ]
+    others = 0 if settings["counts"] == "own" else own_tasks()
+    wanted.append((resource.RLIMIT_NPROC, others + limits["processes"]))
+    if cpu is not None:
+        wanted.append((resource.RLIMIT_CPU, cpu))
+    for kind, most in wanted:
+        _, hard = resource.getrlimit(kind)
+        least = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(kind, (least, least))
+
+
+def give_up_rights(settings: dict[str, Any]) -> None:
+    """Give up what would let code undo the limits: capabilities, new privileges, rare system calls."""
+    kernel.prctl(kernel.PR_SET_NO_NEW_PRIVS, 1)
+    kernel.drop_capabilities()
+    kernel.prctl(kernel.PR_SET_DUMPABLE, 0)
+    syscalls.install(sockets=settings["namespaces"], only_own=settings["same_user"])
+
+
+def own_tasks() -> int:
+    """Count the threads of this process's user, which the kernel's limit counts together."""
+    user, count = os.getuid(), 0
+    for name in os.listdir("/proc"):
+        if name.isdigit():
+            fields = dict(line.split(b":", 1) for line in _lines(f"/proc/{name}/status"))
+            if fields and int(fields[b"Uid"].split()[0]) == user:
+                count += int(fields[b"Threads"])
+    return max(count - 1, 0)
+
+
+def _lines(path: str) -> list[bytes]:
+    try:
+        with open(path, "rb") as stream:
+            return stream.read().splitlines()
+    except OSError:
+        return []
+
+
+def _write(proc: int, path: str, text: str) -> None:
+    descriptor = os.open(path, os.O_WRONLY, dir_fd=proc)
+    try:
+        os.write(descriptor, text.encode())
+    finally:
+        os.close(descriptor)
+
+
+def _try_write(path: str, text: str) -> None:
+    try:
+        with open(path, "w", encoding="ascii") as stream:
+            stream.write(text)
+    except OSError:
+        return

@@ -1,0 +1,125 @@
+"""A filter of system calls: what no script needs and attacks begin with.
+
+It stands behind the namespaces as a second wall, and on the level ``process`` it is what keeps code off the network and
+off other processes. Numbers of system calls: ``asm/unistd_64.h`` and ``asm-generic/unistd.h`` of Linux.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import platform
+from typing import NamedTuple
+
+from gem_tools.python.inside import kernel
+
+_LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
+_ALLOW, _FAIL, _KILL = 0x7FFF0000, 0x00050000, 0x80000000
+_NUMBER, _ARCH = 0, 4
+_FIRST_ARGUMENT = 16  # its low half, on little-endian machines
+_NEW_NAMESPACE = 0x7E020080  # CLONE_NEWTIME, NEWNS, NEWCGROUP, NEWUTS, NEWIPC, NEWUSER, NEWPID, NEWNET
+_X32 = 0x40000000
+_AF_UNIX = 1
+
+
+class Machine(NamedTuple):
+    """The numbers of one kind of processor."""
+
+    arch: int
+    denied: tuple[int, ...]
+    clone: int
+    clone3: int
+    socket: int
+    signalling: tuple[int, ...]
+    """Calls whose first argument is the process that they reach."""
+    x32: bool
+
+
+# Tracing and other processes' memory; mounts, roots, namespaces; keys; bpf, perf, userfaultfd, io_uring; modules and
+# restarts; handles of files; System V and POSIX message objects, which outlive a process; clocks and host names;
+# memory files, which no limit on memory counts.
+_X86_64 = Machine(
+    arch=0xC000003E,
+    denied=(
+        *(101, 310, 311, 312, 438, 440),
+        *(165, 166, 155, 161, 272, 308, 428, 429, 430, 431, 432, 433, 442),
+        *(248, 249, 250, 321, 298, 323, 425, 426, 427, 300),
+        *(246, 320, 175, 313, 176, 169, 167, 168, 163, 179, 103, 172, 173),
+        *(303, 304),
+        *(29, 30, 31, 64, 65, 66, 67, 68, 69, 70, 71, 220, 240, 241),
+        *(164, 227, 159, 305, 170, 171),
+        *(319, 447),
+    ),
+    clone=56,
+    clone3=435,
+    socket=41,
+    signalling=(62, 200, 234, 129, 297, 302, 434),
+    x32=True,
+)
+_AARCH64 = Machine(
+    arch=0xC00000B7,
+    denied=(
+        *(117, 270, 271, 272, 438, 440),
+        *(40, 39, 41, 51, 97, 268, 428, 429, 430, 431, 432, 433, 442),
+        *(217, 218, 219, 280, 241, 282, 425, 426, 427, 262),
+        *(104, 294, 105, 273, 106, 142, 224, 225, 89, 60, 116),
+        *(264, 265),
+        *(194, 195, 196, 197, 190, 191, 192, 193, 186, 187, 188, 189, 180, 181),
+        *(170, 112, 171, 266, 161, 162),
+        *(279, 447),
+    ),
+    clone=220,
+    clone3=435,
+    socket=198,
+    signalling=(129, 130, 131, 138, 240, 261, 434),
+    x32=False,
+)
+MACHINES = {"x86_64": _X86_64, "aarch64": _AARCH64}
+
+Instruction = tuple[int, int, int, int]
+
+
+def program(machine: Machine, *, sockets: bool, own_pid: int | None) -> list[Instruction]:
+    """Return the filter.
+
+    Args:
+        machine: Numbers of the processor.
+        sockets: Whether sockets other than those of one machine's processes may be made, as behind a network namespace.
+        own_pid: The only process that may be reached by signals; None where other processes are out of sight anyway.
+    """
+    refuse = [(_RETURN, 0, 0, _FAIL | errno.EPERM)]
+    lines: list[Instruction] = [(_LOAD, 0, 0, _ARCH), (_EQUAL, 1, 0, machine.arch), (_RETURN, 0, 0, _KILL)]
+    lines.append((_LOAD, 0, 0, _NUMBER))
+    if machine.x32:
+        lines += [(_AT_LEAST, 0, 1, _X32), *refuse]
+    # Programs fall back to clone, whose flags can be looked at.
+    lines += [(_EQUAL, 0, 1, machine.clone3), (_RETURN, 0, 0, _FAIL | errno.ENOSYS)]
+    lines += [(_EQUAL, 0, 3, machine.clone), (_LOAD, 0, 0, _FIRST_ARGUMENT), (_ANY_BIT, 0, 1, _NEW_NAMESPACE), *refuse]
+    lines.append((_LOAD, 0, 0, _NUMBER))
+    if not sockets:
+        lines += [(_EQUAL, 0, 4, machine.socket), (_LOAD, 0, 0, _FIRST_ARGUMENT), (_EQUAL, 1, 0, _AF_UNIX), *refuse]
+        lines += [(_RETURN, 0, 0, _ALLOW)]
+    if own_pid is not None:
+        for number in machine.signalling:
+            lines += [(_EQUAL, 0, 5, number), (_LOAD, 0, 0, _FIRST_ARGUMENT), (_EQUAL, 2, 0, own_pid)]
+            lines += [(_EQUAL, 1, 0, 0), *refuse, (_RETURN, 0, 0, _ALLOW)]
+    count = len(machine.denied)
+    lines += [(_EQUAL, count - place, 0, number) for place, number in enumerate(machine.denied)]
+    return [*lines, (_RETURN, 0, 0, _ALLOW), *refuse]
+
+
+def known() -> bool:
+    """Tell whether there is a filter for this processor."""
+    return platform.machine() in MACHINES
+
+
+def install(*, sockets: bool, only_own: bool) -> bool:
+    """Set the filter for this process and its children; False where this kernel or processor has none."""
+    machine = MACHINES.get(os.uname().machine)
+    if machine is None:
+        return False
+    try:
+        kernel.set_filter(program(machine, sockets=sockets, own_pid=os.getpid() if only_own else None))
+    except OSError:
+        return False
+    return True

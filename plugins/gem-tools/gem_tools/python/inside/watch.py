@@ -1,0 +1,90 @@
+"""What the processes of a call use, as the kernel tells it."""
+
+from __future__ import annotations
+
+import os
+from typing import NamedTuple
+
+_TICKS = os.sysconf("SC_CLK_TCK")
+
+
+class Usage(NamedTuple):
+    """What some processes use together."""
+
+    memory_bytes: int
+    cpu_s: float
+
+
+def read(proc: int, path: str) -> bytes:
+    """Return a file of ``/proc``; nothing where the process is gone."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC, dir_fd=proc)
+    except OSError:
+        return b""
+    try:
+        return os.read(descriptor, 1 << 16)
+    except OSError:
+        return b""
+    finally:
+        os.close(descriptor)
+
+
+def parents(proc: int) -> dict[int, int]:
+    """Return the parent of every process that is alive; zombies are not."""
+    found = {}
+    for name in os.listdir(proc):
+        if name.isdigit():
+            # The name of the program stands in brackets and may hold anything.
+            fields = read(proc, f"{name}/stat").rpartition(b") ")[2].split()
+            if len(fields) > 1 and fields[0] not in (b"Z", b"X"):
+                found[int(name)] = int(fields[1])
+    return found
+
+
+def descendants(proc: int, root: int, without: frozenset[int] = frozenset()) -> list[int]:
+    """Return the living processes below one, but for some with all that is below them."""
+    children: dict[int, list[int]] = {}
+    for pid, parent in parents(proc).items():
+        children.setdefault(parent, []).append(pid)
+    found: list[int] = []
+    waiting = [root]
+    while waiting:
+        for pid in children.get(waiting.pop(), ()):
+            if pid not in without:
+                found.append(pid)
+                waiting.append(pid)
+    return found
+
+
+def usage(proc: int, pids: list[int], base_bytes: int) -> Usage:
+    """Add up what processes use.
+
+    Args:
+        proc: File descriptor of ``/proc``.
+        pids: The processes.
+        base_bytes: Memory that each shares with the process that it was forked from.
+    """
+    memory, ticks, shared = 0, 0, 0
+    for pid in pids:
+        fields = read(proc, f"{pid}/stat").rpartition(b") ")[2].split()
+        if len(fields) > 14:
+            ticks += sum(int(field) for field in fields[11:15])
+        for line in read(proc, f"{pid}/status").splitlines():
+            if line.startswith((b"RssAnon:", b"VmSwap:")):
+                memory += int(line.split()[1]) * 1024
+            elif line.startswith(b"RssShmem:"):
+                shared = max(shared, int(line.split()[1]) * 1024)
+        memory -= base_bytes
+    return Usage(max(memory, 0) + shared, ticks / _TICKS)
+
+
+def own_memory(pid: str = "self") -> tuple[int, int]:
+    """Return the address space and the anonymous memory of a process, in bytes."""
+    space = anonymous = 0
+    with open(f"/proc/{pid}/status", "rb") as stream:
+        for line in stream:
+            if line.startswith(b"VmSize:"):
+                space = int(line.split()[1]) * 1024
+            elif line.startswith(b"RssAnon:"):
+                anonymous = int(line.split()[1]) * 1024
+    return space, anonymous

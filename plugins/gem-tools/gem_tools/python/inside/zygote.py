@@ -1,0 +1,321 @@
+"""The process that all code is forked from. It has imported the usual libraries and never sees any call's data."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import importlib
+import json
+import os
+import select
+import signal
+import socket
+import sys
+import time
+import traceback
+from typing import Any
+
+from gem_tools.python.inside import confine, kernel, runner, watch, wire
+from gem_tools.python.inside.folders import Folders
+
+_JOB = 3
+_GIVE_UP_S = 10.0
+
+
+class Zygote:
+    """Forks a process when its keeper asks for one, and tells the keeper when one has ended.
+
+    Args:
+        settings: Those of the level.
+        control: Socket to the keeper.
+        proc: File descriptor of ``/proc``.
+    """
+
+    def __init__(self, settings: dict[str, Any], control: socket.socket, proc: int) -> None:
+        self.settings, self.control, self.proc = settings, control, proc
+        self.namespaces: bool = settings["namespaces"]
+        self.folders = None if self.namespaces else _folders(settings["base"])
+        self.next_uid: int | None = settings["uid"]
+        self.children: dict[int, str] = {}
+        self.folder_limits = {"folder_mb": settings["folder_mb"], "folder_files": settings["folder_files"]}
+        self.clean: object = None
+        self.base_bytes = 0
+        self.wake, wake_in = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        signal.signal(signal.SIGCHLD, lambda *_: None)
+        signal.set_wakeup_fd(wake_in, warn_on_full_buffer=False)
+
+    def main(self) -> None:
+        """Serve until the keeper is gone."""
+        failed = preload(self.settings["preload"])
+        if self.namespaces:
+            self.own_namespace = os.open("self/ns/pid", os.O_RDONLY | os.O_CLOEXEC, dir_fd=self.proc)
+            space, anonymous = watch.own_memory()
+            kernel.unmount("/proc")
+            self.mount_folder(first=True)
+        else:
+            space, anonymous = watch.own_memory()
+            kernel.prctl(kernel.PR_SET_CHILD_SUBREAPER, 1)
+        self.base_bytes = space
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        self.tell({"op": "ready", "failed": failed, "base_bytes": anonymous})
+        poller = select.poll()
+        poller.register(self.control, select.POLLIN)
+        poller.register(self.wake, select.POLLIN)
+        while True:
+            for descriptor, _ in poller.poll():
+                if descriptor == self.wake:
+                    with contextlib.suppress(BlockingIOError):
+                        os.read(self.wake, 4096)
+                    self.reap()
+                elif not self.serve():
+                    self.quit()
+                    return
+
+    def tell(self, message: dict[str, Any]) -> None:
+        """Send the keeper a message; one that is gone is noticed when its socket is read."""
+        with contextlib.suppress(OSError):
+            self.control.send(json.dumps(message).encode())
+
+    def serve(self) -> bool:
+        """Do what the keeper asks next; False when it is gone or wants an end."""
+        try:
+            data, descriptors, _, _ = socket.recv_fds(self.control, 4096, 3)
+        except OSError:
+            return False
+        if not data:
+            return False
+        message = json.loads(data)
+        operation, pid = message["op"], message.get("pid")
+        if operation == "spawn":
+            self.spawn(descriptors)
+        elif operation == "kill" and pid in self.children:
+            os.kill(pid, signal.SIGKILL)
+        elif operation == "continue" and pid in self.children:
+            os.kill(pid, signal.SIGCONT)
+        elif operation == "still":
+            self.still(pid)
+        elif operation == "folder":
+            self.folder_limits = message["limits"]
+            self.mount_folder()
+            self.tell({"op": "folder"})
+        return bool(operation != "quit")
+
+    def spawn(self, descriptors: list[int]) -> None:
+        """Fork a process that waits for its code."""
+        uid = self.next_uid
+        if uid is not None and not self.namespaces:
+            self.next_uid = self.settings["uid"] + (uid - self.settings["uid"] + 1) % self.settings["uids"]
+        folder = confine.FOLDER if self.folders is None else self.folders.make(uid)
+        pid = -1
+        try:
+            if self.namespaces:
+                kernel.unshare(kernel.NEWPID)
+            pid = os.fork()
+        except OSError as error:
+            self.tell({"op": "spawned", "pid": None, "error": str(error)})
+        if pid == 0:
+            run_child(self, descriptors, uid, folder)
+        if self.namespaces:
+            kernel.setns(self.own_namespace, kernel.NEWPID)
+        for descriptor in descriptors:
+            os.close(descriptor)
+        if pid > 0:
+            self.children[pid] = folder
+            self.tell({"op": "spawned", "pid": pid})
+
+    def reap(self) -> None:
+        """Tell of the processes that have ended, each after all that it started."""
+        while True:
+            try:
+                pid, status, used = os.wait4(-1, os.WNOHANG)
+            except ChildProcessError:
+                return
+            if pid == 0:
+                return
+            folder = self.children.pop(pid, None)
+            if folder is None:
+                continue  # a stray of some call, which has no parent any more
+            at = time.monotonic()
+            if self.folders is not None:
+                # Clearing up may take long, and is not part of the call's time.
+                self.tell({"op": "ended", "pid": pid, "at": at})
+                self.kill_strays()
+                self.folders.remove(folder)
+            elif self.folder_state() != self.clean:
+                self.mount_folder()
+            cpu_s = used.ru_utime + used.ru_stime
+            facts = {"status": status, "cpu_s": cpu_s, "maxrss_kb": used.ru_maxrss, "at": at}
+            self.tell({"op": "exited", "pid": pid, **facts})
+
+    def kill_strays(self) -> None:
+        """Kill the processes that are left without a parent of ours; where there are namespaces, the kernel does."""
+        own = os.getpid()
+        children = watch.read(self.proc, f"{own}/task/{own}/children")
+        if children and set(map(int, children.split())) <= set(self.children):
+            return  # the usual case, without a look at every process of the machine
+        self.kill_all(lambda: watch.descendants(self.proc, os.getpid(), frozenset(self.children)))
+
+    def kill_all(self, living: Any) -> None:
+        """Kill processes until there are none: while some are killed, others may fork."""
+        until = time.monotonic() + _GIVE_UP_S
+        while pids := living():
+            if time.monotonic() > until:
+                os._exit(1)  # the keeper sees that and ends; the whole sandbox is made anew
+            for pid in pids:
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.kill(pid, signal.SIGKILL)
+            with contextlib.suppress(ChildProcessError):
+                for pid in pids:
+                    if pid not in self.children:
+                        os.waitpid(pid, os.WNOHANG)
+
+    def still(self, pid: int) -> None:
+        """Stop a session between its calls, and kill what it started."""
+        if pid in self.children:
+            os.kill(pid, signal.SIGSTOP)
+            self.kill_all(lambda: watch.descendants(self.proc, pid))
+            if self.folders is not None:
+                self.kill_strays()
+        self.tell({"op": "still", "pid": pid})
+
+    def folder_state(self) -> object:
+        """Return what changes when anything is made, removed or permitted at the top of the folder."""
+        found = os.stat(confine.FOLDER)
+        return found.st_mtime_ns, found.st_ctime_ns, found.st_nlink
+
+    def mount_folder(self, *, first: bool = False) -> None:
+        """Mount a new folder in the place of the old one."""
+        if self.folders is not None:
+            return
+        if not first:
+            kernel.unmount(confine.FOLDER)
+        uid = self.settings["uid"]
+        owner = f",uid={uid},gid={uid}" if uid is not None else f",uid={os.getuid()},gid={os.getgid()}"
+        confine.mount_folder(self.folder_limits, owner)
+        self.clean = self.folder_state()
+
+    def quit(self) -> None:
+        """End every process and remove every folder."""
+        for pid in list(self.children):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        until = time.monotonic() + _GIVE_UP_S
+        while self.children and time.monotonic() < until:
+            with contextlib.suppress(ChildProcessError):
+                self.children.pop(os.waitpid(-1, 0)[0], None)
+        if self.folders is not None:
+            self.kill_strays()
+            self.folders.remove_all()
+
+
+def _folders(base: str) -> Folders:
+    os.mkdir(base, 0o711)
+    return Folders(base)
+
+
+def preload(names: list[str]) -> list[str]:
+    """Import libraries; return those that could not be."""
+    failed = []
+    for name in names:
+        try:
+            importlib.import_module(name)
+        except BaseException:  # noqa: BLE001 - a library may fail in any way; code that needs it will see how
+            failed.append(name)
+    return failed
+
+
+def run_child(zygote: Zygote, descriptors: list[int], uid: int | None, folder: str) -> None:
+    """Be the forked process: wait for code, run it, end. Never returns."""
+    code = 1
+    try:
+        signal.set_wakeup_fd(-1)
+        for source, target in zip(descriptors, (1, 2, _JOB), strict=True):
+            if source != target:
+                os.dup2(source, target, inheritable=target != _JOB)
+        job = socket.socket(fileno=_JOB)
+        confine.enter(zygote.settings, zygote.proc, uid)
+        os.closerange(_JOB + 1, 1024)
+        code = Child(zygote.settings, job, folder, zygote.base_bytes).main()
+    except BaseException:  # noqa: BLE001 - whatever it was, this process must not go on as its parent
+        with contextlib.suppress(BaseException):
+            traceback.print_exc()
+    os._exit(code)
+
+
+class Child:
+    """Waits for code, then runs it; in a session again and again."""
+
+    def __init__(self, settings: dict[str, Any], job: socket.socket, folder: str, base_bytes: int) -> None:
+        self.settings, self.job, self.folder, self.base_bytes = settings, job, folder, base_bytes
+        self.reader = wire.Reader()
+
+    def receive(self) -> tuple[dict[str, Any], bytes] | None:
+        """Return the next message; None when the keeper is gone."""
+        while data := self.job.recv(1 << 16):
+            messages = self.reader.feed(data)
+            if messages:
+                return messages[0]
+        return None
+
+    def main(self) -> int:
+        """Return the exit code."""
+        message = self.receive()
+        if message is None:
+            return 0
+        limits = message[0]["limits"]
+        job = json.loads(message[1])
+        try:
+            self.set_up(limits, job)
+        except BaseException as error:  # noqa: BLE001 - told as a failure of ours, not of the code
+            self.job.sendall(wire.pack({"op": "failed", "error": f"{type(error).__name__}: {error}"}))
+            return 1
+        program = runner.Program()
+        self.job.sendall(wire.pack({"op": "started", "at": time.monotonic()}))
+        while True:
+            outcome = program.run(job["code"], wants_value=job["value"], most=job["most"])
+            if not limits["session"]:
+                program.end()
+                self.report(outcome)
+                return int(outcome["code"])
+            runner.flush()
+            self.report(outcome)
+            # Here the session is stopped until its next call.
+            message = self.receive()
+            if message is None:
+                return 0
+            reap_zombies()
+            job = json.loads(message[1])
+            self.next_input(job)
+            self.job.sendall(wire.pack({"op": "started", "at": time.monotonic()}))
+
+    def set_up(self, limits: dict[str, Any], job: dict[str, Any]) -> None:
+        """Get ready for code that nobody trusts."""
+        if limits["session"] and self.settings["namespaces"]:
+            confine.private_folder(limits)
+        os.chdir(self.folder)
+        os.environ["HOME"] = os.environ["TMPDIR"] = self.folder
+        sys.path.insert(0, self.folder)
+        runner.as_new()
+        runner.prepare(job["stdin"], job["files"])
+        confine.limit(limits, self.settings, self.base_bytes)
+        confine.give_up_rights(self.settings)
+
+    def next_input(self, job: dict[str, Any]) -> None:
+        """Put a later call's standard input and files in place; code that broke these streams has broken them."""
+        with contextlib.suppress(Exception):
+            runner.prepare_again(job["stdin"], job["files"])
+
+    def report(self, outcome: dict[str, Any]) -> None:
+        """Send what became of the code; a socket that the code has closed tells nothing."""
+        with contextlib.suppress(BaseException):
+            self.job.setblocking(True)
+            self.job.sendall(wire.pack({"op": "result"}, runner.as_json(outcome)))
+
+
+def reap_zombies() -> None:
+    """Forget children that were killed between two calls."""
+    with contextlib.suppress(ChildProcessError):
+        while os.waitpid(-1, os.WNOHANG)[0]:
+            pass

@@ -1,0 +1,325 @@
+"""The levels of isolation: how each is started, whether it can be, and what to do where it cannot."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+import sys
+import sysconfig
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gem_tools.python import inside
+
+LEVELS = ("bubblewrap", "docker", "process")
+"""From the strongest to the weakest."""
+
+DOCKER_IMAGE = f"python:{sys.version_info[0]}.{sys.version_info[1]}-slim"
+
+# In the order in which they need one another.
+_MODULES = ("wire", "kernel", "syscalls", "confine", "runner", "watch", "folders", "zygote", "call", "keeper")
+_PACKAGE = inside.__name__
+_BOOT = """
+import json, os, sys, types
+def take(count):
+    data = b""
+    while len(data) < count:
+        piece = os.read(0, count - len(data))
+        if not piece: os._exit(0)
+        data += piece
+    return data
+job = json.loads(take(int.from_bytes(take(4), "big")))
+for name, source in job["sources"]:
+    module = types.ModuleType(name)
+    sys.modules[name] = module
+    parent, _, last = name.rpartition(".")
+    if parent: setattr(sys.modules[parent], last, module)
+    if source is None: module.__path__ = []
+    else: exec(compile(source, name, "exec"), module.__dict__)
+sys.modules[name].main(job["settings"])
+"""
+_OPTIONS = ("-s", "-P", "-B")
+_ENVIRONMENT = {
+    "PATH": "/usr/local/bin:/usr/bin:/bin",
+    "LANG": "C.UTF-8",
+    "PYTHONHASHSEED": "0",
+    # A library that starts threads at its import could not be forked.
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    # Each arena of the allocator takes address space, which is limited.
+    "MALLOC_ARENA_MAX": "2",
+    "OPENBLAS_MAIN_FREE": "1",
+}
+_SYSTEM = ("/bin", "/sbin", "/lib", "/lib32", "/lib64", "/libx32", "/nix/store", "/gnu/store")
+_ETC = ("/etc/ld.so.cache", "/etc/alternatives", "/etc/localtime", "/etc/timezone")
+_DEVICES = ("null", "zero", "full", "random", "urandom")
+
+
+@dataclass(frozen=True)
+class Launch:
+    """How a sandbox is started.
+
+    Args:
+        level: Its name.
+        command: Program and arguments.
+        settings: What is told to the keeper inside.
+        popen: Further keywords for ``subprocess.Popen``.
+        base: Folder on disk that the sandbox owns; None where it has none.
+        note: What is special about this way of the level, in a few words.
+    """
+
+    level: str
+    command: Sequence[str]
+    settings: Mapping[str, Any]
+    popen: Mapping[str, Any] = field(default_factory=dict)
+    base: str | None = None
+    note: str = ""
+
+
+class Unavailable(Exception):
+    """A level cannot be used here; the message says why and what to do."""
+
+
+def bootstrap(settings: Mapping[str, Any]) -> bytes:
+    """Return what a sandbox reads first: the modules that run in it, as text, and its settings."""
+    import json
+
+    folder = Path(inside.__file__).parent
+    parents = [_PACKAGE.rsplit(".", count)[0] for count in (2, 1)] + [_PACKAGE]
+    sources: list[tuple[str, str | None]] = [(name, None) for name in parents]
+    sources += [(f"{_PACKAGE}.{name}", (folder / f"{name}.py").read_text("utf-8")) for name in _MODULES]
+    data = json.dumps({"sources": sources, "settings": dict(settings)}).encode("ascii")
+    return len(data).to_bytes(4, "big") + data
+
+
+def launches(level: str, options: Mapping[str, Any]) -> list[Callable[[], Launch]]:
+    """Return the ways to start a level, the best first.
+
+    Args:
+        level: Its name.
+        options: ``preload``, ``image``, and the default size of the folder.
+    """
+    ways = {"bubblewrap": _bubblewrap_ways, "docker": _docker_ways, "process": _process_ways}[level]()
+    return [_bound(way, options) for way in ways]
+
+
+def _bound(way: Callable[[Mapping[str, Any]], Launch], options: Mapping[str, Any]) -> Callable[[], Launch]:
+    return lambda: way(options)
+
+
+# Bubblewrap.
+
+
+def _bubblewrap_ways() -> list[Callable[[Mapping[str, Any]], Launch]]:
+    return [_bubblewrap_as_root, _bubblewrap_as_user] if os.geteuid() == 0 else [_bubblewrap_as_user]
+
+
+def _bubblewrap_as_root(options: Mapping[str, Any]) -> Launch:
+    """Root sets the sandbox up, so that it may lie anywhere; code runs as a user that owns nothing."""
+    uid = _spare_uid(1)
+    if uid is None:
+        raise Unavailable("no other user id can be taken here")
+    powers = ("SYS_ADMIN", "SETUID", "SETGID", "KILL", "CHOWN", "DAC_OVERRIDE", "FOWNER", "SYS_RESOURCE")
+    capabilities = [word for power in powers for word in ("--cap-add", f"CAP_{power}")]
+    settings = _settings(options, namespaces=True, uid=uid, counts="own")
+    return Launch("bubblewrap", [*_bubblewrap(), *capabilities, "--", *_venv_python()], settings)
+
+
+def _bubblewrap_as_user(options: Mapping[str, Any]) -> Launch:
+    """An ordinary user, in a user namespace."""
+    popen: dict[str, Any] = {}
+    if os.geteuid() == 0:
+        uid = _spare_uid(1)
+        if uid is None:
+            raise Unavailable("no other user id can be taken here")
+        popen = {"user": uid, "group": uid, "extra_groups": []}
+    user = ["--unshare-user", "--uid", "1000", "--gid", "1000", "--cap-add", "CAP_SYS_ADMIN"]
+    settings = _settings(options, namespaces=True, uid=None, counts="own")
+    return Launch("bubblewrap", [*_bubblewrap(), *user, "--", *_venv_python()], settings, popen)
+
+
+def _bubblewrap() -> list[str]:
+    program = shutil.which("bwrap")
+    if program is None:
+        raise Unavailable("bubblewrap is not on the PATH: install the package 'bubblewrap' of your system")
+    words = [program, "--unshare-pid", "--unshare-net", "--unshare-ipc", "--unshare-uts", "--unshare-cgroup-try"]
+    words += ["--die-with-parent", "--hostname", "sandbox", "--clearenv"]
+    for name, value in _environment().items():
+        words += ["--setenv", name, value]
+    mounts = _mounts()
+    for path in _above([target for _, target in mounts] + ["/dev/null", "/var/tmp"]):
+        # By itself it would make some of these for their owner alone, who may be another than runs the code.
+        words += ["--perms", "0755", "--dir", path]
+    for source, target in mounts:
+        words += ["--ro-bind", source, target]
+    for path in filter(os.path.lexists, _SYSTEM):
+        words += ["--symlink", os.readlink(path), path] if os.path.islink(path) else ["--ro-bind", path, path]
+    for path in _ETC:
+        words += ["--ro-bind-try", path, path]
+    for name in _DEVICES:
+        words += ["--dev-bind", f"/dev/{name}", f"/dev/{name}"]
+    if _in_venv():
+        words += ["--perms", "0755", "--dir", "/venv/bin"]
+        words += ["--symlink", os.path.realpath(_base_python()), "/venv/bin/python"]
+    words += ["--symlink", "/tmp", "/dev/shm", "--symlink", "/tmp", "/var/tmp"]
+    return [*words, "--proc", "/proc", "--dir", "/tmp", "--remount-ro", "/", "--chdir", "/"]
+
+
+def _mounts() -> list[tuple[str, str]]:
+    """Return what of the file system is shown, and where: the system's programs, and this interpreter's libraries."""
+    found = [("/usr", "/usr")]
+    places = [("lib", "lib"), ("lib64", "lib64"), ("pyvenv.cfg", "pyvenv.cfg")]
+    if _in_venv():
+        # In a place of its own: no path of this machine shows, and a venv below /tmp is not hidden by the folder.
+        found += [(os.path.join(sys.prefix, name), f"/venv/{target}") for name, target in places]
+    bases = dict.fromkeys([sys.base_prefix, sys.base_exec_prefix])
+    found += [
+        (os.path.join(base, name), os.path.join(base, name)) for base in bases for name in ("bin", "lib", "lib64")
+    ]
+    folders = [sysconfig.get_path(name, vars=_base_variables()) for name in ("stdlib", "platstdlib")]
+    found += [(folder, folder) for folder in folders]
+    found.append((os.path.dirname(os.path.realpath(_base_python())),) * 2)
+    kept: list[tuple[str, str]] = []
+    for source, target in found:
+        below = any(target == above or target.startswith(f"{above}/") for _, above in kept)
+        if not below and os.path.exists(source) and not os.path.islink(source):
+            if target.startswith("/tmp/"):
+                raise Unavailable(f"the interpreter lies in {target}; use one outside /tmp")
+            kept.append((source, target))
+    return kept
+
+
+def _above(paths: Sequence[str]) -> list[str]:
+    """Return the folders that some paths lie in, the outer ones first."""
+    return sorted({str(parent) for path in paths for parent in Path(path).parents} - {"/"})
+
+
+def _in_venv() -> bool:
+    return sys.prefix != sys.base_prefix
+
+
+def _base_python() -> str:
+    return getattr(sys, "_base_executable", None) or sys.executable
+
+
+def _base_variables() -> dict[str, str]:
+    return {"base": sys.base_prefix, "platbase": sys.base_exec_prefix, "installed_base": sys.base_prefix}
+
+
+def _venv_python() -> list[str]:
+    return ["/venv/bin/python" if _in_venv() else os.path.realpath(sys.executable), *_OPTIONS, "-c", _BOOT]
+
+
+# Docker.
+
+
+def _docker_ways() -> list[Callable[[Mapping[str, Any]], Launch]]:
+    return [_docker]
+
+
+def _docker(options: Mapping[str, Any]) -> Launch:
+    program = shutil.which("docker")
+    if program is None:
+        raise Unavailable("the command 'docker' is not on the PATH: install Docker's client and start an engine")
+    uid = 1_000_000_000 + secrets.randbelow(1_000_000_000)
+    folder = options["folder_mb"]
+    words = [program, "run", "--rm", "--interactive", "--pull", "never"]
+    words += ["--name", f"gem-python-{secrets.token_hex(8)}", "--label", "gem-tools=python"]
+    words += ["--network", "none", "--ipc", "private", "--read-only", "--cap-drop", "ALL"]
+    words += ["--security-opt", "no-new-privileges", "--pids-limit", "512", "--ulimit", "core=0"]
+    words += ["--tmpfs", f"/tmp:rw,nosuid,nodev,mode=1777,size={4 * folder}m"]
+    words += ["--memory", f"{options['docker_memory_mb']}m", "--memory-swap", f"{options['docker_memory_mb']}m"]
+    words += ["--user", f"{uid}:{uid}", "--workdir", "/"]
+    for name, value in _environment().items():
+        words += ["--env", f"{name}={value}"]
+    settings = _settings(options, namespaces=False, uid=None, counts="shared", base=f"/tmp/gem-{secrets.token_hex(8)}")
+    words += [options["image"], "python", *_OPTIONS, "-c", _BOOT]
+    return Launch("docker", words, settings, note=f"image {options['image']}")
+
+
+# A process with limits.
+
+
+def _process_ways() -> list[Callable[[Mapping[str, Any]], Launch]]:
+    return [_process]
+
+
+def _process(options: Mapping[str, Any]) -> Launch:
+    if not sys.platform.startswith("linux"):
+        raise Unavailable(f"the sandboxes need Linux, and this is {sys.platform}")
+    uids = 1000
+    uid = _spare_uid(uids) if os.geteuid() == 0 else None
+    hidden, shown = _to_hide() if uid is not None else ("", [])
+    base = os.path.join(tempfile.gettempdir(), f"gem-python-{os.getpid()}-{secrets.token_hex(8)}")
+    counts = "own" if uid is not None else "shared"
+    settings = _settings(
+        options, namespaces=False, uid=uid, counts=counts, base=base, uids=uids, hidden=hidden, shown=shown
+    )
+    popen = {"env": _environment(), "cwd": "/"}
+    note = "each call as a user of its own" if uid is not None else "as your own user"
+    return Launch("process", [sys.executable, *_OPTIONS, "-c", _BOOT], settings, popen, base, note)
+
+
+def _to_hide() -> tuple[str, list[str]]:
+    """Return a folder that users without rights may not enter, and the folders of this interpreter in it."""
+    places = {sys.prefix, sys.base_prefix, *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib"))}
+    found: dict[str, list[str]] = {}
+    for place in sorted(filter(os.path.isdir, map(os.path.realpath, places))):
+        closed = [str(path) for path in (*reversed(Path(place).parents), Path(place)) if not _others_enter(path)]
+        if closed:
+            found.setdefault(closed[0], []).append(place)
+    for folder, shown in found.items():
+        if len(found) > 1 or folder in shown:
+            raise Unavailable(
+                f"code would run as a user who may not enter {folder}, where this interpreter is: "
+                f"'chmod o+x {folder}', or use an interpreter elsewhere"
+            )
+        return folder, [place for place in shown if not any(place.startswith(f"{other}/") for other in shown)]
+    return "", []
+
+
+def _others_enter(path: Path) -> bool:
+    return bool(path.stat().st_mode & 0o001)
+
+
+# All levels.
+
+
+def _environment() -> dict[str, str]:
+    return dict(_ENVIRONMENT)
+
+
+def _settings(
+    options: Mapping[str, Any], *, namespaces: bool, uid: int | None, counts: str, **further: Any
+) -> dict[str, Any]:
+    return {
+        "namespaces": namespaces,
+        "uid": uid,
+        "uids": 1,
+        "counts": counts,
+        "same_user": not namespaces and uid is None,
+        "base": "",
+        "hidden": "",
+        "shown": [],
+        "preload": list(options["preload"]),
+        "folder_mb": options["folder_mb"],
+        "folder_files": options["folder_files"],
+        **further,
+    }
+
+
+def _spare_uid(count: int) -> int | None:
+    """Return the first of some user ids in a row that nobody has, as far as can be known; only root can take them."""
+    try:
+        ranges = [list(map(int, line.split())) for line in Path("/proc/self/uid_map").read_text("ascii").splitlines()]
+    except (OSError, ValueError):
+        return None
+    start, _, length = max(ranges, key=lambda each: each[2])
+    if start + length > 2_000_000_000:
+        return 1_000_000_000 + secrets.randbelow(900_000) * 1000
+    return start + length - count - secrets.randbelow(100) - 1 if length > 2000 + count else None

@@ -1,0 +1,153 @@
+"""What became of a call."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from dataclasses import dataclass
+from typing import Any, Literal, cast
+
+Status = Literal["ok", "error", "exit", "timeout", "cpu", "memory", "output", "killed"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What became of a call.
+
+    Whether, how and when its process ended, at what cost, and what it wrote is told by the sandbox; ``value``,
+    ``error`` and ``traceback`` by the process that ran the code, which may have forged its own.
+
+    Args:
+        status: ``"ok"``; ``"error"`` for an exception that nobody caught; ``"exit"`` for an exit code other than 0;
+            ``"timeout"``, ``"cpu"``, ``"memory"``, ``"output"`` for the limit that was reached; ``"killed"`` by a
+            signal.
+        exit_code: 0 to 255; None where a signal or a limit ended the process.
+        signal: That killed it, by name, as in ``"SIGSEGV"``; None otherwise.
+        stdout: Standard output as text; what is not UTF-8 becomes U+FFFD.
+        stderr: Standard error, without the traceback of an exception.
+        value: Representation of the last expression's value; None where there is none.
+        error: Last line of the traceback, or why the call was ended.
+        traceback: The whole, with the lines of the code.
+        wall_s: Seconds from its first instruction to its end.
+        cpu_s: Seconds of processor time.
+        peak_mb: Most memory that was seen, in megabytes beyond the interpreter's own.
+        dropped_bytes: Bytes of both streams that were not kept.
+        dropped: The same for standard output and standard error apart.
+        sandbox: The level that it ran in.
+        session_lost: Whether a session ended with this call, and its variables with it.
+    """
+
+    status: Status
+    exit_code: int | None = None
+    signal: str | None = None
+    stdout: str = ""
+    stderr: str = ""
+    value: str | None = None
+    error: str | None = None
+    traceback: str | None = None
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+    peak_mb: float = 0.0
+    dropped_bytes: int = 0
+    dropped: tuple[int, int] = (0, 0)
+    sandbox: str = ""
+    session_lost: bool = False
+
+    @property
+    def ok(self) -> bool:
+        """Whether the code ran to its end, with exit code 0."""
+        return self.status == "ok"
+
+
+def outcome_from(header: dict[str, Any], body: bytes, limits: dict[str, Any], sandbox: str) -> Outcome:
+    """Read what a sandbox answered."""
+    lengths = header["lengths"]
+    parts, start = [], 0
+    for length in lengths:
+        parts.append(body[start : start + max(length, 0)])
+        start += max(length, 0)
+    dropped = tuple(
+        total - len(parts[2 * place]) - len(parts[2 * place + 1]) for place, total in enumerate(header["totals"])
+    )
+    report = _report(parts[4]) if lengths[4] >= 0 else {}
+    status, code, killer, error = _status(header, report, limits)
+    told = report if status in ("ok", "error", "exit", "memory") else {}
+    return Outcome(
+        status=status,
+        exit_code=code,
+        signal=killer,
+        stdout=_joined(parts[0], parts[1], dropped[0]),
+        stderr=_joined(parts[2], parts[3], dropped[1]),
+        value=_text(told.get("value")),
+        error=_text(told.get("error")) or error,
+        traceback=_text(told.get("traceback")),
+        wall_s=header["wall_s"],
+        cpu_s=header["cpu_s"],
+        peak_mb=max(0.0, header["peak_bytes"] / (1 << 20)),
+        dropped_bytes=sum(dropped),
+        dropped=(dropped[0], dropped[1]),
+        sandbox=sandbox,
+        session_lost=header["lost"],
+    )
+
+
+def _status(
+    header: dict[str, Any], report: dict[str, Any], limits: dict[str, Any]
+) -> tuple[Status, int | None, str | None, str | None]:
+    """Return status, exit code, signal, and a line that says why where the code's process does not."""
+    ended, raw = header["ended"], header["status"]
+    if ended in _WHY:
+        return cast("Status", ended), None, None, _WHY[ended].format(**limits)
+    code = os.waitstatus_to_exitcode(raw) if raw is not None else int(report.get("code", 0))
+    if ended is not None or code < 0:
+        if code == -signal.SIGXCPU or header["cpu_s"] >= limits["cpu_s"]:
+            return "cpu", None, None, _WHY["cpu"].format(**limits)
+        if ended == "lost":
+            return "killed", None, None, "The process closed its connection and was ended."
+        name = _signal_name(-code)
+        return "killed", None, name, f"The process was killed by {name}."
+    kind = report.get("kind")
+    if code == 0:
+        return "ok", 0, None, None
+    if kind == "error" and code == 1:
+        memory = report.get("error_type") == "MemoryError"
+        return ("memory" if memory else "error"), 1, None, _WHY["memory"].format(**limits) if memory else None
+    return "exit", code, None, f"The process ended with exit code {code}."
+
+
+_WHY = {
+    "timeout": "The time limit of {wall_s:g} s was reached.",
+    "cpu": "The limit of {cpu_s:g} s of processor time was reached.",
+    "memory": "The limit of {memory_mb} MB of memory was reached.",
+    "output": "The limit of {output_stop_bytes} bytes of output was reached.",
+}
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def _report(data: bytes) -> dict[str, Any]:
+    """Return what the process of the code said, which may be anything."""
+    try:
+        report = json.loads(data)
+    except (ValueError, RecursionError):
+        return {}
+    if not isinstance(report, dict) or type(report.get("code", 0)) is not int:
+        return {}
+    return report
+
+
+def _text(value: object) -> str | None:
+    return value if isinstance(value, str) else None
+
+
+def _joined(head: bytes, tail: bytes, dropped: int) -> str:
+    if not dropped:
+        return (head + tail).decode("utf-8", "replace")
+    gap = f"\n[… {dropped} bytes left out …]\n"
+    return f"{head.decode('utf-8', 'replace')}{gap}{tail.decode('utf-8', 'replace')}"

@@ -1,0 +1,442 @@
+"""A pool of warm sandboxes that run Python: calls wait their turn in it, sessions keep their variables."""
+
+from __future__ import annotations
+
+import asyncio
+import atexit
+import base64
+import collections
+import contextlib
+import itertools
+import json
+import os
+import threading
+import weakref
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from gem_core.background import on_library_loop, run_sync
+from gem_core.errors import ArgumentError
+from gem_tools.python import starting
+from gem_tools.python.cell import Cell, wait_for_end
+from gem_tools.python.errors import SandboxError
+from gem_tools.python.limits import Limits
+from gem_tools.python.outcome import Outcome, outcome_from
+from gem_tools.python.turns import Ticket, Turns
+
+if TYPE_CHECKING:
+    import subprocess
+
+USUAL: tuple[str, ...] = (
+    "bisect",
+    "collections",
+    "copy",
+    "dataclasses",
+    "datetime",
+    "decimal",
+    "fractions",
+    "functools",
+    "heapq",
+)
+USUAL += ("itertools", "json", "math", "operator", "random", "re", "statistics", "string", "sys", "time", "typing")
+"""Modules that every sandbox has imported; they cost nothing to fork."""
+
+_NO_LIMITS = Limits()
+_MOST_STARTS = 3
+_END_S = 12.0
+
+_lock = threading.Lock()
+_pools: weakref.WeakSet[Pool] = weakref.WeakSet()
+_shared: dict[tuple[Any, ...], Pool] = {}
+
+
+class Pool:
+    """Sandboxes that run Python, each one call at a time; further calls wait in the order of their coming.
+
+    Calls come from plain code, from any thread, and from coroutines on any event loop. A process that is forked from
+    this one starts sandboxes of its own.
+
+    Args:
+        sandbox: ``"bubblewrap"``, ``"docker"`` or ``"process"``; ``"auto"`` for the first of these that works here.
+        preload: Further modules that are imported once, before any call; one that is missing is left out.
+        num_workers: Sandboxes, hence calls that run at once; by default one for each processor, but two to eight.
+        folder_mb: Default size of a call's folder, for the level ``docker`` of all folders.
+        image: Image of the level ``docker``, with ``python`` on its PATH. It is never pulled by itself.
+
+    Raises:
+        ArgumentError: An option that cannot be right.
+    """
+
+    def __init__(
+        self,
+        sandbox: str = "auto",
+        *,
+        preload: Sequence[str] = (),
+        num_workers: int | None = None,
+        folder_mb: int = _NO_LIMITS.folder_mb,
+        image: str | None = None,
+    ) -> None:
+        starting.check_level(sandbox)
+        if num_workers is None:
+            num_workers = min(8, max(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2))
+        if type(num_workers) is not int or not 1 <= num_workers <= 256:
+            raise ArgumentError(f"num_workers must be a whole number from 1 to 256, not {num_workers!r}")
+        if isinstance(preload, str) or not all(isinstance(name, str) and name for name in preload):
+            raise ArgumentError(f"preload must be a list of names of modules, not {preload!r}")
+        self.sandbox, self.num_workers = sandbox, num_workers
+        self.options = starting.options(
+            preload=[*USUAL, *preload], folder_mb=folder_mb, folder_files=_NO_LIMITS.folder_files, image=image
+        )
+        self._numbers = itertools.count(1)
+        self._forget()
+        _pools.add(self)
+
+    def _forget(self) -> None:
+        self._cells: list[Cell] = []
+        self._starting = 0
+        self._closed = False
+        self._idle: collections.deque[Cell] = collections.deque()
+        self._queue = Turns()
+        self._launch: starting.Chosen | None = None
+        self._tasks: set[asyncio.Task[Any]] = set()
+
+    @property
+    def level(self) -> str | None:
+        """The level that calls run in; None before the first sandbox has started."""
+        return None if self._launch is None else self._launch.level
+
+    def run(
+        self,
+        code: str,
+        *,
+        stdin: str = "",
+        files: Mapping[str, bytes] | None = None,
+        limits: Limits = _NO_LIMITS,
+        value: bool = False,
+    ) -> Outcome:
+        """Run a program as ``__main__`` in a process of its own and return what became of it.
+
+        Args:
+            code: The program.
+            stdin: Its standard input.
+            files: Files in its folder, by name.
+            limits: What it may use.
+            value: Whether the value of a last expression is wanted.
+
+        Raises:
+            SandboxError: A sandbox could not be started or was lost: the result is unknown.
+            MissingRequirementError: The level that was asked for is not to be had here.
+            ArgumentError: Names of files that lead out of the folder.
+        """
+        return run_sync(self._run(code, stdin, files, limits, value, None))
+
+    async def arun(
+        self,
+        code: str,
+        *,
+        stdin: str = "",
+        files: Mapping[str, bytes] | None = None,
+        limits: Limits = _NO_LIMITS,
+        value: bool = False,
+    ) -> Outcome:
+        """Do the same in a coroutine, on any loop. Cancelling it ends the program."""
+        return await on_library_loop(self._run(code, stdin, files, limits, value, None))
+
+    def session(self, limits: Limits = _NO_LIMITS) -> Session:
+        """Return a session: calls in one process, which keeps its variables, its folder and its imports.
+
+        Args:
+            limits: What each call may use; memory, processes and the folder are those of the whole session.
+        """
+        return Session(self, limits)
+
+    def start(self) -> str:
+        """Start the first sandbox, if none has, and return the level that it has."""
+        return run_sync(self._start_first())
+
+    async def _start_first(self) -> str:
+        if self._launch is None:
+            await self._run("", "", None, _NO_LIMITS, False, None)
+        return self.level or ""
+
+    def close(self) -> None:
+        """End every sandbox and whatever runs in it; further calls are refused."""
+        processes = run_sync(self._close())
+        for process in processes:
+            wait_for_end(process, _END_S)
+
+    async def _close(self) -> list[subprocess.Popen[bytes]]:
+        self._closed = True
+        for ticket in self._queue.everyone():
+            ticket.turn.set_exception(SandboxError("the pool was closed"))
+        processes = [cell.process for cell in self._cells if cell.process is not None]
+        for cell in list(self._cells):
+            cell.close()
+        return processes
+
+    # What follows runs on the library's loop alone.
+
+    async def _run(
+        self,
+        code: str,
+        stdin: str,
+        files: Mapping[str, bytes] | None,
+        limits: Limits,
+        value: bool,
+        session: Session | None,
+    ) -> Outcome:
+        told = limits.told(session=session is not None)
+        job = {"code": str(code), "stdin": stdin, "files": _packed(files or {}), "value": value}
+        body = json.dumps({**job, "most": limits.value_chars}).encode("ascii")
+        cell = await self._turn(session)
+        identifier = next(self._numbers)
+        header: dict[str, Any] = {"op": "run", "id": identifier, "limits": told}
+        if session is not None:
+            header |= {"session": session.name, "opens": not session.opened}
+            if session.cell is not cell:
+                session.cell = cell
+                cell.sessions += 1
+        answer, content = await self._asked(cell, header, body)
+        if answer.get("gone"):
+            raise SandboxError("the session is gone")
+        if answer["failed"] is not None:
+            raise SandboxError(f"no process could be set up in the sandbox: {answer['failed']}")
+        if session is not None:
+            session.opened = not answer["lost"]
+        return outcome_from(answer, content, told, cell.launch.level)
+
+    async def _asked(self, cell: Cell, header: dict[str, Any], body: bytes) -> tuple[dict[str, Any], bytes]:
+        """Ask a sandbox and give it back; when nobody waits for the answer any more, end the call first."""
+        asking = asyncio.ensure_future(cell.ask(header, body))
+        self._tasks.add(asking)
+        asking.add_done_callback(lambda done: self._answered(cell, done))
+        try:
+            return await asyncio.shield(asking)
+        except asyncio.CancelledError:
+            cell.cancel(header["id"])
+            raise
+
+    def _answered(self, cell: Cell, done: asyncio.Task[Any]) -> None:
+        self._tasks.discard(done)
+        if not done.cancelled():
+            done.exception()  # so that it counts as seen where the caller has gone
+        self._release(cell)
+
+    async def _turn(self, session: Session | None) -> Cell:
+        """Wait for a sandbox."""
+        if self._closed:
+            raise SandboxError("the pool is closed")
+        loop = asyncio.get_running_loop()
+        if session is not None and session.cell is not None and not session.cell.alive:
+            session.forget()
+            raise SandboxError("the sandbox of this session was lost, and its variables with it")
+        ticket = Ticket(next(self._numbers), loop.create_future(), None if session is None else session.cell)
+        self._queue.add(ticket)
+        self._serve()
+        try:
+            return await ticket.turn
+        except asyncio.CancelledError:
+            if ticket.turn.done() and not ticket.turn.cancelled() and ticket.turn.exception() is None:
+                self._release(ticket.turn.result())
+            raise
+
+    def _serve(self) -> None:
+        """Give idle sandboxes to those who wait; start more while there are not enough."""
+        for _ in range(len(self._idle)):
+            cell = self._idle.popleft()
+            ticket = self._queue.next_for(cell)
+            if ticket is None:
+                self._idle.append(cell)
+            else:
+                ticket.turn.set_result(cell)
+        waiting = sum(1 for ticket in self._queue.free if not ticket.turn.done())
+        while self._starting < waiting and len(self._cells) + self._starting < self.num_workers:
+            self._starting += 1
+            task = asyncio.ensure_future(self._start_cell())
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    async def _start_cell(self) -> None:
+        try:
+            if self._launch is None:
+                self._launch = await starting.chosen(self.sandbox, self.options)
+            cell = await self._started(self._launch)
+        except BaseException as error:
+            self._starting -= 1
+            if not self._cells and not self._starting:
+                for ticket in self._queue.everyone():
+                    ticket.turn.set_exception(_copied(error))
+            if not isinstance(error, Exception):
+                raise
+            return
+        self._starting -= 1
+        if self._closed:
+            cell.close()
+            return
+        self._cells.append(cell)
+        self._release(cell)
+
+    async def _started(self, chosen: starting.Chosen) -> Cell:
+        for attempt in range(_MOST_STARTS):
+            cell = Cell(chosen.launch(), self._lost)
+            try:
+                await cell.start()
+            except SandboxError:
+                if attempt == _MOST_STARTS - 1:
+                    raise
+                await asyncio.sleep(0.1 * 2**attempt)
+            else:
+                return cell
+        raise SandboxError("the sandbox did not start")
+
+    def _release(self, cell: Cell) -> None:
+        if cell.alive and cell not in self._idle:
+            self._idle.append(cell)
+        self._serve()
+
+    def _lost(self, cell: Cell) -> None:
+        """Go on without a sandbox: its sessions are gone, and whoever waited for it learns so."""
+        with contextlib.suppress(ValueError):
+            self._cells.remove(cell)
+        with contextlib.suppress(ValueError):
+            self._idle.remove(cell)
+        for ticket in self._queue.bound.pop(cell, ()):
+            if not ticket.turn.done():
+                ticket.turn.set_exception(SandboxError("the sandbox of this session was lost"))
+        if cell.launch.base is not None and cell.process is not None:
+            starting.remove_when_ended(cell.process, cell.launch.base)
+        if not self._closed:
+            self._serve()
+
+    async def _close_session(self, session: Session) -> None:
+        cell, opened = session.cell, session.opened
+        if cell is not None and opened and cell.alive and not self._closed:
+            with contextlib.suppress(SandboxError):
+                await self._turn(session)
+                await self._asked(cell, {"op": "close", "id": next(self._numbers), "session": session.name}, b"")
+        session.forget()
+
+    def _after_fork(self) -> None:
+        for cell in self._cells:
+            cell.after_fork()
+        self._forget()
+
+
+class Session:
+    """Calls that share their variables. Made by ``Pool.session``; calls of one session run one after another.
+
+    Args:
+        pool: Where it runs.
+        limits: Of each call.
+    """
+
+    def __init__(self, pool: Pool, limits: Limits) -> None:
+        self.pool, self.limits = pool, limits
+        self.name = os.urandom(8).hex()
+        self.cell: Cell | None = None
+        self.opened = False
+        self._turns: asyncio.Lock | None = None
+
+    def forget(self) -> None:
+        """Let go of the sandbox; the next call begins anew."""
+        if self.cell is not None:
+            self.cell.sessions -= 1
+        self.cell, self.opened = None, False
+
+    def run(
+        self, code: str, *, stdin: str = "", files: Mapping[str, bytes] | None = None, value: bool = True
+    ) -> Outcome:
+        """Run the next piece of code; the value of a last expression is wanted by default.
+
+        Raises:
+            SandboxError: The sandbox was lost, and the variables with it; the next call begins anew.
+        """
+        return run_sync(self._run(code, stdin, files, value))
+
+    async def arun(
+        self, code: str, *, stdin: str = "", files: Mapping[str, bytes] | None = None, value: bool = True
+    ) -> Outcome:
+        """Do the same in a coroutine, on any loop."""
+        return await on_library_loop(self._run(code, stdin, files, value))
+
+    async def _run(self, code: str, stdin: str, files: Mapping[str, bytes] | None, value: bool) -> Outcome:
+        async with self._lock():
+            return await self.pool._run(code, stdin, files, self.limits, value, self)
+
+    def close(self) -> None:
+        """End it, its process and its folder."""
+        if self.cell is not None:
+            run_sync(self._close())
+
+    async def aclose(self) -> None:
+        """Do the same in a coroutine, on any loop."""
+        if self.cell is not None:
+            await on_library_loop(self._close())
+
+    async def _close(self) -> None:
+        async with self._lock():
+            await self.pool._close_session(self)
+
+    def _lock(self) -> asyncio.Lock:
+        if self._turns is None:
+            self._turns = asyncio.Lock()
+        return self._turns
+
+
+def shared_pool(
+    sandbox: str = "auto",
+    *,
+    preload: Sequence[str] = (),
+    num_workers: int | None = None,
+    folder_mb: int = _NO_LIMITS.folder_mb,
+    image: str | None = None,
+) -> Pool:
+    """Return this process's pool with these settings, the same for everyone who asks; see ``Pool``."""
+    key = (sandbox, tuple(preload), num_workers, folder_mb, image)
+    with _lock:
+        if key not in _shared:
+            _shared[key] = Pool(sandbox, preload=preload, num_workers=num_workers, folder_mb=folder_mb, image=image)
+        return _shared[key]
+
+
+def _packed(files: Mapping[str, bytes]) -> dict[str, str]:
+    packed = {}
+    for name, content in files.items():
+        parts = name.split("/")
+        if not name or name.startswith("/") or "\0" in name or any(part in ("", ".", "..") for part in parts):
+            raise ArgumentError(f"a file must be named by a path within the folder, not {name!r}")
+        packed[name] = base64.b64encode(content).decode("ascii")
+    return packed
+
+
+def _copied(error: BaseException) -> BaseException:
+    """Return an error for one more who waits: one exception raised in many places would grow with each."""
+    try:
+        copied = type(error)(*error.args)
+    except Exception:  # noqa: BLE001 - a constructor of its own
+        return error
+    copied.__cause__ = error.__cause__
+    return copied
+
+
+def close_all() -> None:
+    """End all sandboxes of this process; also happens when it ends."""
+    with _lock:
+        pools = list(_pools)
+        _shared.clear()
+    for pool in pools:
+        if pool._cells or pool._starting:
+            with contextlib.suppress(Exception):
+                pool.close()
+
+
+def _after_fork() -> None:
+    global _lock
+    _lock = threading.Lock()
+    for pool in list(_pools):
+        pool._after_fork()
+
+
+atexit.register(close_all)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)

@@ -1,0 +1,134 @@
+"""What the tests of the Python tool share: pools of each level, and what a sandbox has left behind."""
+
+from __future__ import annotations
+
+import functools
+import os
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from gem_core.errors import MissingRequirementError
+from gem_tools.python import Limits, Outcome, Pool
+from gem_tools.python.inside import watch
+
+ALL = ("bubblewrap", "process")
+"""The levels that can be tried without a container engine."""
+
+
+@functools.cache
+def why_not(level: str) -> str | None:
+    """Return why a level cannot be had on this machine; None where it can."""
+    pool = Pool(level, num_workers=1)
+    try:
+        pool.start()
+    except MissingRequirementError as error:
+        return str(error)
+    finally:
+        pool.close()
+    return None
+
+
+def pool_of(level: str, workers: int = 1) -> Pool:
+    """Return a pool of a level, or skip the test where it cannot be had."""
+    reason = why_not(level)
+    if reason is not None:
+        pytest.skip(reason)
+    pool = Pool(level, num_workers=workers)
+    pool.start()
+    return pool
+
+
+def processes(pool: Pool) -> list[int]:
+    """Return all processes of a pool's sandboxes, as this machine sees them."""
+    proc = os.open("/proc", os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        found = []
+        for cell in pool._cells:
+            if cell.process is not None:
+                found += [cell.process.pid, *watch.descendants(proc, cell.process.pid)]
+        return found
+    finally:
+        os.close(proc)
+
+
+def folders(pool: Pool) -> list[str]:
+    """Return the folders on disk of a pool's calls, where it has any."""
+    return [
+        name for cell in pool._cells for base in [cell.launch.settings["base"]] if base for name in os.listdir(base)
+    ]
+
+
+def memory_mb(pids: list[int]) -> float:
+    """Return the anonymous memory of some processes."""
+    total = 0
+    for pid in pids:
+        try:
+            lines = Path(f"/proc/{pid}/status").read_text("utf-8").splitlines()
+        except OSError:
+            continue
+        total += sum(int(line.split()[1]) for line in lines if line.startswith(("RssAnon", "RssShmem")))
+    return total / 1024
+
+
+def until(condition: Callable[[], bool], limit_s: float = 30.0) -> bool:
+    """Look until something holds; False when it never does."""
+    end = time.monotonic() + limit_s
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.01)
+    return True
+
+
+class Watched:
+    """A pool, with what belongs to it before anything was tried.
+
+    Args:
+        pool: With one worker.
+    """
+
+    def __init__(self, pool: Pool) -> None:
+        self.pool = pool
+        pool.run("")
+        until(lambda: len(processes(pool)) == self.usual())
+        self.count = len(processes(pool))
+
+    def usual(self) -> int:
+        """Return how many processes a sandbox has that waits for a call: its own, and one that was forked ahead."""
+        return 3 + (2 if self.pool.level == "bubblewrap" else 0)
+
+    def check(self) -> None:
+        """See that the pool still serves, and that nothing is left of earlier calls."""
+        pool = self.pool
+        outcome = pool.run("import os\nprint(sorted(os.listdir()), os.environ.get('LEFT'))\n6 * 7", value=True)
+        assert (outcome.status, outcome.stdout, outcome.value) == ("ok", "[] None\n", "42")
+        assert until(lambda: len(processes(pool)) == self.count), [
+            Path(f"/proc/{pid}/status").read_text("utf-8").splitlines()[:3] for pid in processes(pool)
+        ]
+        assert until(lambda: len(folders(pool)) <= 1), folders(pool)
+        assert memory_mb(processes(pool)) < 150
+
+
+SMALL = Limits(wall_s=2, memory_mb=128, processes=16, folder_mb=16, file_mb=8, output_bytes=2000)
+
+
+def attack(watched: Watched, code: str, limits: Limits = SMALL, **options: str) -> Outcome:
+    """Try an attack, and see that it is over afterwards: the pool still serves, and nothing is left."""
+    outcome = watched.pool.run(code, limits=limits, **options)
+    watched.check()
+    return outcome
+
+
+def each_level(*levels: str) -> Callable[..., Iterator[Watched]]:
+    """Return a fixture with a watched pool of each level."""
+
+    @pytest.fixture(scope="module", params=levels or ALL)
+    def watched(request: pytest.FixtureRequest) -> Iterator[Watched]:
+        pool = pool_of(request.param)
+        yield Watched(pool)
+        pool.close()
+
+    return watched

@@ -1,0 +1,206 @@
+"""Attacks on files: writing, deleting and reading what is not the call's own.
+
+Each is really tried; afterwards the pool still serves, and no process, file or memory is left.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+from pathlib import Path
+
+import pytest
+from python_levels import SMALL, Watched, attack, each_level
+
+from gem_tools.python import Limits
+
+watched = each_level()
+
+
+def test_filling_the_folder(watched: Watched) -> None:
+    """In a folder in memory the sum has an exact limit, and so has the number of files."""
+    if watched.pool.level != "bubblewrap":
+        pytest.skip("the level 'process' has no limit for all files together")
+    code = """
+import errno, os
+written = 0
+try:
+    for number in range(100):
+        with open(f"f{number}", "wb", buffering=0) as stream:
+            for _ in range(4):
+                written += stream.write(bytes(1 << 20))
+except OSError as error:
+    print(errno.errorcode[error.errno], written >> 20)
+for name in os.listdir(): os.unlink(name)
+try:
+    for number in range(10000): os.mkdir(f"d{number}")
+except OSError as error:
+    print(errno.errorcode[error.errno], number < 4096)
+try:
+    with open("/dev/shm/x", "wb") as stream: stream.write(bytes(32 << 20))
+except OSError as error:
+    print(errno.errorcode[error.errno])
+"""
+    assert attack(watched, code).stdout == "ENOSPC 16\nENOSPC True\nENOSPC\n"
+
+
+def test_writing_and_deleting_outside_the_folder(watched: Watched, tmp_path: Path) -> None:
+    """Neither the system's files nor those of whoever runs this change."""
+    precious = tmp_path / "precious"
+    precious.write_text("kept", "utf-8")
+    code = f"""
+import os, shutil, sys
+places = ["/usr", "/etc", "/bin", "/venv", sys.prefix, sys.base_prefix, os.path.dirname(os.__file__), "/", "/dev",
+          {str(tmp_path)!r}, {os.getcwd()!r}, "/root", "/home", "/var", "/proc", "/sys"]
+done = []
+for place in places:
+    try:
+        with open(os.path.join(place, "gem-was-here"), "w") as stream: stream.write("x")
+        done.append(place)
+    except OSError: pass
+    try:
+        os.chmod(place, 0o777)
+        done.append(place)
+    except OSError: pass
+for place in [os.__file__, sys.executable, {str(precious)!r}, "/etc/passwd", "/usr/bin/env"]:
+    for act in (os.unlink, lambda p: os.rename(p, p + "x"), lambda p: os.truncate(p, 0), lambda p: open(p, "r+b")):
+        try:
+            act(place)
+            done.append((place, act))
+        except OSError: pass
+shutil.rmtree({str(tmp_path)!r}, ignore_errors=True)
+shutil.rmtree("/", ignore_errors=True) if False else None
+print(done)
+"""
+    tmp_path.chmod(0o777)
+    if watched.pool.level == "process":
+        tmp_path.chmod(0o755)
+    assert attack(watched, code).stdout == "[]\n"
+    assert precious.read_text("utf-8") == "kept"
+
+
+def test_deleting_everything(watched: Watched) -> None:
+    """It deletes what is its own; the next call has the whole library."""
+    code = "import os, shutil\nfor name in os.listdir('/usr'): shutil.rmtree('/usr/' + name, ignore_errors=True)"
+    attack(watched, f"{code}\nshutil.rmtree(os.getcwd(), ignore_errors=True)", Limits(wall_s=2))
+    assert watched.pool.run("import decimal, sqlite3, xml.dom.minidom\nprint('there')").stdout == "there\n"
+
+
+def test_reading_files_of_the_parent(watched: Watched, tmp_path: Path) -> None:
+    """What only its owner may read stays unread, by its name, through links, and through /proc."""
+    secret = secrets.token_hex(16)
+    hidden = tmp_path / "secret"
+    hidden.write_text(secret, "utf-8")
+    hidden.chmod(0o600)
+    with hidden.open() as kept_open:
+        code = f"""
+import os
+found = []
+os.symlink({str(hidden)!r}, "link")
+paths = ["link", {str(hidden)!r}, "/etc/shadow", "/proc/1/environ", "/proc/self/root{hidden}",
+         "/proc/{os.getpid()}/fd/{kept_open.fileno()}", "/proc/{os.getpid()}/environ", "/proc/{os.getpid()}/mem",
+         "/proc/{os.getpid()}/root{hidden}", "/proc/{os.getppid()}/environ", "/proc/kcore", "/dev/mem"]
+for path in paths:
+    try:
+        with open(path, "rb") as stream: found.append((path, stream.read(4096)))
+    except (OSError, ValueError): pass
+print(found)
+"""
+        assert attack(watched, code).stdout == "[]\n"
+
+
+def test_reading_the_environment(watched: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Variables of the library's process are nowhere in the process that runs code."""
+    secret = secrets.token_hex(16)
+    monkeypatch.setenv("GEM_SECRET", secret)
+    fresh = type(watched.pool)(watched.pool.sandbox, num_workers=1)
+    try:
+        code = """
+import ctypes, os
+print(sorted(os.environ))
+try:
+    print(open("/proc/self/environ").read())
+except OSError:
+    pass
+environ = ctypes.POINTER(ctypes.c_char_p).in_dll(ctypes.CDLL(None), "environ")
+place = 0
+while environ[place]:
+    print(environ[place])
+    place += 1
+"""
+        outcome = fresh.run(code)
+        assert outcome.ok
+        assert "GEM_" not in outcome.stdout
+        assert secret not in outcome.stdout
+        assert "PYTHONHASHSEED" in outcome.stdout
+    finally:
+        fresh.close()
+
+
+def test_one_call_reads_another_ones_data(watched: Watched) -> None:
+    """Neither files of an earlier call, nor its code or output, are in the memory or the folder of the next."""
+    secret = secrets.token_hex(8)
+    half, rest = secret[:8], secret[8:]
+    first = watched.pool.run(f"open('note', 'w').write('{secret}')\nprint('{secret}')", stdin=secret)
+    assert first.stdout == f"{secret}\n"
+    # Every readable page is looked at; the marker is put together so that the search does not find itself.
+    code = f"""
+import gc, os, sys
+wanted = {half!r} + {rest!r}
+seen = [path for path, _, names in os.walk(os.getcwd()) for name in names]
+hits = 0
+for thing in gc.get_objects():
+    if isinstance(thing, dict):
+        hits += sum(1 for v in list(thing.values()) if isinstance(v, str) and v == wanted and v is not wanted)
+        hits += sum(1 for v in list(thing.values()) if isinstance(v, bytes) and wanted.encode() in v)
+print(seen, hits)
+"""
+    assert attack(watched, code).stdout == "[] 0\n"
+
+
+def test_a_session_is_out_of_reach_of_other_calls(watched: Watched) -> None:
+    """Its folder, its processes and its memory."""
+    session = watched.pool.session(SMALL)
+    try:
+        where = session.run("import os\nopen('mine', 'w').write('private')\nprint(os.getcwd())").stdout
+        folder = where.strip()
+        code = f"""
+import os, signal
+try:
+    print(os.listdir({folder!r}) if {folder!r} != os.getcwd() else sorted(os.listdir()))
+except OSError:
+    print([])
+for number in range(2, 400):
+    try: os.kill(number, 0); print(number)
+    except OSError: pass
+"""
+        outcome = watched.pool.run(code, limits=SMALL)
+        assert outcome.stdout == "[]\n"
+        assert session.run("open('mine').read()").value == "'private'"
+    finally:
+        session.close()
+    watched.check()
+
+
+def test_tricks_with_files_in_the_folder(watched: Watched) -> None:
+    """Links, pipes, sockets, deep folders and closed permissions go with the folder."""
+    code = """
+import os, socket
+os.symlink("/", "root"); os.symlink("loop", "loop"); os.mkfifo("pipe"); os.link("pipe", "pipe2")
+s = socket.socket(socket.AF_UNIX); s.bind("sock")
+top = os.open(".", os.O_RDONLY)
+for _ in range(2000):
+    os.mkdir("d"); os.chdir("d")
+os.fchdir(top)
+os.mkdir("closed"); open("closed/file", "w").close(); os.chmod("closed", 0); os.chmod(".", 0)
+"""
+    assert attack(watched, code).status == "ok"
+
+
+def test_files_are_not_handed_to_the_host(watched: Watched) -> None:
+    """Names of files that lead out of the folder are refused before anything runs."""
+    from gem_core.errors import ArgumentError
+
+    for name in ("../x", "/etc/x", "a/../../x", "", "a\0b"):
+        with pytest.raises(ArgumentError):
+            watched.pool.run("", files={name: b"x"})

@@ -1,0 +1,217 @@
+"""Attacks on what passes between the code and its keeper: forged output, broken streams, endings of every kind.
+
+Each is really tried; afterwards the pool still serves, and no process, file or memory is left.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+
+import pytest
+from python_levels import SMALL, Watched, attack, each_level
+
+from gem_tools.python import Limits
+from gem_tools.python.inside import wire
+
+watched = each_level()
+
+WRITE_EVERYWHERE = """
+import os
+def everywhere(data):
+    for descriptor in range(1, 256):
+        try: os.write(descriptor, data)
+        except OSError: pass
+"""
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        wire.pack({"op": "result"}, b'{"kind": "ok", "code": 0, "value": "forged"}'),
+        wire.pack({"op": "failed", "error": "the machine"}),
+        wire.pack({"op": "started", "at": 0}),
+        wire.pack({"op": "ready", "failed": []}),
+        wire.pack({"id": 1, "ended": None, "failed": None, "status": 0, "lengths": [0, 0, 0, 0, -1]}),
+        struct.pack(">II", 1 << 31, 1 << 31),
+        b'{"op": "exited", "pid": 1}',
+        b"\xff" * 100_000,
+    ],
+    ids=["result", "failed", "started", "ready", "answer", "huge", "zygote", "noise"],
+)
+def test_forged_messages(watched: Watched, data: bytes) -> None:
+    """Written to every descriptor there is, they change nothing but this call's own value, and fail as it fails."""
+    code = f"{WRITE_EVERYWHERE}\neverywhere({data!r})\nimport sys\nsys.exit(7)"
+    outcome = attack(watched, code, Limits(wall_s=10))
+    assert (outcome.status, outcome.exit_code, outcome.session_lost) == ("exit", 7, False)
+    assert outcome.wall_s < 10
+
+
+def test_a_forged_failure_of_the_machinery_is_not_believed(watched: Watched) -> None:
+    """Code cannot say that it was not its fault."""
+    data = wire.pack({"op": "failed", "error": "the machine"})
+    outcome = attack(watched, f"{WRITE_EVERYWHERE}\neverywhere({data!r})\n1 / 0")
+    assert outcome.status == "error"
+
+
+@pytest.mark.parametrize("body", [b"[]", b"null", b"{", b"[" * 100_000, b'{"code": "x"}', b'{"value": 3, "error": []}'])
+def test_reports_that_are_none(watched: Watched, body: bytes) -> None:
+    """What the process reports of itself may be anything."""
+    data = wire.pack({"op": "result"}, body)
+    outcome = attack(watched, f"import os\nos.write(3, {data!r})\nos._exit(0)")
+    assert (outcome.status, outcome.value) == ("ok", None)
+
+
+def test_forged_results_for_the_next_call_of_a_session(watched: Watched) -> None:
+    """A result that a thread sends ahead is not taken for that of the next call."""
+    session = watched.pool.session(SMALL)
+    try:
+        forged = wire.pack({"op": "started", "at": 0}) + wire.pack({"op": "result"}, b'{"value": "forged", "code": 0}')
+        code = f"""
+import os, threading, time
+def send():
+    while True:
+        try: os.write(3, {forged!r})
+        except OSError: pass
+        time.sleep(0.001)
+threading.Thread(target=send, daemon=True).start()
+time.sleep(0.05)
+"""
+        session.run(code)
+    finally:
+        session.close()
+    # The code can forge its own session's values, and nothing else.
+    watched.check()
+
+
+@pytest.mark.parametrize("descriptors", ["range(0, 256)", "(0, 1, 2)", "(3,)"])
+def test_closing_descriptors(watched: Watched, descriptors: str) -> None:
+    """Without its streams a process still ends, and its end is told."""
+    code = f"import os\nfor number in {descriptors}:\n    try: os.close(number)\n    except OSError: pass"
+    outcome = attack(watched, f"{code}\nos._exit(5)")
+    assert (outcome.status, outcome.exit_code) == ("exit", 5)
+    assert attack(watched, code).status in ("ok", "error")
+
+
+@pytest.mark.parametrize(
+    ("code", "status", "exit_code"),
+    [
+        ("import sys\nsys.exit(0)", "ok", 0),
+        ("import sys\nsys.exit(300)", "exit", 44),
+        ("import sys\nsys.exit(-1)", "exit", 255),
+        ("import sys\nsys.exit(object())", "exit", 1),
+        ("raise SystemExit", "ok", 0),
+        ("import os\nos._exit(9)", "exit", 9),
+        ("raise KeyboardInterrupt", "error", 1),
+        ("raise BaseException('x')", "error", 1),
+        ("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\nimport ctypes\nctypes.string_at(0)", "killed", None),
+        ("import ctypes\nctypes.string_at(0)", "killed", None),
+        ("import os\nos.abort()", "killed", None),
+        ("def f(): f()\nf()", "error", 1),
+        ("x = eval('(' * 10 ** 6)", "error", 1),
+        ("import atexit, os\natexit.register(os._exit, 4)", "exit", 4),
+        ("import atexit\natexit.register(lambda: 1 / 0)", "ok", 0),
+        ("import sys\nsys.excepthook = lambda *a: 1 / 0\nraise ValueError", "error", 1),
+        ("import sys\nsys.stdout = None\n1", "ok", 0),
+        ("import sys\nsys.stdout.close()\nsys.stderr.close()", "ok", 0),
+        ("import sys\ndel sys.modules['__main__'], sys.modules['sys']", "ok", 0),
+        ("import builtins\nbuiltins.repr = builtins.len = builtins.isinstance = None\n1", "ok", 0),
+        ("__builtins__ = {}\nx", "error", 1),
+        ("input()", "error", 1),
+        ("import os\nos.execv('/bin/sh', ['sh', '-c', 'exit 6'])", "exit", 6),
+        ("import os\nif os.fork() == 0: raise ValueError\nos.wait()", "ok", 0),
+    ],
+)
+def test_endings(watched: Watched, code: str, status: str, exit_code: int | None) -> None:
+    """However a process ends, that is what is told."""
+    outcome = attack(watched, code, Limits(wall_s=20, memory_mb=256))
+    assert (outcome.status, outcome.exit_code) == (status, exit_code), outcome
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "class X:\n    def __repr__(self):\n        while True: pass\nX()",
+        "class X(Exception):\n    def __str__(self):\n        while True: pass\nraise X",
+        "import atexit\ndef hang():\n    while True: pass\natexit.register(hang)",
+        "import threading, time\nthreading.Thread(target=time.sleep, args=(600,)).start()",
+        "import sys\nclass Out:\n    def flush(self):\n        while True: pass\nsys.stdout = Out()",
+        "import sys\nwhile True:\n    try: sys.exit()\n    except BaseException: pass",
+        "try:\n    while True: pass\nfinally:\n    while True: pass",
+        "import os, signal\nos.kill(os.getpid(), signal.SIGSTOP)\nwhile True: pass",
+    ],
+    ids=["repr", "str", "atexit", "thread", "flush", "exits", "finally", "stopped"],
+)
+def test_what_hangs_at_the_end_is_ended(watched: Watched, code: str) -> None:
+    """Representations, handlers and threads run within the limits of the call."""
+    outcome = watched.pool.run(code, limits=Limits(wall_s=0.5, cpu_s=60), value=True)
+    assert outcome.status == "timeout"
+    watched.check()
+
+
+def test_recursion_without_an_end(watched: Watched) -> None:
+    """Deeper than any stack or memory."""
+    code = "import sys\nsys.setrecursionlimit(10 ** 9)\ndef f(): f()\nf()"
+    assert attack(watched, code, Limits(wall_s=20, memory_mb=256)).status in ("killed", "memory")
+
+
+def test_huge_values_and_errors(watched: Watched) -> None:
+    """They are cut, like output."""
+    limits = Limits(value_chars=100)
+    outcome = watched.pool.run("'x' * 10 ** 7", value=True, limits=limits)
+    assert outcome.value is not None
+    assert len(outcome.value) < 200
+    assert "characters left out" in outcome.value
+    outcome = watched.pool.run("raise ValueError('y' * 10 ** 7)", limits=limits)
+    assert outcome.error is not None
+    assert len(outcome.error) < 200
+    watched.check()
+
+
+def test_values_that_break(watched: Watched) -> None:
+    """A representation that raises is the code's own failure; one that is no text as well."""
+    run = watched.pool.run
+    outcome = run("class X:\n    def __repr__(self): raise ValueError('no')\nX()", value=True)
+    assert (outcome.status, outcome.error) == ("error", "ValueError: no")
+    assert run("class X:\n    def __repr__(self): return 5\nX()", value=True).status == "error"
+    assert run("class E(Exception):\n    def __str__(self): raise E\nraise E", value=True).status == "error"
+    assert run("import builtins\nbuiltins.repr = None\n1", value=True).status == "error"
+    assert run("import builtins\nbuiltins.eval = builtins.compile = None\n1", value=True).status in ("ok", "error")
+    assert run("raise type('E\\ud8\\n', (Exception,), {})('\\ud800')", value=True).status == "error"
+    watched.check()
+
+
+def test_any_text_is_code(watched: Watched) -> None:
+    """NULs, lone surrogates, megabytes, nothing."""
+    for code in ("\0", "\ud800", "'\ud800'", "#" * 5_000_000, "", "\n", "\ufeffx = 1", "\x0c\t\r", "x" * 1_000_000):
+        assert watched.pool.run(code, value=True).status in ("ok", "error")
+    watched.check()
+
+
+def test_any_bytes_are_input_and_output(watched: Watched) -> None:
+    """What is not UTF-8 goes in and comes out as such."""
+    code = "import sys\ndata = sys.stdin.buffer.read()\nsys.stdout.buffer.write(data + b'\\xff\\x00')"
+    assert attack(watched, code, stdin="a\0\udcffé").stdout == "a\0\ufffdé\ufffd\0"
+    big = "0123456789" * 400_000
+    outcome = watched.pool.run("import sys\nprint(len(sys.stdin.read()))", stdin=big)
+    assert outcome.stdout == "4000000\n"
+
+
+def test_what_the_code_wrote_is_kept_when_it_is_ended(watched: Watched) -> None:
+    """Up to the limit that it reached."""
+    outcome = attack(watched, "print('before', flush=True)\nwhile True: pass", Limits(wall_s=0.5))
+    assert outcome.stdout == "before\n"
+
+
+def test_reports_are_plain_data() -> None:
+    """What a message cannot be is refused, before anything is taken in."""
+    reader = wire.Reader(max_body=10)
+    with pytest.raises(wire.WireError):
+        reader.feed(wire.pack({}, b"x" * 11))
+    for head in (b"[]", b"{", b"\xff", b"[" * 100_000):
+        with pytest.raises(wire.WireError):
+            wire.Reader().feed(struct.pack(">II", len(head), 0) + head)
+    whole = wire.pack({"a": 1}, b"body") + wire.pack({"b": json.dumps({})})
+    pieces = wire.Reader()
+    found = [message for place in range(len(whole)) for message in pieces.feed(whole[place : place + 1])]
+    assert found == [({"a": 1}, b"body"), ({"b": "{}"}, b"")]

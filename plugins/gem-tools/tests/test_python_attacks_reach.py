@@ -1,0 +1,180 @@
+"""Attacks on what lies around the sandbox: the network, other processes, the kernel.
+
+Each is really tried; afterwards the pool still serves, and no process, file or memory is left.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+
+import pytest
+from python_levels import SMALL, Watched, attack, each_level
+
+from gem_tools.python import Limits, Outcome
+
+watched = each_level()
+
+
+@pytest.fixture
+def listening() -> Iterator[int]:
+    """A server on this machine's loopback."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield server.getsockname()[1]
+
+
+def test_network(watched: Watched, listening: int) -> None:
+    """There is none, by name or by address; not even this machine's loopback, nor its abstract sockets."""
+    name = f"\0gem-{secrets.token_hex(4)}"
+    with socket.socket(socket.AF_UNIX) as abstract:
+        abstract.bind(name)
+        abstract.listen()
+        code = f"""
+import socket
+reached = []
+def attempt(what, act):
+    try:
+        act()
+        reached.append(what)
+    except OSError: pass
+attempt("loopback", lambda: socket.create_connection(("127.0.0.1", {listening}), 1))
+attempt("address", lambda: socket.create_connection(("1.1.1.1", 53), 1))
+attempt("address6", lambda: socket.create_connection(("2606:4700:4700::1111", 53), 1))
+attempt("name", lambda: socket.create_connection(("localhost", {listening}), 1))
+attempt("name2", lambda: socket.getaddrinfo("example.org", 80) and socket.create_connection(("example.org", 80), 1))
+attempt("udp", lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM).sendto(b"x", ("1.1.1.1", 53)))
+attempt("raw", lambda: socket.socket(socket.AF_INET, socket.SOCK_RAW, 1))
+attempt("packet", lambda: socket.socket(socket.AF_PACKET, socket.SOCK_RAW))
+attempt("abstract", lambda: socket.socket(socket.AF_UNIX).connect({name!r}))
+print(reached)
+"""
+        assert attack(watched, code, Limits(wall_s=10)).stdout == "[]\n"
+
+
+# Other processes.
+
+
+def test_killing_siblings_and_parents(watched: Watched) -> None:
+    """No signal reaches any process but its own."""
+    bystander = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+    try:
+        code = f"""
+import os, signal
+reached = []
+for pid in [os.getppid(), {os.getpid()}, {bystander.pid}, *range(2, 40)]:
+    for number in (signal.SIGKILL, signal.SIGTERM, signal.SIGSTOP, 0):
+        try:
+            if pid > 1: os.kill(pid, number); reached.append(pid)
+        except OSError: pass
+for group in ({os.getpgid(0)}, 2, 3):
+    try: os.killpg(group, signal.SIGKILL); reached.append(-group)
+    except OSError: pass
+print(reached)
+"""
+        assert attack(watched, code).stdout == "[]\n"
+        assert bystander.poll() is None
+    finally:
+        bystander.kill()
+        bystander.wait()
+
+
+@pytest.mark.parametrize("target", [0, -1])
+def test_killing_everything(watched: Watched, target: int) -> None:
+    """Its own group, and all that it may signal: at most itself."""
+    attack(watched, f"import os, signal\nos.kill({target}, signal.SIGKILL)")
+    attack(watched, f"import os, signal\nos.kill({target}, signal.SIGSTOP)", Limits(wall_s=1))
+
+
+def test_daemons_do_not_stay(watched: Watched) -> None:
+    """Forked twice, in a session of their own, with all files closed: they end with the call."""
+    code = """
+import os, time
+if os.fork() == 0:
+    os.setsid()
+    if os.fork() == 0:
+        os.closerange(0, 100)
+        while True: time.sleep(0.01)
+    os._exit(0)
+os.wait()
+print("left one")
+"""
+    assert attack(watched, code).stdout == "left one\n"
+
+
+def test_programs_that_are_started_end_too(watched: Watched) -> None:
+    """Also those that another program runs."""
+    code = "import subprocess\nsubprocess.Popen(['/bin/sh', '-c', 'sleep 600 & sleep 600'])\nprint('started')"
+    assert attack(watched, code).stdout == "started\n"
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        "libc.ptrace(16, os.getppid(), 0, 0)",
+        "libc.unshare(0x10000000)",
+        "libc.unshare(0x00020000)",
+        "libc.mount(b'none', b'/tmp', b'tmpfs', 0, None)",
+        "libc.umount2(b'/tmp', 2)",
+        "libc.chroot(b'/tmp')",
+        "libc.setns(0, 0)",
+        "libc.syscall(250 if x86 else 219, 0, -3, 1)",
+        "libc.syscall(321 if x86 else 280, 0, 0, 0)",
+        "libc.syscall(425, 1, buffer)",
+        "libc.syscall(435, buffer, 88)",
+        "libc.syscall(298 if x86 else 241, buffer, 0, -1, -1, 0)",
+        "libc.syscall(310 if x86 else 270, os.getppid(), 0, 0, 0, 0, 0)",
+        "libc.syscall(56 if x86 else 220, 0x10000011, 0, 0, 0, 0)",
+        "libc.setuid(0)",
+        "libc.setgid(0)",
+        "libc.sethostname(b'x', 1)",
+        "libc.mq_open(b'/x', 0o102, 0o600, None)",
+        "libc.semget(0, 1, 0o1600)",
+        "libc.msgget(0, 0o1600)",
+    ],
+)
+def test_rare_system_calls(watched: Watched, call: str) -> None:
+    """Tracing, namespaces, mounts, keys, bpf, rings and other users are refused."""
+    code = f"""
+import ctypes, os, platform
+libc = ctypes.CDLL(None, use_errno=True)
+x86 = platform.machine() == "x86_64"
+buffer = ctypes.create_string_buffer(4096)
+result = {call}
+print("refused" if result == -1 else result)
+"""
+    assert attack(watched, code).stdout == "refused\n"
+
+
+def test_capabilities_are_gone(watched: Watched) -> None:
+    """A process has none, and cannot get any by starting a program that would give them."""
+    code = """
+import ctypes
+class Header(ctypes.Structure): _fields_ = [("version", ctypes.c_uint32), ("pid", ctypes.c_int)]
+data = (ctypes.c_uint32 * 6)()
+libc = ctypes.CDLL(None)
+libc.capget(ctypes.byref(Header(0x20080522, 0)), data)
+print(list(data[:2]), libc.prctl(39, 0, 0, 0, 0))
+"""
+    assert attack(watched, code).stdout == "[0, 0] 1\n"
+
+
+def test_attacks_at_once(watched: Watched) -> None:
+    """Calls that wait behind an attack are served after it."""
+    outcomes: list[Outcome] = []
+    bomb = "import os\nwhile True:\n    try: os.fork()\n    except OSError: pass"
+    codes = [bomb, "print(1)", "kept = bytearray(1 << 40)", "print(2)"]
+    threads = [
+        threading.Thread(target=lambda code=code: outcomes.append(watched.pool.run(code, limits=SMALL)))
+        for code in codes
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(outcome.stdout for outcome in outcomes) == ["", "", "1\n", "2\n"]
+    watched.check()

@@ -1,0 +1,183 @@
+"""Attacks on the Python sandbox that take all there is: processes, memory, time, output.
+
+Each is really tried; afterwards the pool still serves, and no process, file or memory is left.
+"""
+
+from __future__ import annotations
+
+import pytest
+from python_levels import Watched, attack, each_level
+
+from gem_tools.python import Limits
+
+watched = each_level()
+
+
+def test_fork_bomb(watched: Watched) -> None:
+    """Processes that multiply as fast as they can reach the limit, and all end with the call."""
+    code = "import os\nwhile True:\n    try:\n        os.fork()\n    except OSError:\n        pass"
+    assert attack(watched, code).status in ("timeout", "cpu")
+
+
+def test_processes_are_counted(watched: Watched) -> None:
+    """Exactly so many at once as the limit says, the first included."""
+    code = """
+import os, sys, time
+made = 0
+try:
+    while made < 100:
+        if os.fork() == 0:
+            time.sleep(60)
+        made += 1
+except BlockingIOError:
+    print(made)
+    sys.stdout.flush()
+    os._exit(0)
+"""
+    outcome = attack(watched, code)
+    assert (outcome.status, outcome.stdout) == ("ok", "15\n")
+
+
+def test_threads_count_as_processes(watched: Watched) -> None:
+    """As the kernel counts them."""
+    code = """
+import threading, time, os
+made = 0
+try:
+    while made < 100:
+        threading.Thread(target=time.sleep, args=(60,), daemon=True).start()
+        made += 1
+except RuntimeError:
+    print(made, flush=True)
+    os._exit(0)
+"""
+    assert attack(watched, code).stdout == "15\n"
+
+
+def test_memory_bomb(watched: Watched) -> None:
+    """One process cannot take more than the limit."""
+    outcome = attack(watched, "kept = []\nwhile True:\n    kept.append(bytearray(1 << 20))")
+    assert outcome.status == "memory"
+    assert outcome.error == "MemoryError"
+    assert outcome.peak_mb < 140
+
+
+def test_memory_bomb_spread_over_processes(watched: Watched) -> None:
+    """Several processes together cannot either."""
+    code = """
+import os, time
+for _ in range(8):
+    if os.fork() == 0:
+        kept = bytearray(60 << 20)
+        for place in range(0, len(kept), 4096):
+            kept[place] = 1
+        time.sleep(60)
+time.sleep(60)
+"""
+    outcome = attack(watched, code, Limits(wall_s=20, memory_mb=128, processes=16))
+    assert (outcome.status, outcome.error) == ("memory", "The limit of 128 MB of memory was reached.")
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import mmap\nkept = [mmap.mmap(-1, 1 << 20) for _ in range(1000)]",
+        "import os\nfor number in range(100):\n    m = os.memfd_create('x')\n    os.write(m, bytes(8 << 20))",
+        "import ctypes\nlibc = ctypes.CDLL(None, use_errno=True)\nassert libc.shmget(0, 1 << 20, 0o1600) >= 0",
+        "x = 'a' * (1 << 40)",
+        "[0] * (1 << 33)",
+        "9 ** 9 ** 9",
+        "x = []\nx.append(x)\ny = [x] * 10 ** 9",
+    ],
+    ids=["mmap", "memfd", "shared", "huge-text", "huge-list", "huge-number", "long-list"],
+)
+def test_memory_by_other_ways(watched: Watched, code: str) -> None:
+    """Nothing that counts as memory, or lives outside of it, comes past the limit."""
+    assert attack(watched, code).status in ("error", "memory", "cpu", "timeout")
+
+
+def test_endless_output(watched: Watched) -> None:
+    """It is cut, and what is kept has the exact length."""
+    outcome = attack(watched, "while True:\n    print('x' * 1000)")
+    assert outcome.status == "output"
+    kept = outcome.stdout.replace(f"\n[… {outcome.dropped[0]} bytes left out …]\n", "")
+    assert len(kept) == 2000
+    assert outcome.dropped_bytes < 10_000_000
+
+
+def test_endless_output_of_a_child(watched: Watched) -> None:
+    """Also from processes of its own, on the other stream, in raw bytes."""
+    code = "import os\nos.fork()\nwhile True:\n    os.write(2, b'\\xff\\x00' * 5000)"
+    assert attack(watched, code).status == "output"
+
+
+def test_endless_loop(watched: Watched) -> None:
+    """Ends at the limit of time, which is told."""
+    outcome = attack(watched, "while True: pass", Limits(wall_s=0.5, cpu_s=60))
+    assert (outcome.status, outcome.error) == ("timeout", "The time limit of 0.5 s was reached.")
+    assert outcome.wall_s >= 0.5
+
+
+def test_processor_time_of_all_processes(watched: Watched) -> None:
+    """What children use counts."""
+    code = "import os\nos.fork()\nos.fork()\nwhile True: pass"
+    outcome = attack(watched, code, Limits(wall_s=60, cpu_s=0.4))
+    assert (outcome.status, outcome.error) == ("cpu", "The limit of 0.4 s of processor time was reached.")
+
+
+def test_sleep_ends_too(watched: Watched) -> None:
+    """Time limits need no processor time."""
+    assert attack(watched, "import time\ntime.sleep(60)", Limits(wall_s=0.3)).status == "timeout"
+
+
+def test_signals_are_ignored(watched: Watched) -> None:
+    """Code that blocks and ignores every signal ends as well."""
+    code = """
+import signal
+for number in range(1, 65):
+    try:
+        signal.signal(number, signal.SIG_IGN)
+    except (OSError, ValueError):
+        pass
+signal.pthread_sigmask(signal.SIG_BLOCK, range(1, 65))
+while True:
+    pass
+"""
+    assert attack(watched, code, Limits(wall_s=0.5, cpu_s=60)).status == "timeout"
+
+
+def test_raising_its_own_limits(watched: Watched) -> None:
+    """Hard limits cannot be raised."""
+    code = """
+import resource
+for name in ("AS", "NPROC", "CPU", "FSIZE", "NOFILE", "CORE"):
+    number = getattr(resource, f"RLIMIT_{name}")
+    soft, hard = resource.getrlimit(number)
+    assert hard != resource.RLIM_INFINITY, name
+    try:
+        resource.setrlimit(number, (hard + 1, hard + 1))
+    except ValueError:
+        print(name)
+"""
+    assert attack(watched, code).stdout.split() == ["AS", "NPROC", "CPU", "FSIZE", "NOFILE", "CORE"]
+
+
+def test_open_files_and_file_size(watched: Watched) -> None:
+    """Both have their limits, exact ones."""
+    code = """
+import os
+try:
+    with open("big", "wb") as stream:
+        for _ in range(9):
+            stream.write(bytes(1 << 20))
+            stream.flush()
+except OSError as error:
+    print(error.errno, os.path.getsize("big"))
+files = []
+try:
+    while True:
+        files.append(os.open(os.devnull, os.O_RDONLY))
+except OSError as error:
+    print(error.errno, max(files))
+"""
+    assert attack(watched, code).stdout == f"27 {8 << 20}\n24 127\n"

@@ -1,0 +1,27 @@
+"""The examples of the README run as they stand."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gem_core.parsing import extract_code_blocks
+
+README = Path(__file__).parent.parent / "README.md"
+BLOCKS = [block.code for block in extract_code_blocks(README.read_text("utf-8"), "python")]
+
+
+@pytest.mark.parametrize(
+    ("mark", "wanted"), [("primes", "Output of python:\n168\n"), ("shared_pool", "ok 42\n\n")], ids=["tool", "pool"]
+)
+def test_the_python_examples_run(mark: str, wanted: str) -> None:
+    """And print what they say."""
+    (code,) = [block for block in BLOCKS if mark in block]
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.stderr == ""
+    assert wanted in done.stdout
+    if "1.0" in code:
+        assert done.stdout.endswith("\n1.0\n")

@@ -1,0 +1,201 @@
+"""The tool ``python``: around a task, its options, and what the agent is told."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import pytest
+
+import gem_core as gem
+from gem_core.dataset import DatasetEnv
+from gem_core.errors import ArgumentError
+from gem_core.testing import check_plugin, check_tool
+from gem_core.tool_env import ToolEnv
+from gem_tools.python import SandboxError, make_python
+
+ROWS = [{"question": "What is the 30th Fibonacci number?", "answer": "832040"}]
+
+
+def env_with(**options: Any) -> ToolEnv:
+    """Return a task with the tool, at its start."""
+    env = ToolEnv(DatasetEnv(ROWS), [("python", options)], max_tool_uses=None)
+    env.reset(seed=1)
+    return env
+
+
+def shown(env: ToolEnv, code: str) -> str:
+    """Return what the agent reads of a call, without the title and what the environment adds."""
+    observation = str(env.step(f"<python>{code}</python>")[0])
+    return observation.partition("python:\n")[2].removesuffix("You may call a tool again, or give your answer.\n")
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        "I compute it.\n<python>\nprint(6 * 7)\n</python>\nand more",
+        "```python\nprint(6 * 7)\n```\nand more",
+        "```py\nprint(6 * 7)\n```",
+        '<tool_call>{"name": "python", "arguments": {"code": "print(6 * 7)"}}</tool_call>',
+        gem.Response(
+            "",
+            tool_calls=[
+                {
+                    "id": "c1",
+                    "type": "function",
+                    "function": {"name": "python", "arguments": '{"code": "print(6 * 7)"}'},
+                }
+            ],
+        ),
+    ],
+    ids=["tag", "fence", "short-fence", "json", "native"],
+)
+def test_the_forms_of_a_call_mean_the_same(action: str) -> None:
+    """Tags, fenced blocks, JSON calls, and native calls of a chat server."""
+    observation, _, terminated, _, info = env_with().step(action)
+    assert str(observation).startswith("Output of python:\n42\n")
+    assert not terminated
+    assert info["tool"]["arguments"] == {"code": "print(6 * 7)"}
+    assert info["tool"]["status"] == "ok"
+    assert info["tool"]["sandbox"] in ("bubblewrap", "docker", "process")
+    json.dumps(info["tool"], allow_nan=False)
+
+
+def test_a_task_is_solved_in_two_turns() -> None:
+    """The agent computes, reads, and answers."""
+    env = env_with()
+    text = shown(env, "a, b = 0, 1\nfor _ in range(30):\n    a, b = b, a + b\na")
+    assert text == "832040\n"
+    assert env.step(f"\\boxed{{{text.strip()}}}")[1] == 1.0
+
+
+def test_it_shows_output_value_and_error() -> None:
+    """Standard output, standard error, the value of a last expression, and the last line of an exception."""
+    env = env_with()
+    assert shown(env, "import sys\nprint('out')\nprint('err', file=sys.stderr)\n[1, 2]") == "out\nerr\n[1, 2]\n"
+    assert shown(env, "x = 1") == "The code ran and printed nothing.\n"
+    assert shown(env, "print('before')\n1 / 0") == "before\nZeroDivisionError: division by zero\n"
+    assert shown(env, "def f(:").startswith("SyntaxError: ")
+    assert shown(env, "import sys\nsys.exit(3)") == "The process ended with exit code 3.\n"
+    assert shown(env, "import sys\nsys.exit('no luck')") == "no luck\n"
+    assert shown(env, "exit()") == "The code ran and printed nothing.\n"
+    assert shown(env, "  ") == "There is no code to run.\n"
+
+
+def test_the_whole_traceback_on_demand() -> None:
+    """With the lines of the code, and none of ours."""
+    text = shown(env_with(traceback="full"), "def half(x):\n    return x / 0\nhalf(1)")
+    assert text == (
+        'Traceback (most recent call last):\n  File "<python>", line 3, in <module>\n    half(1)\n'
+        '  File "<python>", line 2, in half\n    return x / 0\n           ~~^~~\nZeroDivisionError: division by zero\n'
+    )
+
+
+def test_each_call_starts_anew_unless_it_is_persistent() -> None:
+    """Variables, imports and files are kept for an episode, and only there."""
+    env = env_with()
+    shown(env, "x = 1")
+    assert shown(env, "x") == "NameError: name 'x' is not defined\n"
+
+    env = env_with(persistent=True)
+    shown(env, "import math\nx = 2\nopen('note', 'w').write('kept')")
+    assert shown(env, "print(open('note').read(), math.sqrt(x * 8))") == "kept 4.0\n"
+    assert shown(env, "1 / 0") == "ZeroDivisionError: division by zero\n"
+    assert shown(env, "import sys\nsys.exit(1)") == "The process ended with exit code 1.\n"
+    assert shown(env, "x") == "2\n"
+    env.reset(seed=2)
+    assert shown(env, "x") == "NameError: name 'x' is not defined\n"
+    env.close()
+
+
+def test_a_session_that_is_ended_says_so() -> None:
+    """The next call starts anew."""
+    env = env_with(persistent=True, timeout_s=0.3)
+    shown(env, "x = 1")
+    lost = "The session has ended: its variables are lost, and the next call starts anew.\n"
+    assert shown(env, "while True: pass") == f"The time limit of 0.3 s was reached.\n{lost}"
+    assert shown(env, "x") == "NameError: name 'x' is not defined\n"
+    env.close()
+
+
+def test_long_output_is_cut_in_the_middle() -> None:
+    """And says how much was left out."""
+    text = shown(env_with(max_output_bytes=100), "for i in range(1000): print(i)")
+    head, gap, tail = text.partition("\n[… 3790 bytes left out …]\n")
+    assert gap
+    assert head.startswith("0\n1\n2\n")
+    assert tail.endswith("998\n999\n")
+    assert len(head) + len(tail) == 100
+
+
+def test_what_no_template_can_encode_is_shown_by_its_code() -> None:
+    """NULs and lone surrogates, in the output and in the code."""
+    env = env_with()
+    assert shown(env, "print('a\\0b', '\\ud800')") == "a\\x00b \\ud800\n"
+    assert shown(env, "print('\ud800')").startswith("UnicodeEncodeError")
+    assert "null bytes" in shown(env, "x = '\0'")
+
+
+def test_a_failure_of_the_sandbox_is_no_fault_of_the_agent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is told as such, to the agent and to trainers."""
+    tool = make_python()
+
+    async def fail(*_: Any, **__: Any) -> None:
+        raise SandboxError("the sandbox was lost")
+
+    monkeypatch.setattr(tool.pool, "arun", fail)
+    env = ToolEnv(DatasetEnv(ROWS), [tool])
+    env.reset(seed=1)
+    observation, _, _, _, info = env.step("<python>1</python>")
+    assert "This is no fault of your code." in str(observation)
+    assert info["tool"]["failed"]
+    assert info["tool"]["fault"] == "the sandbox was lost"
+
+
+def test_it_works_in_async_code_and_in_threads() -> None:
+    """Many environments at once share the sandboxes."""
+    envs = [env_with() for _ in range(20)]
+    assert {env.concurrency for env in envs} == {"async"}
+
+    async def many() -> list[Any]:
+        return await asyncio.gather(*(env.step_async(f"<python>{i} * 2</python>") for i, env in enumerate(envs)))
+
+    assert [str(r[0]).splitlines()[1] for r in asyncio.run(many())] == [str(2 * i) for i in range(20)]
+    with ThreadPoolExecutor(8) as threads:
+        results = list(threads.map(lambda env: env.step("<python>7</python>"), envs))
+    assert {result[4]["tool"]["failed"] for result in results} == {False}
+
+
+def test_it_can_be_sent_to_another_process() -> None:
+    """Where it is made again with the same options."""
+    tool = pickle.loads(pickle.dumps(make_python(timeout_s=3, persistent=True)))
+    assert (tool.limits.wall_s, tool.persistent) == (3, True)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"sandbox": "jail"}, "sandbox must be one of auto, bubblewrap, docker, process, not 'jail'"),
+        ({"timeout_s": 0}, "wall_s must be a number of seconds above 0, not 0"),
+        ({"memory_mb": 1.5}, "memory_mb must be a whole number from 1 up, not 1.5"),
+        ({"max_open_files": 3}, "open_files must be at least 8, which an interpreter needs, not 3"),
+        ({"traceback": "all"}, "traceback must be one of last_line, full, not 'all'"),
+        ({"num_workers": 0}, "num_workers must be a whole number from 1 to 256, not 0"),
+        ({"preload": [""]}, "preload must be a list of names of modules, not ('',)"),
+        ({"instructions": "a\nb"}, "instructions must be one line of text, not 'a\\nb'"),
+    ],
+)
+def test_options_that_cannot_be_right_are_refused(options: dict[str, Any], message: str) -> None:
+    """When the tool is made."""
+    with pytest.raises(ArgumentError) as caught:
+        make_python(**options)
+    assert str(caught.value) == message
+
+
+def test_the_tool_keeps_its_promises() -> None:
+    """Those of every tool, and of every plugin."""
+    assert check_tool("python", {"code": "print(1)"})
+    assert check_plugin("tools")
