@@ -1,0 +1,28 @@
+"""Question answering and logic: a plugin of GEM. ``QAEnv`` asks the rows of any data set."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gem_qa.env import QAEnv
+    from gem_qa.judging import ModelJudge
+
+__all__ = ["ModelJudge", "QAEnv"]
+
+
+def __getattr__(name: str) -> Any:
+    # Resolved on first use: listing the environments imports this package and must not load them.
+    if name == "QAEnv":
+        from gem_qa.env import QAEnv
+
+        return QAEnv
+    if name == "ModelJudge":
+        from gem_qa.judging import ModelJudge
+
+        return ModelJudge
+    raise AttributeError(f"module 'gem_qa' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
