@@ -1,0 +1,15 @@
+"""What this distribution offers; it imports no task and no grader."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from gem_core.hookspecs import hookimpl
+from gem_core.specs import EnvSpec
+from gem_math.listing import math_specs
+
+
+@hookimpl
+def gem_register_envs() -> Iterable[EnvSpec]:
+    """The data sets of problems."""
+    yield from math_specs()
