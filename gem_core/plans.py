@@ -254,6 +254,7 @@ def cover_plan(
     num_tasks: int,
     *,
     episodes: int | None = None,
+    endless: bool = False,
     kwargs: Mapping[str, Any] = MappingProxyType({}),
 ) -> Sequence[PlanItem]:
     """Return a plan that takes the rows of a data set in order.
@@ -262,13 +263,15 @@ def cover_plan(
         env_id: The environment; None for the slot's own.
         num_tasks: Number of rows.
         episodes: Number of episodes: the first rows, or the rows over again; None for each row once.
+        endless: The environment makes fresh rows for every epoch: the index goes on instead of beginning anew.
         kwargs: Keyword arguments of the environment.
     """
     count = num_tasks if episodes is None else episodes
     if num_tasks < 1:
         raise ArgumentError(f"there is no row to take: {env_id or 'the environment'} has {num_tasks} tasks")
     own = dict(kwargs)
-    return _Items(count, lambda place: PlanItem(id=env_id, options={"index": place % num_tasks}, kwargs=own))
+    rows = max(count, 1) if endless else num_tasks
+    return _Items(count, lambda place: PlanItem(id=env_id, options={"index": place % rows}, kwargs=own))
 
 
 def mixture_plan(weights: Mapping[str, float], episodes: int) -> list[PlanItem]:

@@ -126,7 +126,9 @@ def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[Pla
     for env_id, kwargs in vector.entries:
         rows = vector.num_tasks(env_id, kwargs)
         if rows is not None:
-            parts.append(cover_plan(env_id, rows, episodes=episodes, kwargs=kwargs))
+            again = episodes is not None and episodes > rows
+            endless = again and vector.endless_tasks(env_id, kwargs)
+            parts.append(cover_plan(env_id, rows, episodes=episodes, endless=endless, kwargs=kwargs))
         else:
             parts.append(count_plan([env_id], DEFAULT_EPISODES if episodes is None else episodes, kwargs=kwargs))
     # Taken in turn, so that a run that is stopped has some of each.

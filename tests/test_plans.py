@@ -72,6 +72,13 @@ def test_cover_plan_takes_rows_in_order_and_over_again() -> None:
     assert [item.options["index"] for item in cover_plan("a:A", 3, episodes=5) if item.options] == [0, 1, 2, 0, 1]
 
 
+def test_cover_plan_goes_on_where_every_epoch_has_fresh_rows() -> None:
+    """The environment finds the epoch from the index."""
+    plan = cover_plan("a:A", 3, episodes=5, endless=True)
+    assert [item.options["index"] for item in plan if item.options] == [0, 1, 2, 3, 4]
+    assert not list(cover_plan("a:A", 3, episodes=0, endless=True))
+
+
 @given(
     weights=st.dictionaries(st.sampled_from(["a:A", "b:B", "c:C", "d:D"]), st.integers(1, 100), min_size=1),
     episodes=st.integers(0, 60),

@@ -166,4 +166,6 @@ def _endless_plan(env: AnyEnv) -> Iterator[PlanItem]:
     rows = getattr(env.unwrapped, "num_tasks", None)
     if not isinstance(rows, int):
         return (PlanItem() for _ in count())
+    if getattr(env.unwrapped, "endless_tasks", False) is True:
+        return (PlanItem(options={"index": index}) for index in count())
     return (PlanItem(options={"index": index % rows}) for index in count())

@@ -137,12 +137,19 @@ class VectorEnv:
 
         Ask before the first ``reset``: the environment may be made in a slot, in the place of the one that is there.
         """
+        return cast("int | None", self._asked_of("num_tasks", env_id, kwargs))
+
+    def endless_tasks(self, env_id: str | None, kwargs: Mapping[str, Any] = MappingProxyType({})) -> bool:
+        """Return whether an environment makes fresh tasks for every epoch, and takes any index; see ``num_tasks``."""
+        return bool(self._asked_of("endless_tasks", env_id, kwargs))
+
+    def _asked_of(self, question: str, env_id: str | None, kwargs: Mapping[str, Any]) -> Any:
         slot = self.ids.index(env_id) if env_id in self.ids else 0
         wanted = env_id or self.ids[slot]
         engine = self._engine
         host = engine.at[slot] if engine.host_of is None else engine.host_of(wanted)
         engine.at[slot] = host
-        return cast("int | None", host.ask(slot, "num_tasks", wanted, dict(kwargs)))
+        return host.ask(slot, question, wanted, dict(kwargs))
 
     def sample_random_action(self, slot: int) -> str:
         """Return a valid action for the present state of a slot; an empty one where there is no environment yet.

@@ -67,7 +67,7 @@ class Host(ABC):
         ``"sample"``, with the seed of the episode's random actions, and a function that says how to rebuild the
         environment if it was lost: a valid action. ``"describe"``: its id, keyword arguments and wrappers.
         ``"num_tasks"``, with an id and keyword arguments: the number of tasks of its data set, or None; this makes the
-        environment if it is not there.
+        environment if it is not there. ``"endless_tasks"``, with the same: whether it has fresh ones for every epoch.
         """
 
     @abstractmethod

@@ -271,7 +271,10 @@ def answer(body: Body, question: str, *args: Any) -> Any:
     failure = body.prepare(env_id, kwargs)
     if failure is not None:
         raise cast("BaseException", failure.error)
-    count = getattr(cast("Any", body.env).unwrapped, "num_tasks", None)
+    task = cast("Any", body.env).unwrapped
+    if question == "endless_tasks":
+        return getattr(task, "endless_tasks", False) is True
+    count = getattr(task, "num_tasks", None)
     return count if isinstance(count, int) else None
 
 

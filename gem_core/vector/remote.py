@@ -121,7 +121,7 @@ class RemoteHost(Host):
                 link = self._link(worker)
                 number = next(self._numbers)
                 self._asked[number] = link, future
-                known = self._introduced(worker, args[0]) if question == "num_tasks" else []
+                known = self._introduced(worker, args[0]) if question in ("num_tasks", "endless_tasks") else []
                 # Whether the environment has to be rebuilt is known only now, and changes with the worker.
                 present = tuple(arg() if callable(arg) else arg for arg in args)
                 link.send([*known, ("ask", number, slot, question, present)])

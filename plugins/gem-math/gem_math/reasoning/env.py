@@ -1,0 +1,314 @@
+"""``ReasoningGymEnv``: a row of a task of ReasoningGym, decided by its own scorer."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import enum
+import json
+import math
+import operator
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import asdict, is_dataclass
+from typing import Any, ClassVar
+
+from gem_core.env import Env
+from gem_core.errors import ArgumentError, EnvFaultError, ResetNeededError
+from gem_core.parsing import extract_last_boxed_answer, extract_last_tagged_answer
+from gem_core.suggestions import did_you_mean
+from gem_core.types import TERMINAL_STATE, Concurrency, Info, ResetResult, StepResult
+from gem_math.reasoning.library import EndedError, LibraryError, ask
+from gem_math.reasoning.tasks import TASKS
+
+PROMPT = "{question}\n\nWrite your final answer between <answer> and </answer>."
+
+MOST_ROWS = 2**30
+"""Rows that a data set has in all its epochs."""
+
+LONGEST_ANSWER = 1_000_000
+"""Characters; the longest right answer that was seen, of ``tower_of_hanoi`` at its highest level, has 262,126."""
+
+_GENERATION_S = 120.0
+_ENTRY_KEYS = ("task", "weight", "level", "levels")
+
+_MOST_KEPT = 512
+
+_checked: set[str] = set()
+"""What reasoning-gym has accepted in this process, so that the next instance costs nothing."""
+
+_rows: OrderedDict[tuple[str, int, int], dict[str, Any]] = OrderedDict()
+"""Rows that were asked last: the members of a group start from the same one."""
+
+
+class ReasoningGymEnv(Env):
+    r"""Asks a row of a task of ReasoningGym; the reward is what the task's own scorer gives the answer.
+
+    The answer is the last ``\boxed{}``, or else the last ``<answer>``; a response with neither counts as no answer,
+    which a few scorers give 0.01 for. ``info["correct"]`` says whether the score is 1.
+
+    Row ``i`` of the first epoch is ``reasoning_gym.create_dataset(task, size=size, seed=seed)[i]``. Epoch ``e`` has the
+    seed ``seed + e * size``, so that no row's own seed comes twice. ``reset`` draws a row of any epoch;
+    ``reset(options={"index": i})`` takes row ``i % size`` of epoch ``i // size``.
+
+    An answer that makes the scorer raise, or take over ``time_limit_s``, has the reward 0; ``info["reason"]`` says
+    which.
+
+    Args:
+        task: Name of the task, or ``"composite"`` for a mixture.
+        size: Rows of an epoch.
+        seed: Of the first epoch, from 0 to 2**31 - 1.
+        epochs: How many of them ``reset`` draws from; None for all.
+        level: Level of the task's curriculum, from 0; attributes with fewer levels take their highest.
+        levels: Level of some attributes of the curriculum, by name; over ``level``.
+        prompt_template: Text of the first observation; ``{question}`` stands for the question.
+        time_limit_s: Seconds of the processor's time that the scorer may take.
+        **parameters: The task's own, over what the levels say. ``difficulty`` is ``level`` where a task has no
+            parameter of that name. For a mixture ``datasets``: names, or pairs of a name and a mapping of ``weight``,
+            ``level``, ``levels`` and parameters; without, all tasks alike.
+
+    Raises:
+        ArgumentError: A parameter, level or value that the task does not take; the message names those it does.
+
+    Source: the tasks and scorers of reasoning-gym 0.1.25, https://github.com/open-thought/reasoning-gym.
+    """
+
+    concurrency: ClassVar[Concurrency] = "thread"
+
+    def __init__(
+        self,
+        task: str,
+        *,
+        size: int = 500,
+        seed: int = 42,
+        epochs: int | None = None,
+        level: int | None = None,
+        levels: Mapping[str, int] | None = None,
+        prompt_template: str = PROMPT,
+        time_limit_s: float = 5.0,
+        **parameters: Any,
+    ) -> None:
+        super().__init__()
+        _check_range("size", size, 1, 10**6)
+        _check_range("seed", seed, 0, 2**31 - 1)
+        if epochs is not None:
+            _check_range("epochs", epochs, 1, MOST_ROWS // size)
+        if not isinstance(time_limit_s, int | float) or not 0 < time_limit_s < math.inf:
+            raise ArgumentError(f"time_limit_s must be a positive number of seconds, not {time_limit_s!r}")
+        self.task, self.size, self.seed = task, size, seed
+        self.prompt_template = prompt_template
+        self.time_limit_s = float(time_limit_s)
+        self._rows = MOST_ROWS // size * size if epochs is None else size * epochs
+        self._spec = _specification(task, size, level, levels, parameters)
+        self._key = json.dumps(self._spec, sort_keys=True)
+        self._index = 0
+        self._row: dict[str, Any] | None = None
+        self._check()
+
+    @property
+    def num_tasks(self) -> int:
+        """Rows of an epoch."""
+        return self.size
+
+    @property
+    def endless_tasks(self) -> bool:
+        """Whether ``options={"index": i}`` takes numbers from ``num_tasks`` up, for the rows of later epochs."""
+        return True
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """Ask a row.
+
+        Args:
+            seed: See ``Env.reset``.
+            options: ``{"index": i}`` takes row ``i``, from 0; those of later epochs follow on those of the first.
+
+        Raises:
+            ArgumentError: An option that does not exist, or an index that is out of range.
+            EnvFaultError: reasoning-gym does not come up with the row.
+        """
+        super().reset(seed=seed)
+        self._row = None
+        self._index = self._chosen(options) if options else int(self.np_random.integers(self._rows))
+        row = self._present_row()
+        return self.prompt_template.replace("{question}", row["question"]), self._about()
+
+    def step(self, action: str) -> StepResult:
+        """Score the response; the task is over."""
+        answer = extract_last_boxed_answer(action)
+        if answer is None:
+            answer = extract_last_tagged_answer(action)
+        info = self._about() | {"parsed_action": answer}
+        if answer is not None and len(answer) > LONGEST_ANSWER:
+            return self._refused(info, f"an answer has at most {LONGEST_ANSWER} characters")
+        row = self._present_row()
+        request = {"do": "score", "spec": self._spec, "entry": row["entry"], "answer": answer}
+        try:
+            verdict = ask(request, self.time_limit_s)
+        except EndedError as error:
+            return self._refused(info, f"the scorer was ended: {error}")
+        except LibraryError as error:
+            return self._failed(info, str(error))
+        if "refused" in verdict:
+            return self._refused(info, f"the scorer raised {verdict['refused']}")
+        if "score" not in verdict:
+            return self._failed(info, f"the scorer raises on any answer: {verdict.get('raised', verdict)}")
+        score = float(verdict["score"])
+        score = min(max(score, 0.0), 1.0) if score == score else 0.0
+        info |= {"correct": score == 1.0}
+        return TERMINAL_STATE, score, True, False, info
+
+    def sample_random_action(self) -> str:
+        """Return the answer of another row, or one made for tasks that bring none: well-formed, and rarely right."""
+        if self._row is None:
+            raise ResetNeededError(f"{self._name}: call reset() before sample_random_action()")
+        draw = int(self.action_random.integers(2**32))
+        request = {"do": "sample", "spec": self._spec, "seed": self.seed, "entry": self._row["entry"], "draw": draw}
+        answer = self._asked(request)["sample"]
+        plain = not set(answer) & set("{}\\\n") and answer == answer.strip()
+        return f"\\boxed{{{answer}}}" if plain else f"<answer>{answer}</answer>"
+
+    @property
+    def _name(self) -> str:
+        return self.env_id or f"rg:{self.task}"
+
+    def _refused(self, info: Info, reason: str) -> StepResult:
+        return TERMINAL_STATE, 0.0, True, False, info | {"correct": False, "reason": reason}
+
+    def _failed(self, info: Info, message: str) -> StepResult:
+        return TERMINAL_STATE, 0.0, False, True, info | {"error": {"kind": "grading", "message": message}}
+
+    def _about(self) -> Info:
+        epoch, row = divmod(self._index, self.size)
+        info: Info = {"task_id": f"{self._seed_of(epoch)}-{row}", "index": self._index, "epoch": epoch}
+        return info | {"source": self._present_row()["source"]}
+
+    def _seed_of(self, epoch: int) -> int:
+        return self.seed + epoch * self.size
+
+    def _present_row(self) -> dict[str, Any]:
+        if self._row is None:
+            epoch, row = divmod(self._index, self.size)
+            seed = self._seed_of(epoch)
+            known = self._key, seed, row
+            self._row = _rows.get(known)
+            if self._row is None:
+                self._row = _rows[known] = self._asked({"do": "row", "spec": self._spec, "seed": seed, "row": row})
+                if len(_rows) > _MOST_KEPT:
+                    with contextlib.suppress(KeyError):  # another thread was faster
+                        _rows.popitem(last=False)
+        return self._row
+
+    def _asked(self, request: dict[str, Any]) -> dict[str, Any]:
+        try:
+            answer = ask(request, _GENERATION_S)
+        except EndedError as error:
+            raise EnvFaultError(
+                f"{self._name}: no row was made with these parameters: {error}; give it easier ones"
+            ) from error
+        if "wrong" in answer:
+            raise ArgumentError(f"{self._name}: {answer['wrong']}")
+        if "raised" in answer:
+            raise EnvFaultError(f"{self._name}: reasoning-gym raised {answer['raised']}; give it other parameters")
+        return answer
+
+    def _check(self) -> None:
+        if self._key not in _checked:
+            self._asked({"do": "check", "spec": self._spec})
+            _checked.add(self._key)
+
+    def _chosen(self, options: Mapping[str, Any]) -> int:
+        wrong = [name for name in options if name != "index"]
+        if wrong:
+            raise ArgumentError(f"no option {wrong[0]!r}.{did_you_mean(wrong[0], ['index'])} There is: index")
+        index = options["index"]
+        number = operator.index(index) if hasattr(index, "__index__") and not isinstance(index, bool) else -1
+        if not 0 <= number < MOST_ROWS:
+            raise ArgumentError(f"options['index'] must be from 0 to {MOST_ROWS - 1}, not {index!r}")
+        return number
+
+    def _get_state(self) -> dict[str, Any]:
+        return {"index": self._index, "begun": self._row is not None}
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self._index = self._chosen({"index": state["index"]})
+        self._row = None
+        if state["begun"]:
+            self._present_row()
+
+
+def _check_range(name: str, value: Any, least: int, most: int) -> None:
+    if type(value) is not int or not least <= value <= most:
+        raise ArgumentError(f"{name} must be a whole number from {least} to {most}, not {value!r}")
+
+
+def _specification(
+    task: str, size: int, level: Any, levels: Mapping[str, Any] | None, parameters: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return what reasoning-gym is asked for, as JSON."""
+    if task != "composite":
+        return _part(task, size, {"level": level, "levels": levels, **parameters})
+    entries = parameters.get("datasets")
+    wrong = [name for name in parameters if name != "datasets"]
+    if wrong or level is not None or levels:
+        raise ArgumentError(
+            f"rg:composite has no {wrong[0] if wrong else 'level'!r} of its own; give it to the tasks, as in "
+            'datasets=[("leg_counting", {"level": 2})]'
+        )
+    if entries is None:
+        entries = list(TASKS)
+    if isinstance(entries, str | Mapping) or not hasattr(entries, "__iter__") or not list(entries):
+        raise ArgumentError(f"datasets must be a list of names, or of names with their options, not {entries!r:.100}")
+    return {"task": task, "parts": [_mixed(entry, size) for entry in entries]}
+
+
+def _mixed(entry: Any, size: int) -> dict[str, Any]:
+    """Return the part of a mixture that an entry of ``datasets`` describes."""
+    name, options = entry, {}
+    if isinstance(entry, Mapping):  # as in reasoning-gym's own configuration
+        options = {key: value for key, value in entry.items() if key not in ("name", "config")}
+        name, options = entry.get("name"), options | dict(entry.get("config") or {})
+    elif isinstance(entry, list | tuple) and len(entry) == 2:
+        name, options = entry[0], dict(entry[1])
+    wrong = [key for key in ("size", "seed") if key in options]
+    if wrong:
+        raise ArgumentError(f"{wrong[0]!r} is set for the whole of rg:composite, not for {name!r}")
+    weight = options.pop("weight", 1.0)
+    if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0 < weight < math.inf:
+        raise ArgumentError(f"the weight of {name!r} must be a positive number, not {weight!r}")
+    return _part(name, size, options) | {"weight": float(weight)}
+
+
+def _part(task: Any, size: int, options: Mapping[str, Any]) -> dict[str, Any]:
+    name = str(task).removeprefix("rg:")
+    if name not in TASKS:
+        raise ArgumentError(f"reasoning-gym has no task {task!r}.{did_you_mean(name, TASKS)} See 'gem list rg'")
+    parameters = {key: value for key, value in options.items() if key not in _ENTRY_KEYS}
+    levels = options.get("levels")
+    if levels is not None and not isinstance(levels, Mapping):
+        raise ArgumentError(f"levels must map names of attributes to levels, not {levels!r:.100}")
+    spec = {
+        "task": name,
+        "size": size,
+        "level": options.get("level"),
+        "levels": dict(levels or {}),
+        "parameters": parameters,
+    }
+    try:
+        plain: dict[str, Any] = json.loads(json.dumps(spec, default=_as_json))
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"rg:{name}: parameters must be plain data ({error})") from error
+    return plain
+
+
+def _as_json(value: Any) -> Any:
+    if isinstance(value, datetime.date | datetime.time):
+        return value.isoformat()
+    if isinstance(value, enum.Enum):
+        return value.value
+    if is_dataclass(value) and not isinstance(value, type):
+        return asdict(value)
+    if isinstance(value, set | frozenset):
+        return sorted(value)
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is none")

@@ -1,0 +1,29 @@
+"""The ids under ``rg:``; imports nothing of reasoning-gym."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gem_core.specs import EnvSpec
+from gem_math.reasoning.tasks import TASKS
+
+_ENTRY_POINT = "gem_math.reasoning.env:ReasoningGymEnv"
+
+
+def reasoning_specs() -> Iterator[EnvSpec]:
+    """Return a record for each task, and one for the mixture of several."""
+    for name, category in TASKS.items():
+        yield EnvSpec(
+            id=f"rg:{name}",
+            entry_point=_ENTRY_POINT,
+            kwargs={"task": name},
+            summary=f"ReasoningGym's {name.replace('_', ' ')}, of its category {category}.",
+            tags=("reasoning", "text", category),
+        )
+    yield EnvSpec(
+        id="rg:composite",
+        entry_point=_ENTRY_POINT,
+        kwargs={"task": "composite"},
+        summary="Several tasks of ReasoningGym mixed by weight; all of them unless told.",
+        tags=("reasoning", "text", "mixture"),
+    )

@@ -1,0 +1,471 @@
+"""The tasks of ReasoningGym: their rows are the library's, drawn by seed, and its scorers decide."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pydantic
+import pytest
+
+import gem_core as gem
+from gem_core.errors import ArgumentError, EnvFaultError
+from gem_core.testing import check_env
+from gem_core.tool_env import ToolEnv
+from gem_core.tools import Tool
+from gem_math.reasoning import library
+from gem_math.reasoning.env import LONGEST_ANSWER, PROMPT
+from gem_math.reasoning.library import EndedError, LibraryError, ask, end_processes
+from gem_math.reasoning.tasks import TASKS
+
+EVERY = bool(os.environ.get("GEM_EVERY_REASONING_TASK"))
+SAMPLE = ["boxnet", "countdown", "gsm_symbolic", "isomorphic_strings", "leg_counting", "pool_matrix", "composite"]
+ROOT = Path(__file__).parents[3]
+
+THEIRS = """
+import json, random, sys
+import numpy
+from reasoning_gym import create_dataset
+from reasoning_gym.composite import CompositeConfig, CompositeDataset, DatasetSpec
+from reasoning_gym.factory import DATASETS
+import contextlib, dataclasses
+found = {}
+with contextlib.redirect_stdout(sys.stderr):
+    for name, (_, config) in sorted(DATASETS.items()):
+        if name != "composite":
+            for seed in (42, 47):
+                rows = create_dataset(name, seed=seed, size=5)
+                random.seed(seed + 1)  # list_functions and some programs of codeio draw from the global generators
+                numpy.random.seed(seed + 1)
+                row = rows[1]
+                found[f"{name} {seed}"] = [row["question"], row["answer"]]
+    parts = [DatasetSpec("leg_counting", 2, {}), DatasetSpec("chain_sum", 1, {"max_terms": 3})]
+    mixed = CompositeDataset(CompositeConfig(size=20, seed=7, datasets=parts))
+    found["composite"] = [row["question"] for row in mixed]
+    found["fields"] = sorted({field.name for _, config in DATASETS.values() for field in dataclasses.fields(config)})
+print(json.dumps(found))
+"""
+
+
+def asked(env: Any, index: int) -> str:
+    """Return the question of a row, without what the prompt adds."""
+    observation, _ = env.reset(options={"index": index})
+    return str(observation).removesuffix(PROMPT.removeprefix("{question}"))
+
+
+def rounded(text: str | None) -> str:
+    """Leave the last digits of long fractions out: programs of ``codeio`` add them up in no fixed order."""
+    return re.sub(r"(\d\.\d{10})\d+", r"\1", str(text))
+
+
+def silent(observation: str) -> str:
+    """Give no answer."""
+    return ""
+
+
+@pytest.fixture(scope="module")
+def theirs() -> dict[str, Any]:
+    """What the library itself returns, in a process with the hash seed that ours fixes."""
+    done = subprocess.run(
+        [sys.executable, "-c", THEIRS], capture_output=True, check=True, env={**os.environ, **library._FIXED}
+    )
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def test_the_table_of_tasks_is_that_of_the_installed_library() -> None:
+    """And so is every id; the script that made it makes it again."""
+    script = ROOT / "scripts" / "list_reasoning_tasks.py"
+    if script.exists():
+        made = subprocess.run([sys.executable, str(script)], capture_output=True, check=True, text=True).stdout
+        import gem_math.reasoning.tasks as table
+
+        assert table.__file__ is not None
+        assert Path(table.__file__).read_text(encoding="utf-8") == made
+    ids = set(gem.list_envs("rg"))
+    assert ids == {f"rg:{name}" for name in TASKS} | {"rg:composite"}
+    assert len(ids) == 106
+
+
+def test_listing_the_tasks_imports_no_library() -> None:
+    """Nor does making and stepping one: the library runs in a process of its own."""
+    code = (
+        "import sys, gem_core as gem\n"
+        "env = gem.make('rg:leg_counting'); env.reset(seed=1); env.step('<answer>1</answer>')\n"
+        "assert 'reasoning_gym' not in sys.modules and 'sympy' not in sys.modules"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_rows_are_those_of_the_library(theirs: dict[str, Any]) -> None:
+    """Of every task, in the first epoch and in the second."""
+    for name in TASKS:
+        env = gem.make(f"rg:{name}", size=5)
+        for index, seed in ((1, 42), (6, 47)):
+            question, answer = theirs[f"{name} {seed}"]
+            assert rounded(asked(env, index)) == rounded(question), name
+            assert rounded(env.unwrapped._row["answer"]) == rounded(answer), name
+
+
+def test_every_gold_answer_has_the_reward_1(theirs: dict[str, Any]) -> None:
+    """Of every task whose rows bring one, in a tag; in a box where it has no braces."""
+    without = []
+    for name in TASKS:
+        env = gem.make(f"rg:{name}", size=5)
+        _, answer = theirs[f"{name} 42"]
+        if answer is None:
+            without.append(name)
+            continue
+        env.reset(options={"index": 1})
+        _, reward, terminated, _, info = env.step(f"I think so.\n<answer>\n{answer}\n</answer>")
+        assert (reward, terminated, info["correct"]) == (1.0, True, True), name
+        if not set(answer) & set("{}\\"):
+            env.reset(options={"index": 1})
+            assert env.step(f"so \\boxed{{ {answer} }}")[1] == 1.0, name
+    assert without == ["boxnet", "graph_color", "propositional_logic", "rubiks_cube", "rush_hour"]
+
+
+def test_rows_do_not_depend_on_what_was_asked_before() -> None:
+    """A process that was just started gives the rows that one in use gave, whichever came first."""
+    slow = {"knight_swap", "futoshiki", "zebra_puzzles"}
+    names = [name for name in TASKS if name not in slow]
+    specs = [{"task": name, "size": 500, "level": None, "levels": {}, "parameters": {}} for name in names]
+    requests = [
+        {"do": "row", "spec": spec, "seed": seed, "row": row} for spec in specs for seed, row in ((5, 2), (505, 0))
+    ]
+    before = [ask(request, 60) for request in requests]
+    end_processes()
+    after = [ask(request, 60) for request in reversed(requests)]
+    for first, second in zip(before, reversed(after), strict=True):
+        assert rounded(first["question"]) == rounded(second["question"])
+        assert rounded(first["answer"]) == rounded(second["answer"])
+
+
+@pytest.mark.parametrize("name", ["codeio", "list_functions", "pool_matrix"])
+def test_rows_from_global_generators_do_not_depend_on_others(name: str) -> None:
+    """The library draws them from state that every row before has changed."""
+    spec = {"task": name, "size": 500, "level": None, "levels": {}, "parameters": {}}
+
+    def rows(order: Iterable[int]) -> dict[int, str]:
+        requests = {row: {"do": "row", "spec": spec, "seed": 9, "row": row} for row in order}
+        return {row: rounded(ask(request, 60)["question"]) for row, request in requests.items()}
+
+    first = rows(range(60))
+    assert rows(reversed(range(60))) == first
+    assert len(set(first.values())) > 50
+
+
+def test_a_seed_gives_the_same_row_and_epochs_give_others() -> None:
+    """No row of the first epoch comes again in the second."""
+    env = gem.make("rg:chain_sum", size=20, seed=3)
+    assert env.reset(seed=8) == env.reset(seed=8)
+    questions = [asked(env, index) for index in range(60)]
+    assert len(set(questions)) == 60
+    assert asked(gem.make("rg:chain_sum", size=20, seed=23), 0) == questions[20]
+
+
+def test_reset_draws_from_all_epochs_unless_told() -> None:
+    """With ``epochs=1`` from the rows of the first."""
+    drawn = {gem.make("rg:chain_sum", size=5).reset(seed=seed)[1]["epoch"] for seed in range(20)}
+    assert len(drawn) == 20
+    env = gem.make("rg:chain_sum", size=5, epochs=1)
+    assert {env.reset(seed=seed)[1]["index"] for seed in range(60)} == {0, 1, 2, 3, 4}
+
+
+def test_a_run_of_several_epochs_has_fresh_rows() -> None:
+    """With ``episodes`` over the size, in every backend alike."""
+    episodes = list(gem.rollout(gem.make_vec("rg:chain_sum", 3, size=4), silent, episodes=10, seed=1))
+    assert sorted(episode.info["index"] for episode in episodes) == list(range(10))
+    assert len({episode.observation for episode in episodes}) == 10
+    once = list(gem.rollout(gem.make_vec("rg:chain_sum", 2, size=4), silent, seed=1))
+    assert sorted(episode.info["task_id"] for episode in once) == ["42-0", "42-1", "42-2", "42-3"]
+
+
+def test_info_names_the_row() -> None:
+    """The task id is stable: the seed of the epoch, and the row."""
+    env = gem.make("rg:leg_counting", size=10, seed=5)
+    _, info = env.reset(seed=4, options={"index": 23})
+    assert info == {"task_id": "25-3", "index": 23, "epoch": 2, "source": "leg_counting", "seed": 4}
+
+
+def test_no_answer_is_scored_as_the_library_does() -> None:
+    """Countdown gives 0.01 for it, and most give nothing."""
+    for name, score in (("countdown", 0.01), ("leg_counting", 0.0)):
+        env = gem.make(f"rg:{name}")
+        env.reset(seed=1)
+        _, reward, terminated, _, info = env.step("I do not know")
+        assert (reward, terminated, info["correct"], info["parsed_action"]) == (score, True, False, None)
+
+
+def test_partial_scores_are_rewards_and_not_correct() -> None:
+    """Only a score of 1 counts as solved."""
+    env = gem.make("rg:word_sorting")
+    env.reset(options={"index": 0})
+    words = env.unwrapped._row["answer"].split(", ")
+    _, reward, _, _, info = env.step(f"<answer>{', '.join([*words[1:], words[0]])}</answer>")
+    assert (reward, info["correct"]) == (0.2, False)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            {"num_animal": 3},
+            "rg:leg_counting: no parameter 'num_animal'. Did you mean 'min_animals' or 'max_animals'? There is: "
+            "min_animals, max_animals, min_instances, max_instances; and for every task: size, seed, epochs, level, "
+            "levels, prompt_template, time_limit_s",
+        ),
+        (
+            {"max_animals": -1},
+            "rg:leg_counting: reasoning-gym refuses the parameters {'max_animals': -1}: "
+            "max_animals must be >= min_animals",
+        ),
+        ({"level": 99}, "rg:leg_counting: level must be a whole number from 0 to 35, not 99"),
+        ({"levels": {"legs": 1}}, "rg:leg_counting: no attribute 'legs'. There is: num_animals, num_instances"),
+        (
+            {"levels": {"num_animals": 50}},
+            "rg:leg_counting: the level of 'num_animals' must be a whole number from 0 to 35, not 50",
+        ),
+        ({"levels": 3}, "levels must map names of attributes to levels, not 3"),
+        ({"size": 0}, "size must be a whole number from 1 to 1000000, not 0"),
+        ({"seed": -1}, "seed must be a whole number from 0 to 2147483647, not -1"),
+        ({"epochs": 0}, "epochs must be a whole number from 1 to 2147483, not 0"),
+        ({"time_limit_s": 0}, "time_limit_s must be a positive number of seconds, not 0"),
+        ({"max_animals": object}, "rg:leg_counting: parameters must be plain data (type is none)"),
+    ],
+)
+def test_wrong_arguments_are_told(arguments: dict[str, Any], message: str) -> None:
+    """With what there is instead."""
+    with pytest.raises(ArgumentError) as caught:
+        gem.make("rg:leg_counting", **arguments)
+    assert str(caught.value) == message
+
+
+def test_a_task_without_levels_says_so() -> None:
+    """Its parameters are its own matter."""
+    with pytest.raises(ArgumentError, match="rg:acre: it has no levels; set its parameters instead"):
+        gem.make("rg:acre", level=1)
+
+
+def test_levels_are_those_of_the_curriculum() -> None:
+    """``difficulty`` is another word for ``level``, and parameters go over both."""
+    plain = gem.make("rg:chain_sum", level=6)
+    same = gem.make("rg:chain_sum", difficulty=6)
+    lower = gem.make("rg:chain_sum", level=6, levels={"num_digits": 0})
+    own = gem.make("rg:chain_sum", level=6, max_digits=1)
+    assert asked(plain, 2) == asked(same, 2) != asked(gem.make("rg:chain_sum"), 2)
+    for env, longest in ((plain, 7), (lower, 1), (own, 1)):
+        numbers = [number for index in range(20) for number in asked(env, index).split() if number.isdigit()]
+        assert max(map(len, numbers)) == longest
+    assert asked(gem.make("rg:bitwise_arithmetic", difficulty=4), 1) == asked(
+        gem.make("rg:bitwise_arithmetic", level=3), 1
+    )
+
+
+def test_parameters_take_the_forms_that_the_library_has() -> None:
+    """Tuples, dates and enumerations are given as such, or as JSON has them."""
+    import datetime
+
+    early = datetime.date(1990, 1, 1)
+    kwargs = {"task_types": ["date"], "max_date": datetime.date(1991, 1, 1)}
+    first = gem.make("rg:time_intervals", min_date=early, **kwargs)
+    assert asked(first, 0) == asked(gem.make("rg:time_intervals", min_date="1990-01-01", **kwargs), 0)
+    assert "199" in asked(first, 0)
+    assert asked(gem.make("rg:word_sorting", transformation="uppercase"), 0).isupper() is False
+    with pytest.raises(ArgumentError, match="transformation='loud' is not of the form of"):
+        gem.make("rg:word_sorting", transformation="loud")
+
+
+def test_no_parameter_of_the_library_has_a_name_of_ours(theirs: dict[str, Any]) -> None:
+    """Else it could not be given."""
+    ours = {"task", "epochs", "level", "levels", "prompt_template", "time_limit_s", "weight", "name", "config"}
+    assert not ours & set(theirs["fields"])
+
+
+def test_a_mixture_has_the_rows_of_the_library(theirs: dict[str, Any]) -> None:
+    """Each task scores its own."""
+    tasks = [("leg_counting", {"weight": 2}), {"name": "rg:chain_sum", "weight": 1, "config": {"max_terms": 3}}]
+    env = gem.make("rg:composite", datasets=tasks, seed=7, size=20)
+    assert [asked(env, index) for index in range(20)] == theirs["composite"]
+    assert {env.reset(options={"index": index})[1]["source"] for index in range(20)} == {"leg_counting", "chain_sum"}
+    env.step(f"<answer>{env.unwrapped._row['answer']}</answer>")
+    assert env.reset(options={"index": 1})[0] != env.reset(options={"index": 21})[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"datasets": []}, "datasets must be a list of names, or of names with their options, not []"),
+        ({"datasets": ["leg_count"]}, "reasoning-gym has no task 'leg_count'. Did you mean 'leg_counting'"),
+        ({"datasets": [("maze", {"weight": 0})]}, "the weight of 'maze' must be a positive number, not 0"),
+        ({"datasets": [("maze", {"seed": 1})]}, "'seed' is set for the whole of rg:composite, not for 'maze'"),
+        ({"datasets": [("maze", {"legs": 1})]}, "rg:composite: maze: no parameter 'legs'"),
+        ({"level": 2}, "rg:composite has no 'level' of its own; give it to the tasks"),
+        ({"max_terms": 2}, "rg:composite has no 'max_terms' of its own; give it to the tasks"),
+    ],
+)
+def test_a_wrong_mixture_is_told(arguments: dict[str, Any], message: str) -> None:
+    """With the task that it is about."""
+    with pytest.raises(ArgumentError) as caught:
+        gem.make("rg:composite", **arguments)
+    assert str(caught.value).startswith(message)
+
+
+def test_two_difficulties_of_codeio_do_not_disturb_each_other() -> None:
+    """In reasoning-gym 0.1.25 the second changes the rows of the first."""
+    easy = gem.make("rg:codeio", difficulty=2)
+    before = asked(easy, 3)
+    asked(gem.make("rg:codeio", difficulty=6), 3)
+    from gem_math.reasoning import env as module
+
+    module._rows.clear()
+    assert asked(easy, 3) == before
+
+
+def test_a_scorer_that_takes_too_long_is_the_agents_failure() -> None:
+    """In whichever thread; the next right answer is right."""
+    env = gem.make("rg:countdown", time_limit_s=0.2)
+    results: list[Any] = []
+
+    def play() -> None:
+        env.reset(options={"index": 0})
+        results.append(env.step("\\boxed{((9**9999)**9999)**9999}"))
+        env.reset(options={"index": 0})
+        results.append(env.step(f"\\boxed{{{env.unwrapped._row['answer']}}}"))
+
+    thread = threading.Thread(target=play)
+    thread.start()
+    thread.join()
+    _, reward, terminated, truncated, info = results[0]
+    assert (reward, terminated, truncated, info["correct"]) == (0.0, True, False, False)
+    assert info["reason"] == "the scorer was ended: it took more than 0.2 s"
+    assert results[1][1] == 1.0
+
+
+def test_an_answer_longer_than_any_is_not_scored() -> None:
+    """It would only take time."""
+    env = gem.make("rg:leg_counting")
+    env.reset(seed=1)
+    _, reward, terminated, _, info = env.step(f"\\boxed{{{'1' * (LONGEST_ANSWER + 1)}}}")
+    assert (reward, terminated, info["reason"]) == (0.0, True, "an answer has at most 1000000 characters")
+
+
+def test_a_scorer_that_raises_on_any_answer_is_no_failure_of_the_agent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The episode is truncated with an error, and is kept out of training."""
+    env = gem.make("rg:leg_counting")
+    env.reset(seed=1)
+    monkeypatch.setattr("gem_math.reasoning.env.ask", lambda request, limit_s: {"raised": "KeyError: 'answer'"})
+    _, reward, terminated, truncated, info = env.step("\\boxed{1}")
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert info["error"] == {"kind": "grading", "message": "the scorer raises on any answer: KeyError: 'answer'"}
+
+
+def test_a_row_that_cannot_be_made_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the environment, with what to do."""
+    env = gem.make("rg:leg_counting")
+
+    def ended(request: Any, limit_s: float) -> Any:
+        raise EndedError("it took more than 120 s")
+
+    monkeypatch.setattr("gem_math.reasoning.env.ask", ended)
+    with pytest.raises(EnvFaultError, match="rg:leg_counting: no row was made with these parameters: it took more"):
+        env.reset(seed=123456)
+
+
+def test_a_process_that_cannot_start_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With what to install."""
+    end_processes()
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    with pytest.raises(LibraryError, match=r"cannot be loaded \(its process ended at once\): pip install gem-math"):
+        ask({"do": "check", "spec": {}}, 1)
+
+
+def test_a_process_that_was_killed_is_replaced() -> None:
+    """The next question is answered as if nothing had happened."""
+    env = gem.make("rg:leg_counting")
+    env.reset(seed=1)
+    for worker in library._pool._all:
+        os.killpg(worker._process.pid, signal.SIGKILL)
+        worker._process.wait()
+    env.reset(seed=2)
+    _, reward, terminated, _, info = env.step("\\boxed{1}")
+    assert terminated, info
+    assert reward == 0.0
+
+
+def test_a_process_that_gets_no_time_is_no_failure_of_the_agent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whose clock ran out while the processor did little: the episode is kept out of training."""
+    env = gem.make("rg:countdown", time_limit_s=30)
+    env.reset(options={"index": 0})
+    monkeypatch.setattr(library, "_SLACK_S", -30.0)
+    _, _, terminated, truncated, info = env.step("\\boxed{((9**9999)**9999)**9999}")
+    assert (terminated, truncated, info["error"]["kind"]) == (False, True, "grading")
+    assert info["error"]["message"].startswith("reasoning-gym did not answer: nothing came in time")
+    monkeypatch.undo()
+    env.reset(options={"index": 0})
+    assert env.step(f"\\boxed{{{env.unwrapped._row['answer']}}}")[1] == 1.0
+
+
+def test_options_and_states_are_checked() -> None:
+    """A restored environment asks the same row."""
+    env = gem.make("rg:leg_counting")
+    with pytest.raises(ArgumentError, match="no option 'idx'"):
+        env.reset(options={"idx": 1})
+    with pytest.raises(ArgumentError, match="must be from 0 to 1073741823, not -1"):
+        env.reset(options={"index": -1})
+    observation, _ = env.reset(seed=5)
+    sibling = env.unwrapped.spawn(same_state=True)
+    assert sibling._present_row()["question"] in observation
+
+
+@pytest.mark.parametrize("name", [*TASKS, "composite"] if EVERY else SAMPLE)
+def test_the_contract_is_kept(name: str) -> None:
+    """``GEM_EVERY_REASONING_TASK=1`` tries every id with every promise."""
+    if EVERY:
+        check_env(f"rg:{name}")
+    else:
+        skipped = {} if name == "isomorphic_strings" else {"process-determinism": "one task here tries it"}
+        check_env(f"rg:{name}", episodes=1, max_turns=2, skip=skipped)
+
+
+class Sum(Tool):
+    """A tool of this test."""
+
+    name = "sum"
+    description = "Adds and subtracts whole numbers."
+
+    class Parameters(pydantic.BaseModel):
+        """One text, so that a tag is a call."""
+
+        expression: str
+
+    def call(self, arguments: Any, session: Any) -> str:
+        """Return what the expression comes to."""
+        words = arguments.expression.split()
+        pairs = zip(words[1::2], words[2::2], strict=True)
+        return str(int(words[0]) + sum(int(number) if sign == "+" else -int(number) for sign, number in pairs))
+
+
+def adds(observation: str, context: Any) -> str:
+    """Hand the problem to the tool, and box what it says."""
+    if context.turn == 0:
+        problem = re.search(r"-?\d+(?: [-+] \d+)+", observation)
+        return f"<sum>{problem[0] if problem else ''}</sum>"
+    result = re.search(r"Output of sum:\n(-?\d+)", observation)
+    return f"\\boxed{{{result[1] if result else ''}}}"
+
+
+def test_an_agent_solves_rows_with_a_tool() -> None:
+    """The tool's turn is no answer, and the answer after it is scored."""
+    env = ToolEnv(gem.make("rg:chain_sum", level=3), [Sum()])
+    episodes = list(gem.rollout(env, adds, episodes=8, seed=2))
+    assert [episode.success for episode in episodes] == [True] * 8
+    assert {episode.turns for episode in episodes} == {2}

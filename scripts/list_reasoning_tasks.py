@@ -1,0 +1,30 @@
+"""Print ``gem_math/reasoning/tasks.py`` as the installed reasoning-gym has it."""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import version
+
+
+def main() -> None:
+    """Print the module."""
+    import reasoning_gym  # type: ignore[import-untyped]  # it has no types; fills the table
+    from reasoning_gym.factory import DATASETS  # type: ignore[import-untyped]  # it has no types
+
+    lines = [
+        f'"""The tasks of reasoning-gym {version(reasoning_gym.__name__)}; made by scripts/list_reasoning_tasks.py."""',
+        "",
+        "TASKS = {",
+        *(
+            f'    "{name}": "{dataset.__module__.split(".")[1]}",'
+            for name, (dataset, _) in sorted(DATASETS.items())
+            if name != "composite"
+        ),
+        "}",
+        '"""The category of each task, by its name."""',
+    ]
+    sys.stdout.write("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()
