@@ -72,6 +72,25 @@ def finish_or_start(awaitable: Awaitable[object]) -> None:
         run_sync(awaitable)
 
 
+def close_later(resource: Any, loop: asyncio.AbstractEventLoop) -> None:
+    """Close what belongs to a loop and whose owner was forgotten, such as a session of connections.
+
+    For ``weakref.finalize``, which may call it in any thread and at the end of the interpreter.
+
+    Args:
+        resource: Has ``closed``, and ``close()`` as a coroutine function.
+        loop: On which it is closed; nothing is done where that does not run any more.
+    """
+    if resource.closed or not loop.is_running():
+        return
+    closing = asyncio.run_coroutine_threadsafe(_finish(resource.close()), loop)
+    if _running_loop() is not loop:
+        try:
+            closing.result(timeout=1.0)
+        except (TimeoutError, OSError):
+            closing.cancel()
+
+
 async def on_library_loop(awaitable: Awaitable[T]) -> T:
     """Await on the library's loop, from whichever loop the caller runs on; free of charge on the library's own."""
     loop = background_loop()

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from gem_core import __version__
 from gem_core.agents.chat_format import JoinedStream, response_from
 from gem_core.agents.retries import Clock, is_transient, retry_after_s, wait_s
-from gem_core.background import background_loop
+from gem_core.background import background_loop, close_later
 from gem_core.errors import ArgumentError, MissingRequirementError
 from gem_core.types import Response
 
@@ -328,7 +328,7 @@ class ChatClient:
                 read_bufsize=2**20,
             )
             self._link = _Link(loop, session, asyncio.Semaphore(self._max_concurrency), proxy)
-            weakref.finalize(self, _close_later, session, loop)
+            weakref.finalize(self, close_later, session, loop)
         return self._link
 
 
@@ -394,22 +394,6 @@ def _proxy_for(url: str) -> str | None:
     if urllib.request.proxy_bypass(parts.netloc):
         return None
     return urllib.request.getproxies().get(parts.scheme)
-
-
-def _close_later(session: ClientSession, loop: asyncio.AbstractEventLoop) -> None:
-    """Close a session whose client was forgotten, so that aiohttp does not complain of it."""
-    if session.closed or not loop.is_running():
-        return
-    closing = asyncio.run_coroutine_threadsafe(session.close(), loop)
-    try:
-        on_loop = asyncio.get_running_loop() is loop
-    except RuntimeError:
-        on_loop = False
-    if not on_loop:
-        try:
-            closing.result(timeout=1.0)
-        except (TimeoutError, OSError):
-            closing.cancel()
 
 
 def check_installed() -> None:

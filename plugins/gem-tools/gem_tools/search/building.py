@@ -59,7 +59,7 @@ def open_index(place: str | os.PathLike[str], cache_dir: str | os.PathLike[str] 
     corpus = find_corpus(place)
     try:
         with _lock:
-            folder = _cache_folder(cache_dir)
+            folder = cache_folder(cache_dir)
             digest = _digest(corpus, folder)
             index = _open.get((str(folder), digest))
             if index is None:
@@ -214,7 +214,8 @@ def _digest(corpus: Corpus, folder: Path) -> str:
     return digest
 
 
-def _cache_folder(cache_dir: str | os.PathLike[str] | None) -> Path:
+def cache_folder(cache_dir: str | os.PathLike[str] | None) -> Path:
+    """Return where indices and results are kept: the folder that is given, or one in the user's cache folder."""
     if cache_dir is not None:
         folder = Path(cache_dir).expanduser().resolve()
         try:

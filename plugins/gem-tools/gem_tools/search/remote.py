@@ -17,13 +17,15 @@ from collections import OrderedDict
 from typing import TYPE_CHECKING, NamedTuple
 
 from gem_core.agents.retries import Clock, is_transient, retry_after_s, wait_s
-from gem_core.background import background_loop, on_library_loop
+from gem_core.background import background_loop, close_later, in_thread, on_library_loop
 from gem_core.errors import ArgumentError, GemError, MissingRequirementError
 from gem_tools.search.passages import Passage, printable
 from gem_tools.search.services import AnswerError, Service
 
 if TYPE_CHECKING:
     from aiohttp import ClientResponse, ClientSession
+
+    from gem_tools.search.disk_cache import DiskCache
 
 MAX_ANSWER_BYTES = 8_000_000
 MAX_TEXT_CHARS = 100_000
@@ -96,12 +98,14 @@ class RemoteEngine:
         service: What the server speaks.
         url: Where it is.
         limits: How it is treated.
+        disk: What was found is kept there as well; None for memory alone.
     """
 
-    def __init__(self, service: Service, url: str, limits: Limits) -> None:
+    def __init__(self, service: Service, url: str, limits: Limits, disk: DiskCache | None = None) -> None:
         self.service = service
         self.url = url
         self.limits = limits
+        self.disk = disk
         self.clock = Clock()
         self._cache: OrderedDict[tuple[str, int], Found] = OrderedDict()
         self._link: _Link | None = None
@@ -150,6 +154,11 @@ class RemoteEngine:
 
     async def _fetched(self, link: _Link, asked: tuple[str, int]) -> Found | SearchFault:
         """Return the outcome as a value, so that no chain of exceptions drags along what was sent."""
+        if self.disk is not None:
+            # In a thread, since another process may hold the file for a moment.
+            kept = await in_thread(self.disk.get, self._server, *asked)
+            if kept is not None:
+                return self._kept(asked, Found(kept, cached=True))
         end = self.clock.now() + self.limits.timeout_s
         try:
             async with self.clock.timeout(self.limits.timeout_s):
@@ -160,11 +169,23 @@ class RemoteEngine:
             outcome = await self._tried(link, asked, end)
         finally:
             link.places.release()
-        if isinstance(outcome, Found) and self.limits.cache_size:
-            self._cache[asked] = outcome
+        if isinstance(outcome, SearchFault):
+            return outcome
+        if self.disk is not None:
+            await in_thread(self.disk.put, self._server, *asked, outcome.passages)
+        return self._kept(asked, outcome)
+
+    @property
+    def _server(self) -> str:
+        return f"{self.service.name} {self.url}"
+
+    def _kept(self, asked: tuple[str, int], found: Found) -> Found:
+        """Keep what was found in memory, and return it."""
+        if self.limits.cache_size:
+            self._cache[asked] = found
             while len(self._cache) > self.limits.cache_size:
                 self._cache.popitem(last=False)
-        return outcome
+        return found
 
     async def _tried(self, link: _Link, asked: tuple[str, int], end: float) -> Found | SearchFault:
         attempt = 0
@@ -313,7 +334,7 @@ class RemoteEngine:
             )
             places = asyncio.Semaphore(self.limits.max_concurrency)
             self._link = _Link(loop, session, places, _proxy_for(self.url), {})
-            weakref.finalize(self, _close_later, session, loop)
+            weakref.finalize(self, close_later, session, loop)
         return self._link
 
 
@@ -355,18 +376,3 @@ def _proxy_for(url: str) -> str | None:
     if re.fullmatch(r"localhost|127\.[\d.]+|::1", parts.hostname or "") or urllib.request.proxy_bypass(parts.netloc):
         return None
     return urllib.request.getproxies().get(parts.scheme)
-
-
-def _close_later(session: ClientSession, loop: asyncio.AbstractEventLoop) -> None:
-    """Close a session whose engine was forgotten, so that aiohttp does not complain of it."""
-    if not session.closed and loop.is_running():
-        closing = asyncio.run_coroutine_threadsafe(session.close(), loop)
-        try:
-            on_loop = asyncio.get_running_loop() is loop
-        except RuntimeError:
-            on_loop = False
-        if not on_loop:
-            try:
-                closing.result(timeout=1.0)
-            except (TimeoutError, OSError):
-                closing.cancel()

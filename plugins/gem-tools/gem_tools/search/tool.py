@@ -7,6 +7,7 @@ import threading
 import urllib.parse
 import weakref
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import pydantic
@@ -14,13 +15,17 @@ import pydantic
 from gem_core.errors import ArgumentError
 from gem_core.tools import Tool, ToolResult
 from gem_core.types import Concurrency
-from gem_tools.search.building import open_index
+from gem_tools.search.building import cache_folder, open_index
 from gem_tools.search.corpus import ARTICLES
+from gem_tools.search.disk_cache import DiskCache
 from gem_tools.search.passages import MAX_QUERY_CHARS, MAX_TOP_K, Budget, Passage, cleaned_query, rendered
 from gem_tools.search.remote import Limits, RemoteEngine, SearchFault
 from gem_tools.search.services import find_service
 
 LOCAL = "local"
+
+RESULTS = "results.sqlite"
+"""The file of what servers found."""
 
 _LOCAL_DESCRIPTION = (
     "Looks for passages in a collection of texts and shows those that fit best. Ask with the few words that such a "
@@ -56,6 +61,7 @@ def make_search(
     max_concurrency: int = 64,
     requests_per_s: float | None = None,
     cache_size: int = 10_000,
+    cache: str = "memory",
 ) -> Tool:
     """Return a search tool.
 
@@ -74,12 +80,14 @@ def make_search(
         name: What the agent calls it by, and its tag; for two searches in one environment.
         description: What it is, in the instructions and the schema.
         instructions: The line that explains the tool to an agent, in place of the usual one.
-        cache_dir: Where indices are kept; by default ``gem/search`` in the user's cache folder.
+        cache_dir: Where indices and results are kept; by default ``gem/search`` in the user's cache folder.
         timeout_s: Limit of one search on a server, in seconds, all attempts included.
         max_retries: Attempts after the first on a server, for status 429 and faults that may pass.
         max_concurrency: Requests to a server at once.
         requests_per_s: Most requests to a server in a second; None for no limit.
         cache_size: Searches on a server whose results are kept in memory.
+        cache: ``"memory"``, or ``"disk"`` to keep what a server finds in a file as well, for later runs and for other
+            processes: at most 256 MB, without an end by age.
 
     Raises:
         ArgumentError: An option that cannot be right.
@@ -91,6 +99,8 @@ def make_search(
     if type(top_k) is not int or not 1 <= top_k <= MAX_TOP_K:
         raise ArgumentError(f"top_k must be a whole number from 1 to {MAX_TOP_K}, not {top_k!r}")
     budget = Budget(max_chars, max_tokens, tokenizer)
+    if cache not in ("memory", "disk"):
+        raise ArgumentError(f"cache must be 'memory' or 'disk', not {cache!r}")
     tool: SearchTool
     if engine == LOCAL:
         if url is not None:
@@ -100,7 +110,8 @@ def make_search(
         if corpus is not None:
             raise ArgumentError(f"the engine {engine!r} asks a server and takes no corpus")
         limits = _checked(Limits(timeout_s, max_retries, max_concurrency, requests_per_s, cache_size))
-        tool = RemoteSearch(shared_engine(engine, url, limits), top_k, budget)
+        kept_in = cache_folder(cache_dir) / RESULTS if cache == "disk" else None
+        tool = RemoteSearch(shared_engine(engine, url, limits, kept_in), top_k, budget)
     tool.present(name, description, instructions)
     tool.options = options
     return tool
@@ -226,7 +237,7 @@ class RemoteSearch(SearchTool):
         return self._result(query.text, found.passages, query.cut, engine=name, cached=found.cached)
 
 
-def shared_engine(name: str, url: str | None, limits: Limits) -> RemoteEngine:
+def shared_engine(name: str, url: str | None, limits: Limits, kept_in: Path | None = None) -> RemoteEngine:
     """Return the engine for a server, the same for the same settings.
 
     Raises:
@@ -237,10 +248,11 @@ def shared_engine(name: str, url: str | None, limits: Limits) -> RemoteEngine:
     address = url or service.url or os.environ.get(service.url_name, "").strip()
     if not address:
         raise ArgumentError(f"the engine {name!r} needs an address: pass url=…, or set {service.url_name}")
-    engine = RemoteEngine(service, _checked_address(name, address), limits)
+    disk = None if kept_in is None else DiskCache(kept_in)
+    engine = RemoteEngine(service, _checked_address(name, address), limits, disk)
     engine.key()
     with _lock:
-        return _engines.setdefault((name, engine.url, limits), engine)
+        return _engines.setdefault((name, engine.url, limits, kept_in), engine)
 
 
 def _checked_address(name: str, address: str) -> str:
