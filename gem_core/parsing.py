@@ -103,6 +103,8 @@ def unclosed_code_block(text: str, *languages: str) -> CodeBlock | None:
 
 
 def _fenced(text: str) -> Iterator[CodeBlock]:
+    if "```" not in text and "~~~" not in text:
+        return  # what most texts are found out by at once
     opening: re.Match[str] | None = None
     for fence in _FENCE.finditer(text):
         if opening is None:

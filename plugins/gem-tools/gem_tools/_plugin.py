@@ -20,6 +20,7 @@ def gem_register_tools() -> Iterable[ToolSpec]:
         name="search",
         entry_point="gem_tools.search.tool:make_search",
         summary="Searches a local corpus, a retrieval server, or the web.",
+        status="gem_tools.search.status:status",
     )
 
 

@@ -22,7 +22,9 @@ from gem_core.errors import ArgumentError
 from gem_core.testing import check_plugin, check_tool
 from gem_core.tool_env import ToolEnv
 from gem_tools import search as package
+from gem_tools.search import status
 from gem_tools.search.corpus import find_corpus
+from gem_tools.search.services import SERVICES
 from gem_tools.search.tool import LocalSearch, make_search
 
 ROWS = [{"question": "Where was the captain of HMS Endeavour killed?", "answer": "Kealakekua Bay"}]
@@ -216,6 +218,19 @@ def test_the_tool_keeps_its_promises() -> None:
     """Those of every tool, and of every plugin."""
     assert check_tool("search", {"query": "white rhino"})
     assert check_plugin("tools")
+
+
+def test_the_doctor_is_told_which_engines_can_be_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the services that there are, and without the value of a key."""
+    web = {name: service.key_name for name, service in SERVICES.items() if service.key_name}
+    assert web == status.KEYS
+    for name in (*web.values(), "SEARCH_URL"):
+        monkeypatch.delenv(name, raising=False)
+    assert status.status() == {"local": "200 articles, or corpus=…", "retrieve": "with url=…", "web": "no key is set"}
+    monkeypatch.setenv("TAVILY_API_KEY", "pssst")
+    monkeypatch.setenv("SEARCH_URL", "http://user:pssst@localhost")
+    assert status.status()["web"] == "tavily"
+    assert "pssst" not in str(status.status())
 
 
 def test_listing_imports_nothing_heavy() -> None:
