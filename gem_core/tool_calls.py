@@ -214,7 +214,7 @@ def _problem(name: str, arguments: Any, tools: Mapping[str, Tool]) -> str | None
 
 
 def _unknown(name: str, tools: Mapping[str, Tool]) -> str:
-    return f"no tool {name[:100]!r}.{did_you_mean(name[:100], tools)} There are: {', '.join(tools)}"
+    return f"no tool {name[:100]!r}.{did_you_mean(name[:100], tools)} There are: {', '.join(tools) or 'none'}"
 
 
 def _content(action: str, begin: int) -> tuple[_Read, int]:

@@ -70,7 +70,8 @@ class Tool:
                 return str(arguments.left * arguments.right)
 
     A tool with one text parameter is also called by a tag, ``<name>…</name>``, or by a fenced block in one of
-    ``fences``. State that belongs to an episode is a *session*: override ``open`` and ``close``.
+    ``fences``. State that belongs to an episode is a *session*: override ``open`` and ``close``. One object may serve
+    many environments at once, in several threads, so that it keeps nothing of an episode itself.
 
     What is known only at run time, as the tools of a server are, is set on the instance: ``name``, ``description`` and
     ``fences``. One that has a JSON Schema and no pydantic model overrides ``parameters_schema`` and ``validate``.

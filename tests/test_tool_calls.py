@@ -155,6 +155,13 @@ def test_a_tag_that_models_call_tools_by_is_told(tag: str) -> None:
     assert f"no tool '{tag}'. There are: lookup, calculator" in refused(f"so: <{tag}>x</{tag}>")
 
 
+def test_without_tools_a_call_is_told_all_the_same() -> None:
+    """As where a server offers none today."""
+    env = ToolEnv(EchoEnv(), [])
+    assert env.reset()[0] == "Say something."
+    assert "no tool 'lookup'. There are: none" in env.step(json_call("lookup", query="x"))[0]
+
+
 @pytest.mark.parametrize(
     "answer",
     [

@@ -102,6 +102,12 @@ def test_wrappers_of_the_core_pass(make_wrapper) -> None:
     assert check_wrapper(make_wrapper).broken == {}
 
 
+@pytest.mark.parametrize("options", [{}, {"call_timeout_s": 30.0}, {"max_tool_uses": 0}, {"instructions": False}])
+def test_tools_around_a_task_pass(options) -> None:
+    """With and without what changes how a call is run."""
+    assert check_wrapper(lambda env: gem.ToolEnv(env, [Notes()], **options)).broken == {}
+
+
 class Hiding(gem.Wrapper):
     """Has an attribute of its own."""
 
