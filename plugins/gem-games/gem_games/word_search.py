@@ -9,6 +9,7 @@ from typing import Any
 from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
+from gem_games.clean_letters import fill
 from gem_games.game import Game, check_whole, quote, whole_numbers
 from gem_games.letter_grid import coloured_grid, column_numbers, numbered_row
 from gem_games.words import word_list
@@ -36,7 +37,8 @@ class WordSearchEnv(Game):
 
     gem-llm does not say which words it has hidden, and counts no others; so a player who finds a word cannot know
     whether it is one of them. Here they are named, unless ``show_words`` is False. gem-llm may also fail to place a
-    word, and draws random actions that it cannot read itself.
+    word, draws random actions that it cannot read itself, and lets chance spell what it will around the words: here
+    nothing rude can be read in the grid, in any direction.
 
     Args:
         hardcore: Whether words are long and rare ones: 6 to 11 letters instead of 4 to 7 of common ones. None draws it.
@@ -95,13 +97,12 @@ class WordSearchEnv(Game):
     def _hide(self, draws: Draws) -> list[str]:
         """Place the words, longest first, and fill what is left with random letters; return the rows."""
         size = max(math.ceil(1.5 * len(self.words[0])), math.isqrt(2 * sum(map(len, self.words))))
-        while (placed := _place(self.words, size, draws)) is None:
-            size += 1
-        cells = self.np_random.integers(65, 91, size * size, dtype="uint8").tobytes().decode("ascii")
-        whole = list(cells)
-        for cell, letter in placed.items():
-            whole[cell] = letter
-        text = "".join(whole)
+        text = None
+        while text is None:
+            while (placed := _place(self.words, size, draws)) is None:
+                size += 1
+            letters = self.np_random.integers(65, 91, size * size, dtype="uint8").tobytes()
+            text = fill(placed, letters, size, draws)
         return [text[start : start + size] for start in range(0, size * size, size)]
 
     def _begin(self) -> None:
@@ -242,9 +243,10 @@ def _pool(hardcore: bool) -> tuple[str, ...]:
     return tuple(word.upper() for length in _EASY_LENGTHS for word in word_list(length).common)
 
 
-def _place(words: list[str], size: int, draws: Draws) -> dict[int, str] | None:
-    """Place words at random in a square of cells numbered row by row; None if one finds no place."""
-    placed: dict[int, str] = {}
+def _place(words: list[str], size: int, draws: Draws) -> list[dict[int, str]] | None:
+    """Place words at random in a square of cells numbered row by row, each by itself; None if one finds no place."""
+    placed: list[dict[int, str]] = []
+    taken: dict[int, str] = {}
     for word in words:
         last = size - len(word) + 1
         for _ in range(_TRIES):
@@ -253,11 +255,12 @@ def _place(words: list[str], size: int, draws: Draws) -> dict[int, str] | None:
             across = draw & 1
             first, stride = (line * size + start, 1) if across else (start * size + line, size)
             cells = dict(zip(range(first, first + stride * len(word), stride), word, strict=True))
-            if all(placed.get(cell, letter) == letter for cell, letter in cells.items()):
+            if all(taken.get(cell, letter) == letter for cell, letter in cells.items()):
                 break
         else:
             return None
-        placed.update(cells)
+        placed.append(cells)
+        taken.update(cells)
     return placed
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import json
 import re
 import time
@@ -17,6 +18,7 @@ import gem_core as gem
 from gem_core.errors import ResetNeededError
 from gem_core.seeding import Draws
 from gem_core.testing import check_env
+from gem_games.clean_letters import fill
 from gem_games.crossword_layout import lay_out
 from gem_games.crosswords import clues
 from gem_games.wordle import marks_of
@@ -38,6 +40,10 @@ PARAMETERS: dict[str, dict[str, Any]] = {
 }
 IDS = list(PARAMETERS)
 ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+# In ROT13, so that these lines can be shown to a child.
+RUDE_IN_GRIDS = codecs.decode(
+    "NFF GVG FRK PHZ SNT AVT CVFF CBEA SHPX FUVG PHAG PBPX QVPX FYHG GJNG JUBER ENCR ANMV", "rot13"
+).split()
 HOSTILE = [
     "",
     "\\boxed{}",
@@ -421,3 +427,42 @@ def test_marks_count_each_letter_of_the_word_once(guess: str, word: str) -> None
     for letter in set(guess):
         coloured = sum(mark != "X" for each, mark in zip(guess, marks, strict=True) if each == letter)
         assert coloured == min(guess.count(letter), word.count(letter))
+
+
+def eight_directions(size: int) -> list[list[tuple[int, int]]]:
+    """Return every row, column and diagonal of a square, from both ends."""
+    cells = [(row, column) for row in range(size) for column in range(size)]
+    groups: dict[tuple[str, int], list[tuple[int, int]]] = {}
+    for row, column in cells:
+        for kind, number in (("row", row), ("column", column), ("falling", row - column), ("rising", row + column)):
+            groups.setdefault((kind, number), []).append((row, column))
+    return [way for line in groups.values() for way in (line, line[::-1])]
+
+
+@pytest.mark.parametrize("env_id", ["game:WordSearch-v0-easy", "game:WordSearch-v0-hard"])
+def test_word_search_spells_nothing_rude(env_id: str) -> None:
+    """In none of eight directions, over 500 grids; but for what stands within one of the words to find."""
+    env: Any = gem.make(env_id).unwrapped
+    directions: dict[int, list[list[tuple[int, int]]]] = {}
+    for seed in range(500):
+        env.reset(seed=seed)
+        size = len(env.grid)
+        for line in directions.setdefault(size, eight_directions(size)):
+            text = "".join(env.grid[row][column] for row, column in line)
+            for rude in RUDE_IN_GRIDS:
+                if rude in text:
+                    assert any(rude in word or rude[::-1] in word for word in env.words), (seed, rude)
+
+
+def test_words_that_are_rude_side_by_side_are_placed_anew() -> None:
+    """Their own letters stay; what a free cell would complete gets another letter; what is within one word stands."""
+    letters, rude = b"A" * 36, RUDE_IN_GRIDS[1]
+    halves = [{0: rude[0], 1: rude[1]}, {2: rude[2], 3: "E"}]
+    assert fill(halves, letters, 6, Draws(1)) is None
+    whole = fill([dict(enumerate(rude))], letters, 6, Draws(1))
+    assert whole is not None
+    assert whole.startswith(rude)
+    mended = fill([{0: rude[0], 1: rude[1]}], rude.encode() + b"A" * 33, 6, Draws(1))
+    assert mended is not None
+    assert mended[:2] == rude[:2]
+    assert not mended.startswith(rude)

@@ -15,15 +15,17 @@ from gem_games.words import LENGTHS, is_word, nouns, word_list, words
 # Written in ROT13, so that these lines can be shown to a child as well.
 RUDE_LETTERS = codecs.decode(
     "fuvg shpx phag avtt ovgpu jube fyhg cravf intva znfgheo sntt cbea encvfg betnf frkhny onfgneq jnax cebfgvghg "
-    "crqbcu rebgvp",
+    "crqbcu rebgvp znfbpuvf crqrenf chqraq arpebcuvy pyvgbe iblrhe fphzont fyrnm fpuzhpx fcrezvpvq",
     "rot13",
 )
 RUDE_WORDS = codecs.decode(
     "nff nefr gvg gvgf pbpx qvpx cvff encr encrq ahqr anxrq frk frkl penc qnza urebva pbpnvar anmv xvxr fcvp tbbx qntb "
-    "pbba arteb zheqre fhvpvqr",
+    "pbba arteb zheqre fhvpvqr tvg tvgf fbq qbkl ohfgl cvaxb yvzrl ubggvr uvpxrl ynovn travgnyf travgnyvn tebcvat "
+    "fcnaxvat qrsybjre guerrfbzr nqhygrel pneany fnqvfg ylapuvat fulfgre cunyyv ihyiny irarerny frkgvat orurnqvat "
+    "qrpncvgngrq zhgvyngvba fgenatyvat",
     "rot13",
 )
-GRIM_WORDS = codecs.decode("xvyy tha qeht qrnq oybbq obzo qehax uryy gbegher greebe fynir", "rot13")
+GRIM_WORDS = codecs.decode("xvyy tha qeht qrnq oybbq obzo qehax uryy gbegher greebe fynir creirefr", "rot13")
 
 
 @pytest.mark.parametrize("length", LENGTHS)
