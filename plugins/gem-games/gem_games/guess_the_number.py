@@ -119,7 +119,8 @@ class GuessTheNumberEnv(Game):
         """Draw a number that has not been guessed, whatever the hints say."""
         while True:
             number = self.min_number + int(self.action_random.random() * (self.max_number - self.min_number + 1))
-            if number not in self.guesses:
+            # One is left while the game goes on, the right one; after the end there may be none.
+            if number not in self.guesses or self.outcome != "playing":
                 return str(number)
 
     def _drawing(self) -> str:

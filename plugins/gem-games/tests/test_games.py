@@ -240,6 +240,16 @@ def test_random_mastermind_guesses_exhaust_a_tiny_game() -> None:
     assert all(played(env, seed)[-1][4]["correct"] for seed in range(50))
 
 
+def test_sampling_ends_where_all_numbers_were_guessed() -> None:
+    """After a game that was won with the last number left, a sample repeats one."""
+    env = GuessTheNumberEnv(1, 2, 5)
+    env.reset(seed=0)
+    env.number = 2
+    env.step("\\boxed{1}")
+    env.step("\\boxed{2}")
+    assert env.sample_random_action() in ("\\boxed{1}", "\\boxed{2}")
+
+
 def test_sampling_after_the_end_still_gives_an_answer() -> None:
     for env_id in IDS:
         env = gem.make(env_id)
