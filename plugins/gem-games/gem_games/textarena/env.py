@@ -6,25 +6,31 @@ import random
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
-from gem_core.agents.base import Context, as_agent
+from gem_core.agents.base import Context, as_agent, load_agent
 from gem_core.background import run_sync
 from gem_core.env import Env
 from gem_core.errors import ArgumentError, EnvFaultError, ResetNeededError
 from gem_core.seeding import stable_hash
+from gem_core.suggestions import did_you_mean
 from gem_core.types import Concurrency, Info, ResetResult, StepResult
+from gem_games.textarena.games import GAMES
 from gem_games.textarena.moves import random_move
 from gem_games.textarena.table import LONGEST_ACTION, Table
 
 _MOST_OPPONENT_TURNS = 300
 _STALLED = f"the agent's turn did not come in {_MOST_OPPONENT_TURNS} turns of the opponents"
 
+_SCORES = "Blackjack", "Set"
+"""Games of one player that pay a score, and have no aim that is reached or missed."""
+
 
 class TextArenaEnv(Env):
     """A seat at a game of TextArena; the other seats are played by opponents.
 
     The reward is TextArena's own for this seat, at the end, and 0 before. ``info["textarena"]`` holds what it says
-    about the seat, ``info["invalid_move"]`` whether the last action was one, ``info["correct"]`` at the end whether
-    the reward is above 0, where TextArena gave one.
+    about the seat, ``info["invalid_move"]`` whether the last action was one. ``info["correct"]`` at the end says
+    whether the seat won: alone, by the full reward of 1; among others, by one above 0 that no other seat exceeds.
+    Blackjack and Set, which only keep a score, have none.
 
     An action that makes the library raise loses the game with -1, if another action would not have done so; else the
     episode is truncated with ``info["error"]``. So it is where the agent's turn does not come in 300 turns of the
@@ -34,7 +40,8 @@ class TextArenaEnv(Env):
         game: The game's id in TextArena.
         players: How many seats it has.
         seat: Which of them the agent holds.
-        opponents: ``"random"``, an agent, or a sequence or mapping by seat of these.
+        opponents: ``"random"``, an agent or the name of one (as in ``"openai:MODEL"``), or a sequence or mapping by
+            seat of these. Seats that a mapping leaves out play at random.
 
     Source: the games and rewards of textarena 0.7.4, https://github.com/LeonGuertler/TextArena.
     """
@@ -43,6 +50,8 @@ class TextArenaEnv(Env):
 
     def __init__(self, game: str, players: int = 1, seat: int = 0, opponents: Any = "random") -> None:
         super().__init__()
+        if game not in GAMES:
+            raise ArgumentError(f"textarena has no game {game!r}.{did_you_mean(str(game), GAMES)} Run 'gem list ta'")
         if type(players) is not int or not 1 <= players <= 15:
             raise ArgumentError(f"players must be a whole number from 1 to 15, not {players!r}")
         if type(seat) is not int or not 0 <= seat < players:
@@ -51,9 +60,21 @@ class TextArenaEnv(Env):
         others = [other for other in range(players) if other != seat]
         self._opponents = {other: _opponent(opponents, other, others) for other in others}
         self.table = Table(game, players)
+        self._check_players()
         self._begun = False
         self._over = False
         self._stalled = False
+
+    def _check_players(self) -> None:
+        """Refuse a number of seats that the game does not take, before an episode does."""
+        usual = max(GAMES[self.game], 1)
+        if self.players == usual:
+            return
+        try:
+            self.table.reset(0)
+        except Exception as error:
+            message = f"players={self.players} is not for {self.game}, which can be played by {usual}: {error}"
+            raise ArgumentError(message) from error
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Begin a game, and let the opponents play until it is the agent's turn.
@@ -95,8 +116,8 @@ class TextArenaEnv(Env):
         reward = rewards.get(self.seat, 0.0)
         if table.done:
             self._over = True
-            if self.seat in rewards:
-                info["correct"] = reward > 0
+            if self.seat in rewards and self.game.partition("-")[0] not in _SCORES:
+                info["correct"] = reward >= 1 if self.players == 1 else 0 < reward == max(rewards.values())
         if self._stalled:
             info["error"] = {"kind": "opponent", "message": _STALLED}
         return observation, reward, table.done, self._stalled, info
@@ -188,13 +209,14 @@ def _below(feedback: str, board: str) -> str:
 def _opponent(given: Any, seat: int, others: list[int]) -> Any:
     """Return the agent of a seat, or None for the random player."""
     if isinstance(given, Mapping):
+        wrong = [key for key in given if key not in others]
+        if wrong:
+            raise ArgumentError(f"opponents names seat {wrong[0]!r}, and the other seats are {others}")
         given = given.get(seat, "random")
     elif isinstance(given, Sequence) and not isinstance(given, str):
         if len(given) != len(others):
             raise ArgumentError(f"opponents must be {len(others)}, one for each other seat, not {len(given)}")
         given = given[others.index(seat)]
     if isinstance(given, str):
-        if given != "random":
-            raise ArgumentError(f"an opponent is 'random' or an agent, not {given!r}")
-        return None
+        return None if given == "random" else load_agent(given)
     return as_agent(given)

@@ -1,0 +1,109 @@
+"""Who has won a game of TextArena, and who may sit at its table."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from gem_core.errors import ArgumentError, UnknownAgentError
+from gem_games.textarena.env import TextArenaEnv
+
+
+def ended(env: TextArenaEnv, rewards: dict[int, float]) -> Any:
+    """Play a turn in which the game ends with these rewards; return its info."""
+    env.reset(seed=1)
+
+    def act(action: str) -> None:
+        env.table.done = True
+        env.table.game.state.rewards = rewards
+
+    env.table.act = act
+    return env.step("[1]")[4]
+
+
+@pytest.mark.parametrize(("reward", "correct"), [(1, True), (0.99, False), (0.25, False), (0.0, False), (-1.0, False)])
+def test_a_puzzle_is_solved_by_its_full_reward(reward: float, correct: bool) -> None:
+    """Less than 1 is the share that was done when the turns ran out."""
+    assert ended(TextArenaEnv("Mastermind-v0"), {0: reward})["correct"] is correct
+
+
+@pytest.mark.parametrize(
+    ("rewards", "correct"),
+    [
+        ({0: 1.0, 1: 1 / 3, 2: -1 / 3, 3: -1.0}, False),
+        ({0: -1.0, 1: 1.0, 2: 1 / 3, 3: -1 / 3}, True),
+        ({0: 1, 1: 1, 2: -1, 3: -1}, True),
+        ({0: 0, 1: 0, 2: 0, 3: 0}, False),
+    ],
+)
+def test_a_seat_wins_that_no_other_exceeds(rewards: dict[int, float], correct: bool) -> None:
+    """The second place of four is paid more than 0, and is no victory; a draw is none either."""
+    assert ended(TextArenaEnv("Poker-v0", players=4, seat=1), rewards)["correct"] is correct
+
+
+@pytest.mark.parametrize("game", ["Blackjack-v0", "Set-v0"])
+def test_a_score_is_neither_won_nor_lost(game: str) -> None:
+    assert "correct" not in ended(TextArenaEnv(game), {0: 3.0})
+
+
+def test_the_best_button_of_bandit_wins() -> None:
+    """In textarena 0.7.4 it gives 0, and each other one more than that."""
+    env = TextArenaEnv("Bandit-v0")
+    for best in (True, False):
+        env.reset(seed=1)
+        game = env.table.game
+        means = dict(game.state.game_state["ground_truth"])
+        choose = max if best else min
+        for _ in range(game.num_turns):
+            assert not env.step("[red]")[2]
+        _, reward, terminated, _, info = env.step(f"[{choose(means, key=means.__getitem__)}]")
+        assert terminated
+        assert info["correct"] is best
+        assert (reward == 1.0) is best
+        assert ("Congratulations" in info["textarena"]["reason"]) is best
+
+
+def test_opponents_may_be_named_by_seat() -> None:
+    """An agent, or the name of one; who is left out plays at random."""
+    asked = []
+
+    def says(observation: str) -> str:
+        asked.append(observation)
+        return "[1]"
+
+    env = TextArenaEnv("Poker-v0", players=3, seat=0, opponents={2: says})
+    env.reset(seed=2)
+    for _ in range(5):
+        if env.step(env.sample_random_action())[2]:
+            break
+    assert asked
+    assert TextArenaEnv("TicTacToe-v0", players=2, opponents={1: "bisect"})._opponents[1] is not None
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"opponents": {5: "random"}}, "opponents names seat 5, and the other seats are [1]"),
+        ({"opponents": {0: "random"}}, "opponents names seat 0, and the other seats are [1]"),
+        ({"opponents": ["random"] * 2}, "opponents must be 1, one for each other seat, not 2"),
+        (
+            {"players": 3},
+            "players=3 is not for TicTacToe-v0, which can be played by 2: "
+            "The number of players has to be 2, received 3",
+        ),
+        (
+            {"game": "Sodoku"},
+            "textarena has no game 'Sodoku'. Did you mean 'Sudoku-v0'? Run 'gem list ta'",
+        ),
+    ],
+)
+def test_a_table_that_cannot_be_is_refused(kwargs: dict[str, Any], message: str) -> None:
+    with pytest.raises(ArgumentError) as caught:
+        TextArenaEnv(**{"game": "TicTacToe-v0", "players": 2, **kwargs})
+    assert str(caught.value) == message
+
+
+def test_an_opponent_of_no_such_name_is_refused() -> None:
+    with pytest.raises(UnknownAgentError, match=r"no agent 'bisec'\. Did you mean 'bisect'\?"):
+        TextArenaEnv("TicTacToe-v0", players=2, opponents="bisec")
