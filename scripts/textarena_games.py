@@ -38,6 +38,10 @@ def fewest_players(name: str) -> int:
             table = Table(name, players)
             table.reset(1)
             table.look(table.seat)
+            if players == 1 and not isinstance(
+                table.game.state, importlib.import_module("textarena").SinglePlayerState
+            ):
+                continue  # it starts, and is no game: a seat is missing, or there is nobody to play against
         except Exception as error:  # noqa: BLE001 - the library asserts, and raises what it likes
             failure = error
             continue

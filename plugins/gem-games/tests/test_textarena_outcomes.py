@@ -8,6 +8,7 @@ import pytest
 
 from gem_core.errors import ArgumentError, UnknownAgentError
 from gem_games.textarena.env import TextArenaEnv
+from gem_games.textarena.listing import textarena_specs
 
 
 def ended(env: TextArenaEnv, rewards: dict[int, float]) -> Any:
@@ -107,3 +108,41 @@ def test_a_table_that_cannot_be_is_refused(kwargs: dict[str, Any], message: str)
 def test_an_opponent_of_no_such_name_is_refused() -> None:
     with pytest.raises(UnknownAgentError, match=r"no agent 'bisec'\. Did you mean 'bisect'\?"):
         TextArenaEnv("TicTacToe-v0", players=2, opponents="bisec")
+
+
+@pytest.mark.parametrize("game", ["PublicGoodsGame-v0", "MarketEntryGame-v0"])
+@pytest.mark.parametrize("opponents", ["random", lambda _: "what?"])
+def test_who_is_eliminated_is_not_asked_again(game: str, opponents: Any) -> None:
+    """In textarena 0.7.4 that goes on for ever, and so does the search for the next player when all are out."""
+    env = TextArenaEnv(game, players=3, opponents=opponents)
+    env.reset(seed=1)
+    for _ in range(60):
+        _, reward, terminated, truncated, info = env.step("what?")
+        if terminated:
+            break
+    assert (terminated, truncated, info["correct"]) == (True, False, False)
+    assert reward <= 0
+
+
+@pytest.mark.parametrize(
+    "game", ["QuantumTicTacToe-v0", "SpiteAndMalice-v0", "PublicGoodsGame-v0", "MarketEntryGame-v0"]
+)
+def test_games_that_start_alone_and_are_none_have_two_seats(game: str) -> None:
+    """Each seat can be held, and the other one is played by whom one likes."""
+    spec = next(spec for spec in textarena_specs() if spec.kwargs["game"] == game)
+    assert spec.kwargs["players"] == 2
+    assert spec.summary.endswith("; two players.")
+    asked = []
+
+    def opponent(observation: str, context: Any) -> str:
+        asked.append(observation)
+        return str(context.sample_random_action())
+
+    env = TextArenaEnv(game, players=2, seat=1, opponents=opponent)
+    env.reset(seed=3)
+    for _ in range(40):
+        result = env.step(env.sample_random_action())
+        assert "error" not in result[4]
+        if result[2]:
+            break
+    assert asked

@@ -3,6 +3,8 @@
 - Tak names the winner under another keyword than its state takes;
 - Checkers and FifteenPuzzle call what their state does not have, and so do Briscola and Golf with more than two seats;
 - Stratego keeps a bomb that was defused in its list of pieces, and later looks for it on the board;
+- who is eliminated in PublicGoodsGame or MarketEntryGame is asked again and again, and if all are, the search for the
+  next player never ends;
 - Bandit compares the button that is chosen at the end with a table of all, and so takes none for the best.
 """
 
@@ -31,6 +33,7 @@ def put_right(states: Any, spaces: list[dict[str, Any]]) -> None:
         two.set_winner = two.set_winners = set_winner
         states.SinglePlayerState.set_winners = _solved
         states.FFAMultiPlayerState.set_outcome = _one_wins
+        states.FFAMultiPlayerState.step = _passing_by_the_eliminated(states.FFAMultiPlayerState.step)
     for space in spaces:
         if "StrategoEnv" in space:
             space["StrategoEnv"]._check_winner = _stratego_winner
@@ -56,6 +59,19 @@ def _telling_the_best(reset: Any) -> Any:
 
     begin.tells_the_best = True  # type: ignore[attr-defined]  # functions take attributes
     return begin
+
+
+def _passing_by_the_eliminated(step: Any) -> Any:
+    """Return a ``step`` of a game for many that goes on to who is left, and ends where nobody is."""
+
+    def go_on(self: Any, rotate_player: bool = True) -> Any:
+        if self.current_player_id in self.elimination_order:
+            self.made_invalid_move = False  # which would have the same player try once more
+        if not self.done and len(set(self.elimination_order)) >= self.num_players:
+            self.set_draw("All players are eliminated.")
+        return step(self, rotate_player)
+
+    return go_on
 
 
 def _solved(self: Any, player_ids: Any, reason: str) -> None:

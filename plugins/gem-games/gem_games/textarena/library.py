@@ -10,7 +10,7 @@ What is mended was seen in textarena 0.7.4:
 - Sudoku, RushHour and WordLadder search for a second and more: ``searches.py`` finds the same in milliseconds;
 - five games mix up the arguments of their state: ``argument_order.py`` puts them right;
 - some constructors go through all words: a game is copied from the first one, unless its constructor draws;
-- six games raise when someone has won: ``endings.py`` puts them right;
+- six games raise when someone has won, and three do not see an end: ``endings.py`` puts them right;
 - seven modules have nested quotes in f-strings, which Python 3.11 cannot read: such lines are written in another way.
 """
 
