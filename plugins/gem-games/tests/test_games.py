@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gem_core as gem
-from gem_core.errors import AgentError, ResetNeededError
-from gem_core.testing import check_env
+from gem_core.errors import AgentError
 from gem_games.agents import BisectionAgent, HanoiAgent, MastermindAgent
 from gem_games.game import quote, whole_number, whole_numbers
 from gem_games.guess_the_number import GuessTheNumberEnv
@@ -39,21 +36,6 @@ PARAMETERS: dict[str, dict[str, Any]] = {
 }
 IDS = list(PARAMETERS)
 SOLVERS = {"GuessTheNumber": BisectionAgent(), "Mastermind": MastermindAgent(), "TowerofHanoi": HanoiAgent()}
-HOSTILE = [
-    "",
-    "\\boxed{}",
-    "\\boxed{\x00}",
-    "\\boxed{\ud800}",
-    "\\boxed{" * 5_000,
-    "\\boxed{{{{1}}}}",
-    "\\boxed{\\boxed{1}}",
-    "\\boxed{\u0661}",
-    f"\\boxed{{{'7' * 5_000}}}",
-    f"\\boxed{{{'1 ' * 2_500_000}}}",
-    f"\\boxed{{A{' ' * 5_000_000}C}}",
-    "x" * 5_000_000,
-    "\\boxed{" + "x" * 5_000_000 + "}",
-]
 
 
 def solver(env_id: str) -> Any:
@@ -165,11 +147,6 @@ def test_hanoi_sizes() -> None:
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_keeps_the_contract(env_id: str) -> None:
-    check_env(env_id)
-
-
-@pytest.mark.parametrize("env_id", IDS)
 def test_solver_wins_a_thousand_games(env_id: str) -> None:
     """Every instance is solvable within its turns, from the latest observation alone."""
     env, agent = gem.make(env_id), solver(env_id)
@@ -208,32 +185,6 @@ def test_solver_reads_content_parts() -> None:
     assert BisectionAgent()([{"role": "user", "content": observation}]) == "\\boxed{25}"
 
 
-@pytest.mark.parametrize("env_id", IDS)
-def test_observation_is_feedback_and_suffix(env_id: str) -> None:
-    """At every turn; infos are fresh, plain JSON, and a wrong turn of hands changes none of them later."""
-    env = gem.make(env_id)
-    for seed in range(10):
-        for number, record in enumerate(played(env, seed)):
-            observation, info = record[0], record[-1]
-            assert observation == info["feedback"] + info["suffix"]
-            assert info == json.loads(json.dumps(info))
-            if number:
-                assert type(record[1]) is float
-                assert ("correct" in info) is record[2]
-                assert f"Turns left: {env.max_turns - number}." in info["suffix"] or record[2]
-            info.clear()
-
-
-@pytest.mark.parametrize("env_id", IDS)
-def test_random_actions_are_valid(env_id: str) -> None:
-    """No sampled action is lost, over whole episodes."""
-    env = gem.make(env_id)
-    for seed in range(100):
-        for record in played(env, seed)[1:]:
-            assert record[-1]["parsed_action"] is not None
-            assert "The turn is lost." not in record[0]
-
-
 def test_random_mastermind_guesses_exhaust_a_tiny_game() -> None:
     """Guesses never repeat, even where nearly all codes were tried."""
     env = gem.make("game:Mastermind-v0-easy", code_length=2, num_numbers=3, max_turns=6)
@@ -248,81 +199,6 @@ def test_sampling_ends_where_all_numbers_were_guessed() -> None:
     env.step("\\boxed{1}")
     env.step("\\boxed{2}")
     assert env.sample_random_action() in ("\\boxed{1}", "\\boxed{2}")
-
-
-def test_sampling_after_the_end_still_gives_an_answer() -> None:
-    for env_id in IDS:
-        env = gem.make(env_id)
-        played(env, 0, solver(env_id))
-        assert re.fullmatch(r"\\boxed\{.+\}", env.sample_random_action())
-        with pytest.raises(ResetNeededError, match="call reset"):
-            gem.make(env_id).sample_random_action()
-
-
-@pytest.mark.parametrize("env_id", IDS)
-def test_same_seed_same_episode(env_id: str) -> None:
-    """Alone, after other episodes, and beside another instance; another seed gives another one, where there is one."""
-    env, other = gem.make(env_id), gem.make(env_id)
-    first = [played(env, seed) for seed in range(30)]
-    assert [played(other, seed) for seed in reversed(range(30))] == first[::-1]
-    assert len({json.dumps(records) for records in first}) == 30
-
-
-@pytest.mark.parametrize("env_id", IDS)
-def test_state_goes_through_json_into_another_instance(env_id: str) -> None:
-    """At every turn, the first and the last included; the drawn parameters come along."""
-    env = gem.make(env_id, render_mode="ansi")
-    for seed in range(5):
-        env.reset(seed=seed)
-        over = False
-        while not over:
-            state = env.get_state()
-            assert state == json.loads(json.dumps(state))
-            sibling = gem.make(env_id, render_mode="ansi")
-            sibling.reset(seed=seed + 1)
-            sibling.set_state(json.loads(json.dumps(state)))
-            assert sibling.render() == env.render()
-            action = env.sample_random_action()
-            assert sibling.sample_random_action() == action
-            result = env.step(action)
-            assert sibling.step(action) == result
-            assert sibling.get_state() == env.get_state()
-            assert env.spawn(same_state=True).get_state() == env.get_state()
-            over = result[2]
-
-
-@pytest.mark.parametrize("env_id", IDS)
-def test_state_before_the_first_reset(env_id: str) -> None:
-    env, other = gem.make(env_id), gem.make(env_id)
-    other.reset(seed=1)
-    other.set_state(env.get_state())
-    assert other.get_state() == env.get_state()
-
-
-@pytest.mark.parametrize("env_id", IDS)
-def test_hostile_responses_are_answered_fast_and_briefly(env_id: str) -> None:
-    for format_error_ends in (True, False):
-        env = gem.make(env_id, format_error_ends=format_error_ends)
-        for response in HOSTILE:
-            env.reset(seed=0)
-            started = time.perf_counter()
-            observation, reward, *_ = env.step(response)
-            assert time.perf_counter() - started < 5, response[:40]
-            assert len(observation) < 1_000
-            assert observation.encode()
-            assert reward in (0.0, -0.1)
-
-
-@pytest.mark.parametrize("env_id", IDS)
-def test_render_draws_only_when_asked_to(env_id: str) -> None:
-    env = gem.make(env_id, render_mode="ansi")
-    assert env.render() == "The game has not begun."
-    env.reset(seed=0)
-    env.step(env.sample_random_action())
-    assert re.search(r"^turn 1 of \d+ · (playing|won)$", uncoloured(env), re.MULTILINE)
-    plain = gem.make(env_id)
-    plain.reset(seed=0)
-    assert plain.render() is None
 
 
 def uncoloured(env: Any) -> str:
@@ -393,20 +269,3 @@ def test_whole_numbers_reads_lists(numbers: list[int], space: str) -> None:
 def test_quote_is_short_and_can_be_printed(text: str) -> None:
     assert len(quote(text)) < 450
     assert quote(text).encode()
-
-
-@settings(deadline=None)
-@given(st.sampled_from(IDS), st.integers(0, 100), st.lists(st.text("ABC 123\\boxed{},-", max_size=20), max_size=8))
-def test_rewards_stay_within_bounds(env_id: str, seed: int, answers: list[str]) -> None:
-    """Whatever is said, a game pays from -0.1 to 1 a turn and at most 1 in all."""
-    env = gem.make(env_id)
-    env.reset(seed=seed)
-    total = 0.0
-    for answer in answers:
-        _, reward, terminated, truncated, _ = env.step(f"\\boxed{{{answer}}}")
-        assert not truncated
-        assert -0.1 <= reward <= 1
-        total += reward
-        if terminated:
-            break
-    assert total <= 1 + 1e-9
