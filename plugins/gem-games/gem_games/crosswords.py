@@ -10,7 +10,7 @@ from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
 from gem_games.crossword_layout import Placed, lay_out
-from gem_games.game import Game, check_whole, quote, whole_number
+from gem_games.game import Game, check_flag, check_whole, quote, whole_number
 from gem_games.letter_grid import coloured_grid, column_numbers, numbered_row
 
 _NUM_WORDS, _MAX_TURNS = 3, 20
@@ -66,8 +66,7 @@ class CrosswordsEnv(Game):
         super().__init__(format_error_ends=format_error_ends)
         check_whole("max_turns", max_turns, 1, 10**15)
         check_whole("num_words", num_words, 1, _MOST_WORDS)
-        if hardcore is not None and not isinstance(hardcore, bool):
-            raise ArgumentError(f"hardcore must be True, False, or None to draw it, not {hardcore!r}")
+        check_flag("hardcore", hardcore, or_drawn=True)
         self._given_hardcore = hardcore
         self.hardcore = bool(hardcore)
         self.max_turns, self.num_words = max_turns or _MAX_TURNS, num_words or _NUM_WORDS

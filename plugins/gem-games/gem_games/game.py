@@ -52,8 +52,7 @@ class Game(Env):
 
     def __init__(self, *, format_error_ends: bool = True) -> None:
         super().__init__()
-        if not isinstance(format_error_ends, bool):
-            raise ArgumentError(f"format_error_ends must be True or False, not {format_error_ends!r}")
+        check_flag("format_error_ends", format_error_ends)
         self.format_error_ends = format_error_ends
         self._openings: dict[Hashable, tuple[str, str, str]] = {}
 
@@ -251,7 +250,19 @@ def check_whole(name: str, value: object, low: int, high: int) -> None:
     raise ArgumentError(f"{name} must be a whole number from {low} to {high}, or None to draw it, not {value!r}")
 
 
-def sizes_to_draw(sizes: Sequence[tuple[Any, ...]], given: tuple[Any, ...]) -> list[tuple[Any, ...]]:
+def check_flag(name: str, value: object, *, or_drawn: bool = False) -> None:
+    """Refuse a constructor's argument that is neither True nor False, nor None where that draws it.
+
+    Raises:
+        ArgumentError: It says what was allowed.
+    """
+    if isinstance(value, bool) or (or_drawn and value is None):
+        return
+    allowed = "True, False, or None to draw it" if or_drawn else "True or False"
+    raise ArgumentError(f"{name} must be {allowed}, not {value!r}")
+
+
+def sizes_to_draw(sizes: Sequence[tuple[Any, ...]], given: tuple[Any, ...]) -> list[Any]:
     """Return the different sizes that are left when what was given, and is not None, replaces its part of each."""
     replaced = (tuple(drawn if own is None else own for own, drawn in zip(given, size, strict=True)) for size in sizes)
     return list(dict.fromkeys(replaced))

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Any
 
-from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
-from gem_games.game import Game, check_whole, painted, quote
+from gem_games.game import Game, check_flag, check_whole, painted, quote, sizes_to_draw
 from gem_games.words import letters, word_list
 
 _SIZES = (3, 10), (5, 15), (7, 20)
@@ -50,10 +49,9 @@ class HangmanEnv(Game):
         super().__init__(format_error_ends=format_error_ends)
         check_whole("word_length", word_length, _SHORTEST, _LONGEST)
         check_whole("max_turns", max_turns, 1, 10**15)
-        if not isinstance(hardcore, bool):
-            raise ArgumentError(f"hardcore must be True or False, not {hardcore!r}")
+        check_flag("hardcore", hardcore)
         self.hardcore = hardcore
-        self._sizes = list(dict.fromkeys((word_length or length, max_turns or turns) for length, turns in _SIZES))
+        self._sizes: list[tuple[int, int]] = sizes_to_draw(_SIZES, (word_length, max_turns))
         self.word_length, self.max_turns = self._sizes[0]
         self.word = ""
         self._begin()

@@ -10,7 +10,7 @@ from typing import Any
 from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
-from gem_games.game import Game, check_whole, painted, quote, whole_numbers
+from gem_games.game import Game, check_flag, check_whole, painted, quote, sizes_to_draw, whole_numbers
 
 _SIZES = (2, 4, 10), (4, 6, 20), (4, 8, 30)
 _LONGEST_CODE, _MOST_NUMBERS = 20, 100
@@ -54,12 +54,10 @@ class MastermindEnv(Game):
         check_whole("code_length", code_length, 1, _LONGEST_CODE)
         check_whole("num_numbers", num_numbers, 1, _MOST_NUMBERS)
         check_whole("max_turns", max_turns, 1, 10**15)
-        if not isinstance(duplicate_numbers, bool):
-            raise ArgumentError(f"duplicate_numbers must be True or False, not {duplicate_numbers!r}")
+        check_flag("duplicate_numbers", duplicate_numbers)
         self.duplicate_numbers = duplicate_numbers
-        given = code_length, num_numbers, max_turns
-        sizes = [tuple(own or drawn for own, drawn in zip(given, size, strict=True)) for size in _SIZES]
-        self._sizes = [size for size in dict.fromkeys(sizes) if duplicate_numbers or size[0] <= size[1]]
+        sizes = sizes_to_draw(_SIZES, (code_length, num_numbers, max_turns))
+        self._sizes = [size for size in sizes if duplicate_numbers or size[0] <= size[1]]
         if not self._sizes:
             raise ArgumentError(
                 f"a code of {sizes[0][0]} different numbers from 1 to {sizes[0][1]} cannot be; "

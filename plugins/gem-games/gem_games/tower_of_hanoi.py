@@ -9,7 +9,7 @@ from typing import Any
 from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
-from gem_games.game import Game, check_whole, painted, quote
+from gem_games.game import Game, check_whole, painted, quote, sizes_to_draw
 
 _SIZES = (3, 10), (4, 20), (5, 35)
 _MOST_DISKS = 20
@@ -45,11 +45,12 @@ class TowerOfHanoiEnv(Game):
         super().__init__(format_error_ends=format_error_ends)
         check_whole("num_disks", num_disks, 1, _MOST_DISKS)
         check_whole("max_turns", max_turns, 1, 10**15)
-        if num_disks is not None and max_turns is not None:
-            self._sizes = [(num_disks, max_turns)]
-        else:
-            sizes = dict.fromkeys((num_disks or disks, max_turns or turns) for disks, turns in _SIZES)
-            self._sizes = [(disks, turns) for disks, turns in sizes if 2**disks - 1 <= turns]
+        given = num_disks, max_turns
+        self._sizes: list[tuple[int, int]] = [
+            (disks, turns)
+            for disks, turns in sizes_to_draw(_SIZES, given)
+            if None not in given or 2**disks - 1 <= turns
+        ]
         if not self._sizes:
             raise ArgumentError(
                 f"no tower can be drawn that num_disks={num_disks} and max_turns={max_turns} leave solvable; give both"

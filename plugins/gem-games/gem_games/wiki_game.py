@@ -37,13 +37,14 @@ class WikiGameEnv(Game):
     - No box, or an empty one: reward -0.2; it costs a turn and does not end the game, unlike in the other games.
     - An article without links ends the game with reward 0. In ``"oneback"`` and ``"freenav"`` it sends you back
       instead, at the price of two turns: reward -0.1.
-    - In the last turn, another link or a title that cannot be taken: reward 0.
+    - In the last turn, another link, another part of the links, or a title that cannot be taken: reward 0.
     - ``\boxed{<LINKS 2>}`` shows the second part of a list of links that is too long to be shown at once. As any move
       it costs a turn: reward -0.05. A link can be taken whether it is shown or not.
     - An article that cannot be fetched is no failure of yours: the episode is truncated with ``info["error"]``.
 
     Unlike in gem-llm the last turn ends the game as ``terminated``, the start and the target come from the seed, a way
-    between them exists, and pages known to do nothing but tell a word's meanings apart are left out of the links.
+    between them exists, and pages known to do nothing but tell a word's meanings apart are left out of the links. An
+    article is shown by its first 500 characters, there by 100, and the target by its title alone.
 
     Args:
         max_turns: Turns allowed. None draws 15 or 30.

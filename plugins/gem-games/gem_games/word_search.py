@@ -10,7 +10,7 @@ from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
 from gem_games.clean_letters import fill
-from gem_games.game import Game, check_whole, quote, whole_numbers
+from gem_games.game import Game, check_flag, check_whole, quote, whole_numbers
 from gem_games.letter_grid import coloured_grid, column_numbers, numbered_row
 from gem_games.words import word_list
 
@@ -62,10 +62,8 @@ class WordSearchEnv(Game):
         super().__init__(format_error_ends=format_error_ends)
         check_whole("max_turns", max_turns, 1, 10**15)
         check_whole("num_words", num_words, 1, _MOST_WORDS)
-        if hardcore is not None and not isinstance(hardcore, bool):
-            raise ArgumentError(f"hardcore must be True, False, or None to draw it, not {hardcore!r}")
-        if not isinstance(show_words, bool):
-            raise ArgumentError(f"show_words must be True or False, not {show_words!r}")
+        check_flag("hardcore", hardcore, or_drawn=True)
+        check_flag("show_words", show_words)
         self.show_words = show_words
         self._given_hardcore = hardcore
         self.hardcore = bool(hardcore)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Any
 
-from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
-from gem_games.game import Game, check_whole, painted, quote
+from gem_games.game import Game, check_flag, check_whole, painted, quote, sizes_to_draw
 from gem_games.words import letters, word_list
 
 _SIZES = (3, 15), (4, 20), (5, 25)
@@ -55,10 +54,9 @@ class WordleEnv(Game):
         super().__init__(format_error_ends=format_error_ends)
         check_whole("word_length", word_length, _SHORTEST, _LONGEST)
         check_whole("max_turns", max_turns, 1, 10**15)
-        if not isinstance(only_real_words, bool):
-            raise ArgumentError(f"only_real_words must be True or False, not {only_real_words!r}")
+        check_flag("only_real_words", only_real_words)
         self.only_real_words = only_real_words
-        self._sizes = list(dict.fromkeys((word_length or length, max_turns or turns) for length, turns in _SIZES))
+        self._sizes: list[tuple[int, int]] = sizes_to_draw(_SIZES, (word_length, max_turns))
         self.word_length, self.max_turns = self._sizes[0]
         self.word = ""
         self._begin()
