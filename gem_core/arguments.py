@@ -35,24 +35,29 @@ def signature_of(maker: Callable[..., Any]) -> inspect.Signature | None:
         # inspect may show its __new__, which takes anything.
         if maker.__init__ is object.__init__:
             return inspect.Signature()
-        return inspect.Signature(_spelt_out(maker.__init__)[1:])
+        return inspect.Signature(_constructor_parameters(maker))
     try:
         return inspect.signature(maker)
     except (TypeError, ValueError):
         return None
 
 
-def _spelt_out(constructor: Callable[..., Any]) -> list[inspect.Parameter]:
-    """Return what a constructor takes; ``**options: Unpack[SomeTypedDict]`` becomes the keywords it stands for."""
-    found = list(inspect.signature(constructor).parameters.values())
-    if found[-1].kind is not inspect.Parameter.VAR_KEYWORD or "Unpack[" not in str(found[-1].annotation):
+def _constructor_parameters(maker: type) -> list[inspect.Parameter]:
+    """Return what a class takes; ``**options: Unpack[SomeTypedDict]`` becomes the keywords that it stands for."""
+    constructors = [vars(base)["__init__"] for base in maker.__mro__[:-1] if "__init__" in vars(base)]
+    found = list(inspect.signature(constructors[0]).parameters.values())[1:]
+    if not found or found[-1].kind is not found[-1].VAR_KEYWORD or "Unpack[" not in str(found[-1].annotation):
         return found
     try:
-        hint = typing.get_type_hints(constructor)[found[-1].name]
-        options = typing.get_type_hints(typing.get_args(hint)[0])
+        hint = typing.get_type_hints(constructors[0])[found[-1].name]
+        names = list(typing.get_type_hints(typing.get_args(hint)[0]))
     except (NameError, TypeError, AttributeError):  # what is imported for the type checker alone
         return found
-    return [*found[:-1], *(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None) for name in options)]
+    # They are handed on, to where their types and defaults stand.
+    known = {name: inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None) for name in names}
+    for constructor in reversed(constructors[1:]):
+        known |= {name: each for name, each in inspect.signature(constructor).parameters.items() if name in known}
+    return [*found[:-1], *(each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in known.values())]
 
 
 def check_arguments(maker: Callable[..., Any], args: tuple[Any, ...], options: Mapping[str, Any], owner: str) -> None:

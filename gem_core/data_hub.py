@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import os
+import socket
+import threading
+import urllib.parse
+import urllib.request
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +16,8 @@ from gem_core.data_views import Row, Rows
 from gem_core.errors import DatasetError, MissingRequirementError
 from gem_core.suggestions import did_you_mean
 
+_NO_TELEMETRY = {"HF_HUB_DISABLE_TELEMETRY": "1", "HF_UPDATE_DOWNLOAD_COUNTS": "0"}
+_flags = threading.Lock()
 _BUILDERS = {".parquet": "parquet", ".arrow": "arrow"}
 
 
@@ -43,7 +49,8 @@ def load_dataset_rows(source: str | Path, *, split: str | None, config: str | No
     library = _library(source)
     with _quiet(library), _explained(library, source, config):
         if isinstance(source, str):
-            loaded = library.load_dataset(source, config, split=split, revision=revision)
+            with _offline_without_network(library):
+                loaded = library.load_dataset(source, config, split=split, revision=revision)
         elif source.is_file():
             loaded = library.load_dataset(binary_kind(source), data_files=os.fspath(source))
         elif (source / "state.json").exists() or (source / "dataset_dict.json").exists():
@@ -124,7 +131,8 @@ class ArrowRow(Mapping[str, Any]):
 
 
 def _library(source: str | Path) -> Any:
-    os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")  # read once, when the library is imported
+    for name, value in _NO_TELEMETRY.items():
+        os.environ.setdefault(name, value)  # read once, when the library is imported
     try:
         import datasets  # type: ignore[import-untyped]
     except ModuleNotFoundError as error:
@@ -147,6 +155,33 @@ def _quiet(library: Any) -> Iterator[None]:
         yield
     finally:
         library.enable_progress_bars()
+
+
+@contextmanager
+def _offline_without_network(library: Any) -> Iterator[None]:
+    """Take the library offline meanwhile where the hub's name cannot be looked up.
+
+    It would try for half a minute; offline, what is in the cache is found at once, and so is what is not.
+    """
+    from huggingface_hub import constants
+
+    host = urllib.parse.urlsplit(library.config.HF_ENDPOINT).hostname or ""
+    try:
+        if not urllib.request.getproxies():  # a proxy looks names up itself
+            socket.getaddrinfo(host, None)
+        reachable = True
+    except OSError:
+        reachable = False
+    if reachable:
+        yield
+        return
+    with _flags:
+        before = library.config.HF_HUB_OFFLINE, constants.HF_HUB_OFFLINE
+        library.config.HF_HUB_OFFLINE = constants.HF_HUB_OFFLINE = True
+        try:
+            yield
+        finally:
+            library.config.HF_HUB_OFFLINE, constants.HF_HUB_OFFLINE = before
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import re
 import threading
@@ -28,6 +29,7 @@ RowFunction = str | Callable[[Row], Any]
 
 _HUB_NAME = re.compile(r"[\w.-]+(/[\w.-]+)?", re.ASCII)
 _PART = re.compile(r"(?P<split>[^\[\]]*)\[(?P<start>-?\d+%?)?:(?P<stop>-?\d+%?)?\]")
+_SHIPPED = re.compile(r"(?P<package>[A-Za-z_]\w*):(?P<inside>[\w-][\w./-]*)", re.ASCII)
 _KEPT = 8
 _HUB_PAUSE_S = 30.0
 
@@ -49,8 +51,9 @@ def load_rows(
 
     Args:
         source: A local path: a file of JSON, JSON lines, CSV or TSV (``.gz`` too), Parquet or Arrow; a folder of
-            these, one or more for each split; or a folder that ``datasets`` saved. Else the name of a data set on the
-            Hugging Face hub, as in ``"openai/gsm8k"``. Or the rows themselves.
+            these, one or more for each split; or a folder that ``datasets`` saved. Or ``"package:data/rows.jsonl"``,
+            which a package ships. Else the name of a data set on the Hugging Face hub, as in ``"openai/gsm8k"``.
+            Or the rows themselves.
         split: Which split, as in ``"test"``; a part of one as in ``"test[:100]"`` or ``"train[:10%]"``. None where
             there is but one. A lone file is the split ``"train"``.
         config: Which subset.
@@ -112,6 +115,8 @@ def _loaded(source: RowSource, split: str | None, config: str | None, revision: 
 def _local_path(source: str | os.PathLike[str]) -> Path | None:
     """Return where a source lies on this machine, or None for a name on the hub."""
     known = (*TEXT_KINDS, ".parquet", ".arrow")
+    if isinstance(source, str) and (shipped := _SHIPPED.fullmatch(source)):
+        source = str(_shipped_path(shipped["package"], shipped["inside"]))
     try:
         path = Path(source).expanduser()
         is_folder, is_file = path.is_dir(), path.is_file()
@@ -134,6 +139,15 @@ def _local_path(source: str | os.PathLike[str]) -> Path | None:
             f"In {str(near)!r} there is: {', '.join(there) or 'nothing'}"
         )
     return None
+
+
+def _shipped_path(package: str, inside: str) -> Path:
+    """Return where a file lies that an installed package ships."""
+    found = importlib.util.find_spec(package)
+    folders = list(found.submodule_search_locations or []) if found is not None else []
+    if not folders:
+        raise DatasetError(f"there is no package {package!r}, so that {package}:{inside} is nowhere")
+    return Path(folders[0], inside)
 
 
 def _stamp(path: Path) -> tuple[str, int, int, int]:

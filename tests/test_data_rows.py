@@ -7,8 +7,10 @@ import gzip
 import json
 import os
 import pickle
+import socket
 import subprocess
 import sys
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -277,6 +279,35 @@ def test_hub_that_is_not_reached_is_an_error_with_advice() -> None:
     assert first.startswith("DatasetError the data set 'nobody/nothing-of-this-name' is not in the cache")
     assert first.endswith("go online once, or give the path of a local copy as dataset_name")
     assert second == first
+
+
+def test_hub_is_not_asked_where_its_name_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is in the cache would be found; the library's own settings are put back."""
+
+    def unknown(*_: object, **__: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    monkeypatch.setattr(urllib.request, "getproxies", dict)
+    monkeypatch.setattr(datasets.config, "HF_HUB_OFFLINE", False)
+    with pytest.raises(DatasetError, match="nothing-of-that-name' is not in the cache, and the hub does not answer"):
+        load_rows("nobody/nothing-of-that-name")
+    assert datasets.config.HF_HUB_OFFLINE is False
+
+
+def test_file_that_a_package_ships(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the package's name, so that the arguments of an environment are the same on every machine."""
+    (tmp_path / "shipping" / "data").mkdir(parents=True)
+    (tmp_path / "shipping" / "__init__.py").write_text("raise AssertionError('it was imported')", encoding="utf-8")
+    (tmp_path / "shipping" / "data" / "sums.jsonl").write_text(LINES, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert list(load_rows("shipping:data/sums.jsonl")) == ROWS
+    with pytest.raises(DatasetError, match=r"there is no file or folder .*In '.*shipping/data' there is: sums\.jsonl"):
+        load_rows("shipping:data/sum.jsonl")
+    with pytest.raises(
+        DatasetError, match=r"there is no package 'shiping', so that shiping:data/sums\.jsonl is nowhere"
+    ):
+        load_rows("shiping:data/sums.jsonl")
 
 
 def test_without_the_library_the_error_names_the_command(

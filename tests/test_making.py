@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import warnings
-from typing import Any
+from typing import Any, Unpack
 
 import gymnasium
 import pytest
@@ -14,6 +15,8 @@ from gymnasium.utils.env_checker import check_env
 
 import gem_core as gem
 from gem_core import registry
+from gem_core.arguments import signature_of
+from gem_core.dataset import DatasetOptions
 from gem_core.errors import ArgumentError, ResetNeededError, UnknownWrapperError
 from gem_core.making import MadeSpec, wrap
 
@@ -180,3 +183,24 @@ def test_environment_is_closed_when_its_wrappers_cannot_be_made() -> None:
     with pytest.raises(UnknownWrapperError):
         gem.make("toy:Started-v0", wrappers="concatt")
     assert closed == ["it"]
+
+
+class TwiceEnv(gem.DatasetEnv):
+    """Adds a keyword to those of its base."""
+
+    def __init__(self, rows: Any = None, *, twice: bool = False, **options: Unpack[DatasetOptions]) -> None:
+        super().__init__(rows, **options)
+        self.twice = twice
+
+
+def test_keywords_that_are_handed_on_are_named() -> None:
+    """``**options: Unpack[…]`` stands for the keywords of the base, with their types and defaults."""
+    signature = signature_of(TwiceEnv)
+    assert signature is not None
+    assert list(signature.parameters)[:3] == ["rows", "twice", "dataset_name"]
+    assert str(signature.parameters["question_key"]) == "question_key: 'str' = 'question'"
+    assert signature.parameters["split"].kind is inspect.Parameter.KEYWORD_ONLY
+    env = TwiceEnv([{"q": "a", "answer": "b"}], question_key="q", twice=True)
+    assert env.spawn(id_key="q").reset()[1]["task_id"] == "a"
+    with pytest.raises(ArgumentError, match=r"Did you mean 'question_key'\? It accepts: twice, dataset_name"):
+        env.spawn(question_kye="q")

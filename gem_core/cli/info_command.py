@@ -7,9 +7,11 @@ import json
 
 import click
 
+from gem_core.arguments import signature_of
 from gem_core.cli.completion import complete_ids_and_tools
 from gem_core.cli.list_command import described
 from gem_core.cli.tool_info import find_tool, print_tool
+from gem_core.errors import DatasetError
 from gem_core.registry import registry
 from gem_core.requirements import unmet
 from gem_core.specs import EnvSpec
@@ -66,12 +68,17 @@ def _print_class(record: EnvSpec) -> None:
     from gem_core.registry import make
 
     maker = load_entry_point(record.entry_point, f"environment {record.id!r}")
-    accepted = [str(parameter) for parameter in inspect.signature(maker).parameters.values()]
+    signature = signature_of(maker) or inspect.Signature()
+    accepted = [str(parameter) for parameter in signature.parameters.values()]
     click.echo(f"  {'accepts:':<14}{', '.join(accepted) or 'no arguments'}")
     documented = inspect.getdoc(maker)
     if documented:
         click.echo("\n" + documented)
-    env = make(record)
+    try:
+        env = make(record)
+    except DatasetError as error:  # what there is to know of it is worth reading offline too
+        click.echo(f"\nThere is no observation to show: {error}")
+        return
     try:
         observation, _ = env.reset(seed=0)
     finally:

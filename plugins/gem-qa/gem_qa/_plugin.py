@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 
 from gem_core.hookspecs import hookimpl
 from gem_core.specs import EnvSpec
@@ -27,7 +26,7 @@ def gem_register_envs() -> Iterable[EnvSpec]:
         id="qa:Sample",
         entry_point=_ENTRY,
         kwargs={
-            "dataset_name": str(Path(__file__).parent / "data" / "sample.jsonl"),
+            "dataset_name": "gem_qa:data/sample.jsonl",
             "answer_key": "answers",
             "id_key": "id",
         },
