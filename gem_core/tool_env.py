@@ -236,19 +236,20 @@ class ToolEnv(Wrapper):
     def _get_state(self) -> dict[str, Any]:
         if self._suffix is not None and not isinstance(self._suffix, str):
             raise StateNotSupported("the task's suffix holds content parts, whose images are not plain data")
+        holders = self._sessions.holders
         return {
             "live": self._live,
             "counters": [self._uses, self._successes, self._failures],
             "suffix": self._suffix,
-            "sessions": {name: self.tools[name].get_session_state(s) for name, s in self._sessions.open.items()},
+            "sessions": {key: holders[key].get_session_state(session) for key, session in self._sessions.open.items()},
         }
 
     def _set_state(self, state: dict[str, Any]) -> None:
         self._sessions.close()
         self._uses, self._successes, self._failures = state["counters"]
         self._suffix, self._live = state["suffix"], bool(state["live"])
-        for name, session in state["sessions"].items():
-            self._sessions.open[name] = self.tools[name].set_session_state(session)
+        for key, session in state["sessions"].items():
+            self._sessions.open[key] = self._sessions.holders[key].set_session_state(session)
 
 
 def _title(call: ToolCall, result: ToolResult) -> str:

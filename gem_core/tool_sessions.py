@@ -44,14 +44,16 @@ class ToolSessions:
     """
 
     def __init__(self, tools: Mapping[str, Tool], timeout_s: float | None) -> None:
-        self.tools = tools
+        self.holders = {tool.session_key: tool for tool in reversed(tools.values())}
+        """The tools that close sessions, by the sessions' keys: of tools that share one, the first."""
         self.timeout_s = timeout_s
         self.needs: Concurrency = needs_of(tools.values(), waits=timeout_s is not None)
         self.waits = self.needs == "async" or timeout_s is not None
         """Whether calls have to be awaited on the library's loop."""
         self.open: dict[str, Any] = {}
+        """The open sessions, by their keys."""
         # Also runs when the environment is collected and when the interpreter exits.
-        self._finalizer = weakref.finalize(self, _close_now, tools, self.open, self.waits, timeout_s)
+        self._finalizer = weakref.finalize(self, _close_now, self.holders, self.open, self.waits, timeout_s)
 
     async def call(self, tool: Tool, arguments: Any) -> ToolResult:
         """Call a tool; whatever goes wrong is a result that says so."""
@@ -82,12 +84,12 @@ class ToolSessions:
 
     async def _attempt(self, tool: Tool, arguments: Any, attempt: _Attempt) -> ToolResult:
         try:
-            if tool.name in self.open:
-                attempt.session, attempt.opened = self.open[tool.name], True
+            if tool.session_key in self.open:
+                attempt.session, attempt.opened = self.open[tool.session_key], True
             else:
                 attempt.session, attempt.opened = await self._run(tool, tool.open), True
                 if not attempt.left_behind:
-                    self.open[tool.name] = attempt.session
+                    self.open[tool.session_key] = attempt.session
             return _checked(tool, await self._run(tool, tool.call, arguments, attempt.session))
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a failing tool is an observation for the agent
             message = f"{type(error).__name__}: {error}".strip()[:2000]
@@ -96,7 +98,7 @@ class ToolSessions:
     def _leave_behind(self, tool: Tool, attempt: _Attempt, running: asyncio.Task[ToolResult]) -> None:
         """Give up a call. Its session goes with it, and is closed when the call ends, if it ever does."""
         attempt.left_behind = True
-        self.open.pop(tool.name, None)
+        self.open.pop(tool.session_key, None)
         _left_behind.add(running)
 
         def tidy(ended: asyncio.Task[ToolResult]) -> None:
@@ -119,11 +121,11 @@ class ToolSessions:
 
     async def close_all(self, sessions: Mapping[str, Any]) -> None:
         """Close sessions that were taken."""
-        await _close_all(self.tools, sessions, self.waits, self.timeout_s)
+        await _close_all(self.holders, sessions, self.waits, self.timeout_s)
 
     def close(self) -> None:
         """Close the open sessions, from plain code."""
-        _close_now(self.tools, self.open, self.waits, self.timeout_s)
+        _close_now(self.holders, self.open, self.waits, self.timeout_s)
 
     def finished(self, coroutine: Coroutine[Any, Any, T]) -> T | Coroutine[Any, Any, T]:
         """Return what a coroutine of this class returns, or the coroutine where it has to be awaited."""

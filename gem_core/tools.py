@@ -108,6 +108,14 @@ class Tool:
         """Release a session. May be a coroutine."""
         return None
 
+    @property
+    def session_key(self) -> str:
+        """Names the session: tools of one environment with the same key share one, which the first of them opens.
+
+        By default the tool's name, so that each has its own.
+        """
+        return self.name
+
     def get_session_state(self, session: Any) -> Any:
         """Return a session as plain data; a tool without sessions has none to save."""
         if session is None:
