@@ -44,7 +44,7 @@ class ToolSessions:
     """
 
     def __init__(self, tools: Mapping[str, Tool], timeout_s: float | None) -> None:
-        self.holders = {tool.session_key: tool for tool in reversed(tools.values())}
+        self.holders = {tool.session_key: tool for tool in reversed(list(tools.values()))}
         """The tools that close sessions, by the sessions' keys: of tools that share one, the first."""
         self.timeout_s = timeout_s
         self.needs: Concurrency = needs_of(tools.values(), waits=timeout_s is not None)

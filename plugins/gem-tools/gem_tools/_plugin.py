@@ -22,6 +22,12 @@ def gem_register_tools() -> Iterable[ToolSpec]:
         summary="Searches a local corpus, a retrieval server, or the web.",
         status="gem_tools.search.status:status",
     )
+    yield ToolSpec(
+        name="mcp",
+        entry_point="gem_tools.mcp.tool:make_mcp",
+        summary="The tools of any MCP server, or of all in a configuration file.",
+        status="gem_tools.mcp.status:status",
+    )
 
 
 @hookimpl
@@ -31,4 +37,9 @@ def gem_add_commands() -> Iterable[CommandSpec]:
         name="serve-search",
         entry_point="gem_tools.search.serve_command:command",
         summary="Serve a corpus to many trainers, in the form of Search-R1's server.",
+    )
+    yield CommandSpec(
+        name="mcp",
+        entry_point="gem_tools.mcp.command:command",
+        summary="Show what MCP servers offer, and what is wrong with them.",
     )

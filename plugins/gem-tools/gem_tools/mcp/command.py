@@ -1,0 +1,123 @@
+"""``gem mcp``: what MCP servers offer, and what is wrong with them."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from typing import Any
+
+import click
+
+from gem_core.errors import ArgumentError, GemError
+
+
+@click.group("mcp")
+def command() -> None:
+    """Show what MCP servers offer, and what is wrong with them."""
+
+
+@command.command(
+    "list",
+    epilog="""\b
+Examples:
+  gem mcp list servers.json
+  gem mcp list --command "npx -y @modelcontextprotocol/server-filesystem ."
+  gem mcp list --url http://127.0.0.1:8000/mcp --json
+\b
+CONFIG is an mcpServers file, as Claude Desktop, Cursor and VS Code have them. An agent gets the tools by
+  gem.make(…, wrappers=[("mcp", {"config": "servers.json"})])
+\b
+The exit code is 0 if every server answered, else 1.
+""",
+)
+@click.argument("config", required=False)
+@click.option("--command", "command_line", help="Program of one server, with its arguments.")
+@click.option("--url", help="Address of one server that runs already.")
+@click.option("--transport", type=click.Choice(["http", "sse"]), help="How to speak to that address.")
+@click.option("--timeout", type=click.FloatRange(0, min_open=True), default=30.0, show_default=True, help="In seconds.")
+@click.option("--json", "as_json", is_flag=True, help="For machines.")
+def list_servers(
+    config: str | None,
+    command_line: str | None,
+    url: str | None,
+    transport: str | None,
+    timeout: float,
+    as_json: bool,
+) -> None:
+    """Start or reach the servers of CONFIG, or one by option, and show their tools."""
+    report = _report(config, command_line, url, transport, timeout)
+    if as_json:
+        click.echo(json.dumps(report, indent=2, ensure_ascii=False))
+    else:
+        _show(report)
+    broken = [entry["name"] for entry in report if entry["error"]]
+    if broken:
+        raise GemError(f"{len(broken)} of {len(report)} MCP servers cannot be used: {', '.join(broken)}")
+
+
+def _report(
+    config: str | None, command_line: str | None, url: str | None, transport: str | None, timeout: float
+) -> list[dict[str, Any]]:
+    from gem_tools.mcp.config import from_keywords, read_config
+    from gem_tools.mcp.connection import Limits
+    from gem_tools.mcp.listing import asked
+    from gem_tools.mcp.names import tool_names
+
+    if sum(choice is not None for choice in (config, command_line, url)) != 1:
+        raise ArgumentError(
+            "name either a CONFIG file, or one server by --command or by --url; see 'gem mcp list --help'"
+        )
+    disabled: list[str] = []
+    if config is not None:
+        servers, disabled = read_config(config)
+    else:
+        try:
+            words = shlex.split(command_line or "")
+        except ValueError as error:
+            raise ArgumentError(f"--command is not a command line: {error}") from error
+        program = None if command_line is None else "".join(words[:1])
+        servers = [from_keywords(program, words[1:], None, None, url, None, transport, None)]
+    found = asked(servers, Limits(connect_s=timeout, list_s=timeout))
+    offered = [
+        (server.name, offer.name)
+        for server, listing in zip(servers, found, strict=True)
+        if not isinstance(listing, GemError)
+        for offer in listing.tools
+    ]
+    names = iter(tool_names(offered))
+    report: list[dict[str, Any]] = []
+    for server, listing in zip(servers, found, strict=True):
+        entry: dict[str, Any] = {"name": server.name, "transport": server.transport, "place": server.place}
+        if isinstance(listing, GemError):
+            report.append({**entry, "error": str(listing), "tools": [], "problems": []})
+            continue
+        tools = [
+            {"name": next(names), "server_tool": offer.name, "description": offer.description, "schema": offer.schema}
+            for offer in listing.tools
+        ]
+        entry |= {"error": None, "info": dict(listing.info), "tools": tools}
+        report.append(
+            {**entry, "resources": listing.resources, "prompts": listing.prompts, "problems": listing.problems}
+        )
+    report += [
+        {"name": name, "error": None, "disabled": True, "tools": [], "problems": ["disabled in the file"]}
+        for name in disabled
+    ]
+    return report
+
+
+def _show(report: list[dict[str, Any]]) -> None:
+    from gem_tools.mcp.messages import shortened
+
+    for entry in report:
+        where = f" ({entry['transport']}: {entry['place']})" if "place" in entry else ""
+        click.echo(f"{entry['name']}{where}")
+        if entry["error"]:
+            click.echo(f"  error: {entry['error']}")
+        for tool in entry["tools"]:
+            click.echo(f"  {tool['name']}: {shortened(tool['description'], 100)}".rstrip(": "))
+        more = [what for what in ("resources", "prompts") if entry.get(what)]
+        if more:
+            click.echo(f"  and {' and '.join(more)}")
+        for problem in entry["problems"]:
+            click.echo(f"  note: {problem}")

@@ -1,0 +1,335 @@
+"""Messages, names, schemas and results: what servers and agents write, however odd."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import io
+import json
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from gem_core.errors import ArgumentError
+from gem_tools.mcp.messages import TOO_LONG, UNREADABLE, Lines, parsed
+from gem_tools.mcp.names import chosen, legal, tool_names
+from gem_tools.mcp.results import Budget, from_call, from_prompt, from_resource
+from gem_tools.mcp.schemas import MAX_STEPS, ArgumentChecker
+
+PLAIN = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=4),
+    max_leaves=12,
+)
+
+
+def response(number: int, words: str) -> bytes:
+    """Return an answer as Python servers write it."""
+    return json.dumps({"jsonrpc": "2.0", "id": number, "result": {"text": words}}).encode() + b"\n"
+
+
+# Messages.
+
+
+@given(st.data())
+def test_messages_are_the_same_however_they_arrive(data):
+    """The pipe cuts where it likes."""
+    stream = b"".join(response(number, "ä" * number) for number in range(5)) + b"not JSON\n\n  \n" + response(9, "")
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=8)))
+    lines = Lines(10_000)
+    found = [
+        message.message
+        for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True)
+        for message in lines.feed(stream[start:end])
+    ]
+    assert [message.id for message in found] == [0, 1, 2, 3, 4, 9]
+    assert list(lines.stray) == ["not JSON"]
+
+
+@pytest.mark.parametrize(
+    "form", ['{{"jsonrpc": "2.0", "id": 7, "result": "{}"}}', '{{"result":"{}","jsonrpc":"2.0","id":7}}']
+)
+@pytest.mark.parametrize("size", [1, 100, 100_000])
+def test_a_message_that_is_too_long_becomes_an_error(form, size):
+    """Whoever waits for it is told, and what follows is read."""
+    stream = form.format("x" * 200_000).encode() + b"\n" + response(8, "short")
+    lines = Lines(150_000)
+    found = [
+        message.message
+        for start in range(0, len(stream), size * 7)
+        for message in lines.feed(stream[start : start + size * 7])
+    ]
+    assert [(message.id, getattr(message, "error", None) and message.error.code) for message in found] == [
+        (7, TOO_LONG),
+        (8, None),
+    ]
+    assert found[0].error.message == "the answer is over 150,000 bytes long"
+
+
+def test_endless_output_is_not_kept():
+    lines = Lines(1000)
+    for _ in range(1000):
+        assert list(lines.feed(b"x" * 10_000)) == []
+    assert sum(map(len, lines._parts)) + len(lines._end) < 5000
+
+
+def test_broken_unicode_is_mended():
+    message = parsed(b'{"jsonrpc":"2.0","id":1,"result":{"a\\ud800":["\\udc00!"]}}')
+    assert message.result == {"a\ufffd": ["\ufffd!"]}
+
+
+def test_an_answer_that_cannot_be_read_becomes_an_error():
+    deep = b'{"jsonrpc":"2.0","id":5,"result":' + b"[" * 100_000 + b"]" * 100_000 + b"}"
+    assert (parsed(deep).id, parsed(deep).error.code) == (5, UNREADABLE)
+    assert parsed(b'{"jsonrpc":"2.0","id":5,"result":7}').error.code == UNREADABLE
+    for stray in (b"Server started", b"[" * 100_000, b"7", b'{"id": 1}', b"\xff"):
+        assert parsed(stray) is None
+
+
+@given(st.binary(max_size=300))
+def test_any_line_is_read_or_put_aside(line):
+    list(Lines(100).feed(line + b"\n"))
+
+
+# Names.
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(["a", "b", "ü"]), st.text(max_size=70) | st.sampled_from(["x", "X", "a_x", "x_2"])),
+        max_size=12,
+        unique=True,
+    )
+)
+def test_names_are_legal_unique_and_the_same_again(offered):
+    names = tool_names(offered)
+    assert len({name.casefold() for name in names}) == len(offered)
+    assert all(re.fullmatch(r"[a-zA-Z0-9_-]{1,64}", name) for name in names)
+    assert names == tool_names(offered)
+
+
+def test_names_stay_as_they_are_where_they_can():
+    assert tool_names([("a", "read"), ("b", "write-it")]) == ["read", "write-it"]
+    assert tool_names([("a", "read"), ("b", "read"), ("b", "own")]) == ["a_read", "b_read", "own"]
+    assert tool_names([("a", "x.y"), ("a", "x/y"), ("a", "x_y")]) == ["x_y", "x_y_2", "x_y_3"]
+    assert tool_names([("my server", "do"), ("my-server", "do"), ("c", "my_server_do")]) == [
+        "my_server_do",
+        "my-server_do",
+        "my_server_do_2",
+    ]
+    assert legal("a" * 64) == "a" * 64
+    assert len(legal("a" * 65)) == 64
+    assert legal("a" * 65) != legal("a" * 66)
+    assert legal("…") == "tool"
+
+
+def test_filters_take_names_and_patterns():
+    names = ["read_a", "read_b", "write"]
+    assert chosen(names, None, None) == set(names)
+    assert chosen(names, "read_*", ["read_b"]) == {"read_a"}
+    with pytest.raises(ArgumentError, match=re.escape("include: no tool 'rad'; there are read_a, read_b, write")):
+        chosen(names, ["rad"], None)
+    with pytest.raises(ArgumentError, match=re.escape("exclude: no tool 'x*'")):
+        chosen(names, None, "x*")
+
+
+# Schemas.
+
+
+def problem(schema: object, **arguments: object) -> str | None:
+    """Return what is said of arguments; None if they fit."""
+    try:
+        ArgumentChecker({"type": "object", "properties": {"a": schema}}).check(arguments)
+    except ArgumentError as error:
+        return str(error)
+    return None
+
+
+def test_arguments_are_held_to_the_schema():
+    assert problem({"type": "string"}, a="x") is None
+    assert problem({"type": "string"}, a=1) == "a: 1 is not of type 'string'"
+    assert problem({"enum": ["x", "y"]}, a="z") == "a: 'z' is not one of ['x', 'y']"
+    assert problem({"pattern": "^[a-z]+$"}, a="Z") == "a: 'Z' does not match '^[a-z]+$'"
+    assert problem({"items": {"minimum": 3}}, a=[3, 2]) == "a.1: 2 is less than the minimum of 3"
+    assert problem({"uniqueItems": True}, a=[{"x": 1}, {"x": 1}]) == "a: an item is there twice"
+    assert problem({"additionalProperties": False, "patternProperties": {"^x-": {}}}, a={"x-1": 1, "y": 2}) == (
+        "a: there is no parameter 'y'"
+    )
+    assert (
+        problem({"patternProperties": {"^n": {"type": "number"}}}, a={"n": "1"}) == "a.n: '1' is not of type 'number'"
+    )
+    assert problem({"$ref": "#/properties/b"}, a=1) is None
+
+
+def test_definitions_inside_the_schema_are_followed():
+    schema = {"$defs": {"n": {"type": "integer"}}, "properties": {"a": {"$ref": "#/$defs/n"}}}
+    with pytest.raises(ArgumentError, match="a: 'x' is not of type 'integer'"):
+        ArgumentChecker(schema).check({"a": "x"})
+
+
+def test_older_versions_of_json_schema_are_known():
+    schema = {
+        "$schema": "http://json-schema.org/draft-04/schema#",
+        "properties": {"a": {"maximum": 3, "exclusiveMaximum": True}},
+    }
+    with pytest.raises(ArgumentError, match="3 is greater than or equal to the maximum of 3"):
+        ArgumentChecker(schema).check({"a": 3})
+
+
+BOMB = {"$defs": {f"d{i}": {"allOf": [{"$ref": f"#/$defs/d{i + 1}"}] * 2} for i in range(60)} | {"d60": {}}}
+
+
+@pytest.mark.parametrize(
+    "schema",
+    [
+        {"properties": {"a": {"$ref": "http://127.0.0.1:1/never-fetched"}}},
+        {"properties": {"a": {"$ref": "file:/etc/passwd"}}},
+        {"properties": {"a": {"$ref": "#/nowhere"}}},
+        {"$ref": "#"},
+        {**BOMB, "properties": {"a": {"$ref": "#/$defs/d0"}}},
+        {"properties": {"a": {"type": 12}}},
+        {"properties": {"a": {"type": "no such type"}}},
+        {"properties": {"a": {"pattern": "("}}},
+        {"properties": {"a": {"pattern": 7}}},
+        {"properties": 7},
+        {"required": 7},
+        {"$schema": ["odd"], "properties": {}},
+        {"properties": {"a": {"enum": ["x" * 300_000]}}},
+        {"properties": {"a": {"$id": "http://[", "$anchor": 7}}},
+    ],
+)
+def test_a_schema_that_cannot_be_used_lets_arguments_pass(schema):
+    """The server has to check them itself; nothing is fetched, and nothing fails."""
+    assert ArgumentChecker(schema).check({"a": "x"}) == {"a": "x"}
+
+
+@pytest.mark.parametrize(
+    "pattern", ["(a+)+$", "(a|aa)+$", "(.*a){30}$", "((a{1000}){1000}){1000}", "(?:a?){900}a{900}$"]
+)
+def test_patterns_cost_time_that_is_linear(pattern):
+    """What would take Python's own engine longer than the universe has existed, or all memory, is answered."""
+    for schema in (
+        {"properties": {"a": {"pattern": pattern}}},
+        {"properties": {"a": {"$schema": "http://json-schema.org/draft-07/schema#", "pattern": pattern}}},
+        {"properties": {"a": {"patternProperties": {pattern: {}}, "additionalProperties": False}}},
+        {"properties": {"a": {"patternProperties": {pattern: False}, "unevaluatedProperties": False}}},
+    ):
+        checker = ArgumentChecker(schema)
+        for value in ("a" * 5000 + "!", {"a" * 5000 + "!": 1}):
+            with contextlib.suppress(ArgumentError):
+                assert checker.check({"a": value}) == {"a": value}
+    assert MAX_STEPS < 10**6
+
+
+@given(PLAIN, PLAIN)
+def test_any_schema_and_any_arguments_are_answered(schema, arguments):
+    for whole in (
+        schema,
+        {"properties": {"a": schema}},
+        {"properties": schema, "required": schema, "additionalProperties": schema},
+    ):
+        try:
+            checked = ArgumentChecker(whole).check({"a": arguments})
+        except ArgumentError:
+            continue
+        assert checked == {"a": arguments}
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("\ud800", "They hold broken Unicode: half of a character that takes two."),
+        ({"\udfff": 1}, "They hold broken Unicode: half of a character that takes two."),
+        (float("nan"), "They hold nan, which JSON has no number for."),
+        (10**4000, "They hold a number of thousands of digits."),
+        ("x" * 6_000_000, "They are over 5,000,000 characters long."),
+        (json.loads("[" * 100 + "]" * 100), "They are nested more than 60 deep."),
+        (object(), "They hold object, which is not JSON."),
+    ],
+)
+def test_what_cannot_be_sent_is_refused(value, message):
+    with pytest.raises(ArgumentError, match=f"^{re.escape(message)}$"):
+        ArgumentChecker({}).check({"a": value})
+
+
+# Results.
+
+
+def picture(form: str, size: tuple[int, int] = (2, 2), mode: str = "RGB") -> str:
+    """Return an image as servers send it."""
+    file = io.BytesIO()
+    Image.new(mode, size).save(file, form)
+    return base64.b64encode(file.getvalue()).decode()
+
+
+def text(words: str) -> dict[str, str]:
+    """Return a block of text."""
+    return {"type": "text", "text": words}
+
+
+def test_text_is_shown_as_it_is():
+    observation, info = from_call({"content": [text("a\tb"), text("c\r\nd\x1b[1m")]}, Budget())
+    assert observation == "a\tb\nc\nd[1m"
+    assert info == {}
+
+
+def test_structured_content_is_shown_where_there_is_no_text():
+    assert from_call({"content": [], "structuredContent": {"n": "ä"}}, Budget()) == (
+        '{"n": "ä"}',
+        {"structured": {"n": "ä"}},
+    )
+    assert from_call({"content": [text("n is ä")], "structuredContent": {"n": "ä"}}, Budget())[0] == "n is ä"
+
+
+@pytest.mark.parametrize("form", ["PNG", "JPEG", "GIF", "WEBP"])
+def test_images_are_content_parts(form):
+    blocks = [text("before"), {"type": "image", "data": picture(form), "mimeType": "image/x"}, text("after")]
+    observation, _ = from_call({"content": blocks}, Budget())
+    assert [part["type"] for part in observation] == ["text", "image", "text"]
+    assert observation[1]["image"].size == (2, 2)
+
+
+def test_images_that_unpack_to_too_much_are_not_unpacked():
+    data = picture("PNG", (20_000, 20_000), "1")
+    observation, _ = from_call({"content": [{"type": "image", "data": data, "mimeType": "image/png"}]}, Budget())
+    assert observation.startswith("[image") and "cannot be shown as text]" in observation  # noqa: PT018
+
+
+def test_only_so_many_images_are_shown():
+    block = {"type": "image", "data": picture("PNG"), "mimeType": "image/png"}
+    observation, _ = from_call({"content": [block] * 3}, Budget(max_images=2))
+    assert [part["type"] for part in observation] == ["image", "image", "text"]
+    assert observation[2]["text"] == "[1 more images are not shown.]"
+
+
+def test_long_results_are_cut_and_say_so():
+    observation, _ = from_call({"content": [text("x" * 5000)]}, Budget(max_chars=1000))
+    assert len(observation) == 1000
+    assert observation.endswith("\n[5,000 characters, of which only the first are shown: ask for less at once.]")
+
+
+def test_resources_and_prompts_are_shown():
+    contents = [{"uri": "a:b", "text": "inside"}, {"uri": "c:d", "blob": "AAAA", "mimeType": "application/zip"}]
+    assert from_resource({"contents": contents}, Budget()) == (
+        "[resource a:b]\ninside\n[resource c:d, application/zip, 3 bytes: cannot be shown as text]"
+    )
+    messages = [{"role": "user", "content": text("hi")}, {"role": "assistant", "content": text("ho")}]
+    assert from_prompt({"description": "greets", "messages": messages}, Budget()) == "greets\nuser:\nhi\nassistant:\nho"
+
+
+@given(PLAIN, st.sampled_from(["text", "image", "audio", "resource", "resource_link", "x"]))
+def test_any_result_is_shown(value, kind):
+    """A server may write anything where content is expected."""
+    blocks = [
+        {"type": kind, "text": value, "data": value, "resource": value, "uri": value, "mimeType": value, "name": value}
+    ]
+    for content in (value, blocks, [*blocks, value]):
+        for observation in (
+            from_call({"content": content, "structuredContent": value}, Budget())[0],
+            from_resource({"contents": content}, Budget()),
+            from_prompt({"messages": [{"content": content, "role": value}], "description": value}, Budget()),
+        ):
+            assert isinstance(observation, str | list)

@@ -1,0 +1,381 @@
+"""The tool ``mcp`` with a server that misbehaves in every way, one at a time."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import json
+import pickle
+import re
+import sys
+import threading
+
+import pytest
+from mcp_helping import BAD_SERVER, QUESTION, action, around, bad, question, servers_of, step, wait_until_gone
+
+import gem_core as gem
+from gem_core.background import run_sync
+from gem_core.errors import ArgumentError, MissingRequirementError
+from gem_core.testing import check_tool
+from gem_core.tool_env import ToolEnv
+from gem_tools.mcp import listing
+from gem_tools.mcp.connection import ServerFault
+from gem_tools.mcp.tool import make_mcp
+
+
+def test_tools_of_a_server_are_tools_of_the_environment():
+    env = around(bad(include=["echo", "count"]))
+    try:
+        observation, info = env.reset(seed=0)
+        assert "- echo: Does echo. Call it with <echo>text</echo>; its arguments, as a JSON Schema: {" in observation
+        assert (
+            '- count: Does count. Call it with <tool_call>{"name": "count", "arguments": {…}}</tool_call>'
+            in observation
+        )
+        assert [tool["function"]["name"] for tool in info["tools"]] == ["echo", "count"]
+        assert info["tools"][0]["function"]["parameters"] == {
+            "type": "object",
+            "properties": {"text": {"type": "string"}},
+            "required": ["text"],
+            "additionalProperties": False,
+        }
+        observation, info = step(env, "echo", text="hällo")
+        assert observation == "hällo"
+        assert (info["server"], info["server_tool"], info["failed"]) == ("bad", "echo", False)
+        assert "hi" in env.step("<echo>hi</echo>")[0]
+        call = {"id": "c1", "type": "function", "function": {"name": "echo", "arguments": '{"text": "native"}'}}
+        messages = env.step(gem.Response("", tool_calls=[call]))[4]["messages"]
+        assert messages[0]["tool_call_id"] == "c1"
+        assert "native" in messages[0]["content"]
+    finally:
+        env.close()
+
+
+def test_wrong_arguments_do_not_reach_the_server():
+    env = around(bad())
+    try:
+        assert step(env, "count")[0] == "1"
+        observation, info = step(env, "echo", txt=1)
+        assert observation == (
+            "The arguments are not valid. 'text' is a required property; there is no parameter 'txt'; there are 'text'"
+        )
+        assert info["failed"]
+        assert step(env, "echo", text="\ud800")[0].endswith(
+            "They hold broken Unicode: half of a character that takes two."
+        )
+        assert step(env, "count")[0] == "2"
+    finally:
+        env.close()
+
+
+def test_the_tools_of_a_server_share_a_session_in_an_episode():
+    env = around(bad())
+    try:
+        assert [step(env, "count")[0], step(env, "echo", text="x")[0], step(env, "count")[0]] == ["1", "x", "3"]
+        assert len(servers_of()) == 1
+        env.reset(seed=1)
+        assert servers_of() == []
+        assert step(env, "count")[0] == "1"
+    finally:
+        env.close()
+    assert servers_of() == []
+
+
+def test_a_shared_session_is_one_for_all_environments_until_the_last_is_gone():
+    one, other = around(bad(sessions="shared")), around(bad(sessions="shared"))
+    assert [step(one, "count")[0], step(other, "count")[0]] == ["1", "2"]
+    one.reset(seed=1)
+    assert step(one, "count")[0] == "3"
+    assert len(servers_of()) == 1
+    one.close()
+    other.close()
+    del one
+    assert step(around(bad(sessions="shared")), "count")[0] == "4"
+    keepers = servers_of()
+    del other
+    gc.collect()
+    wait_until_gone(keepers)
+
+
+def test_every_kind_of_content_becomes_an_observation():
+    env = around(bad())
+    try:
+        observation, info = step(env, "shapes")
+        shown = [part["text"] if part["type"] == "text" else part["image"].size for part in observation]
+        assert shown[1:-1] == [
+            "words",
+            (1, 1),
+            "[image that cannot be read, image/png, 9 bytes: cannot be shown as text]",
+            "[audio, audio/wav, 3 bytes: cannot be shown as text]",
+            "[resource notes:///a: A, text/plain]",
+            "[resource notes:///b]\ninside",
+            "[resource notes:///c, application/zip, 3 bytes: cannot be shown as text]",
+            "[something new: cannot be shown as text]\n",
+        ]
+        assert info["structured"] == {"n": 1}
+    finally:
+        env.close()
+
+
+def test_a_slow_call_is_given_up_and_the_session_goes_on():
+    env = around(bad(call_timeout_s=0.5))
+    try:
+        observation, info = step(env, "slow")
+        assert observation == (
+            "The server bad was too slow: it did not answer within 0.5 s. The call was given up; it may have had its "
+            "effect all the same."
+        )
+        assert info["fault"] == "timeout: it did not answer within 0.5 s"
+        assert step(env, "cancelled")[0] == "1"  # the server was told
+        assert step(env, "count")[0] == "3"
+    finally:
+        env.close()
+
+
+def test_a_server_that_dies_is_restarted_and_the_agent_is_told():
+    env = around(bad())
+    try:
+        assert step(env, "count")[0] == "1"
+        observation, info = step(env, "die")
+        assert observation == (
+            "The server bad was lost during the call: the server has ended (it ended with exit code 3; its standard "
+            "error ends with: I was told to die). Whether the call had its effect is not known. At the next call the "
+            "server is started again; what it remembered may be lost."
+        )
+        assert info["fault"].startswith("died: ")
+        observation, info = step(env, "count")
+        assert observation == "[The server bad was restarted before this call: what it remembered may be lost.]\n1"
+        assert info["restarted"]
+        assert step(env, "count")[0] == "2"
+    finally:
+        env.close()
+
+
+@pytest.mark.parametrize(("ways", "calls"), [((), 1), (("idempotent",), 2)])
+def test_a_call_that_may_have_had_its_effect_is_not_repeated(ways, calls, tmp_path):
+    """Unless the server says that repeating it does no harm; then it is repeated once."""
+    log = tmp_path / "calls"
+    env = around(bad("log", *ways, env={"CALLS": str(log)}))
+    try:
+        assert step(env, "die")[1]["failed"]
+        assert log.read_text().split() == ["die"] * calls
+    finally:
+        env.close()
+
+
+def test_a_server_that_dies_again_and_again_is_left_alone():
+    env = around(bad())
+    try:
+        for _ in range(4):
+            assert "was lost during the call" in step(env, "die")[0]
+        observation, info = step(env, "echo", text="x")
+        assert observation == (
+            "The server bad cannot be reached: it was started 4 times in a row without doing what was asked, and is "
+            "left alone for 30 s. This is no fault of your call."
+        )
+        assert info["fault"].startswith("unreachable: ")
+        env.reset(seed=1)  # another episode, another server
+        assert step(env, "echo", text="x")[0] == "x"
+    finally:
+        env.close()
+
+
+def test_answers_that_are_too_long_are_not_read():
+    env = around(bad(max_message_bytes=100_000, max_chars=500))
+    try:
+        assert step(env, "blob", size=2_000_000)[0] == (
+            "The server bad answered with more than can be read: the answer is over 100,000 bytes long. "
+            "Ask for less at once."
+        )
+        observation, _ = step(env, "blob", size=50_000)
+        assert len(observation) == 500
+        assert observation.endswith("[50,000 characters, of which only the first are shown: ask for less at once.]")
+    finally:
+        env.close()
+
+
+def test_questions_of_a_server_are_refused():
+    env = around(bad())
+    try:
+        assert "not supported" in step(env, "ask")[0]
+        assert "not supported" in step(env, "roots")[0]
+    finally:
+        env.close()
+
+
+def test_a_server_is_told_its_roots(tmp_path):
+    env = around(bad(roots=[tmp_path]))
+    try:
+        assert json.loads(step(env, "roots")[0])["roots"] == [{"uri": tmp_path.as_uri()}]
+    finally:
+        env.close()
+
+
+def test_what_is_no_message_is_no_matter():
+    env = around(bad("garbage", "surrogates"))
+    try:
+        assert step(env, "count")[0] == "1"
+        assert step(env, "echo", text="x")[0] == "\ufffd!"
+    finally:
+        env.close()
+
+
+def test_answers_under_wrong_ids_are_waited_out():
+    env = around(bad("wrong-ids", call_timeout_s=0.5))
+    try:
+        assert "it did not answer within 0.5 s" in step(env, "count")[0]
+    finally:
+        env.close()
+
+
+def test_pages_are_read_and_endless_ones_are_cut():
+    assert [tool.name for tool in make_mcp(**bad("pages")[1])] == [tool.name for tool in make_mcp(**bad()[1])]
+    assert len(make_mcp(**bad("endless-pages")[1])) == 1000
+
+
+def test_odd_names_and_schemas_cost_only_what_is_odd():
+    env = around(bad("duplicates", "wrong-schema"))
+    try:
+        names = list(env.tools)
+        assert names.count("echo") == 1
+        assert {"odd_n_me_with_slashes", "odd_n_me_with_slashes_2"} < set(names)
+        assert step(env, "odd_n_me_with_slashes_2")[0] == "no tool odd näme? with/slashes"
+        assert step(env, "echo", text=3)[0] == "3"
+        assert step(env, "count", anything=1)[0] == "3"
+    finally:
+        env.close()
+
+
+def test_two_servers_with_the_same_tools_are_told_apart():
+    config = {name: {"command": sys.executable, "args": ["-S", BAD_SERVER]} for name in ("one", "two")}
+    env = around(("mcp", {"config": {"mcpServers": config}}))
+    try:
+        assert [step(env, name)[0] for name in ("one_count", "one_count", "two_count")] == ["1", "2", "1"]
+    finally:
+        env.close()
+
+
+def test_changed_tools_are_seen_by_the_environment_made_next():
+    choice = bad(sessions="shared", env={"UNIQUE": "changed"})
+    env = around(choice)
+    assert step(env, "grow")[0] == "grown"
+    assert "grown" not in env.tools
+    # The list is forgotten; the next to be made asks again.
+    assert not any(("UNIQUE", "changed") in server.env for server in listing._listings)
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("way", "message"),
+    [
+        (
+            "die-at-start",
+            "ended before it had answered; it ended with exit code 2; its standard error ends with: cannot open",
+        ),
+        ("mute", "did not answer within 2 s"),
+        ("flood", "did not answer within 2 s"),
+        ("refuse", "refused the connection: not today"),
+    ],
+)
+def test_a_server_that_does_not_start_is_an_error_that_says_why(way, message):
+    with pytest.raises(ServerFault, match=f"^the MCP server 'bad' .* {re.escape(message)}"):
+        make_mcp(**bad(way, connect_timeout_s=2)[1])
+    assert servers_of() == []
+
+
+def test_a_program_that_is_not_there_is_an_error_that_says_so():
+    message = (
+        "the MCP server 'no-such-program' cannot be started: there is no program 'no-such-program'; install it, or "
+        "write its whole path"
+    )
+    with pytest.raises(MissingRequirementError, match=f"^{re.escape(message)}$"):
+        make_mcp(command="no-such-program")
+    with pytest.raises(ArgumentError, match="include: no tool 'nothing'; there are echo, count"):
+        make_mcp(**bad(include=["nothing"])[1])
+
+
+def test_servers_get_none_of_our_secrets(monkeypatch):
+    from gem_tools.mcp.config import Server
+    from gem_tools.mcp.stdio import environment_of
+
+    monkeypatch.setenv("OPENAI_API_KEY", "secret")
+    monkeypatch.setenv("LANG", "C.UTF-8")
+    monkeypatch.setenv("TERM", "() { :; }; echo hacked")
+    environment = environment_of(Server("a", command="x", env=(("MINE", "1"), ("HOME", "/elsewhere"))))
+    assert environment["LANG"] == "C.UTF-8"
+    assert environment["MINE"] == "1"
+    assert environment["HOME"] == "/elsewhere"
+    assert "OPENAI_API_KEY" not in environment
+    assert "TERM" not in environment
+
+
+# Where it is called from.
+
+
+def test_many_threads_at_once():
+    choice = bad(sessions="shared")
+    seen: list[str] = []
+
+    def play() -> None:
+        env = around(choice)
+        seen.extend(step(env, "echo", text=str(number))[0] for number in range(20))
+        env.close()
+
+    threads = [threading.Thread(target=play) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(seen) == sorted([str(number) for number in range(20)] * 8)
+
+
+def test_inside_a_running_loop():
+    """Made, stepped and closed from coroutines on a loop of the caller's."""
+
+    async def play() -> str:
+        env = around(bad())
+        observation = (await env.step_async(action("echo", {"text": "x"})))[0]
+        await asyncio.gather(*(env.step_async(action("count", {})) for _ in range(3)))
+        env.close()
+        return observation
+
+    assert "x" in asyncio.run(play())
+
+
+def test_made_on_the_library_loop():
+    """Where waiting for the library's loop would never end."""
+
+    async def make() -> ToolEnv:
+        return ToolEnv(question(), [bad(env={"UNIQUE": "on the loop"})], max_tool_uses=None)
+
+    env = run_sync(make())
+    env.reset(seed=0)
+    assert step(env, "count")[0] == "1"
+    env.close()
+    assert servers_of() == []
+
+
+@pytest.mark.parametrize("backend", ["sync", "async", "process"])
+def test_vector_backends(backend):
+    options = {} if backend == "sync" else {"backend": backend}
+    with gem.make_vec(QUESTION, 3, wrappers=[bad()], **options) as env:
+        env.reset()
+        for number in ("1", "2"):
+            observations = env.step([action("count", {})] * 3)[0]
+            assert all(f"Output of count:\n{number}\n" in observation for observation in observations)
+    assert servers_of() == []
+
+
+def test_tools_go_to_another_process_and_connect_there():
+    tools = make_mcp(**bad(include=["count", "echo"])[1])
+    copies = pickle.loads(pickle.dumps(tools))
+    env = around(*copies)
+    assert [step(env, "count")[0], step(env, "count")[0]] == ["1", "2"]
+    assert len(servers_of()) == 1
+    env.close()
+
+
+def test_it_keeps_what_a_tool_promises():
+    tools = {tool.name: tool for tool in make_mcp(**bad()[1])}
+    assert len(check_tool(tools["echo"], {"text": "x"})) > 5
+    assert len(check_tool(tools["count"], {})) > 5
