@@ -1,0 +1,63 @@
+"""Tools side by side: one task, several turns, search for what is needed and Python for what follows from it."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+import gem_core as gem
+from gem_core.registry import registry
+
+QUESTION = "How many kilometres a day did the raft Kon-Tiki make on average, rounded to a whole number?"
+
+
+def searching_agent(observation: Any, context: Any) -> gem.Response | str:
+    """Look the voyage up, miss a bracket, compute, and answer with what was computed."""
+    text = str(observation)
+    if context.turn == 0:
+        return "<think>I might <python>guess</python>.</think> <search>Kon-Tiki raft</search>"
+    if context.turn == 1:
+        return "<python>print(round(6900 / 101)"
+    if context.turn == 2:
+        facts = text.split("Output of search:")[1]
+        days = facts.split("After ")[1].split(" days")[0]
+        length = facts.split("about ")[1].split(" kilometres")[0].replace(",", "")
+        code = f"round({length} / {days})"
+        return f"<tool_call>{json.dumps({'name': 'python', 'arguments': {'code': code}})}</tool_call>"
+    return "\\boxed{" + text.rsplit("Output of python:", 1)[1].split()[0] + "}"
+
+
+@pytest.fixture
+def raft(monkeypatch: pytest.MonkeyPatch) -> str:
+    """A task that needs both tools."""
+    registry().load()
+    spec = gem.EnvSpec(
+        id="raft:Speed-v0",
+        entry_point="gem_core:DatasetEnv",
+        kwargs={"rows": [{"question": QUESTION, "answer": "68"}]},
+    )
+    monkeypatch.setitem(registry()._envs, spec.id, spec)
+    return spec.id
+
+
+@pytest.mark.parametrize("backend", ["sync", "async"])
+@pytest.mark.parametrize("wrappers", ["python,search,concat", "python,concat,search"])
+def test_a_task_is_solved_in_several_turns_with_two_tools(raft: str, backend: str, wrappers: str) -> None:
+    """They share one budget and one explanation, wherever they stand; the call that was malformed is told."""
+    vector = gem.make_vec(raft, backend=backend, wrappers=wrappers)
+    try:
+        (episode,) = gem.rollout(vector, searching_agent, episodes=1)
+    finally:
+        vector.close()
+    assert episode.success
+    assert episode.tools == ["python", "search"]
+    assert str(episode.observation).count("You may use tools before you answer.") == 1
+    used = [turn.info["tool"] for turn in episode.transitions[:-1]]
+    assert [(tool["name"], tool["failed"], tool["uses"]) for tool in used] == [
+        ("search", False, 1),
+        ("python", True, 2),
+        ("python", False, 3),
+    ]
+    assert "is never closed by </python>" in used[1]["error"]
