@@ -17,7 +17,7 @@ import tokenize
 import unicodedata
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from gem_core.errors import GradingError
 
@@ -38,6 +38,7 @@ class _Deletions(dict[int, int | None]):
 
 
 _deletions = _Deletions()
+_ascii = str.maketrans("", "", string.punctuation)
 
 
 def normalized(text: str) -> str:
@@ -46,22 +47,44 @@ def normalized(text: str) -> str:
     A text of which nothing would be left, as "The The!", keeps its articles, or else its punctuation, so that it is
     right to itself and to no other.
     """
-    if not text.isascii():
+    if text.isascii():
+        bare = text.translate(_ascii).lower()
+    else:
         text = unicodedata.normalize("NFKC", text)
-    bare = _folded(text.translate(_deletions))
-    return _spaced(_ARTICLES.sub(" ", bare)) or _spaced(bare) or _spaced(_folded(text))
+        bare = _folded(text.translate(_deletions))
+    return " ".join(_ARTICLES.sub(" ", bare).split()) or " ".join(bare.split()) or " ".join(_folded(text).split())
+
+
+class Scores(NamedTuple):
+    """How an answer compares with the accepted ones.
+
+    Args:
+        exact: Whether it is one of them, after normalisation; an empty answer never is.
+        f1: Harmonic mean of precision and recall of words, from 0 to 1: the best among them.
+    """
+
+    exact: bool
+    f1: float
+
+
+def scores(answer: str, accepted: Sequence[str]) -> Scores:
+    """Return exact match and token F1 of an answer."""
+    own = normalized(answer)
+    golds = [normalized(text) for text in accepted]
+    if own and own in golds:
+        return Scores(True, 1.0)
+    words = own.split()
+    return Scores(False, max([_f1(words, gold.split()) for gold in golds], default=0.0))
 
 
 def exact_match(answer: str, accepted: Sequence[str]) -> bool:
     """Tell whether an answer is one of those accepted, after normalisation; an empty one never is."""
-    own = normalized(answer)
-    return bool(own) and any(own == normalized(text) for text in accepted)
+    return scores(answer, accepted).exact
 
 
 def token_f1(answer: str, accepted: Sequence[str]) -> float:
-    """Return the harmonic mean of precision and recall of words, from 0 to 1: the best among the accepted answers."""
-    own = Counter(normalized(answer).split())
-    return max((_f1(own, Counter(normalized(text).split())) for text in accepted), default=0.0)
+    """Return the share of words on which an answer and an accepted one agree, the best among them."""
+    return scores(answer, accepted).f1
 
 
 def accepted_answers(value: Any) -> list[str]:
@@ -83,17 +106,15 @@ def accepted_answers(value: Any) -> list[str]:
     return found
 
 
-def _f1(own: Counter[str], gold: Counter[str]) -> float:
-    common = (own & gold).total()
-    return 2 * common / (own.total() + gold.total()) if common else 0.0
+def _f1(own: list[str], gold: list[str]) -> float:
+    if set(own).isdisjoint(gold):
+        return 0.0
+    common = (Counter(own) & Counter(gold)).total()
+    return 2 * common / (len(own) + len(gold))
 
 
 def _folded(text: str) -> str:
-    return text.lower() if text.isascii() else unicodedata.normalize("NFKC", text.casefold())
-
-
-def _spaced(text: str) -> str:
-    return " ".join(text.split())
+    return unicodedata.normalize("NFKC", text.casefold())
 
 
 def _flat(value: Any) -> list[str]:

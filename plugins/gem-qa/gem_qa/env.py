@@ -10,7 +10,7 @@ from gem_core.data_views import Row
 from gem_core.dataset import DatasetEnv, DatasetOptions, Grade
 from gem_core.errors import ArgumentError
 from gem_core.parsing import extract_last_boxed_answer, extract_last_tagged_answer
-from gem_qa.answers import accepted_answers, exact_match, token_f1
+from gem_qa.answers import accepted_answers, scores
 from gem_qa.judging import Judge, find_judge, verdict_of
 
 TAGGED = "{question}\n\nGive the answer alone, in as few words as it takes, between <answer> and </answer>."
@@ -76,7 +76,7 @@ class QAEnv(DatasetEnv):
         answer = self.answer_in(action)
         if answer is None:
             return Grade(0.0, False, None, {"exact_match": False, "f1": 0.0, "reason": "no answer was given"})
-        correct, f1 = exact_match(answer, accepted), token_f1(answer, accepted)
+        correct, f1 = scores(answer, accepted)
         info: dict[str, Any] = {"exact_match": correct, "f1": f1}
         value = float(correct) if self.reward == "exact" else f1
         reason = "it is an accepted answer" if correct else "it is none of the accepted answers"
