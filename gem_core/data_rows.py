@@ -78,38 +78,50 @@ def load_rows(
 
 
 def _loaded(source: RowSource, split: str | None, config: str | None, revision: str | None) -> Sequence[Row]:
+    if not isinstance(source, str | os.PathLike):
+        return _given(source, split, config, revision)
+    path = _local_path(source)
+    if path is not None:
+        return _local(path, split, config, revision)
+    load = partial(load_dataset_rows, str(source), split=split, config=config, revision=revision)
+    key = ("hub", str(source), split, config, revision)
+    return _shared(key, lambda: _from_hub(key, load))
+
+
+def _given(source: Any, split: str | None, config: str | None, revision: str | None) -> Sequence[Row]:
+    """Return rows that were handed over, those of a ``datasets.Dataset`` with cheaper access to them."""
     if isinstance(source, Mapping) and source and all(map(is_dataset, source.values())):
         source, split = one_split(source, "the dictionary of data sets", split), None
-    if not isinstance(source, str | os.PathLike):
-        unfit = {"split": split, "config": config, "revision": revision}
-        given = [name for name, value in unfit.items() if value is not None]
-        if given:
-            raise ArgumentError(
-                f"{given[0]} chooses from a named data set, and rows were given themselves; leave it away"
-            )
-        if not hasattr(source, "__len__") or not hasattr(source, "__getitem__"):
-            raise DatasetError(f"rows must be a sequence of mappings, not {type(source).__name__}")
-        if is_dataset(source):
-            return _shared(("dataset", id(source)), lambda: ArrowRows(cast("Any", source)), lasting=False)
-        return source
-    path = _local_path(source)
-    if path is None:
-        name, key = str(source), ("hub", str(source), split, config, revision)
-        load = partial(load_dataset_rows, name, split=split, config=config, revision=revision)
-        return _shared(key, lambda: _from_hub(key, load))
-    if path.is_file() and text_kind(path):
+    _refuse("a named data set, and rows were given themselves", split=split, config=config, revision=revision)
+    if not hasattr(source, "__len__") or not hasattr(source, "__getitem__"):
+        raise DatasetError(f"rows must be a sequence of mappings, not {type(source).__name__}")
+    if is_dataset(source):
+        return _shared(("dataset", id(source)), lambda: ArrowRows(source), lasting=False)
+    return cast("Sequence[Row]", source)
+
+
+def _local(path: Path, split: str | None, config: str | None, revision: str | None) -> Sequence[Row]:
+    """Return the rows of a file or a folder, loaded anew when it has changed."""
+    is_file = path.is_file()
+    _refuse(f"what is on the hub, and {str(path)!r} is here", config=config if is_file else None, revision=revision)
+    if is_file and text_kind(path):
         if split not in (None, "train"):
             raise DatasetError(
                 f"no split {split!r} in {str(path)!r}: a lone file is the split 'train'; leave split away (split=None)"
             )
         return _shared(("file", path, _stamp(path)), lambda: read_text_rows(path))
-    stamps = (
-        _stamp(path) if path.is_file() else tuple(_stamp(file) for file in sorted(path.rglob("*")) if file.is_file())
-    )
+    files = [path] if is_file else sorted(file for file in path.rglob("*") if file.is_file())
     return _shared(
-        ("datasets", path, stamps, split, config),
+        ("datasets", path, tuple(map(_stamp, files)), split, config),
         lambda: load_dataset_rows(path, split=split, config=config, revision=None),
     )
+
+
+def _refuse(what: str, **choices: str | None) -> None:
+    """Raise for a choice that would be ignored."""
+    for name, value in choices.items():
+        if value is not None:
+            raise ArgumentError(f"{name} chooses from {what}; leave it away")
 
 
 def _local_path(source: str | os.PathLike[str]) -> Path | None:

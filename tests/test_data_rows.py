@@ -424,7 +424,12 @@ def test_rows_or_a_name_must_be_given(given: dict[str, Any]) -> None:
         gem.DatasetEnv(**given)
 
 
-def test_split_of_given_rows_is_refused() -> None:
-    """It would be ignored otherwise."""
+def test_choice_that_would_be_ignored_is_refused(lines: Path) -> None:
+    """Of a split of rows that are given, and of a subset or a version of a file."""
+    for option in ("config", "revision"):
+        with pytest.raises(
+            ArgumentError, match=f"{option} chooses from what is on the hub, and '.*sums.jsonl' is here"
+        ):
+            gem.DatasetEnv(dataset_name=lines, question_key="problem", **{option: "main"})  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="split chooses from a named data set, and rows were given"):
         gem.DatasetEnv(ROWS, split="test")
