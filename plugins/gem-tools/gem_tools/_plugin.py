@@ -15,6 +15,7 @@ def gem_register_tools() -> Iterable[ToolSpec]:
         name="python",
         entry_point="gem_tools.python.tool:make_python",
         summary="Runs Python code in a sandbox, each call anew or with its variables kept.",
+        status="gem_tools.python.status:status",
     )
     yield ToolSpec(
         name="search",

@@ -100,7 +100,7 @@ def _status(
     if ended in _WHY:
         return cast("Status", ended), None, None, _WHY[ended].format(**limits)
     code = os.waitstatus_to_exitcode(raw) if raw is not None else int(report.get("code", 0))
-    if ended is not None or code < 0:
+    if code < 0:
         if code == -signal.SIGXCPU or header["cpu_s"] >= limits["cpu_s"]:
             return "cpu", None, None, _WHY["cpu"].format(**limits)
         if ended == "lost":

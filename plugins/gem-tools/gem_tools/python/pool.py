@@ -97,13 +97,13 @@ class Pool:
         self._closed = False
         self._idle: collections.deque[Cell] = collections.deque()
         self._queue = Turns()
-        self._launch: starting.Chosen | None = None
+        self.chosen: starting.Chosen | None = None
         self._tasks: set[asyncio.Task[Any]] = set()
 
     @property
     def level(self) -> str | None:
         """The level that calls run in; None before the first sandbox has started."""
-        return None if self._launch is None else self._launch.level
+        return None if self.chosen is None else self.chosen.level
 
     def run(
         self,
@@ -155,7 +155,7 @@ class Pool:
         return run_sync(self._start_first())
 
     async def _start_first(self) -> str:
-        if self._launch is None:
+        if self.chosen is None:
             await self._run("", "", None, _NO_LIMITS, False, None)
         return self.level or ""
 
@@ -258,9 +258,9 @@ class Pool:
 
     async def _start_cell(self) -> None:
         try:
-            if self._launch is None:
-                self._launch = await starting.chosen(self.sandbox, self.options)
-            cell = await self._started(self._launch)
+            if self.chosen is None:
+                self.chosen = await starting.chosen(self.sandbox, self.options)
+            cell = await self._started(self.chosen)
         except BaseException as error:
             self._starting -= 1
             if not self._cells and not self._starting:

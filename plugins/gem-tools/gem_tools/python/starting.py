@@ -24,6 +24,10 @@ _working: dict[str, int] = {}
 """The way of each level that has worked in this process, so that no other is tried again."""
 
 
+filtered: dict[str, bool] = {}
+"""Whether the levels that have worked filter system calls; a rare processor or an old kernel has no filter."""
+
+
 @dataclass(frozen=True)
 class Chosen:
     """A level that works.
@@ -93,7 +97,7 @@ async def _working_way(level: str, settings: Mapping[str, Any], *, asked_for: bo
         try:
             launch = way()
             if known is None:
-                await _try(launch)
+                filtered[level] = await _try(launch)
         except Unavailable as reason:
             reasons.append(str(reason))
         except SandboxError as error:
@@ -104,8 +108,8 @@ async def _working_way(level: str, settings: Mapping[str, Any], *, asked_for: bo
     raise Unavailable("; ".join(dict.fromkeys(reasons)))
 
 
-async def _try(launch: Launch) -> None:
-    """Start a sandbox and run nothing in it; then end it."""
+async def _try(launch: Launch) -> bool:
+    """Start a sandbox, run nothing in it, and end it; return whether it filters system calls."""
     settings = {**launch.settings, "preload": []}
     cell = Cell(Launch(launch.level, launch.command, settings, launch.popen, launch.base, launch.note), lambda _: None)
     await cell.start()
@@ -122,6 +126,7 @@ async def _try(launch: Launch) -> None:
     if answer["failed"] is not None or answer["status"] != 0:
         words = " ".join(output.decode("utf-8", "replace").split())[-600:]
         raise SandboxError(f"the sandbox does not work: {answer['failed'] or words}")
+    return cell.filtered
 
 
 def _advice(level: str, error: str) -> str:

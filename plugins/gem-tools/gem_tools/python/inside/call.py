@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 _PIECE = 1 << 16
 _FIRST_LOOK_S, _NEXT_LOOK_S = 0.02, 0.05
+_ENDING_S = 2.0
 _SETUP_S = 30.0
 """Limit of what happens before code begins; what takes longer is a fault of ours."""
 
@@ -78,6 +79,7 @@ class Call:
         self.peak_bytes = 0
         self.next_look = 0.0
         self.done = False
+        self.lost_after = float("inf")
 
     def run(self) -> None:
         """Watch until the process has ended, or until a session has answered."""
@@ -136,6 +138,8 @@ class Call:
         end: float = self.started + self.limits["wall_s"]
         if now >= end:
             self.end("timeout")
+        elif now >= self.lost_after:
+            self.end("lost")
         elif now >= self.next_look:
             self.next_look = now + _NEXT_LOOK_S
             self.look()
@@ -182,7 +186,8 @@ class Call:
         if not data or self.result is not None:
             self.forget(self.child.job)
             if not data and self.session and self.result is None:
-                self.end("lost")
+                # Its end follows at once, if it is ending.
+                self.lost_after = min(self.lost_after, time.monotonic() + _ENDING_S)
 
     def reported(self, header: dict[str, Any], body: bytes) -> None:
         """Note what the process says of itself."""

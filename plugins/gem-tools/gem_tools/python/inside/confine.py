@@ -5,9 +5,12 @@ from __future__ import annotations
 import contextlib
 import os
 import resource
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from gem_tools.python.inside import kernel, syscalls
+from gem_tools.python.inside import kernel
+
+if TYPE_CHECKING:
+    from gem_tools.python.inside import syscalls
 
 FOLDER = "/tmp"
 INSIDE_ID = 1000
@@ -59,14 +62,13 @@ def enter(settings: dict[str, Any], proc: int | None, uid: int | None) -> None:
         user = os.getuid()
         group = os.getgid()
         # A user namespace for each call: its processes are counted by themselves, and its capabilities reach nothing.
-        kernel.unshare(kernel.NEWUSER | kernel.NEWIPC)
+        # Shared memory and queues are kept away by the filter of system calls, where there is one.
+        kernel.unshare(kernel.NEWUSER | (0 if settings["filtered"] else kernel.NEWIPC))
         _write(proc, "self/setgroups", "deny")
         _write(proc, "self/uid_map", f"{INSIDE_ID} {user} 1")
         _write(proc, "self/gid_map", f"{INSIDE_ID} {group} 1")
-        _write(proc, "self/oom_score_adj", "1000")
     elif not settings["namespaces"]:
-        # The first to go when the machine runs out of memory; and gone with the process that forked it.
-        _try_write("/proc/self/oom_score_adj", "1000")
+        # Gone with the process that forked it.
         kernel.prctl(kernel.PR_SET_PDEATHSIG, 9)
 
 
@@ -112,12 +114,13 @@ def limit(limits: dict[str, Any], settings: dict[str, Any], base_bytes: int) -> 
         resource.setrlimit(kind, (least, least))
 
 
-def give_up_rights(settings: dict[str, Any]) -> None:
+def give_up_rights(calls: syscalls.Filter, settings: dict[str, Any]) -> None:
     """Give up what would let code undo the limits: capabilities, new privileges, rare system calls."""
     kernel.prctl(kernel.PR_SET_NO_NEW_PRIVS, 1)
     kernel.drop_capabilities()
     kernel.prctl(kernel.PR_SET_DUMPABLE, 0)
-    syscalls.install(sockets=settings["namespaces"], only_own=settings["same_user"])
+    if settings["filtered"] and not calls.set():
+        raise OSError("the filter of system calls could not be set")
 
 
 def own_tasks() -> int:
@@ -147,9 +150,7 @@ def _write(proc: int, path: str, text: str) -> None:
         os.close(descriptor)
 
 
-def _try_write(path: str, text: str) -> None:
-    try:
-        with open(path, "w", encoding="ascii") as stream:
-            stream.write(text)
-    except OSError:
-        return
+def go_first() -> None:
+    """When the machine runs out of memory, let this process and its children be the first to go."""
+    with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w", encoding="ascii") as stream:
+        stream.write("1000")

@@ -90,7 +90,7 @@ class Keeper:
         ready = self.from_zygote()
         self.base_bytes = ready["base_bytes"]
         self.spawn()
-        self.send(wire.pack({"op": "ready", "failed": ready["failed"], "pid": os.getpid()}))
+        self.send(wire.pack({"op": "ready", "failed": ready["failed"], "filtered": ready["filtered"]}))
         self.poller.register(self.incoming, select.POLLIN)
         while True:
             while self.asked:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import struct
 
 NEWUSER, NEWNS, NEWPID, NEWIPC, NEWNET = 0x10000000, 0x00020000, 0x20000000, 0x08000000, 0x40000000
 MS_NOSUID, MS_NODEV, MS_BIND, MS_REC, MS_PRIVATE = 2, 4, 0x1000, 0x4000, 0x40000
@@ -20,6 +21,18 @@ def _checked(result: int, what: str) -> int:
         number = ctypes.get_errno()
         raise OSError(number, f"{what}: {os.strerror(number)}")
     return result
+
+
+_with_interpreter = ctypes.PyDLL(None, use_errno=True)
+
+
+def fork() -> int:
+    """Fork without what Python does in each child, which touches, hence copies, much of its memory.
+
+    For a process of one thread that holds no lock: Python's own fork would only make it so. What draws random numbers
+    must be seeded anew in the child.
+    """
+    return _checked(_with_interpreter.fork(), "fork")
 
 
 def unshare(flags: int) -> None:
@@ -60,15 +73,23 @@ def drop_capabilities() -> None:
     _checked(_libc.capset(ctypes.byref(header), nothing), "capset")
 
 
-def set_filter(program: list[tuple[int, int, int, int]]) -> None:
-    """Let a program of classic BPF decide on each system call of this process and its children, for good."""
+class _Program(ctypes.Structure):
+    _fields_ = (("length", ctypes.c_ushort), ("instructions", ctypes.c_void_p))
 
-    class Instruction(ctypes.Structure):
-        _fields_ = (("code", ctypes.c_ushort), ("jt", ctypes.c_ubyte), ("jf", ctypes.c_ubyte), ("k", ctypes.c_uint32))
 
-    class Program(ctypes.Structure):
-        _fields_ = (("length", ctypes.c_ushort), ("instructions", ctypes.c_void_p))
+class Program:
+    """A program of classic BPF.
 
-    instructions = (Instruction * len(program))(*(Instruction(*line) for line in program))
-    whole = Program(len(program), ctypes.addressof(instructions))
-    prctl(PR_SET_SECCOMP, SECCOMP_MODE_FILTER, ctypes.byref(whole))
+    Args:
+        lines: Its instructions: code, the two jumps, and the constant.
+    """
+
+    def __init__(self, lines: list[tuple[int, int, int, int]]) -> None:
+        packed = b"".join(struct.pack("HBBI", *line) for line in lines)
+        self._instructions = ctypes.create_string_buffer(packed, len(packed))
+        self._whole = _Program(len(lines), ctypes.addressof(self._instructions))
+        self._pointer = ctypes.byref(self._whole)
+
+    def set(self) -> None:
+        """Let it decide on each system call of this process and its children, for good."""
+        prctl(PR_SET_SECCOMP, SECCOMP_MODE_FILTER, self._pointer)

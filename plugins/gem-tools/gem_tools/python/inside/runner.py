@@ -16,6 +16,7 @@ import io
 import json
 import linecache
 import os
+import random
 import signal
 import sys
 import threading
@@ -27,14 +28,28 @@ FILENAME = "<python>"
 _MAX_FRAMES = 30
 
 
-def prepare(stdin: str, files: dict[str, str]) -> None:
-    """Set up what a program finds at its start: its folder with its files, and its three streams."""
-    write_files(files)
-    read_from(stdin)
+def make_streams() -> None:
+    """Make the three streams anew, ahead of all forks: what is behind their descriptors may change until they are used.
+
+    While they are made, the outputs must be pipes, as they will be: streams remember whether they can seek.
+    """
+    reading, writing = os.pipe()
+    os.dup2(writing, 1)
+    os.dup2(writing, 2)
     sys.stdin = io.TextIOWrapper(open(0, "rb", closefd=False), encoding="utf-8", errors="surrogateescape")  # noqa: SIM115
     sys.stdout = _output(1, line_buffering=False)
     sys.stderr = _output(2, line_buffering=True)
     sys.__stdin__, sys.__stdout__, sys.__stderr__ = sys.stdin, sys.stdout, sys.stderr  # type: ignore[misc]
+    os.dup2(0, 1)
+    os.dup2(0, 2)
+    os.close(reading)
+    os.close(writing)
+
+
+def prepare(stdin: str, files: dict[str, str]) -> None:
+    """Set up what a program finds at its start: its folder with its files, and its standard input."""
+    write_files(files)
+    read_from(stdin)
 
 
 def prepare_again(stdin: str, files: dict[str, str]) -> None:
@@ -155,11 +170,9 @@ def as_new() -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGCHLD, signal.SIGPIPE):
         signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+    random.seed()  # noqa: TID251 - each process draws its own numbers, as if it had just started
     if "numpy.random" in sys.modules:
         sys.modules["numpy.random"].seed()
-    # Code that imports these finds what is installed, if anything.
-    for name in [name for name in sys.modules if name.partition(".")[0] == "gem_tools"]:
-        del sys.modules[name]
 
 
 def _exit_code(code: object) -> int:

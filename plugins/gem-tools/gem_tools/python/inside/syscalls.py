@@ -108,18 +108,40 @@ def program(machine: Machine, *, sockets: bool, own_pid: int | None) -> list[Ins
     return [*lines, (_RETURN, 0, 0, _ALLOW), *refuse]
 
 
-def known() -> bool:
-    """Tell whether there is a filter for this processor."""
-    return platform.machine() in MACHINES
+class Filter:
+    """A filter that is made ahead and set in each process that runs code.
 
+    Args:
+        sockets: Whether sockets other than those of one machine's processes may be made.
+        only_own: Whether signals reach no other process.
+    """
 
-def install(*, sockets: bool, only_own: bool) -> bool:
-    """Set the filter for this process and its children; False where this kernel or processor has none."""
-    machine = MACHINES.get(os.uname().machine)
-    if machine is None:
-        return False
-    try:
-        kernel.set_filter(program(machine, sockets=sockets, own_pid=os.getpid() if only_own else None))
-    except OSError:
-        return False
-    return True
+    def __init__(self, *, sockets: bool, only_own: bool) -> None:
+        self._machine = MACHINES.get(platform.machine())
+        self._sockets, self._only_own = sockets, only_own
+        self._made = None if self._machine is None or only_own else self._make(self._machine, None)
+
+    def _make(self, machine: Machine, own_pid: int | None) -> kernel.Program:
+        return kernel.Program(program(machine, sockets=self._sockets, own_pid=own_pid))
+
+    def works(self) -> bool:
+        """Try it in a process of its own."""
+        pid = os.fork()
+        if pid == 0:
+            code = 1
+            try:
+                kernel.prctl(kernel.PR_SET_NO_NEW_PRIVS, 1)
+                code = 0 if self.set() else 1
+            finally:
+                os._exit(code)
+        return os.waitpid(pid, 0)[1] == 0
+
+    def set(self) -> bool:
+        """Set it for this process and its children, for good; False where this kernel or processor has none."""
+        if self._machine is None:
+            return False
+        try:
+            (self._made or self._make(self._machine, os.getpid())).set()
+        except OSError:
+            return False
+        return True

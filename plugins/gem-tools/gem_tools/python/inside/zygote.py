@@ -7,6 +7,7 @@ import gc
 import importlib
 import json
 import os
+import random
 import select
 import signal
 import socket
@@ -15,7 +16,7 @@ import time
 import traceback
 from typing import Any
 
-from gem_tools.python.inside import confine, kernel, runner, watch, wire
+from gem_tools.python.inside import confine, kernel, runner, syscalls, watch, wire
 from gem_tools.python.inside.folders import Folders
 
 _JOB = 3
@@ -40,13 +41,19 @@ class Zygote:
         self.folder_limits = {"folder_mb": settings["folder_mb"], "folder_files": settings["folder_files"]}
         self.clean: object = None
         self.base_bytes = 0
+        self.calls = syscalls.Filter(sockets=self.namespaces, only_own=settings["same_user"])
         self.wake, wake_in = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.signal(signal.SIGCHLD, lambda *_: None)
         signal.set_wakeup_fd(wake_in, warn_on_full_buffer=False)
 
     def main(self) -> None:
         """Serve until the keeper is gone."""
+        confine.go_first()
+        self.settings["filtered"] = self.calls.works()
         failed = preload(self.settings["preload"])
+        runner.make_streams()
+        # Code that imports these finds what is installed, if anything.
+        self.own_modules = [sys.modules.pop(name) for name in list(sys.modules) if name.split(".")[0] == "gem_tools"]
         if self.namespaces:
             self.own_namespace = os.open("self/ns/pid", os.O_RDONLY | os.O_CLOEXEC, dir_fd=self.proc)
             space, anonymous = watch.own_memory()
@@ -59,7 +66,7 @@ class Zygote:
         gc.collect()
         gc.freeze()
         gc.disable()
-        self.tell({"op": "ready", "failed": failed, "base_bytes": anonymous})
+        self.tell({"op": "ready", "failed": failed, "base_bytes": anonymous, "filtered": self.settings["filtered"]})
         poller = select.poll()
         poller.register(self.control, select.POLLIN)
         poller.register(self.wake, select.POLLIN)
@@ -112,7 +119,7 @@ class Zygote:
         try:
             if self.namespaces:
                 kernel.unshare(kernel.NEWPID)
-            pid = os.fork()
+            pid = kernel.fork()
         except OSError as error:
             self.tell({"op": "spawned", "pid": None, "error": str(error)})
         if pid == 0:
@@ -237,7 +244,7 @@ def run_child(zygote: Zygote, descriptors: list[int], uid: int | None, folder: s
         job = socket.socket(fileno=_JOB)
         confine.enter(zygote.settings, zygote.proc, uid)
         os.closerange(_JOB + 1, 1024)
-        code = Child(zygote.settings, job, folder, zygote.base_bytes).main()
+        code = Child(zygote, job, folder).main()
     except BaseException:  # noqa: BLE001 - whatever it was, this process must not go on as its parent
         with contextlib.suppress(BaseException):
             traceback.print_exc()
@@ -247,8 +254,9 @@ def run_child(zygote: Zygote, descriptors: list[int], uid: int | None, folder: s
 class Child:
     """Waits for code, then runs it; in a session again and again."""
 
-    def __init__(self, settings: dict[str, Any], job: socket.socket, folder: str, base_bytes: int) -> None:
-        self.settings, self.job, self.folder, self.base_bytes = settings, job, folder, base_bytes
+    def __init__(self, zygote: Zygote, job: socket.socket, folder: str) -> None:
+        self.settings, self.calls, self.base_bytes = zygote.settings, zygote.calls, zygote.base_bytes
+        self.job, self.folder = job, folder
         self.reader = wire.Reader()
 
     def receive(self) -> tuple[dict[str, Any], bytes] | None:
@@ -261,6 +269,7 @@ class Child:
 
     def main(self) -> int:
         """Return the exit code."""
+        warm_up()
         message = self.receive()
         if message is None:
             return 0
@@ -300,7 +309,7 @@ class Child:
         runner.as_new()
         runner.prepare(job["stdin"], job["files"])
         confine.limit(limits, self.settings, self.base_bytes)
-        confine.give_up_rights(self.settings)
+        confine.give_up_rights(self.calls, self.settings)
 
     def next_input(self, job: dict[str, Any]) -> None:
         """Put a later call's standard input and files in place; code that broke these streams has broken them."""
@@ -312,6 +321,13 @@ class Child:
         with contextlib.suppress(BaseException):
             self.job.setblocking(True)
             self.job.sendall(wire.pack({"op": "result"}, runner.as_json(outcome)))
+
+
+def warm_up() -> None:
+    """Touch the memory that any call does, while there is nothing else to do: it has to be copied first."""
+    runner.as_json(runner.Program().run("None", wants_value=True, most=1))
+    wire.Reader().feed(wire.pack({"op": "warm"}))
+    random.random()
 
 
 def reap_zombies() -> None:

@@ -1,0 +1,29 @@
+"""What ``gem doctor`` says of the Python tool: the level that is in force here, and why no stronger one is."""
+
+from __future__ import annotations
+
+
+def status() -> dict[str, str]:
+    """Start a sandbox as the tool would, and say which it is; takes some tenths of a second.
+
+    Returns:
+        ``sandbox``, ``filter`` of system calls, and for each stronger level that was passed over the reason.
+    """
+    from gem_core.errors import GemError
+    from gem_tools.python import starting
+    from gem_tools.python.pool import Pool
+
+    pool = Pool(num_workers=1)
+    try:
+        level = pool.start()
+    except GemError as error:
+        return {"sandbox": f"none: {error}"}
+    finally:
+        pool.close()
+    chosen = pool.chosen
+    facts = {"sandbox": level, "filter": "system calls are filtered" if starting.filtered.get(level) else "none"}
+    if chosen is None:
+        return facts
+    if chosen.note:
+        facts["sandbox"] = f"{level} ({chosen.note})"
+    return {**facts, **{f"not {name}": reason for name, reason in chosen.passed_over.items()}}

@@ -1,0 +1,239 @@
+"""The levels of isolation: which is taken, what is said of it, and what happens where it cannot be had."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from python_levels import until, why_not
+
+from gem_core.errors import MissingRequirementError
+from gem_tools.python import Limits, Pool, levels, starting
+from gem_tools.python.inside import syscalls
+from gem_tools.python.status import status
+
+STAND_IN = """#!{python}
+# Stands in for Docker's client: it notes what it is told, and runs the command on this machine.
+import json, os, sys
+arguments = sys.argv[1:]
+with open({record!r}, "a") as stream:
+    stream.write(json.dumps(arguments) + "\\n")
+if arguments[:2] == ["image", "inspect"]:
+    sys.exit(0 if {image!r} in arguments else 1)
+place = arguments.index({image!r})
+environment = dict(arguments[i + 1].split("=", 1) for i, word in enumerate(arguments) if word == "--env")
+os.chdir("/")
+os.execve({python!r}, [{python!r}, *arguments[place + 2:]], environment)
+"""
+
+
+@pytest.fixture
+def unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forget which levels have worked."""
+    monkeypatch.setattr(starting, "_working", {})
+
+
+def install(folder: Path, name: str, text: str) -> None:
+    """Write a program."""
+    program = folder / name
+    program.write_text(text, "utf-8")
+    program.chmod(program.stat().st_mode | stat.S_IXUSR)
+
+
+def chosen(sandbox: str, **options: Any) -> starting.Chosen:
+    """Return the level that would be taken."""
+    pool = Pool(sandbox, **options)
+    return asyncio.run(starting.chosen(sandbox, pool.options))
+
+
+def test_the_strongest_level_that_works_is_taken() -> None:
+    """And it is the one that calls say they ran in."""
+    pool = Pool(num_workers=1)
+    try:
+        level = pool.start()
+        assert level == next(each for each in levels.LEVELS if each == pool.level)
+        assert pool.run("").sandbox == level
+        if why_not("bubblewrap") is None:
+            assert level == "bubblewrap"
+    finally:
+        pool.close()
+
+
+def test_a_level_that_is_missing_is_an_error(unknown: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Which says what to install; nothing weaker is taken."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(MissingRequirementError) as caught:
+        Pool("bubblewrap", num_workers=1).run("")
+    assert str(caught.value) == (
+        "the Python sandbox 'bubblewrap' cannot run here: bubblewrap is not on the PATH: "
+        "install the package 'bubblewrap' of your system"
+    )
+    with pytest.raises(MissingRequirementError) as caught:
+        Pool("docker", num_workers=1).run("")
+    assert "install Docker's client and start an engine" in str(caught.value)
+
+
+def test_without_the_stronger_ones_auto_takes_the_next_and_says_why(
+    unknown: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """In what ``gem doctor`` shows."""
+    reason = why_not("process")
+    if reason is not None:
+        pytest.skip(reason)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    facts = status()
+    assert facts["sandbox"].startswith("process (each call as a user of its own)" if os.geteuid() == 0 else "process (")
+    assert facts["not bubblewrap"].startswith("bubblewrap is not on the PATH")
+    assert facts["not docker"].startswith("the command 'docker' is not on the PATH")
+
+
+def test_a_bubblewrap_that_fails_is_passed_over(unknown: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """As in a container that allows no namespaces; what it said is told."""
+    install(tmp_path, "bwrap", "#!/bin/sh\necho 'bwrap: No permissions to create new namespace' >&2\nexit 1\n")
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    with pytest.raises(MissingRequirementError) as caught:
+        Pool("bubblewrap", num_workers=1).run("")
+    assert "No permissions to create new namespace" in str(caught.value)
+    assert "Allow unprivileged user namespaces" in str(caught.value)
+    if why_not("process") is None:
+        assert "bubblewrap" in chosen("auto").passed_over
+
+
+def test_the_doctor_shows_the_level() -> None:
+    """As the tool's status."""
+    done = subprocess.run(
+        [sys.executable, "-m", "gem_core", "doctor", "--json"], capture_output=True, text=True, timeout=120
+    )
+    assert '"sandbox"' in done.stdout
+    assert any(level in done.stdout for level in levels.LEVELS)
+
+
+# Docker, by a stand-in for its client that runs the same keeper without a container.
+
+
+@pytest.fixture
+def docker(unknown: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """A stand-in on the PATH; returns the file where it notes what it was told."""
+    record = tmp_path / "record"
+    text = STAND_IN.format(python=sys.executable, record=str(record), image="local/python:1")
+    install(tmp_path, "docker", text)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    return record
+
+
+def test_docker_runs_the_same_keeper_in_a_container(docker: Path) -> None:
+    """Closed off by the options that it is started with; calls, sessions and limits as elsewhere."""
+    pool = Pool("docker", num_workers=1, image="local/python:1")
+    try:
+        outcome = pool.run("print(input())\n6 * 7", stdin="in", value=True)
+        assert (outcome.sandbox, outcome.status, outcome.stdout, outcome.value) == ("docker", "ok", "in\n", "42")
+        session = pool.session(Limits(wall_s=5))
+        session.run("x = 1")
+        assert session.run("x").value == "1"
+        session.close()
+        assert pool.run("while True: pass", limits=Limits(wall_s=0.3)).status == "timeout"
+        network = pool.run("import socket\nsocket.socket()")
+        assert (network.status, network.error) == ("error", "PermissionError: [Errno 1] Operation not permitted")
+        processes = [cell.process for cell in pool._cells]
+    finally:
+        pool.close()
+    assert all(process is not None and process.poll() is not None for process in processes)
+    runs = [json.loads(line) for line in docker.read_text("utf-8").splitlines()]
+    runs = [run for run in runs if run[0] == "run"]
+    assert len(runs) == 2  # one to try, one to work
+    for run in runs:
+        for words in (
+            ["--rm"],
+            ["--network", "none"],
+            ["--read-only"],
+            ["--cap-drop", "ALL"],
+            ["--security-opt", "no-new-privileges"],
+            ["--pull", "never"],
+            ["--memory", "4096m"],
+        ):
+            place = run.index(words[0])
+            assert run[place : place + len(words)] == words
+        user = run[run.index("--user") + 1]
+        assert user.split(":")[0] not in ("0", "root")
+
+
+def test_docker_without_the_image_says_how_to_get_it(docker: Path) -> None:
+    """It is never pulled by itself."""
+    with pytest.raises(MissingRequirementError) as caught:
+        Pool("docker", num_workers=1, image="other:1").run("")
+    assert "the image 'other:1' is not there: 'docker pull other:1'" in str(caught.value)
+
+
+# The filter of system calls.
+
+
+def run_filter(program: list[syscalls.Instruction], number: int, arch: int, arguments: tuple[int, ...] = ()) -> int:
+    """Do what the kernel does with a filter: return what it says of one system call."""
+    words = {0: number, 4: arch, **{16 + 8 * i: value & 0xFFFFFFFF for i, value in enumerate(arguments)}}
+    accumulator, place = 0, 0
+    while True:
+        code, jump_true, jump_false, constant = program[place]
+        place += 1
+        if code == 0x06:
+            return constant
+        if code == 0x20:
+            accumulator = words.get(constant, 0)
+        else:
+            holds = {
+                0x15: accumulator == constant,
+                0x35: accumulator >= constant,
+                0x45: bool(accumulator & constant),
+            }[code]
+            place += jump_true if holds else jump_false
+
+
+ALLOW, REFUSE, NOT_THERE, KILL = 0x7FFF0000, 0x00050001, 0x00050026, 0x80000000
+
+
+@pytest.mark.parametrize("name", sorted(syscalls.MACHINES))
+@pytest.mark.parametrize("own_pid", [None, 77])
+@pytest.mark.parametrize("sockets", [True, False])
+def test_the_filter_refuses_what_it_should_and_nothing_else(name: str, own_pid: int | None, sockets: bool) -> None:
+    """On each processor; other processors' calls end the process."""
+    machine = syscalls.MACHINES[name]
+    program = syscalls.program(machine, sockets=sockets, own_pid=own_pid)
+    assert len(program) < 250
+    special = {machine.clone, machine.clone3, machine.socket, *machine.signalling}
+    for number in range(460):
+        if number in machine.denied:
+            assert run_filter(program, number, machine.arch) == REFUSE, number
+        elif number not in special:
+            assert run_filter(program, number, machine.arch) == ALLOW, number
+    assert run_filter(program, 0, machine.arch ^ 1) == KILL
+    assert run_filter(program, machine.clone3, machine.arch) == NOT_THERE
+    assert run_filter(program, machine.clone, machine.arch, (17,)) == ALLOW
+    assert run_filter(program, machine.clone, machine.arch, (0x10000000 | 17,)) == REFUSE
+    assert run_filter(program, machine.socket, machine.arch, (1,)) == ALLOW
+    assert run_filter(program, machine.socket, machine.arch, (2,)) == (ALLOW if sockets else REFUSE)
+    for number in machine.signalling:
+        assert run_filter(program, number, machine.arch, (77,)) == ALLOW
+        assert run_filter(program, number, machine.arch, (0,)) == ALLOW
+        for other in (1, 78, -1, -77):
+            expected = ALLOW if own_pid is None else REFUSE
+            assert run_filter(program, number, machine.arch, (other,)) == expected
+    if machine.x32:
+        assert run_filter(program, 0x40000000 | 101, machine.arch) == REFUSE
+
+
+def test_the_filter_is_in_force_here() -> None:
+    """On the processors that it knows."""
+    pool = Pool(num_workers=1)
+    try:
+        level = pool.start()
+    finally:
+        pool.close()
+    if syscalls.platform.machine() not in syscalls.MACHINES:
+        pytest.skip("no filter for this processor")
+    assert until(lambda: starting.filtered[level])
