@@ -47,7 +47,7 @@ def action(name: str, arguments: Mapping[str, Any]) -> str:
     return f"<tool_call>{json.dumps({'name': name, 'arguments': arguments})}</tool_call>"
 
 
-def step(env: Any, name: str, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+def step(env: Any, name: str, /, **arguments: Any) -> tuple[Any, dict[str, Any]]:
     """Call a tool; return what came back, without the frame around it, and ``info["tool"]``."""
     observation, *_, info = env.step(action(name, arguments))
     if isinstance(observation, str):

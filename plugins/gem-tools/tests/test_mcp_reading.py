@@ -292,6 +292,14 @@ def test_images_are_content_parts(form):
     assert observation[1]["image"].size == (2, 2)
 
 
+def test_a_broken_note_in_an_image_does_no_harm():
+    """As in the picture that the official test server sends."""
+    raw = base64.b64decode(picture("PNG"))
+    broken = base64.b64encode(raw[:33] + b"\0\0\0\x02iCCPxxxxxx" + raw[33:]).decode()
+    observation, _ = from_call({"content": [{"type": "image", "data": broken, "mimeType": "image/png"}]}, Budget())
+    assert observation[0]["image"].size == (2, 2)
+
+
 def test_images_that_unpack_to_too_much_are_not_unpacked():
     data = picture("PNG", (20_000, 20_000), "1")
     observation, _ = from_call({"content": [{"type": "image", "data": data, "mimeType": "image/png"}]}, Budget())

@@ -26,9 +26,9 @@ from pydantic import TypeAdapter, ValidationError
 
 from gem_core.errors import GemError
 from gem_tools.mcp.config import STDIO, Server
-from gem_tools.mcp.http import LOST, NOT_SENT, SESSION_LOST, http_transport
 from gem_tools.mcp.messages import TOO_LONG, UNREADABLE, shortened
 from gem_tools.mcp.stdio import Remarks, stdio_transport
+from gem_tools.mcp.web import LOST, NOT_SENT, SESSION_LOST, http_transport
 
 if TYPE_CHECKING:
     from mcp.client.session import ClientRequestContext
