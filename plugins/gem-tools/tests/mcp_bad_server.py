@@ -35,6 +35,8 @@ def send(message: dict[str, object]) -> None:
 
 def answer(request: object, result: dict[str, object]) -> None:
     """Answer a request, under the wrong id if so told."""
+    if "modern" in WAYS:
+        result = {"resultType": "complete", "ttlMs": 0, "cacheScope": "public", **result}
     if "wrong-ids" in WAYS and "protocolVersion" not in result and "tools" not in result:
         send({"id": 987654, "result": result})
         send({"id": "nonsense", "result": result})
@@ -95,6 +97,8 @@ def call(request: object, name: str, arguments: dict[str, object]) -> None:
             file.write(f"{name}\n")
     if name in ("count", "cancelled"):
         text(request, str(state[name]))
+        while "deaf" in WAYS:
+            time.sleep(1000)
     elif name == "slow":
         waiting[str(request)] = request
     elif name == "shapes":
@@ -149,8 +153,10 @@ def handle(message: dict[str, object]) -> None:
     method, request = message.get("method"), message.get("id")
     params = message.get("params")
     params = params if isinstance(params, dict) else {}
-    if method == "initialize":
+    if method == "initialize" and "modern" not in WAYS:
         start(request, params)
+    elif method == "server/discover" and "modern" in WAYS:
+        answer(request, {"supportedVersions": ["2026-07-28"], "capabilities": {"tools": {}}})
     elif method == "tools/list":
         listed(request, params)
     elif method == "tools/call":

@@ -151,6 +151,19 @@ def test_a_server_that_dies_is_restarted_and_the_agent_is_told():
         env.close()
 
 
+def test_a_server_that_reads_nothing_any_more_is_restarted():
+    env = around(bad("deaf", call_timeout_s=0.2))
+    try:
+        assert step(env, "count")[0] == "1"
+        observation, info = step(env, "echo", text="x" * 1_000_000)  # more than a pipe holds
+        assert "The server bad was lost during the call: it did not even take the request within 0.2 s." in observation
+        assert info["fault"].startswith("deaf: ")
+        assert step(env, "count")[0].endswith("what it remembered may be lost.]\n1")
+    finally:
+        env.close()
+    assert servers_of() == []
+
+
 @pytest.mark.parametrize(("ways", "calls"), [((), 1), (("idempotent",), 2)])
 def test_a_call_that_may_have_had_its_effect_is_not_repeated(ways, calls, tmp_path):
     """Unless the server says that repeating it does no harm; then it is repeated once."""
@@ -224,6 +237,15 @@ def test_answers_under_wrong_ids_are_waited_out():
     env = around(bad("wrong-ids", call_timeout_s=0.5))
     try:
         assert "it did not answer within 0.5 s" in step(env, "count")[0]
+    finally:
+        env.close()
+
+
+def test_a_server_that_knows_only_the_newest_version_of_the_protocol():
+    env = around(bad("modern"))
+    try:
+        assert step(env, "echo", text="x")[0] == "x"
+        assert step(env, "no-such-tool")[1]["failed"]
     finally:
         env.close()
 

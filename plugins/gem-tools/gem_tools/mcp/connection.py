@@ -64,8 +64,8 @@ class ServerFault(GemError):
     """A server that did not answer, and what is known of the request.
 
     Args:
-        kind: ``"unreachable"``, ``"timeout"``, ``"died"``, ``"error"`` (a JSON-RPC error), ``"too_long"`` (the answer)
-            or ``"protocol"``.
+        kind: ``"unreachable"``, ``"timeout"``, ``"deaf"`` (it does not take requests any more), ``"died"``, ``"error"``
+            (a JSON-RPC error), ``"too_long"`` (the answer) or ``"protocol"``.
         message: What happened.
         sent: Whether the server may have received the request.
         code: The JSON-RPC error's.
@@ -153,7 +153,7 @@ class Connection:
                 raise ServerFault("died", await self._last_words()) from None
             raise _fault(error, timeout_s) from None
         except TimeoutError:
-            raise ServerFault("timeout", f"it did not even take the request within {timeout_s:g} s") from None
+            raise ServerFault("deaf", f"it did not even take the request within {timeout_s:g} s") from None
         except (ValidationError, RuntimeError, ValueError) as error:
             message = f"the answer is not of the protocol's form: {shortened(str(error))}"
             raise ServerFault("protocol", message) from None
@@ -248,7 +248,7 @@ class Connection:
         if session is None or dispatcher is None:
             raise ServerFault("died", self.death(), sent=False)
         if self._modern:
-            asked: Request[Any, Any] = Request(method=method, params=params)
+            asked = Request[dict[str, Any], str](method=method, params=params)
             answer: Any = _OBJECT  # the annotation knows of models alone
             result: dict[str, Any] = await session.send_request(asked, answer, request_read_timeout_seconds=timeout_s)
             return result

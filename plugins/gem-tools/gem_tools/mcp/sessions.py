@@ -65,7 +65,7 @@ class ServerSession:
             try:
                 result = await connection.request(method, params, self.limits.call_s)
             except ServerFault as fault:
-                if fault.kind in ("died", "unreachable"):
+                if fault.kind in ("died", "unreachable", "deaf"):
                     await self._drop(connection)
                 if fault.kind in ("error", "protocol", "too_long"):
                     self._in_vain = 0  # it answers
@@ -87,7 +87,7 @@ class ServerSession:
             try:
                 return await paged(connection, method, key)
             except ServerFault as fault:
-                if fault.kind in ("died", "unreachable"):
+                if fault.kind in ("died", "unreachable", "deaf"):
                     await self._drop(connection)
                 if not again or fault.kind not in ("died", "unreachable"):
                     raise

@@ -342,7 +342,7 @@ def _explained(fault: ServerFault, server: str) -> str:
             f"The server {server} was too slow: {fault.message}. The call was given up; it may have had its effect all "
             "the same."
         )
-    if fault.kind == "died" and fault.sent:
+    if fault.kind in ("died", "deaf") and fault.sent:
         return (
             f"The server {server} was lost during the call: {fault.message}. Whether the call had its effect is not "
             "known. At the next call the server is started again; what it remembered may be lost."

@@ -1,0 +1,106 @@
+"""Resources and prompts, of a server of the protocol's own package, over each transport."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcp_helping import PATIENCE_S, around, servers_of, step
+
+from gem_core.testing import check_tool
+from gem_tools.mcp.tool import make_mcp
+
+SERVER = '''
+import sys
+from mcp.server.mcpserver import MCPServer
+
+server = MCPServer("library")
+
+@server.tool()
+def lend(title: str) -> dict[str, str]:
+    """Lends a book"""
+    return {"title": title, "until": "Friday"}
+
+@server.resource("books://all", name="Catalogue", description="All titles.")
+def books() -> str:
+    return "Emma; Ulysses"
+
+@server.resource("books://{title}/first-line")
+def first_line(title: str) -> str:
+    return f"The first line of {title}."
+
+@server.prompt()
+def review(title: str, tone: str = "kind") -> str:
+    """Asks for a review."""
+    return f"Write a {tone} review of {title}."
+
+if sys.argv[1] == "stdio":
+    server.run()
+else:
+    server.run(transport=sys.argv[1], port=int(sys.argv[2]))
+'''
+
+
+@pytest.fixture(params=["stdio", "streamable-http", "sse"])
+def library(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[dict[str, Any]]:
+    """Options for the server, over one of the transports."""
+    path = tmp_path / "library.py"
+    path.write_text(SERVER, encoding="utf-8")
+    if request.param == "stdio":
+        yield {"command": sys.executable, "args": [str(path), "stdio"], "server_name": "library"}
+        assert servers_of() == []
+        return
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    command = [sys.executable, str(path), request.param, str(port)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        deadline = time.monotonic() + PATIENCE_S
+        while True:  # until it listens
+            try:
+                socket.create_connection(("127.0.0.1", port), 1).close()
+                break
+            except OSError:
+                if process.poll() is not None or time.monotonic() > deadline:
+                    raise
+                time.sleep(0.05)
+        yield {"url": f"http://127.0.0.1:{port}/{'sse' if request.param == 'sse' else 'mcp'}", "server_name": "library"}
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_tools_resources_and_prompts(library):
+    env = around(("mcp", library))
+    assert list(env.tools) == ["lend", "list_resources", "read_resource", "list_prompts", "get_prompt"]
+    observation, info = step(env, "lend", title="Emma")
+    assert info["structured"] == {"title": "Emma", "until": "Friday"}
+    assert '"until": "Friday"' in observation
+    assert step(env, "list_resources")[0] == (
+        "books://all — Catalogue — All titles.\nbooks://{title}/first-line — first_line (fill in what is in braces)"
+    )
+    assert step(env, "read_resource", uri="books://all")[0] == "[resource books://all]\nEmma; Ulysses"
+    assert step(env, "read_resource", uri="books://Emma/first-line")[0].endswith("The first line of Emma.")
+    observation, info = step(env, "read_resource", uri="books://none/at/all")
+    assert observation.startswith("The server library refused the call: ")
+    assert info["failed"]
+    assert "fault" not in info
+    assert step(env, "list_prompts")[0] == "review — Asks for a review. (arguments: title, tone?)"
+    prompt, _ = step(env, "get_prompt", name="review", arguments={"title": "Emma"})
+    assert prompt == "Asks for a review.\nuser:\nWrite a kind review of Emma."
+    assert step(env, "get_prompt", name="review", arguments={"title": 1})[0].startswith("The arguments are not valid. ")
+    env.close()
+
+
+def test_helpers_can_be_left_out_and_keep_what_a_tool_promises(library):
+    assert [tool.name for tool in make_mcp(**library, resources=False, prompts=False)] == ["lend"]
+    tools = {tool.name: tool for tool in make_mcp(**library, include=["*_resource*"])}
+    assert list(tools) == ["list_resources", "read_resource"]
+    assert len(check_tool(tools["read_resource"], {"uri": "books://all"})) > 5
