@@ -1,0 +1,275 @@
+r"""``grade``: compares a model's final answer with the reference."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from gem_core.errors import GradingError
+from gem_core.parsing import extract_last_boxed_answer, extract_last_tagged_answer
+from gem_math.grading_compare import Comparison
+from gem_math.grading_forms import Form, Leaf, Many, Opaque, Words
+from gem_math.grading_formulas import read_formula
+from gem_math.grading_numbers import compare_formulas
+from gem_math.grading_pool import shared_pool
+from gem_math.grading_reading import read
+from gem_math.grading_text import clean, close_of
+
+MAX_ANSWER_CHARS = 4000
+_AMBIGUOUS_THOUSANDS = re.compile(r"(?<![\d,])[1-9]\d{0,2}(?:,[1-9]\d\d)+(?![\d,])")
+_DECIMAL_COMMA = re.compile(r"^\s*-?\d+,\d+\s*$")
+_TAIL_CHARS = 20_000
+_SPAN = re.compile(r"\$\$[^$]+\$\$|(?<!\\)\$[^$\n]+\$|\\\[(?:[^\\]|\\(?!\]))+\\\]|\\\((?:[^\\\n]|\\(?!\)))+\\\)")
+_DENIAL = re.compile(r"(?i)\b(?:not|never|wrong|incorrect|neither|nor|isn|cannot|no)\b|n['\u2019]t\b")
+_BOX = re.compile(r"\\boxed\s*\{")
+_SEPARATION = re.compile(r"\\text\s*\{\s*(?:,?\s*(?:and|or)|,)\s*\}|\\q?quad|\b(?:and|or)\b|[,;\s$&]|\\[\[\](), ;]")
+_PHRASE = re.compile(r"(?i)\b(?:final\s+)?answer\s*(?:is|:)\s*:?\s*")
+
+
+@dataclass(frozen=True)
+class Grade:
+    """The verdict on an answer.
+
+    Args:
+        reward: 1.0 or 0.0; with ``partial_credit`` the fraction of the parts that are right.
+        correct: Whether all of it is right.
+        answer: What was read out of the text; None when there was nothing to read.
+        reason: Why, in one sentence.
+    """
+
+    reward: float
+    correct: bool
+    answer: str | None
+    reason: str
+
+
+class _TimeIsUpError(Exception):
+    """The comparison takes too long, by no fault of the gold answer."""
+
+
+def grade(
+    answer: str, gold: Any, *, timeout_s: float = 1.0, partial_credit: bool = False, strict: bool = False
+) -> Grade:
+    r"""Compare a model's final answer with the reference.
+
+    The answer is the content of the last ``\boxed{}``; without one, of the last ``<answer>`` tag; without that, what
+    follows "the answer is", or the whole text.
+
+    Args:
+        answer: Model text.
+        gold: The reference: LaTeX or plain text, with or without dollar signs, or a number; or a list of these, each of
+            which is right.
+        timeout_s: Limit of the computing for each reference, in seconds. It holds in any thread and process. What waits
+            for a free process does not count.
+        partial_credit: Give the fraction of the parts that are right where the reference has several, and none to
+            answers with more parts than it.
+        strict: Read only a box or a tag.
+
+    Returns:
+        Grade with ``reward``, ``correct``, the extracted ``answer`` and the ``reason``.
+
+    Raises:
+        GradingError: The gold answer is empty, unreadable or takes too long: the verdict is unknown.
+
+    Source: the boxed-answer convention of MATH, arXiv:2103.03874; math-verify 0.9.0 for what evaluation does not tell.
+    """
+    golds = _golds(gold)
+    extracted = extract_answer(answer, strict=strict)
+    if extracted is None:
+        return Grade(0.0, False, None, "there is no \\boxed{} and no <answer>" if strict else "there is no answer")
+    if not extracted.strip():
+        return Grade(0.0, False, "", "the answer is empty")
+    if len(extracted) > MAX_ANSWER_CHARS:
+        return Grade(0.0, False, extracted[:80] + "…", f"the answer has more than {MAX_ANSWER_CHARS} characters")
+    beside = _boxes_side_by_side(answer)
+    best = Grade(0.0, False, extracted, "it is not the reference")
+    failure: GradingError | None = None
+    for one in golds:
+        try:
+            found = _grade_one(extracted, one, timeout_s, partial_credit)
+            if not found.correct and beside is not None:
+                found = max(found, _grade_one(beside, one, timeout_s, partial_credit), key=_reward_of)
+        except GradingError as error:
+            failure = error
+            continue
+        except Exception as error:  # a fault of the grader, whatever it is, is no verdict
+            name = type(error).__name__
+            raise GradingError(
+                f"the grader failed with {name}: {error}. Please report the gold answer {one!r:.200} "
+                f"with the answer {extracted!r:.200}"
+            ) from error
+        if found.correct:
+            return found
+        best = max(found, best, key=_reward_of)
+    if failure is not None:
+        raise failure
+    return best
+
+
+def extract_answer(text: str, *, strict: bool = False) -> str | None:
+    r"""Return the final answer in a text: the last ``\boxed{}``, the last ``<answer>``, or all of it.
+
+    Args:
+        text: Model text.
+        strict: Return None where there is neither a box nor a tag.
+    """
+    answer = extract_last_boxed_answer(text)
+    if answer is None:
+        answer = extract_last_tagged_answer(text)
+        if answer is not None and "\\boxed" in answer:
+            answer = extract_last_boxed_answer(answer) or answer
+    if answer is not None or strict:
+        return answer
+    text = text[-_TAIL_CHARS:].strip()
+    *_, last = [None, *_PHRASE.finditer(text)]
+    if last is not None:
+        text = re.split(r"\n|\.\s", text[last.end() :], maxsplit=1)[0].strip()
+    *_, span = [None, *_SPAN.finditer(text)]
+    # In a sentence the last formula is the answer, unless the sentence denies it.
+    if span is not None and re.search(r"[A-Za-z]{3}", text.replace(span[0], "")) and not _DENIAL.search(text):
+        return span[0]
+    return text or None
+
+
+def _boxes_side_by_side(text: str) -> str | None:
+    """Return the contents of the last boxes of a text where only commas and 'and' stand between them."""
+    text = text[-_TAIL_CHARS:]
+    contents: list[str] = []
+    position = 0
+    for match in _BOX.finditer(text):
+        if match.start() < position:
+            continue
+        end = close_of(text, match.end() - 1)
+        if end < 0:
+            break
+        if contents and _SEPARATION.sub("", text[position : match.start()]):
+            contents = []
+        contents.append(text[match.end() : end])
+        position = end + 1
+    return ", ".join(contents) if 1 < len(contents) < 40 else None
+
+
+def _reward_of(verdict: Grade) -> float:
+    return verdict.reward
+
+
+def _golds(gold: Any) -> list[str]:
+    if isinstance(gold, str | int | float) and not isinstance(gold, bool):
+        golds: list[Any] = [gold]
+    elif isinstance(gold, Sequence) and not isinstance(gold, bytes):
+        golds = list(gold)
+    elif hasattr(gold, "tolist"):  # NumPy's numbers and arrays
+        return _golds(gold.tolist())
+    else:
+        golds = [gold]
+    texts = [str(one).strip() for one in golds if one is not None and not isinstance(one, list | dict)]
+    if not texts or not all(texts) or len(texts) != len(golds):
+        raise GradingError(
+            f"the gold answer must be a text, a number or a list of these, and not empty: it is {gold!r}"
+        )
+    return [_boxes_side_by_side(text) or extract_last_boxed_answer(text) or text for text in texts]
+
+
+class _Asking:
+    """Asks math-verify, within what is left of the time.
+
+    Only computing counts: the processor time of this thread, and the time that the process takes; not the wait of many
+    threads for few processes.
+    """
+
+    def __init__(self, gold: str, timeout_s: float) -> None:
+        self.gold = gold
+        self.timeout_s = timeout_s
+        self.started = time.thread_time()
+        self.asked_s = 0.0
+        self.note = ""
+
+    def left_s(self) -> float:
+        return self.timeout_s - self.asked_s - (time.thread_time() - self.started)
+
+    def check_time(self) -> None:
+        if self.left_s() <= 0:
+            raise _TimeIsUpError
+
+    def ask(self, gold_text: str, answer_text: str) -> bool:
+        self.check_time()
+        verdict = shared_pool().compare(gold_text, answer_text, self.left_s())
+        self.asked_s += verdict.took_s
+        reason = f"it takes more than {self.timeout_s:g} s" if verdict.late else verdict.reason.partition("\n")[0]
+        if verdict.blame == "gold" and not _evaluates(gold_text):
+            raise GradingError(f"the gold answer {self.gold[:200]!r} cannot be compared: {reason}")
+        if verdict.blame is not None:
+            self.note = self.note or f"the answer cannot be compared: {reason}"
+        return verdict.same
+
+
+def _evaluates(gold_text: str) -> bool:
+    """Whether a gold formula is one that takes no time, so that it cannot be to blame."""
+    formula = read_formula(gold_text)
+    return formula is not None and compare_formulas(formula, formula) is True
+
+
+def _grade_one(answer: str, gold: str, timeout_s: float, partial_credit: bool) -> Grade:
+    if _spelled_alike(answer, gold):
+        return Grade(1.0, True, answer, "it is written like the reference")
+    if len(gold) > MAX_ANSWER_CHARS:
+        raise GradingError(
+            f"the gold answer has {len(gold)} characters; no more than {MAX_ANSWER_CHARS} can be compared"
+        )
+    asking = _Asking(gold, timeout_s)
+    comparison = Comparison(asking.ask, asking.check_time)
+    golds, answers = _readings(gold, answer)
+    try:
+        if any(comparison.same(one, other) for one in golds for other in answers):
+            return Grade(1.0, True, answer, "it equals the reference")
+        reward = _part_right(comparison, golds[0], answers[0]) if partial_credit else 0.0
+    except _TimeIsUpError:
+        return Grade(0.0, False, answer, f"the answer cannot be compared: it takes more than {timeout_s:g} s")
+    if isinstance(golds[0], Opaque) and golds[0].unreadable:
+        raise GradingError(
+            f"the gold answer {gold[:200]!r} cannot be read: its brackets do not match, or it has too many parts"
+        )
+    return Grade(reward, False, answer, asking.note or "it is not the reference")
+
+
+def _spelled_alike(answer: str, gold: str) -> bool:
+    if answer.strip() == gold.strip():
+        return True
+    return len(answer) < 2000 and len(gold) < 2000 and _spelling(answer) == _spelling(gold)
+
+
+def _spelling(text: str) -> str:
+    return re.sub(r"(?<!\d)\s+|\s+(?!\d)", "", clean(text))
+
+
+def _readings(gold: str, answer: str) -> tuple[list[Form], list[Form]]:
+    """Return the ways to read both; 1,234 is a number first, and two where the other side has two."""
+    gold_form = read(gold)
+    loose = isinstance(gold_form, Leaf) and gold_form.formula is not None and not gold_form.formula.letters
+    golds, answers = [gold_form], [read(answer, loose_units=loose)]
+    if _AMBIGUOUS_THOUSANDS.search(gold) and not isinstance(answers[0], Leaf):
+        golds.append(read(gold, join_thousands=False))
+    elif _AMBIGUOUS_THOUSANDS.search(answer) and not isinstance(gold_form, Leaf):
+        answers.append(read(answer, join_thousands=False))
+    if loose and "," not in gold and _DECIMAL_COMMA.match(clean(answer)) and isinstance(answers[0], Many):
+        answers.append(read(clean(answer).replace(",", ".")))
+    return golds, answers
+
+
+def _part_right(comparison: Comparison, gold: Form, answer: Form) -> float:
+    """Return the fraction of the parts of a list or set that the answer has; 0 for an answer with more parts."""
+    if not isinstance(gold, Many) or not gold.items or isinstance(answer, Words):
+        return 0.0
+    left = list(answer.items if isinstance(answer, Many) else (answer,))
+    if len(left) > len(gold.items):
+        return 0.0
+    right = 0
+    for item in gold.items:
+        found = next((index for index, one in enumerate(left) if comparison.same(item, one)), None)
+        if found is not None:
+            right += 1
+            del left[found]
+    return right / len(gold.items)

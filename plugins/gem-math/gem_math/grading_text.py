@@ -1,0 +1,186 @@
+r"""Brings an answer's LaTeX, Unicode and plain notation into one spelling, before it is read.
+
+Every function takes any text of the few thousand characters that an answer may have.
+"""
+
+# ruff: noqa: RUF001  # letters that look like others are what this module is about
+
+from __future__ import annotations
+
+import re
+import unicodedata
+
+_SUPERSCRIPTS = dict(zip("⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻ⁿ", "0123456789+-n", strict=True))
+_SUBSCRIPTS = dict(zip("₀₁₂₃₄₅₆₇₈₉", "0123456789", strict=True))
+_SYMBOLS = {
+    "−": "-", "–": "-", "—": "-", "‐": "-", "‑": "-", "×": r"\times ", "·": r"\cdot ", "⋅": r"\cdot ", "∙": r"\cdot ",
+    "÷": "/", "⁄": "/", "∕": "/", "π": r"\pi ", "∞": r"\infty ", "≤": r"\le ", "⩽": r"\le ", "≥": r"\ge ", "⩾": r"\ge ",
+    "≠": r"\ne ", "≈": r"\approx ", "±": r"\pm ", "∓": r"\mp ", "∪": r"\cup ", "∩": r"\cap ", "∈": r"\in ",
+    "∅": r"\emptyset ", "ℝ": r"\mathbb{R}", "ℤ": r"\mathbb{Z}", "ℕ": r"\mathbb{N}", "ℚ": r"\mathbb{Q}",
+    "ℂ": r"\mathbb{C}", "°": r"^\circ ", "º": r"^\circ ", "∘": r"\circ ", "θ": r"\theta ", "α": r"\alpha ",
+    "β": r"\beta ", "γ": r"\gamma ", "δ": r"\delta ", "λ": r"\lambda ", "φ": r"\phi ", "ω": r"\omega ", "μ": r"\mu ",
+    "σ": r"\sigma ", "τ": r"\tau ", "∠": r"\angle ", "△": r"\triangle ", "⌊": r"\lfloor ", "⌋": r"\rfloor ",
+    "⌈": r"\lceil ", "⌉": r"\rceil ", "⟨": r"\langle ", "⟩": r"\rangle ", "¼": r"\frac{1}{4}", "½": r"\frac{1}{2}",
+    "¾": r"\frac{3}{4}", "⅓": r"\frac{1}{3}", "⅔": r"\frac{2}{3}", "⅕": r"\frac{1}{5}", "⅛": r"\frac{1}{8}",
+    "⅜": r"\frac{3}{8}", "⅝": r"\frac{5}{8}", "⅞": r"\frac{7}{8}", "⅙": r"\frac{1}{6}", "⅚": r"\frac{5}{6}",
+    "’": "'", "‘": "'", "′": "'", "“": '"', "”": '"', "…": r"\ldots ", "⋯": r"\ldots ", "\u00a0": " ",
+    "\u2009": " ", "\u202f": " ", "\u200b": "", "\ufeff": "",
+}  # fmt: skip
+_TRANSLATION = str.maketrans(_SYMBOLS)
+_SCRIPTS = re.compile(f"[{''.join(_SUPERSCRIPTS)}]+|[{''.join(_SUBSCRIPTS)}]+")
+_ROOT = re.compile(r"√\s*(\(|\d+(?:\.\d+)?|[a-zA-Z])?")
+
+_SIZES = re.compile(r"\\(?:left|right|middle|[bB]igg?[lrm]?)(?![a-zA-Z])[ ]?\.?")
+_MATH_MARKS = re.compile(r"(?<!\\)\\[()\[\]]")
+_SPACES = re.compile(
+    r"\\(?:quad|qquad|displaystyle|textstyle|scriptstyle|limits|nolimits|thinspace|enspace|medspace|nobreak)"
+    r"(?![a-zA-Z])|\\[hv]space\*?\{[^{}]*\}|\\phantom\{[^{}]*\}|(?<!\\)\\[,;: >]|~|(?<!\\)\\(?=\s|$)|\s+"
+)
+_TEXT = re.compile(
+    r"\\(?:text(?:bf|it|rm|sf|tt|sc|normal|up)?|mathrm|mathbf|mathit|mathsf|mathtt|mbox|hbox|emph|boldsymbol|bm"
+    r"|operatorname\*?|mathop|underline|fbox|boxed|framebox|mathbin|mathord|ensuremath)\s*(?=\{)"
+)
+_COMMANDS = {
+    "dfrac": "frac", "tfrac": "frac", "cfrac": "frac", "leq": "le", "leqslant": "le", "geq": "ge", "geqslant": "ge",
+    "neq": "ne", "lbrace": "{", "rbrace": "}", "lt": "<", "gt": ">", "lvert": "|", "rvert": "|", "vert": "|",
+    "varnothing": "emptyset", "empty": "emptyset", "tbinom": "binom", "dbinom": "binom", "ast": "*", "dots": "ldots",
+    "cdots": "ldots", "lbrack": "[", "rbrack": "]", "lor": "vee", "degree": "circ", "colon": ":",
+    "thickapprox": "approx", "simeq": "approx", "geqq": "ge", "leqq": "le", "R": "mathbb{R}", "arctg": "arctan",
+    "tg": "tan", "ctg": "cot", "varphi": "phi", "varepsilon": "epsilon", "infin": "infty", "and": "text{ and }",
+    "or": "text{ or }", "percent": "%", "textpercent": "%", "textdollar": "$", "dollar": "$",
+}  # fmt: skip
+_PLAIN = {"{", "}", "$", "%"}  # these keep their backslash: they are LaTeX's visible signs
+_COMMAND = re.compile(r"\\([a-zA-Z]+)")
+_BARE_FUNCTION = re.compile(
+    r"(?<![\\a-zA-Z])(sqrt|pi|infinity|infty|inf|sin|cos|tan|cot|sec|csc|arcsin|arccos|arctan|sinh|cosh|tanh|ln|log"
+    r"|exp|theta|alpha|beta|gamma|lambda|cup|frac|times|cdot)(?![a-zA-Z])"
+)
+_WORD = re.compile(r"[^\W_]+", re.UNICODE)
+
+
+def clean(text: str) -> str:
+    r"""Return an answer in the one spelling that the reader knows; ``\text{}`` is all that is left of text commands."""
+    text = text.strip()
+    if not text.isascii():
+        text = _ROOT.sub(_root, _SCRIPTS.sub(_scripts, text).translate(_TRANSLATION))
+        text = unicodedata.normalize("NFKC", text)
+    text = text.replace("**", " ^ " if re.search(r"\w\s*\*\*\s*[\w({-]", text) and not text.startswith("**") else " ")
+    text = re.sub(r"\\!\s*", "", text).replace("{,}", ",").replace("{:}", ":").replace("``", '"').replace("''", '"')
+    if "\\\\" in text and "matrix" not in text and "array" not in text and "cases" not in text:
+        text = re.sub(r"\\\\(?=[a-zA-Z({\[%$])", r"\\", text)  # models escape twice: \\frac is \frac
+    text = _dollars(text)
+    text = _SIZES.sub("", text)
+    text = _MATH_MARKS.sub(" ", text)
+    text = _SPACES.sub(" ", text)
+    text = _COMMAND.sub(_command, text)
+    text = _text_groups(text)
+    text = _BARE_FUNCTION.sub(lambda match: "\\" + {"infinity": "infty", "inf": "infty"}.get(match[1], match[1]), text)
+    return _strip(text)
+
+
+def words_of(text: str) -> str:
+    """Return what a text says, whatever its case, spaces and marks: its words, in lower case."""
+    text = re.sub(r"\\text\s*\{([^{}]*)\}", r" \1 ", text)
+    return " ".join(_WORD.findall(unicodedata.normalize("NFKC", text).casefold()))
+
+
+def close_of(text: str, start: int) -> int:
+    """Return the index of the brace that closes the one at ``start``; -1 where none does."""
+    depth = 0
+    for match in _BRACES.finditer(text, start):
+        if match[0] == "{":
+            depth += 1
+        elif match[0] == "}":
+            depth -= 1
+            if depth == 0:
+                return match.start()
+    return -1
+
+
+_BRACES = re.compile(r"\\[\\{}]|[{}]")
+
+
+def _scripts(match: re.Match[str]) -> str:
+    if match[0][0] in _SUBSCRIPTS:
+        return "_{" + "".join(_SUBSCRIPTS[sign] for sign in match[0]) + "}"
+    return "^{" + "".join(_SUPERSCRIPTS[sign] for sign in match[0]) + "}"
+
+
+def _root(match: re.Match[str]) -> str:
+    if match[1] is None or match[1] == "(":
+        return r"\sqrt" + (match[1] or "")
+    return rf"\sqrt{{{match[1]}}}"
+
+
+def _dollars(text: str) -> str:
+    r"""Take away what only begins and ends mathematics; ``\$`` and a lone leading ``$`` are money."""
+    bare = re.findall(r"(?<!\\)\$", text)
+    money = len(bare) % 2 == 1 and re.match(r"\s*-?\$\s*-?[\d.]", text) is not None
+    text = re.sub(r"(?<!\\)\$", "", text)
+    return re.sub(r"^(\s*-?)", r"\1\\$", text, count=1) if money else text
+
+
+def _command(match: re.Match[str]) -> str:
+    name = _COMMANDS.get(match[1])
+    if name is None:
+        return match[0]
+    if name in _PLAIN or name[0].isalpha():
+        return "\\" + name + (" " if name[-1].isalpha() else "")
+    return name
+
+
+def _text_groups(text: str) -> str:
+    r"""Turn every text command into ``\text``, and take it away from single signs and numbers."""
+    if "\\" not in text:
+        return text
+    pieces: list[str] = []
+    position = 0
+    for match in _TEXT.finditer(text):
+        if match.start() < position:
+            continue
+        brace = text.index("{", match.end() - 1)
+        end = close_of(text, brace)
+        if end < 0:
+            break
+        inner = text[brace + 1 : end]
+        pieces.append(text[position : match.start()])
+        pieces.append(_text_group(match[0], inner))
+        position = end + 1
+    pieces.append(text[position:])
+    return "".join(pieces)
+
+
+def _text_group(command: str, inner: str) -> str:
+    body = inner.strip()
+    if re.match(r"\\(?:boxed|fbox|framebox|underline|ensuremath|mathbin|mathord|mathop)", command):
+        return f" {clean(inner)} " if len(inner) < 10_000 else inner
+    if command.startswith((r"\operatorname", r"\mathrm", r"\mathop")) and body in _FUNCTIONS:
+        return f"\\{body} "
+    signs = not re.search(r"[^\W\d_]{2}|[^\W\d_]\s+[^\W\d_]", re.sub(r"\\[a-zA-Z]+", "", body))
+    if signs and not (command.startswith((r"\text", r"\mbox")) and body.isalpha()):
+        # A single letter of an upright font is a variable or a number with a font; in \text{} it is a word or unit.
+        return (
+            inner
+            if command.startswith((r"\mathbf", r"\bold", r"\bm", r"\mathit")) or not body.isalpha()
+            else (f"\\text{{{inner}}}")
+        )
+    return f"\\text{{{inner}}}" if "{" not in inner else inner
+
+
+_FUNCTIONS = {"sin", "cos", "tan", "cot", "sec", "csc", "ln", "log", "exp", "arcsin", "arccos", "arctan", "sinh",
+              "cosh", "tanh", "min", "max", "gcd", "lcm"}  # fmt: skip
+
+
+# One mark ends a sentence; three dots say that something is left out.
+_LAST_MARK = re.compile(r"(?<![.\\])[.,;:]$")
+
+
+def _strip(text: str) -> str:
+    """Take away white space, marks at the end and empty groups around."""
+    previous = None
+    while text != previous:
+        previous = text
+        text = _LAST_MARK.sub("", text.strip()).strip()
+        if text.startswith("{") and close_of(text, 0) == len(text) - 1:
+            text = text[1:-1]
+    return text

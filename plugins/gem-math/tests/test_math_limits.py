@@ -1,0 +1,306 @@
+"""Hostile answers: they end within the limit, run no code, leave nothing behind, and spoil no verdict after them."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gem_core.errors import GradingError
+from gem_math.grading import grade
+from gem_math.grading_pool import Pool, shared_pool
+
+# What evaluation does not tell, so that math-verify is asked.
+ASKED = (r"\sum_{k=1}^{10} k", "55")
+HOSTILE = {
+    "tower": "9^{9^{9^{9}}}",
+    "long sum": r"\sum_{i=1}^{10000} \frac{1}{i^3}",
+    "factorials": "((((10!)!)!)!)!",
+    "integral": r"\int \frac{e^{x^2}\sin(\tan x)}{\ln(\ln x)} dx",
+    "binomial": r"\binom{10^9}{5\cdot 10^8}",
+    "roots": r"\sqrt{" * 300 + "2" + "}" * 300,
+    "minuses": "-" * 3900 + "1",
+    "gamma": r"\Gamma(10^{10^{10}})",
+}
+QUICK = {
+    "braces": "{" * 1_000_000,
+    "brackets": "(" * 1900 + "1" + ")" * 1900,
+    "fractions": r"\frac{" * 300 + "1" + "}{2}" * 300,
+    "digits": "1" * 3999,
+    "decimals": "0." + "3" * 3900,
+    "list": "1," * 1900 + "1",
+    "power of a sum": "(x+y+z+w)^{500}",
+    "nothing": "\x00\ud800",
+    "texts": r"\text{" * 600,
+    "colons": "a:b" * 900,
+    "unions": r"(1,2)\cup" * 300 + "(1,2)",
+    "signs": r"\pm" * 500,
+    "equalities": "1=" * 900 + "1",
+    "letters": "x" * 3999,
+    "floors": r"\lfloor" * 500,
+    "cells": r"\begin{pmatrix}" + "1&" * 900 + r"1\end{pmatrix}",
+    "words": "is " * 1300,
+    "units": "5 cm " * 700,
+    "megabyte": "word " * 200_000,
+}
+
+
+def boxed(answer: str) -> str:
+    return f"\\boxed{{{answer}}}"
+
+
+def test_math_verify_is_asked_and_answers():
+    """The pair that the tests below use is one that evaluation does not tell."""
+    assert grade(boxed(ASKED[0]), ASKED[1], timeout_s=30).correct
+    assert not grade(boxed(ASKED[0]), "54", timeout_s=30).correct
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_answer_is_wrong_and_the_next_is_right(name: str):
+    """An answer that would compute forever is wrong by the limit, and no verdict after it suffers."""
+    before = time.process_time()
+    verdict = grade(boxed(HOSTILE[name]), "6", timeout_s=0.5)
+    assert verdict.correct is False
+    assert time.process_time() - before < 5.0  # what this process itself computed, whatever the machine does
+    assert grade(boxed(ASKED[0]), ASKED[1], timeout_s=30).correct
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_long_and_odd_answers_are_wrong(name: str):
+    """Without a process of its own: the work in this one is bounded too."""
+    before = time.process_time()
+    for gold in ("6", r"\{1, 2\}", "x+1", r"\text{yes}"):
+        assert grade(boxed(QUICK[name]), gold, timeout_s=0.5).correct is False
+    assert time.process_time() - before < 20.0
+
+
+@pytest.mark.parametrize("name", ["tower", "long sum", "factorials", "binomial"])
+def test_hostile_gold_answer_is_an_error(name: str):
+    """Where the gold answer is to blame there is no verdict."""
+    with pytest.raises(GradingError, match=r"the gold answer .* cannot be compared: it takes more than 0.5 s"):
+        grade(boxed("6"), HOSTILE[name], timeout_s=0.5)
+
+
+def test_hostile_gold_answer_spelled_alike_is_right():
+    """What is written like the gold answer needs no computing."""
+    assert grade(boxed(HOSTILE["tower"]), HOSTILE["tower"]).correct
+
+
+@pytest.mark.parametrize("gold", ["", " ", None, [], [""], {"a": 1}, [["1"]], [None]])
+def test_gold_answer_that_is_none_is_an_error(gold: object):
+    """A gold answer that is no text and no number says what it is."""
+    with pytest.raises(GradingError, match="the gold answer must be a text, a number or a list of these"):
+        grade(boxed("6"), gold)
+
+
+@pytest.mark.parametrize("gold", ["(1, 2", "[0, 1}", r"\frac{1}{2", "{1", "1," * 300 + "1"])
+def test_unreadable_gold_answer_is_an_error(gold: str):
+    """A gold answer whose brackets do not match is told apart from a wrong answer."""
+    with pytest.raises(GradingError):
+        grade(boxed("6"), gold)
+
+
+@pytest.mark.parametrize(
+    "wrapped",
+    [
+        "{}",
+        r"\text{{{}}}",
+        "${}$",
+        r"\operatorname{{{}}}",
+        "x = {}",
+        "({}, 1)",
+        r"\frac{{{}}}{{2}}",
+        r"\sum_{{k=1}}^{{3}} {}",
+    ],
+)
+@pytest.mark.parametrize(
+    "code",
+    [
+        "__import__('os').system('touch {}')",
+        "exec(\"import os; os.system('touch {}')\")",
+        "().__class__.__base__.__subclasses__()[1]('{}')",
+        "open('{}','w').write('x')",
+        "lambda: __import__('pathlib').Path('{}').touch()",
+        "eval(compile('open(\\'{}\\',\\'w\\')','','exec'))",
+    ],
+)  # fmt: skip
+def test_an_answer_runs_no_code(tmp_path: Path, code: str, wrapped: str):
+    """Python in an answer, or in a gold answer, is read as text or formula, and never run."""
+    target = tmp_path / "touched"
+    answer = wrapped.format(code.format(target))
+    assert grade(boxed(answer), "6", timeout_s=5).correct is False
+    with contextlib.suppress(GradingError):
+        grade(boxed("6"), answer, timeout_s=5)
+    # And past the reader: what a process does with it when it gets it directly.
+    shared_pool().compare(answer, "1", 5)
+    shared_pool().compare("1", answer, 5)
+    assert not target.exists()
+
+
+def test_the_process_writes_no_file_and_starts_no_program(tmp_path: Path):
+    """If a formula ran code in spite of all, it could not write: the kernel and an audit hook stand in the way."""
+    script = f"""
+import os, sys
+import gem_math.grading_worker as worker
+worker._limit_resources()
+sys.addaudithook(worker._refuse)
+for attempt in (lambda: os.system("touch {tmp_path}/a"), lambda: open("{tmp_path}/b", "w"),
+                lambda: __import__("subprocess").run(["touch", "{tmp_path}/c"]), lambda: os.fork(),
+                lambda: __import__("socket").socket()):
+    try:
+        attempt()
+    except PermissionError as error:
+        print("refused")
+    else:
+        print("allowed")
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
+    assert done.stdout.split() == ["refused"] * 5, done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_limit_holds_in_many_threads():
+    """Hostile and good answers from many threads at once: each gets its own verdict."""
+    jobs = [(boxed("9^{9^{9^{9}}}"), "6", False), (boxed(ASKED[0]), ASKED[1], True), (boxed("1/2"), "0.5", True)] * 4
+
+    def run(job: tuple[str, str, bool]) -> bool:
+        answer, gold, right = job
+        return grade(answer, gold, timeout_s=0.4 if not right else 60).correct is right
+
+    with ThreadPoolExecutor(12) as threads:
+        assert list(threads.map(run, jobs)) == [True] * 12
+
+
+def test_waiting_for_a_process_does_not_count():
+    """Many threads and few processes: a good answer is right however long it waits for its turn."""
+    blocked = [threading.Thread(target=grade, args=(boxed(HOSTILE["tower"]), "6")) for _ in range(6)]
+    for thread in blocked:
+        thread.start()
+    assert grade(boxed(ASKED[0]), ASKED[1], timeout_s=20).correct
+    for thread in blocked:
+        thread.join()
+
+
+def test_processes_are_bounded_and_threads_none():
+    """Twenty hostile answers leave no more processes than there are cores, and no thread."""
+    threads = threading.active_count()
+    for _ in range(6):
+        grade(boxed("9^{9^{9^{9}}}"), "6", timeout_s=0.05)
+    pool = shared_pool()
+    assert len(pool.all) <= pool.size
+    assert threading.active_count() == threads
+    gc.collect()
+    assert children() <= pool.size
+
+
+def children() -> int:
+    """Return how many child processes of graders there are, dead ones included."""
+    own = str(os.getpid())
+    count = 0
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            text = stat.read_text(encoding="utf-8")
+        except OSError:
+            continue
+        command = stat.with_name("cmdline").read_bytes() if stat.with_name("cmdline").exists() else b""
+        if text.rpartition(")")[2].split()[1] == own and (b"grading_worker" in command or not command):
+            count += 1
+    return count
+
+
+def test_process_that_was_killed_is_replaced():
+    """Somebody else kills an idle process: the next pair is compared by another."""
+    pool = Pool(size=1)
+    try:
+        assert pool.compare("55", r"\sum_{k=1}^{10} k", 30).same
+        (worker,) = pool.all
+        os.kill(worker.process.pid, signal.SIGKILL)
+        worker.process.wait()
+        assert pool.compare("55", r"\sum_{k=1}^{10} k", 30).same
+    finally:
+        pool.close()
+
+
+def test_processes_end_with_a_caller_that_is_killed():
+    """A caller that is killed outright leaves no process, not even one that is in the middle of a tower of powers."""
+    script = """
+import json, sys, threading
+from gem_math.grading import grade
+from gem_math.grading_pool import shared_pool
+grade(r"\\boxed{\\sum_{k=1}^{10} k}", "55", timeout_s=60)
+pool = shared_pool()
+print(json.dumps([worker.process.pid for worker in pool.all]), flush=True)
+grade(r"\\boxed{9^{9^{9^{9}}}}", "6", timeout_s=2)
+"""
+    caller = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    assert caller.stdout is not None
+    pids = json.loads(caller.stdout.readline())
+    caller.kill()
+    caller.wait()
+    caller.stdout.close()
+    deadline = time.monotonic() + 60
+    while any(Path(f"/proc/{pid}").exists() and not _is_zombie(pid) for pid in pids) and time.monotonic() < deadline:
+        os.sched_yield()
+    assert all(not Path(f"/proc/{pid}").exists() or _is_zombie(pid) for pid in pids)
+
+
+def _is_zombie(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+def test_grading_works_after_a_fork():
+    """A forked process has its own processes, and the parent's go on."""
+    assert grade(boxed(ASKED[0]), ASKED[1], timeout_s=60).correct
+    script = """
+import os, sys
+from gem_math.grading import grade
+pair = (r"\\boxed{\\sum_{k=1}^{10} k}", "55")
+assert grade(*pair, timeout_s=60).correct
+child = os.fork()
+if child == 0:
+    right = grade(*pair, timeout_s=60).correct
+    from gem_math.grading_pool import shared_pool
+    shared_pool().close()
+    os._exit(0 if right else 1)
+assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+assert grade(*pair, timeout_s=60).correct
+print("right")
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=240)
+    assert done.stdout == "right\n", done.stderr
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.text(max_size=60), st.sampled_from(["6", r"\frac{1}{2}", r"\{1,2\}", "(0,1)", "x+1", r"\text{yes}", "x=3"]))
+def test_any_text_gets_a_verdict(answer: str, gold: str):
+    """Whatever an answer is, it is right or wrong, and never an error."""
+    assert isinstance(grade(boxed(answer), gold, timeout_s=2).correct, bool)
+
+
+_PIECES = st.sampled_from(
+    ["1", "2", "x", r"\frac", "{", "}", "(", ")", "[", "]", ",", "=", "<", r"\sqrt", "^", "_", r"\text{", "cm", r"\pm",
+     "-", "+", r"\cup", r"\{", r"\}", r"\le", ":", "!", "|", "%",
+     r"\begin{pmatrix}", r"\end{pmatrix}", "&", r"\\", " ", r"\infty"]
+)  # fmt: skip
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(_PIECES, max_size=14).map("".join), st.sampled_from(["6", r"\{1,2\}", r"\frac{x}{2}", "[0,1)"]))
+def test_any_pieces_of_latex_get_a_verdict(answer: str, gold: str):
+    """Broken LaTeX too."""
+    assert isinstance(grade(boxed(answer), gold, timeout_s=2).correct, bool)
