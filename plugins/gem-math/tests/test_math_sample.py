@@ -1,0 +1,71 @@
+"""The problems that ship with the plugin: many forms, proven answers, the same everywhere."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+
+import pytest
+
+import gem_core as gem
+from gem_core.agents.random import RandomAgent
+from gem_math import grade
+from gem_math.grading import _readings
+from gem_math.grading_compare import Comparison
+from gem_math.grading_pool import shared_pool
+from gem_math.sample import sample_rows
+from gem_math.sample_problems import UnprovenError, decimal, latex, polynomial, prove
+
+ROWS = sample_rows()
+
+
+def test_there_are_enough_problems_of_many_forms():
+    """At least 200 problems, no two alike, with every form that the issue names."""
+    assert len(ROWS) >= 200
+    assert len({row["problem"] for row in ROWS}) == len({row["id"] for row in ROWS}) == len(ROWS)
+    forms = {"integer", "fraction", "decimal", "percentage", "unit", "interval", "set", "tuple", "matrix", "equation"}
+    assert forms | {"choice", "text"} <= set(Counter(row["form"] for row in ROWS))
+
+
+def test_the_rows_never_change_unnoticed():
+    """Other rows are another environment: a change here asks for a new version of the id."""
+    digest = hashlib.sha256(json.dumps(ROWS).encode()).hexdigest()
+    assert digest[:16] == "0c83feec707a4ff6"
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row["id"])
+def test_gold_answer_is_right_and_the_next_is_not(row: dict[str, str]):
+    """Each answer is right when it is compared part by part, and wrong for the problem five rows on."""
+    golds, answers = _readings(row["answer"], row["answer"])
+    assert Comparison(lambda one, other: shared_pool().compare(one, other, 20).same).same(golds[0], answers[0])
+    other = ROWS[(ROWS.index(row) + 5) % len(ROWS)]["answer"]
+    # Letters of choices stand side by side in two families.
+    alike = {"B": r"\text{(B)}", "C": r"\text{(C)}", "A": r"\text{(A)}", "D": r"\text{(D)}"}.get(row["answer"]) == other
+    assert grade(f"\\boxed{{{other}}}", row["answer"], timeout_s=20).correct is alike
+
+
+def test_every_episode_of_a_random_agent_is_graded():
+    """A covering run meets every problem once, without an error, and a random answer is rarely right."""
+    episodes = list(gem.rollout("math:Sample", RandomAgent(), seed=3))
+    infos = [episode.transitions[-1].info for episode in episodes]
+    assert len(infos) == len(ROWS)
+    assert not any("error" in info for info in infos)
+    assert sum(info["correct"] for info in infos) < len(ROWS) / 10
+
+
+def test_a_wrong_answer_of_a_family_is_noticed():
+    """A proof that fails stops the family."""
+    with pytest.raises(UnprovenError):
+        prove(False)
+
+
+def test_numbers_are_written_as_latex():
+    """Fractions, decimals and polynomials."""
+    from fractions import Fraction
+
+    assert latex(Fraction(-3, 4)) == r"-\frac{3}{4}"
+    assert latex(5) == "5"
+    assert decimal(Fraction(-5, 4)) == "-1.25"
+    assert decimal(Fraction(1, 20)) == "0.05"
+    assert polynomial([1, -1, 0, -7]) == "x^{3} - x^{2} - 7"
