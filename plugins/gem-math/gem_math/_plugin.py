@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from gem_core.hookspecs import hookimpl
 from gem_core.specs import EnvSpec
+from gem_math.figures.listing import figure_specs
 from gem_math.listing import math_specs
 from gem_math.reasoning.listing import reasoning_specs
 
@@ -14,4 +15,5 @@ from gem_math.reasoning.listing import reasoning_specs
 def gem_register_envs() -> Iterable[EnvSpec]:
     """The data sets of problems, and the tasks of ReasoningGym."""
     yield from math_specs()
+    yield from figure_specs()
     yield from reasoning_specs()

@@ -1,0 +1,1 @@
+"""Problems with figures: observations that hold images, and figures drawn by code."""

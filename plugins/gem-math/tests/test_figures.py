@@ -1,0 +1,297 @@
+"""Problems with figures: images in observations, from any form that a column has, through runs and files."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from PIL import Image
+
+import gem_core as gem
+from gem_core.episodes import read_episodes
+from gem_core.errors import ArgumentError, DatasetError
+from gem_core.testing import check_env
+from gem_math.figures.env import FigureEnv
+from gem_math.figures.sample import EACH, GEOMETRY_SAMPLE, KINDS
+
+SQUARE = Image.new("RGB", (8, 6), (200, 30, 30))
+
+
+def png(image: Image.Image = SQUARE) -> bytes:
+    """Return an image as the bytes of a file."""
+    buffer = io.BytesIO()
+    image.save(buffer, format="PNG")
+    return buffer.getvalue()
+
+
+def row(images: Any, problem: str = "What is it?") -> dict[str, Any]:
+    """Return a row with the columns of ``math:Geometry3K``."""
+    return {"problem": problem, "answer": "4", "images": images}
+
+
+def kinds_of(observation: Any) -> list[str]:
+    """Return which parts there are, in order."""
+    return [part["type"] for part in observation]
+
+
+def digests() -> list[str]:
+    """Return a hash of each figure."""
+    return [hashlib.sha256(each["images"][0].tobytes()).hexdigest() for each in GEOMETRY_SAMPLE]
+
+
+def test_an_observation_holds_the_image_and_the_problem() -> None:
+    """The image comes first where the text has no place for it."""
+    observation, info = gem.make("math:GeometrySample").reset(options={"index": 0})
+    image, text = observation
+    assert isinstance(image["image"], Image.Image)
+    assert text["text"].startswith("How long is the side BC of the right triangle in the figure")
+    assert text["text"].endswith("Write your final answer in \\boxed{}.")
+    assert info["index"] == 0
+
+
+def test_the_gold_answer_is_right_and_another_is_not() -> None:
+    """Of every figure."""
+    env = gem.make("math:GeometrySample")
+    for index in range(len(GEOMETRY_SAMPLE)):
+        for answer, reward in ((GEOMETRY_SAMPLE[index]["answer"], 1.0), ("-999", 0.0)):
+            env.reset(options={"index": index})
+            assert env.step(f"It is \\boxed{{{answer}}}.")[1] == reward
+
+
+def test_figures_are_many_and_none_comes_twice() -> None:
+    """Their number stands in the listing."""
+    assert len(GEOMETRY_SAMPLE) == 115 == EACH * len(KINDS)
+    assert len(set(digests())) == 115
+    assert "115 problems" in gem.spec("math:GeometrySample").summary
+    assert [each["kind"] for each in GEOMETRY_SAMPLE[:23]] == [kind.__name__ for kind in KINDS]
+
+
+def test_the_numbers_stand_in_the_figure_alone() -> None:
+    """Without it nobody knows the answer: each problem of a kind reads alike, or asks something else."""
+    for each in GEOMETRY_SAMPLE:
+        assert not any(letter.isdigit() for letter in each["problem"]), each["problem"]
+    for kind in KINDS:
+        rows = [each for each in GEOMETRY_SAMPLE if each["kind"] == kind.__name__]
+        assert len({each["answer"] for each in rows}) > 1, kind.__name__
+
+
+def test_figures_are_drawn_the_same_in_every_process() -> None:
+    """Whatever the hash seed, and whichever is drawn first."""
+    code = (
+        "import hashlib; from gem_math.figures.sample import GEOMETRY_SAMPLE as rows\n"
+        "found = [hashlib.sha256(rows[-1 - k]['images'][0].tobytes()).hexdigest() for k in range(len(rows))]\n"
+        "print('\\n'.join(reversed(found)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == digests()
+
+
+def test_figures_are_legible() -> None:
+    """No line or label is cut off at an edge: all of them are white."""
+    for each in GEOMETRY_SAMPLE:
+        image = each["images"][0].convert("L")
+        width, height = image.size
+        assert 250 <= width <= 440
+        assert 200 <= height <= 500
+        edges = [image.crop(box) for box in ((0, 0, width, 2), (0, height - 2, width, height))]
+        edges += [image.crop(box) for box in ((0, 0, 2, height), (width - 2, 0, width, height))]
+        assert all(edge.getextrema()[0] > 250 for edge in edges), each
+
+
+def test_nobody_draws_into_another_ones_figure() -> None:
+    """Every row has an image of its own."""
+    first = GEOMETRY_SAMPLE[3]["images"][0]
+    first.paste((0, 0, 0), (0, 0, 50, 50))
+    assert GEOMETRY_SAMPLE[3]["images"][0].tobytes() != first.tobytes()
+    assert GEOMETRY_SAMPLE[-1]["answer"] == GEOMETRY_SAMPLE[114]["answer"]
+    with pytest.raises(IndexError, match="there are 115 rows, and none at 115"):
+        GEOMETRY_SAMPLE[115]
+
+
+def test_answers_are_graded_as_those_of_other_problems() -> None:
+    """By value, not letter by letter; and with the same keywords."""
+    env = FigureEnv([{**row(SQUARE), "answer": "7.5"}], format_error_reward=-0.1)
+    for action, reward in ((r"\boxed{\frac{15}{2}}", 1.0), (r"\boxed{7.50}", 1.0), (r"\boxed{7}", 0.0), ("so", -0.1)):
+        env.reset(seed=0)
+        assert env.step(action)[1] == reward
+
+
+def test_the_sample_takes_no_other_rows() -> None:
+    """There is another class for them."""
+    with pytest.raises(ArgumentError, match="math:GeometrySample has its own rows"):
+        gem.make("math:GeometrySample", dataset_name="others.jsonl")
+    with pytest.raises(ArgumentError, match="got an unexpected keyword argument 'rows'"):
+        gem.make("math:GeometrySample", rows=[row([])])
+
+
+def test_images_come_in_any_form(tmp_path: Path) -> None:
+    """As a PIL image, a path, bytes, or the mapping of ``datasets``; alone, in a list, or not at all."""
+    path = tmp_path / "figure.png"
+    path.write_bytes(png())
+    forms = [SQUARE, path, str(path), png(), {"bytes": png(), "path": None}, {"bytes": None, "path": str(path)}]
+    env = FigureEnv([row(form) for form in forms] + [row([form]) for form in forms])
+    for index in range(2 * len(forms)):
+        observation, _ = env.reset(options={"index": index})
+        assert kinds_of(observation) == ["image", "text"]
+        assert observation[0]["image"].tobytes() == SQUARE.tobytes()
+    for nothing in (None, []):
+        assert kinds_of(FigureEnv([row(nothing)]).reset(seed=1)[0]) == ["text"]
+
+
+def test_images_stand_where_the_text_has_a_place() -> None:
+    """Those without a place come first."""
+    env = FigureEnv([row([SQUARE] * 3, "From <image> to <image>: what?")], prompt_template="{question}")
+    observation, _ = env.reset(seed=0)
+    assert kinds_of(observation) == ["image", "text", "image", "text", "image", "text"]
+    assert [part.get("text") for part in observation][1::2] == ["From ", " to ", ": what?"]
+    lone = FigureEnv([row([SQUARE], "<image>Find x.")], prompt_template="{question}").reset(seed=0)[0]
+    assert kinds_of(lone) == ["image", "text"]
+
+
+def test_other_modes_are_shown_in_their_colours() -> None:
+    """A palette, CMYK and 16 bits become RGB; transparency and grey stay."""
+    for mode, expected in (("P", "RGB"), ("CMYK", "RGB"), ("1", "RGB"), ("RGBA", "RGBA"), ("L", "L")):
+        observation, _ = FigureEnv([row(SQUARE.convert(mode))]).reset(seed=0)
+        assert observation[0]["image"].mode == expected
+
+
+@pytest.mark.parametrize(
+    ("images", "message"),
+    [
+        (["/nowhere/figure.png"], "row 1, column 'images', image 0 cannot be read (FileNotFoundError: "),
+        ([SQUARE, b"no image"], "row 1, column 'images', image 1 cannot be read (UnidentifiedImageError: "),
+        ([png()[:-30]], "row 1, column 'images', image 0 cannot be read ("),
+        ([{"bytes": None}], "row 1, column 'images', image 0: it has neither 'bytes' nor 'path'"),
+        (
+            [7],
+            "row 1, column 'images', image 0: an image must be a PIL image, a path, bytes or a mapping with 'bytes' or "
+            "'path', not int",
+        ),
+    ],
+)
+def test_a_malformed_image_names_its_row(images: Any, message: str) -> None:
+    """And what is wrong with it."""
+    env = FigureEnv([row(SQUARE), row(images)])
+    env.reset(options={"index": 0})
+    with pytest.raises(DatasetError) as caught:
+        env.reset(options={"index": 1})
+    assert str(caught.value).startswith(message)
+
+
+def test_an_image_that_unpacks_to_gigabytes_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before it is unpacked."""
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 20)
+    with pytest.raises(DatasetError, match=r"row 0, column 'images', image 0 cannot be read \(DecompressionBomb"):
+        FigureEnv([row(png())]).reset(seed=0)
+
+
+def test_wrong_columns_are_told() -> None:
+    """With those that there are; and a text that has places for more images than there are."""
+    with pytest.raises(DatasetError) as caught:
+        FigureEnv([row(SQUARE)], image_key="image")
+    assert str(caught.value) == (
+        "no column 'image' in the data set. Did you mean 'images'? Columns: 'problem', 'answer', 'images'"
+    )
+    with pytest.raises(DatasetError, match="row 0 has 2 places for images in its text, and 1 in 'images'"):
+        FigureEnv([row(SQUARE, "<image><image>")]).reset(seed=0)
+
+
+def test_geometry3k_has_the_columns_of_the_peer() -> None:
+    """From the hub, so that it is not loaded here."""
+    spec = gem.spec("math:Geometry3K")
+    assert dict(spec.kwargs) == {"dataset_name": "axon-rl/geometry3k", "split": "train"}
+    assert spec.requires == ("hub",)
+
+
+def test_rows_of_the_package_datasets_are_taken(tmp_path: Path) -> None:
+    """A column of images in a ``Dataset``, and in a Parquet file with its bytes inside."""
+    datasets = pytest.importorskip("datasets")
+    features = datasets.Features(
+        {
+            "problem": datasets.Value("string"),
+            "answer": datasets.Value("string"),
+            "images": datasets.Sequence(datasets.Image()),
+        }
+    )
+    table = datasets.Dataset.from_list([row([{"bytes": png(), "path": None}])] * 2, features=features)
+    path = tmp_path / "figures.parquet"
+    table.to_parquet(str(path))
+    for env in (FigureEnv(table), FigureEnv(dataset_name=path)):
+        observation, _ = env.reset(options={"index": 1})
+        assert kinds_of(observation) == ["image", "text"]
+        assert observation[0]["image"].tobytes() == SQUARE.tobytes()
+
+
+def test_the_contract_is_kept() -> None:
+    """With all its promises."""
+    check_env("math:GeometrySample")
+
+
+def answers(observation: Any, context: Any) -> str:
+    """Know the figure, and answer every second one."""
+    by_hash = {each["images"][0].tobytes(): each["answer"] for each in GEOMETRY_SAMPLE}
+    (image,) = [part["image"] for part in observation if part["type"] == "image"]
+    return f"\\boxed{{{by_hash[image.tobytes()]}}}" if context.info["index"] % 2 else "no"
+
+
+@pytest.mark.parametrize("backend", ["sync", "async", "process"])
+def test_images_go_through_every_backend(backend: str) -> None:
+    """Unharmed, as an agent that knows them by their pixels shows."""
+    vector = gem.make_vec("math:GeometrySample", 2, backend=backend, seed=1)
+    episodes = sorted(gem.rollout(vector, answers, episodes=6), key=lambda episode: episode.info["index"])
+    assert [episode.success for episode in episodes] == [False, True] * 3
+
+
+def test_a_run_writes_images_beside_it_and_reads_them_back(tmp_path: Path) -> None:
+    """Each once, named by its hash; ``gem show`` and ``gem play`` tell where."""
+    path = tmp_path / "run.jsonl"
+    command = [sys.executable, "-m", "gem_core"]
+    subprocess.run(
+        [
+            *command,
+            "run",
+            "math:GeometrySample",
+            "--agent",
+            "random",
+            "--episodes",
+            "3",
+            "--seed",
+            "1",
+            "--out",
+            str(path),
+        ],
+        check=True,
+        capture_output=True,
+    )
+    episodes = list(read_episodes(path))
+    assert sorted(episode.info["index"] for episode in episodes) == [0, 1, 2]
+    for episode in episodes:
+        expected = GEOMETRY_SAMPLE[episode.info["index"]]["images"][0]
+        image = episode.observation[0]["image"]  # type: ignore[index]
+        assert (image.size, image.tobytes()) == (expected.size, expected.tobytes())
+    written = {json.dumps(json.loads(line)["observation"][0]) for line in path.read_text().splitlines()}
+    assert len(written) == len(list((tmp_path / "run.images").iterdir())) == 3
+    shown = subprocess.run([*command, "show", str(path), "1"], check=True, capture_output=True, text=True).stdout
+    assert "[image " in shown or ".png" in shown
+    played = subprocess.run(
+        [*command, "play", "math:GeometrySample", "--seed", "1"],
+        input="7\n",
+        capture_output=True,
+        text=True,
+        check=False,
+    ).stdout
+    assert "[image " in played
+
+
+def test_views_keep_the_images() -> None:
+    """The chat views put them into messages, and ``concat`` into its parts."""
+    messages, _ = gem.make("math:GeometrySample", wrappers="messages").reset(options={"index": 2})
+    assert kinds_of(messages[-1]["content"]) == ["image", "text"]
+    parts, _ = gem.make("math:GeometrySample", wrappers="concat").reset(options={"index": 2})
+    assert kinds_of(parts) == ["image", "text"]
