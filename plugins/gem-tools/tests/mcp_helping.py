@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import sys
@@ -91,3 +92,13 @@ def servers_of(pid: int | None = None) -> list[int]:
             except OSError:
                 continue
     return found
+
+
+def wait_until_no_server_runs() -> None:
+    """Wait until none of this process's servers runs; a shared one ends when the last who used it is collected.
+
+    Raises:
+        TimeoutError: Some still run.
+    """
+    gc.collect()
+    wait_until_gone(servers_of())

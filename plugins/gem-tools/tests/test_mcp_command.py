@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from mcp_helping import BAD_SERVER, servers_of
+from mcp_helping import BAD_SERVER, wait_until_no_server_runs
 
 from gem_core import cli
 
@@ -49,7 +49,7 @@ def test_it_shows_servers_tools_and_what_is_wrong(config, capsys):
     (error,) = [line for line in lines if line.startswith("  error: ")]
     assert "its standard error ends with: cannot open the database" in error
     assert "1 of 4 MCP servers cannot be used: broken" in shown.err
-    assert servers_of() == []
+    wait_until_no_server_runs()
 
 
 def test_json_is_for_machines(config, capsys):

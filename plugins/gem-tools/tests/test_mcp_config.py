@@ -180,7 +180,7 @@ def test_any_content_is_read_or_refused(content):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({}, "the tool 'mcp': server 'server': has neither a 'command' nor a 'url'"),
+        ({}, "the tool 'mcp' needs a server: config='servers.json', command='program' or url='http://…'"),
         ({"config": {}, "command": "x"}, "the tool 'mcp' takes a config, or one server by keywords, and not both"),
         ({"command": "x", "sessions": "own"}, "sessions must be 'episode' or 'shared', not 'own'"),
         ({"command": "x", "call_timeout_s": 0}, "call_timeout_s must be a positive number, not 0"),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mcp_helping import PATIENCE_S, around, servers_of, step
+from mcp_helping import PATIENCE_S, around, step, wait_until_no_server_runs
 
 from gem_core.testing import check_tool
 from gem_tools.mcp.tool import make_mcp
@@ -54,7 +54,7 @@ def library(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[dict[str
     path.write_text(SERVER, encoding="utf-8")
     if request.param == "stdio":
         yield {"command": sys.executable, "args": [str(path), "stdio"], "server_name": "library"}
-        assert servers_of() == []
+        wait_until_no_server_runs()
         return
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import os
 import re
@@ -15,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from mcp_helping import around, servers_of, step, wait_until_gone
+from mcp_helping import around, servers_of, step, wait_until_no_server_runs
 
 import gem_core as gem
 from gem_core.dataset import DatasetEnv
@@ -40,7 +39,7 @@ def program(path: str) -> str:
 def nothing_left() -> Iterator[None]:
     """Every server is gone after its test."""
     yield
-    assert servers_of() == []
+    wait_until_no_server_runs()
 
 
 def test_time():
@@ -205,6 +204,4 @@ def test_postgresql_is_shared_by_many_episodes(database):
     assert len(servers_of()) == 1
     env.close()
     del env
-    keepers = servers_of()
-    gc.collect()
-    wait_until_gone(keepers)
+    wait_until_no_server_runs()

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-import gc
 import json
 import pickle
 import re
 import sys
 import threading
+from collections.abc import Iterator
 
 import pytest
-from mcp_helping import BAD_SERVER, QUESTION, action, around, bad, question, servers_of, step, wait_until_gone
+from mcp_helping import BAD_SERVER, QUESTION, action, around, bad, question, servers_of, step, wait_until_no_server_runs
 
 import gem_core as gem
 from gem_core.background import run_sync
@@ -21,6 +21,13 @@ from gem_core.tool_env import ToolEnv
 from gem_tools.mcp import listing
 from gem_tools.mcp.connection import ServerFault
 from gem_tools.mcp.tool import make_mcp
+
+
+@pytest.fixture(autouse=True)
+def nothing_left() -> Iterator[None]:
+    """Every server is gone after its test."""
+    yield
+    wait_until_no_server_runs()
 
 
 def test_tools_of_a_server_are_tools_of_the_environment():
@@ -74,11 +81,11 @@ def test_the_tools_of_a_server_share_a_session_in_an_episode():
         assert [step(env, "count")[0], step(env, "echo", text="x")[0], step(env, "count")[0]] == ["1", "x", "3"]
         assert len(servers_of()) == 1
         env.reset(seed=1)
-        assert servers_of() == []
+        wait_until_no_server_runs()
         assert step(env, "count")[0] == "1"
     finally:
         env.close()
-    assert servers_of() == []
+    wait_until_no_server_runs()
 
 
 def test_a_shared_session_is_one_for_all_environments_until_the_last_is_gone():
@@ -91,10 +98,8 @@ def test_a_shared_session_is_one_for_all_environments_until_the_last_is_gone():
     other.close()
     del one
     assert step(around(bad(sessions="shared")), "count")[0] == "4"
-    keepers = servers_of()
     del other
-    gc.collect()
-    wait_until_gone(keepers)
+    wait_until_no_server_runs()
 
 
 def test_every_kind_of_content_becomes_an_observation():
@@ -161,7 +166,7 @@ def test_a_server_that_reads_nothing_any_more_is_restarted():
         assert step(env, "count")[0].endswith("what it remembered may be lost.]\n1")
     finally:
         env.close()
-    assert servers_of() == []
+    wait_until_no_server_runs()
 
 
 @pytest.mark.parametrize(("ways", "calls"), [((), 1), (("idempotent",), 2)])
@@ -302,7 +307,7 @@ def test_changed_tools_are_seen_by_the_environment_made_next():
 def test_a_server_that_does_not_start_is_an_error_that_says_why(way, message):
     with pytest.raises(ServerFault, match=f"^the MCP server 'bad' .* {re.escape(message)}"):
         make_mcp(**bad(way, connect_timeout_s=2)[1])
-    assert servers_of() == []
+    wait_until_no_server_runs()
 
 
 def test_a_program_that_is_not_there_is_an_error_that_says_so():
@@ -374,7 +379,7 @@ def test_made_on_the_library_loop():
     env.reset(seed=0)
     assert step(env, "count")[0] == "1"
     env.close()
-    assert servers_of() == []
+    wait_until_no_server_runs()
 
 
 @pytest.mark.parametrize("backend", ["sync", "async", "process"])
@@ -385,7 +390,7 @@ def test_vector_backends(backend):
         for number in ("1", "2"):
             observations = env.step([action("count", {})] * 3)[0]
             assert all(f"Output of count:\n{number}\n" in observation for observation in observations)
-    assert servers_of() == []
+    wait_until_no_server_runs()
 
 
 def test_tools_go_to_another_process_and_connect_there():

@@ -85,6 +85,8 @@ def make_mcp(
     """
     options = {name: value for name, value in locals().items() if value is not None}
     single = {"args": args, "env": env, "cwd": cwd, "headers": headers, "transport": transport}
+    if config is None and command is None and url is None:
+        raise ArgumentError("the tool 'mcp' needs a server: config='servers.json', command='program' or url='http://…'")
     if config is None:
         servers = [from_keywords(command, args, env, cwd, url, headers, transport, server_name)]
     elif command is not None or url is not None or server_name is not None or any(single.values()):
