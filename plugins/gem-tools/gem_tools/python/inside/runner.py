@@ -164,12 +164,17 @@ def flush() -> None:
             stream.flush()  # type: ignore[union-attr]
 
 
+def usual_signals() -> None:
+    """Answer signals as an interpreter does that has just started."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+
+
 def as_new() -> None:
     """Make a forked interpreter look like one that has just started."""
     gc.enable()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGCHLD, signal.SIGPIPE):
-        signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
-    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     random.seed()  # noqa: TID251 - each process draws its own numbers, as if it had just started
     if "numpy.random" in sys.modules:
         sys.modules["numpy.random"].seed()

@@ -52,6 +52,10 @@ class Zygote:
         self.settings["filtered"] = self.calls.works()
         failed = preload(self.settings["preload"])
         runner.make_streams()
+        # No signal comes to this process, which is in a session of its own; and its children need not set them.
+        runner.usual_signals()
+        if self.folders is None:
+            at_home(confine.FOLDER)
         # Code that imports these finds what is installed, if anything.
         self.own_modules = [sys.modules.pop(name) for name in list(sys.modules) if name.split(".")[0] == "gem_tools"]
         if self.namespaces:
@@ -238,6 +242,7 @@ def run_child(zygote: Zygote, descriptors: list[int], uid: int | None, folder: s
     code = 1
     try:
         signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         for source, target in zip(descriptors, (1, 2, _JOB), strict=True):
             if source != target:
                 os.dup2(source, target, inheritable=target != _JOB)
@@ -304,8 +309,8 @@ class Child:
         if limits["session"] and self.settings["namespaces"]:
             confine.private_folder(limits)
         os.chdir(self.folder)
-        os.environ["HOME"] = os.environ["TMPDIR"] = self.folder
-        sys.path.insert(0, self.folder)
+        if not self.settings["namespaces"]:
+            at_home(self.folder)
         runner.as_new()
         runner.prepare(job["stdin"], job["files"])
         confine.limit(limits, self.settings, self.base_bytes)
@@ -321,6 +326,12 @@ class Child:
         with contextlib.suppress(BaseException):
             self.job.setblocking(True)
             self.job.sendall(wire.pack({"op": "result"}, runner.as_json(outcome)))
+
+
+def at_home(folder: str) -> None:
+    """Let programs and imports look into the folder of a call."""
+    os.environ["HOME"] = os.environ["TMPDIR"] = folder
+    sys.path.insert(0, folder)
 
 
 def warm_up() -> None:
