@@ -295,6 +295,39 @@ def test_a_closed_pool_refuses_calls(pool: Pool) -> None:
     assert until(lambda: not any(map(alive, pids)))
 
 
+def test_closing_a_pool_ends_the_calls_in_it(pool: Pool) -> None:
+    """Those that run, and those that wait; nobody is left waiting."""
+    outcomes: list[str] = []
+
+    def call() -> None:
+        try:
+            pool.run("import time\ntime.sleep(600)", limits=Limits(wall_s=1000))
+        except SandboxError as error:
+            outcomes.append(str(error))
+
+    threads = [threading.Thread(target=call) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    assert until(lambda: len(pool._cells) == 2 and len(pool._idle) == 0 and len(pool._queue.everyone()) == 2)
+    pool.close()
+    for thread in threads:
+        thread.join()
+    assert sorted(outcomes) == ["the pool was closed"] * 2 + ["the sandbox was closed"] * 2
+
+
+def test_a_sandbox_that_hangs_is_given_up(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its keeper is stopped here; the call fails as a fault of the machinery, and the next is served."""
+    monkeypatch.setattr("gem_tools.python.cell.GRACE_S", 0.2)
+    for cell in pool._cells:
+        for pid in processes(pool):
+            os.kill(pid, signal.SIGSTOP)
+        assert cell.alive
+    with pytest.raises(SandboxError, match="the sandbox was closed"):
+        pool.run("1", limits=Limits(wall_s=0.2))
+    monkeypatch.undo()
+    assert pool.run("print('next')", limits=Limits(wall_s=60)).stdout == "next\n"
+
+
 def test_a_forked_process_has_sandboxes_of_its_own(pool: Pool) -> None:
     """And leaves those of its parent alone."""
     assert pool.run("print(1)").ok

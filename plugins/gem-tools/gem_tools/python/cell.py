@@ -19,6 +19,9 @@ from gem_tools.python.levels import Launch, bootstrap
 START_S = 120.0
 """Limit of a sandbox's start, which imports libraries, on however slow a machine."""
 
+GRACE_S = 120.0
+"""How much longer than its limit a call may take, before the sandbox itself is taken to hang."""
+
 _END_S = 10.0
 _PIECE = 1 << 18
 
@@ -95,15 +98,19 @@ class Cell:
         """Ask for something and return the answer; one question at a time.
 
         Raises:
-            SandboxError: The sandbox was lost before it answered.
+            SandboxError: The sandbox was lost before it answered, or kept no limit of time and was ended.
         """
         if not self.alive:
             raise SandboxError("the sandbox is gone")
         self._answer = self._loop.create_future()
+        # The keeper inside ends a call in time; this is for a keeper that hangs itself.
+        limit_s = header.get("limits", {}).get("wall_s", 0.0) + GRACE_S
+        guard = self._loop.call_later(limit_s, self.kill)
         try:
             self._write(wire.pack(header, body))
             return await self._answer
         finally:
+            guard.cancel()
             self._answer = None
 
     def cancel(self, identifier: int) -> None:
@@ -115,6 +122,7 @@ class Cell:
         """Let it end by itself, without waiting: it sees that nobody asks any more."""
         if self.alive:
             self._forget()
+            self._fail("the sandbox was closed")
             self._lost(self)
 
     def kill(self) -> None:
@@ -155,9 +163,13 @@ class Cell:
             return
         words = self._words()
         self._forget()
-        if self._answer is not None and not self._answer.done():
-            self._answer.set_exception(SandboxError(f"the sandbox was lost{words}"))
+        self._fail(f"the sandbox was lost{words}")
         self._lost(self)
+
+    def _fail(self, message: str) -> None:
+        """Tell whoever waits for an answer that none will come."""
+        if self._answer is not None and not self._answer.done():
+            self._answer.set_exception(SandboxError(message))
 
     def _forget(self) -> None:
         self.alive = False
