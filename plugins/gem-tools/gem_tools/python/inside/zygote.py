@@ -7,7 +7,6 @@ import gc
 import importlib
 import json
 import os
-import random
 import select
 import signal
 import socket
@@ -311,7 +310,6 @@ class Child:
         os.chdir(self.folder)
         if not self.settings["namespaces"]:
             at_home(self.folder)
-        runner.as_new()
         runner.prepare(job["stdin"], job["files"])
         confine.limit(limits, self.settings, self.base_bytes)
         confine.give_up_rights(self.calls, self.settings)
@@ -335,10 +333,12 @@ def at_home(folder: str) -> None:
 
 
 def warm_up() -> None:
-    """Touch the memory that any call does, while there is nothing else to do: it has to be copied first."""
+    """Do ahead what every call needs, and touch the memory that every call does, which has to be copied first."""
+    kernel.prctl(kernel.PR_SET_NO_NEW_PRIVS, 1)
+    kernel.prctl(kernel.PR_SET_DUMPABLE, 0)
     runner.as_json(runner.Program().run("None", wants_value=True, most=1))
     wire.Reader().feed(wire.pack({"op": "warm"}))
-    random.random()
+    runner.as_new()
 
 
 def reap_zombies() -> None:
