@@ -6,6 +6,7 @@ import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 from gem_core.errors import GradingError
@@ -20,6 +21,14 @@ from gem_math.grading_text import clean, close_of
 
 MAX_ANSWER_CHARS = 4000
 _AMBIGUOUS_THOUSANDS = re.compile(r"(?<![\d,])[1-9]\d{0,2}(?:,[1-9]\d\d)+(?![\d,])")
+_PLAIN_NUMBER = re.compile(
+    r"\s*(?:(-?(?:\d{1,3}(?:,\d{3})+|\d{1,40})(?:\.\d{1,40})?)"
+    r"|(-?\d{1,40})\s*/\s*(\d{1,40})|\\[dt]?frac\{(-?\d{1,40})\}\{(\d{1,40})\})\s*",
+    re.ASCII,
+)
+_MANY_PLACES = re.compile(r"\.\d{6}")
+_ALIKE, _EQUALS = "it is written like the reference", "it equals the reference"
+_DIFFERS = "it is not the reference"
 _DECIMAL_COMMA = re.compile(r"^\s*-?\d+,\d+\s*$")
 _TAIL_CHARS = 20_000
 _SPAN = re.compile(r"\$\$[^$]+\$\$|(?<!\\)\$[^$\n]+\$|\\\[(?:[^\\]|\\(?!\]))+\\\]|\\\((?:[^\\\n]|\\(?!\)))+\\\)")
@@ -85,7 +94,7 @@ def grade(
     if len(extracted) > MAX_ANSWER_CHARS:
         return Grade(0.0, False, extracted[:80] + "…", f"the answer has more than {MAX_ANSWER_CHARS} characters")
     beside = _boxes_side_by_side(answer)
-    best = Grade(0.0, False, extracted, "it is not the reference")
+    best = Grade(0.0, False, extracted, _DIFFERS)
     failure: GradingError | None = None
     for one in golds:
         try:
@@ -213,18 +222,27 @@ def _evaluates(gold_text: str) -> bool:
 
 
 def _grade_one(answer: str, gold: str, timeout_s: float, partial_credit: bool) -> Grade:
-    if _spelled_alike(answer, gold):
-        return Grade(1.0, True, answer, "it is written like the reference")
+    numbers = _plain_number(gold), _plain_number(answer)
+    if None not in numbers and numbers[0] == numbers[1]:
+        return Grade(1.0, True, answer, _EQUALS)
+    # Many places may stand for a number that has no end as a decimal.
+    if None not in numbers and not _MANY_PLACES.search(f"{gold} {answer}"):
+        return Grade(0.0, False, answer, _DIFFERS)
+    if answer.strip() == gold.strip():
+        return Grade(1.0, True, answer, _ALIKE)
     if len(gold) > MAX_ANSWER_CHARS:
         raise GradingError(
             f"the gold answer has {len(gold)} characters; no more than {MAX_ANSWER_CHARS} can be compared"
         )
     asking = _Asking(gold, timeout_s)
     comparison = Comparison(asking.ask, asking.check_time)
-    golds, answers = _readings(gold, answer)
+    cleaned = clean(gold), clean(answer)
+    if _spelling(cleaned[0]) == _spelling(cleaned[1]):
+        return Grade(1.0, True, answer, _ALIKE)
+    golds, answers = _readings(*cleaned)
     try:
         if any(comparison.same(one, other) for one in golds for other in answers):
-            return Grade(1.0, True, answer, "it equals the reference")
+            return Grade(1.0, True, answer, _EQUALS)
         reward = _part_right(comparison, golds[0], answers[0]) if partial_credit else 0.0
     except _TimeIsUpError:
         return Grade(0.0, False, answer, f"the answer cannot be compared: it takes more than {timeout_s:g} s")
@@ -232,21 +250,28 @@ def _grade_one(answer: str, gold: str, timeout_s: float, partial_credit: bool) -
         raise GradingError(
             f"the gold answer {gold[:200]!r} cannot be read: its brackets do not match, or it has too many parts"
         )
-    return Grade(reward, False, answer, asking.note or "it is not the reference")
+    return Grade(reward, False, answer, asking.note or _DIFFERS)
 
 
-def _spelled_alike(answer: str, gold: str) -> bool:
-    if answer.strip() == gold.strip():
-        return True
-    return len(answer) < 2000 and len(gold) < 2000 and _spelling(answer) == _spelling(gold)
+def _plain_number(text: str) -> Fraction | None:
+    """Return the value of a text that is nothing but a number or a fraction of two; None of all else."""
+    match = _PLAIN_NUMBER.fullmatch(text)
+    if match is None:
+        return None
+    number, above, below, over, under = match.groups()
+    if number:
+        return Fraction(number.replace(",", ""))
+    above, below = above or over, below or under
+    return Fraction(int(above), int(below)) if int(below) else None
 
 
 def _spelling(text: str) -> str:
-    return re.sub(r"(?<!\d)\s+|\s+(?!\d)", "", clean(text))
+    # 1 8 is not 18.
+    return re.sub(r"(?<!\d)\s+|\s+(?!\d)", "", text)
 
 
 def _readings(gold: str, answer: str) -> tuple[list[Form], list[Form]]:
-    """Return the ways to read both; 1,234 is a number first, and two where the other side has two."""
+    """Return the ways to read both, after ``clean``; 1,234 is a number first, and two where the other side has two."""
     gold_form = read(gold)
     loose = isinstance(gold_form, Leaf) and gold_form.formula is not None and not gold_form.formula.letters
     golds, answers = [gold_form], [read(answer, loose_units=loose)]
@@ -254,8 +279,8 @@ def _readings(gold: str, answer: str) -> tuple[list[Form], list[Form]]:
         golds.append(read(gold, join_thousands=False))
     elif _AMBIGUOUS_THOUSANDS.search(answer) and not isinstance(gold_form, Leaf):
         answers.append(read(answer, join_thousands=False))
-    if loose and "," not in gold and _DECIMAL_COMMA.match(clean(answer)) and isinstance(answers[0], Many):
-        answers.append(read(clean(answer).replace(",", ".")))
+    if loose and "." in gold and "," not in gold and _DECIMAL_COMMA.match(answer) and isinstance(answers[0], Many):
+        answers.append(read(answer.replace(",", ".")))
     return golds, answers
 
 

@@ -206,11 +206,16 @@ class Comparison:
             return False
         left = list(answers)
         for gold in golds:
-            found = next((index for index, answer in enumerate(left) if self.same(gold, answer)), None)
+            found = next((index for index, answer in enumerate(left) if self.same_part(gold, answer)), None)
             if found is None:
                 return False
             del left[found]
         return True
+
+    def same_part(self, gold: Form, answer: Form) -> bool:
+        """Compare two parts of collections; there a set of one thing is not the thing."""
+        sets = [isinstance(form, Many) and form.is_set for form in (gold, answer)]
+        return sets[0] == sets[1] and self.same(gold, answer)
 
     def in_order(self, golds: Sequence[Form], answers: Sequence[Form]) -> bool:
         """Whether the parts are the same one by one."""
@@ -307,6 +312,8 @@ class Comparison:
         if gold.base is not None or answer.base is not None:
             return _same_digits(gold, answer)
         if gold.percent != answer.percent:
+            if any(leaf.unit is not None and leaf.unit.measures for leaf in (gold, answer)):
+                return False
             # 25 % is 1/4, and the answer 25 to a question for a percentage.
             other = Leaf(rf"\frac{{{answer.text}}}{{100}}") if answer.percent else answer
             mine = Leaf(rf"\frac{{{gold.text}}}{{100}}") if gold.percent else gold

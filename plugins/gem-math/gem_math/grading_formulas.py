@@ -302,7 +302,9 @@ class _Reader:
             name, base = "log", ("n", Fraction(10))
         if name == "log" and base is None:
             self.ambiguous_log = True
-        if power is not None and power == ("n", Fraction(-1)):
+        if power in _INVERSE and name in {"sin", "cos", "tan"}:
+            name, power = f"arc{name}", None
+        elif power in _INVERSE:
             raise UnsupportedError
         inner = self.function_argument()
         tree: Tree = ("log", inner, base) if name == "log" else (name, inner)
@@ -321,4 +323,5 @@ class _Reader:
         return tree
 
 
+_INVERSE = (("n", Fraction(-1)), ("-", ("n", Fraction(1))))
 _MIXED = {r"\frac"}

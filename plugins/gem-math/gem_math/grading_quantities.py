@@ -22,6 +22,9 @@ _PERCENT = re.compile(
 )
 _DEGREE = re.compile(r"\s*\^\s*(?:\{\s*\\circ\s*\}|\\circ)\s*(\\text\s*\{\s*[CF]\s*\}|[CF])?$")
 _ANGLE_FUNCTION = re.compile(r"\\(?:sin|cos|tan|cot|sec|csc)(?![a-zA-Z])")
+_EXPONENT = re.compile(r"^(-?\d+(?:\.\d+)?)\s*[eE]\s*([-+]?\d{1,3})$")
+_MAX_EXPONENT = 400
+_REPEATING = re.compile(r"(\d*)\.(\d*)\s*\\(?:overline|bar|dot)\s*\{\s*(\d+)\s*\}")
 _MIXED = re.compile(r"^(-?)\s*(\d+)\s+(\d+)\s*/\s*(\d+)$")
 _BASE = re.compile(r"^([0-9A-Fa-f]+)\s*_\s*(?:\{\s*)?(?:\\text\s*\{\s*(\w+)\s*\}|(\d+))(?:\s*\})?$")
 _ORDINAL = re.compile(r"^(\d+)\s*(?:\^\s*)?(?:\{?\s*\\text\s*\{\s*(?:st|nd|rd|th)\s*\}\s*\}?|(?:st|nd|rd|th))$")
@@ -72,6 +75,10 @@ def read_quantity(text: str, *, loose_units: bool = False) -> Form:
         base = NUMBER_WORDS.get((match[2] or "").lower(), int(match[3]) if match[3] else 0)
         if 2 <= base <= 36 and (match[1].isdigit() or base > 10):
             return Leaf(match[1].lstrip("0") or "0", base=base)
+    if (match := _EXPONENT.match(text)) and abs(int(match[2])) <= _MAX_EXPONENT:
+        text = rf"{match[1]} \cdot 10^{{{match[2]}}}"
+    if "overline" in text or "bar" in text or "dot" in text:
+        text = _REPEATING.sub(_fraction_of, text)
     if match := _MIXED.match(text):
         text = f"{match[1]}({match[2]}+{match[3]}/{match[4]})"
     if match := _ORDINAL.match(text):
@@ -104,6 +111,14 @@ def _unit(text: str, loose_units: bool) -> tuple[str, Unit | None]:
     if loose_units and (match := _SINGLE_UNIT.match(text)) and is_single_measure(match[2]):
         return match[1], read_unit(match[2] + match[3])
     return _trailing_unit(text)
+
+
+def _fraction_of(match: re.Match[str]) -> str:
+    """Return a repeating decimal as the fraction that it is."""
+    whole, fixed, block = match[1] or "0", match[2], match[3]
+    nines = (10 ** len(block) - 1) * 10 ** len(fixed)
+    above = int(whole + fixed + block) - int(whole + fixed)
+    return rf"\frac{{{above}}}{{{nines}}}"
 
 
 def _trailing_unit(text: str) -> tuple[str, Unit | None]:

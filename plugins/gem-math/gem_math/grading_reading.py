@@ -24,7 +24,7 @@ from gem_math.grading_forms import (
 )
 from gem_math.grading_numbers import exact_value
 from gem_math.grading_quantities import NUMBER_WORDS, read_compound, read_quantity
-from gem_math.grading_text import clean, words_of
+from gem_math.grading_text import words_of
 from gem_math.grading_tokens import (
     UnreadableError,
     has_no_brackets,
@@ -58,6 +58,10 @@ _NOTHING = {
 _REALS = {r"\mathbb{R}", "all real numbers", "all reals", "the real numbers", "all real x", "real numbers"}
 _PLUS_INFINITY, _MINUS_INFINITY = Leaf(r"\infty"), Leaf(r"-\infty")
 _REAL_LINE = Group("(", (_MINUS_INFINITY, _PLUS_INFINITY), ")")
+_DIFFERENCE = re.compile(r"(?<![A-Za-z])[A-Za-z]\s*-\s*[A-Za-z](?![A-Za-z])|^\s*-\s*[A-Za-z](?![A-Za-z])")
+_TIME = re.compile(r"(\d{1,2}:\d\d)\s*([ap])\.?\s*m\.?", re.IGNORECASE)
+_TO = re.compile(r"(\d+)\s*(?:to|\\text\s*\{\s*to\s*\})\s*(\d+)")
+_BUILDER = re.compile(r"^\s*([A-Za-z])\s*(?:\\in\s*\\mathbb\s*\{R\}\s*)?(?:\\mid|\||:)(.*)$", re.DOTALL)
 _TIGHT_THOUSANDS = re.compile(r"(?<![\d.,])(\d{1,3}(?:,\d{3})+)(?![\d,])")
 _SPACED_THOUSANDS = re.compile(r"(?<![\d.,])(\d{1,3}(?: \d{3})+)(?![\d,])")
 _CHOICE = re.compile(
@@ -71,15 +75,14 @@ def read(text: str, *, join_thousands: bool = True, loose_units: bool = False) -
     """Return the form of an answer.
 
     Args:
-        text: The answer, as written.
+        text: The answer, after ``clean``.
         join_thousands: Read 1,234 as one number, not two.
         loose_units: Take a single letter behind a number for a unit where it can be one, as in 5 m.
     """
-    cleaned = clean(text)
     try:
-        return _Reading(join_thousands, loose_units).read(cleaned, 0)
+        return _Reading(join_thousands, loose_units).read(text, 0)
     except (UnreadableError, RecursionError):
-        return Opaque(cleaned, has_words=True, unreadable=True)
+        return Opaque(text, has_words=True, unreadable=True)
 
 
 class _Reading:
@@ -113,7 +116,7 @@ class _Reading:
             and re.fullmatch(r"[-+.,\d\s]+", inside := text_inside(text))
         ):
             return self.read(inside, _MAX_NESTING)
-        if re.search(r"[\d\\+*/=<>^_|:$]", rest) or re.search(r"\\text\s*\{[^{}]*\d", text):
+        if re.search(r"[\d\\+*/=<>^_|:$]", rest) or _DIFFERENCE.search(rest) or re.search(r"\\text\s*\{[^{}]*\d", text):
             return None
         if words in NUMBER_WORDS:
             return Leaf(str(NUMBER_WORDS[words]))
@@ -169,6 +172,10 @@ class _Reading:
             text = (
                 _TIGHT_THOUSANDS.sub(lambda match: match[1].replace(",", ""), text) if has_no_brackets(text) else text
             )
+        if time := _TIME.fullmatch(text_inside(text)):
+            return Words(f"{time[1]} {time[2].lower()}m", text)
+        if text.startswith(r"\{") and (form := self.bracketed(text, depth)) is not None:
+            return form
         if r"\pm" in text or r"\mp" in text:
             if re.match(r"^\s*\\pm\s*\\infty\s*$", text):
                 return Many((_PLUS_INFINITY, _MINUS_INFINITY))
@@ -271,10 +278,13 @@ class _Reading:
             return None
         opening, inner, closing = found
         if opening == r"\{":
+            if (builder := _BUILDER.match(inner)) and is_name(builder[1]):
+                condition = self.read(builder[2], depth + 1)
+                return condition if isinstance(condition, Inequality) else Opaque(text, has_words(text))
             if closing != r"\}" or any(token in {"|", ":", r"\mid"} for token, level in walk(inner) if level == 0):
                 return Opaque(text, has_words(text))
             items = [piece for piece in split(self.joined(inner), {",", ";"}) if piece.strip()]
-            return Many(tuple(self.read(piece, depth + 1) for piece in items), is_set=True)
+            return Many(tuple(self.flat(items, depth)), is_set=True)
         if opening == "{":
             return self.read(inner, depth + 1)
         if opening not in {"(", "[", r"\langle"}:
@@ -311,6 +321,8 @@ class _Reading:
         return Matrix(cells, text)
 
     def ratio(self, text: str, depth: int) -> Form | None:
+        if match := _TO.fullmatch(text):
+            text = f"{match[1]}:{match[2]}"
         parts = split(text, {":"})
         if len(parts) < 2:
             return None

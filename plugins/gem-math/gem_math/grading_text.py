@@ -55,6 +55,7 @@ _BARE_FUNCTION = re.compile(
     r"(?<![\\a-zA-Z])(sqrt|pi|infinity|infty|inf|sin|cos|tan|cot|sec|csc|arcsin|arccos|arctan|sinh|cosh|tanh|ln|log"
     r"|exp|theta|alpha|beta|gamma|lambda|cup|frac|times|cdot)(?![a-zA-Z])"
 )
+_SHORT_FRACTION = re.compile(r"\\frac\s*(\d)\s*(\d)")
 _WORD = re.compile(r"[^\W_]+", re.UNICODE)
 
 
@@ -75,7 +76,7 @@ def clean(text: str) -> str:
     text = _COMMAND.sub(_command, text)
     text = _text_groups(text)
     text = _BARE_FUNCTION.sub(lambda match: "\\" + {"infinity": "infty", "inf": "infty"}.get(match[1], match[1]), text)
-    return _strip(text)
+    return _strip(_SHORT_FRACTION.sub(r"\\frac{\1}{\2}", text) if r"\frac" in text else text)
 
 
 def words_of(text: str) -> str:
@@ -156,17 +157,14 @@ def _text_group(command: str, inner: str) -> str:
         return f" {clean(inner)} " if len(inner) < 10_000 else inner
     if command.startswith((r"\operatorname", r"\mathrm", r"\mathop")) and body in _FUNCTIONS:
         return f"\\{body} "
-    signs = not re.search(r"[^\W\d_]{2}|[^\W\d_]\s+[^\W\d_]", re.sub(r"\\[a-zA-Z]+", "", body))
-    if signs and not (command.startswith((r"\text", r"\mbox")) and body.isalpha()):
-        # A single letter of an upright font is a variable or a number with a font; in \text{} it is a word or unit.
-        return (
-            inner
-            if command.startswith((r"\mathbf", r"\bold", r"\bm", r"\mathit")) or not body.isalpha()
-            else (f"\\text{{{inner}}}")
-        )
+    fonts = command.startswith((r"\mathbf", r"\bold", r"\bm", r"\mathit"))
+    is_word = re.search(r"[^\W\d_]{2}|[^\W\d_]\s+[^\W\d_]", re.sub(r"\\[a-zA-Z]+", "", body)) is not None
+    if (fonts and not is_word) or not _LETTER.search(body) or (not is_word and re.search(r"[=^_+*\\<>]", body)):
+        return inner  # numbers and formulas in a font
     return f"\\text{{{inner}}}" if "{" not in inner else inner
 
 
+_LETTER = re.compile(r"[^\W\d_]")
 _FUNCTIONS = {"sin", "cos", "tan", "cot", "sec", "csc", "ln", "log", "exp", "arcsin", "arccos", "arctan", "sinh",
               "cosh", "tanh", "min", "max", "gcd", "lcm"}  # fmt: skip
 

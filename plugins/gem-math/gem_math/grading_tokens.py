@@ -3,7 +3,8 @@ r"""Takes the LaTeX of an answer apart: tokens, brackets, separators, the sides 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Sequence
+from functools import lru_cache
 
 _TOKEN = re.compile(
     r"\\begin\s*\{[a-zA-Z]+\*?\}|\\end\s*\{[a-zA-Z]+\*?\}|\\text\s*\{[^{}]*\}|\\[a-zA-Z]+|\\.|[{}()\[\]]"
@@ -24,7 +25,7 @@ _SIGNS = {
     "!=": "!=", r"\in": "in",
 }  # fmt: skip
 _NAME_EXTRAS = re.compile(
-    r"_\s*(?:\{[^{}]*\}|\\?\w+)|\\(?:text|overline|vec|overrightarrow|widehat|hat|bar|mathbb|mathcal)\s*(?=\{)"
+    r"_\s*(?:\{[^{}]*\}|\\?\w+)|\^\s*\{\s*-1\s*\}(?=\s*\()|\\(?:text|overline|vec|overrightarrow|widehat|hat|bar|mathbb|mathcal)\s*(?=\{)"
     r"|\\(?:angle|triangle|measuredangle|max|min|alpha|beta|gamma|delta|theta|lambda|mu|phi|omega|sigma|tau|rho|pi"
     r"|ell|epsilon|Delta|Omega|Gamma|Sigma|Phi|circ|frac)(?![a-zA-Z])"
 )
@@ -37,23 +38,31 @@ class UnreadableError(Exception):
     """The brackets do not match, or there are too many parts."""
 
 
-def walk(text: str) -> Iterator[tuple[str, int]]:
-    """Give the tokens of a text with the depth of brackets at which each stands.
+def walk(text: str) -> Sequence[tuple[str, int]]:
+    """Return the tokens of a text, each with the depth of brackets at which it stands.
 
     Raises:
         UnreadableError: Brackets do not match; round and square ones may, as in an interval.
     """
+    return _walked(text)
+
+
+@lru_cache(maxsize=64)  # one text is looked at for one thing after another
+def _walked(text: str) -> Sequence[tuple[str, int]]:
+    tokens: list[tuple[str, int]] = []
     waiting: list[str] = []
     for match in _TOKEN.finditer(text):
-        token = match[0]
-        kind = "\\begin" if token.startswith("\\begin") else "\\end" if token.startswith("\\end") else token
+        token = kind = match[0]
+        if token[0] == "\\" and token[-1] == "}":
+            kind = "\\begin" if token.startswith("\\begin") else "\\end" if token.startswith("\\end") else token
         if kind in _CLOSE and (not waiting or waiting.pop() != _CLOSE[kind]):
             raise UnreadableError
-        yield token, len(waiting)
+        tokens.append((token, len(waiting)))
         if kind in _OPEN:
             waiting.append(_OPEN[kind])
     if waiting:
         raise UnreadableError
+    return tokens
 
 
 def split(text: str, separators: set[str]) -> list[str]:
@@ -87,7 +96,7 @@ def sides_of(text: str) -> tuple[list[str], list[str]]:
 
 def outer_brackets(text: str) -> tuple[str, str, str] | None:
     """Return the brackets around a whole text and what is in them; None where it has none."""
-    tokens = list(walk(text))
+    tokens = walk(text)
     if len(tokens) < 2 or tokens[0][0] not in _OPEN or tokens[-1][0] not in _CLOSE:
         return None
     if any(level == 0 for _, level in tokens[1:-1]):
