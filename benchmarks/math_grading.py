@@ -1,0 +1,139 @@
+r"""How many answers a second are graded: gem-llm's MathEnv and ours, on the same pairs, each with its limit of 1 s.
+
+Half of the pairs are plain (numbers, fractions, decimals), half are written in another form, so that they need symbolic
+comparison (radicals, polynomials, trigonometry, sets); half of each are right. No pair comes twice, and nothing is
+remembered. Each side makes one environment and answers row after row, as it comes: the peer's with the process that is
+its default. What evaluation does not tell goes to math-verify here; a third figure has nothing but such pairs, from 64
+threads at once.
+"""
+
+from __future__ import annotations
+
+import harness
+
+BUDGET = 3.0
+PAIRS = 400
+
+MAKE_PAIRS = r'''
+import json, sys, time
+
+def pairs(count):
+    """Return (gold answer, answer, whether it is right): plain ones and others by turns."""
+    made = []
+    for n in range(count // 2):
+        k, right = n + 2, n % 4 < 2
+        shift = 0 if right else 1
+        plain = [
+            (str(17 * k), f"{17 * k + shift}.0"),
+            (f"\\frac{{{k}}}{{{4 * k + 1}}}", f"{2 * k}/{8 * k + 2 + shift}"),
+            (f"{k / 8}", f"\\frac{{{k + shift}}}{{8}}"),
+            (f"{1000 * k + 7:,}", str(1000 * k + 7 + shift)),
+        ][n % 4 if n % 8 < 4 else 3 - n % 4]
+        other = [
+            (f"{k}\\sqrt{{3}}", f"\\sqrt{{{3 * k * k + shift}}}"),
+            (f"(x+{k})(x-{2 * k})", f"x^2-{k + shift}x-{2 * k * k}"),
+            (f"\\frac{{{k}\\pi}}{{{2 * k + 3}}}", f"\\frac{{{2 * k}}}{{{4 * k + 6 + shift}}}\\pi"),
+            (f"\\frac{{1}}{{\\sqrt{{{k}}}+1}}", f"\\frac{{\\sqrt{{{k + shift}}}-1}}{{{k - 1}}}"),
+            (f"{k}\\sin(x)\\cos(x)", f"\\frac{{{k + shift}\\sin(2x)}}{{2}}"),
+            (f"\\{{{k}, \\sqrt{{{k}}}\\}}", f"\\{{{k}^{{1/2}}, {k + shift}\\}}"),
+        ][n % 6]
+        made += [(*plain, right), (*other, right)]
+    assert len(set(made)) == len(made)
+    return made
+'''
+
+OURS = (
+    MAKE_PAIRS
+    + r"""
+from gem_math import MathEnv
+
+made = pairs(COUNT)
+env = MathEnv([{"problem": "?", "answer": gold} for gold, _, _ in made], question_key="problem")
+verdicts, spent = [], 0.0
+for index, (_, answer, _) in enumerate(made):
+    env.reset(options={"index": index})
+    started = time.perf_counter()
+    verdicts.append(env.step(f"Let us see. The answer is \\boxed{{{answer}}}.")[4]["correct"])
+    spent += time.perf_counter() - started
+wrong = sum(verdict != right for verdict, (_, _, right) in zip(verdicts, made))
+print(json.dumps({"per_s": COUNT / spent, "wrong": wrong}))
+"""
+)
+
+PEER = (
+    MAKE_PAIRS
+    + r"""
+from datasets import Dataset
+from gem.envs.math_env import MathEnv
+
+made = pairs(COUNT)
+rows = Dataset.from_list([{"problem": "?", "answer": gold} for gold, _, _ in made])
+env = MathEnv(dataset=rows, eval=True)
+verdicts, spent = [], 0.0
+for index, (_, answer, _) in enumerate(made):
+    env.reset(idx=index)
+    started = time.perf_counter()
+    verdicts.append(env.step(f"Let us see. The answer is \\boxed{{{answer}}}.")[4]["correct"])
+    spent += time.perf_counter() - started
+env.mp_pool.terminate()
+wrong = sum(verdict != right for verdict, (_, _, right) in zip(verdicts, made))
+print(json.dumps({"per_s": COUNT / spent, "wrong": wrong}))
+"""
+)
+
+ASKED = r"""
+import json, time
+from concurrent.futures import ThreadPoolExecutor
+from gem_math import grade
+
+gold = [n * (n + 1) // 2 for n in range(2, 2 + COUNT)]
+grade("\\boxed{\\sum_{k=1}^{3} k}", "6", timeout_s=60)
+with ThreadPoolExecutor(64) as threads:
+    list(threads.map(lambda _: grade("\\boxed{\\sum_{k=1}^{3} k}", "6", timeout_s=60), range(8)))
+    started = time.perf_counter()
+    answers = [f"\\boxed{{\\sum_{{k=1}}^{{{n}}} k}}" for n in range(2, 2 + COUNT)]
+    verdicts = list(threads.map(lambda pair: grade(pair[0], str(pair[1])).correct, zip(answers, gold)))
+    spent = time.perf_counter() - started
+print(json.dumps({"per_s": COUNT / spent, "wrong": verdicts.count(False)}))
+"""
+
+
+def main() -> None:
+    """Measure and print the table."""
+    sides = harness.arguments()
+    results = harness.measure(
+        {
+            "gem_math": harness.snippet(sides.ours, OURS.replace("COUNT", str(PAIRS))),
+            "gem-llm": harness.snippet(sides.peer, PEER.replace("COUNT", str(PAIRS))),
+            "math-verify": harness.snippet(sides.ours, ASKED.replace("COUNT", str(PAIRS))),
+        },
+        repeats=max(sides.repeats // 3, 1),
+        warm_up=1,
+    )
+    ours, peer, asked = (results[name] for name in ("gem_math", "gem-llm", "math-verify"))
+    ratio = ours.median("per_s") / peer.median("per_s")
+    harness.print_table(
+        f"Graded answers a second, {PAIRS} pairs, half of them in another form",
+        ["", "answers/s", "wrong verdicts", "ratio", f"budget {BUDGET:g}"],
+        [
+            ["gem-llm", f"{peer.median('per_s'):.0f}", f"{peer.median('wrong'):.0f}", "1.0", ""],
+            [
+                "gem-math",
+                f"{ours.median('per_s'):.0f}",
+                f"{ours.median('wrong'):.0f}",
+                f"{ratio:.1f}",
+                harness.verdict(ratio, BUDGET, at_least=True),
+            ],
+            [
+                "gem-math, all of them asked of math-verify",
+                f"{asked.median('per_s'):.0f}",
+                f"{asked.median('wrong'):.0f}",
+                "",
+                "",
+            ],
+        ],
+    )
+
+
+if __name__ == "__main__":
+    main()
