@@ -1,0 +1,44 @@
+"""Find the program in a response."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gem_core.parsing import extract_code_blocks
+
+_THOUGHT_END = "</think>"
+_FENCE = "```"
+
+
+def last_program(response: str, languages: Sequence[str]) -> str | None:
+    """Return the last fenced block in one of some languages; None without one.
+
+    What follows the thinking of a model is looked at first. Fences stand at the beginnings of lines, as in Markdown; if
+    there are none of that kind, those are taken that models glue to a tag or to text, as in ``<answer>```python``.
+
+    Args:
+        response: Any text.
+        languages: In small letters; ``""`` stands for blocks that name none.
+    """
+    thought, end, answer = response.rpartition(_THOUGHT_END)
+    texts = [answer, thought] if end else [response]
+    for text in texts:
+        blocks = extract_code_blocks(text, *languages)
+        if blocks:
+            return blocks[-1].code
+        glued = _last_glued(text, languages)
+        if glued is not None:
+            return glued
+    return None
+
+
+def _last_glued(text: str, languages: Sequence[str]) -> str | None:
+    """Return the last block between two fences that stand anywhere; time in proportion to the length."""
+    # Between the first fence and the second is a block, between the second and the third is text, and so on.
+    pieces = text.split(_FENCE)
+    found = None
+    for block in pieces[1:-1:2]:
+        language, line_end, code = block.partition("\n")
+        if line_end and language.strip().casefold() in languages:
+            found = code.removesuffix("\n").removesuffix("\r")
+    return found

@@ -1,0 +1,333 @@
+"""``CodeEnv``: from a response to a reward, and whose failure it was."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from counting import CountingRunner
+
+import gem_core as gem
+from gem_code import CodeEnv
+from gem_code.runner import ProgramLimits, Run, SandboxError
+from gem_core.background import run_sync
+from gem_core.errors import ArgumentError, BridgeError, DatasetError, MissingRequirementError
+from gem_core.tools import Tool
+from gem_tools.python import shared_pool
+
+ROWS = [
+    {
+        "problem": "Print twice the number.",
+        "tests": json.dumps({"inputs": ["1\n", "20\n", "300\n"], "outputs": ["2\n", "40\n", "600\n"]}),
+        "entry_point": None,
+    },
+    {
+        "problem": "Write twice(x).",
+        "tests": "def check(candidate):\n    assert candidate(1) == 2\n    assert candidate(2) == 4\n",
+        "entry_point": "twice",
+    },
+    {"problem": "Malformed.", "tests": '{"inputs": ["1"]}', "entry_point": None},
+    {"problem": "Also malformed.", "tests": "assert f(", "entry_point": None},
+]
+DOUBLE = "```python\nprint(2 * int(input()))\n```"
+
+
+def answered(action: str, index: int = 0, **options: Any) -> tuple[float, bool, bool, dict[str, Any]]:
+    """Return reward, flags and info of a response."""
+    env = CodeEnv(ROWS, **options)
+    env.reset(seed=0, options={"index": index})
+    observation, reward, terminated, truncated, info = env.step(action)
+    assert observation == gem.TERMINAL_STATE
+    return reward, terminated, truncated, info
+
+
+def test_a_right_program() -> None:
+    """Reward 1, and everything about the tests in info, which is plain JSON."""
+    reward, terminated, truncated, info = answered(f"Twice it is.\n{DOUBLE}\n")
+    assert (reward, terminated, truncated) == (1.0, True, False)
+    sandbox = info.pop("sandbox")
+    assert sandbox in ("bubblewrap", "docker", "process")
+    assert info == {
+        "task_id": "0",
+        "index": 0,
+        "correct": True,
+        "status": "passed",
+        "passed": 3,
+        "total": 3,
+        "tests": [{"index": index, "status": "passed"} for index in range(3)],
+        "parsed_action": "print(2 * int(input()))",
+    }
+    assert json.loads(json.dumps(info)) == info
+
+
+def test_a_wrong_program() -> None:
+    """Reward 0, and the first test that failed, without what was expected."""
+    reward, _, _, info = answered("```python\nx = int(input())\nprint(x + 1 if x == 1 else x)\n```")
+    assert (reward, info["correct"], info["status"]) == (0.0, False, "wrong_answer")
+    assert (info["passed"], info["total"]) == (1, 3)
+    assert info["first_failure"] == {
+        "index": 1,
+        "status": "wrong_answer",
+        "input": "20\n",
+        "output": "20\n",
+        "error": None,
+    }
+    assert info["tests"][2] == {"index": 2, "status": "not_run"}
+
+
+@pytest.mark.parametrize(
+    ("action", "code"),
+    [
+        ("```python\na\n```", "a"),
+        ("```py\na\n```", "a"),
+        ("```\na\n```", "a"),
+        ("```python3\na\n```", "a"),
+        ("```Python\na\n```", "a"),
+        ("```python\na\n```\nthen\n```python\nb\n```", "b"),
+        ("```python\na\n```\nIt prints:\n```text\n42\n```", "a"),
+        ("```python\na\n```\n```cpp\nint a;\n```", "a"),
+        ("<think>```python\na\n```</think>\n```python\nb\n```", "b"),
+        ("<answer>```python\nb\n```</answer>", "b"),
+        ("<answer>```python\nb```</answer> and ```c", "b"),
+        ("It is ```py\nb\n``` then.", "b"),
+        ("<think>I try\n```python\na\n```\n</think>No program.", "a"),
+        ("<think>I try\n```python\na\n</think>\n```python\nb\n```", "b"),
+        ("inline ```python``` only", None),
+        ("1. Like this:\n   ```python\n   if a:\n       b\n   ```", "if a:\n    b"),
+        ("~~~python\na\n~~~", "a"),
+        ("```python\n```", ""),
+        ("```python\nnever closed", None),
+        ("```cpp\nint a;\n```", None),
+        ("print(1)", None),
+        ("", None),
+    ],
+)
+def test_the_answer_is_the_last_block_of_python(action: str, code: str | None) -> None:
+    """Or of no language at all; blocks of other languages are no answers."""
+    assert CodeEnv(ROWS).program(action) == code
+
+
+def test_a_response_without_a_program() -> None:
+    """As the peer rewards it, or as asked for; nothing is run."""
+    reward, terminated, _, info = answered("I do not know.")
+    assert (reward, terminated, info["correct"], info["status"]) == (-0.1, True, False, "no_code")
+    assert info["parsed_action"] is None
+    assert answered("I do not know.", format_error_reward=0.0)[0] == 0.0
+
+
+def test_a_fraction_as_the_reward() -> None:
+    """All tests are run then; only all of them are correct."""
+    reward, _, _, info = answered("```python\nprint(2 * int(input()) % 100)\n```", reward="fraction")
+    assert reward == pytest.approx(2 / 3)
+    assert (info["correct"], info["passed"]) == (False, 2)
+    reward, _, _, info = answered("```python\ndef twice(x): return 2\n```", 1, reward="fraction")
+    assert (reward, info["total"]) == (0.5, 2)
+    assert answered(DOUBLE, reward="fraction")[0] == 1.0
+
+
+def test_max_tests_keeps_the_longest_inputs() -> None:
+    """Their indices are those of the row."""
+    _, _, _, info = answered("```python\nprint(600 if input() == '300' else 0)\n```", max_tests=2, reward="fraction")
+    assert info["tests"] == [{"index": 1, "status": "wrong_answer"}, {"index": 2, "status": "passed"}]
+
+
+def test_malformed_tests_are_an_error_that_names_the_row() -> None:
+    """Whatever the response: no reward of 0, and nothing for training."""
+    for action in (DOUBLE, "no program"):
+        reward, terminated, truncated, info = answered(action, 2)
+        assert (reward, terminated, truncated) == (0.0, False, True)
+        assert info["error"] == {
+            "kind": "grading",
+            "message": "row 2 ('2'): the tests have no 'outputs'. Keys: 'inputs'",
+        }
+        assert "correct" not in info
+    info = answered("```python\ndef f(): pass\n```", 3)[3]
+    assert info["error"]["kind"] == "grading"
+    assert info["error"]["message"].startswith("row 3 ('3'): the tests are at fault: they are no Python: SyntaxError")
+
+
+def test_a_sandbox_that_fails_is_an_error() -> None:
+    """And never a reward of 0."""
+
+    class Broken:
+        async def run(self, program: str, stdin: str, limits: ProgramLimits) -> Run:
+            raise SandboxError("the sandbox failed: no space left")
+
+    env = CodeEnv(ROWS)
+    env.runner = Broken()
+    for index in (0, 1):
+        env.reset(options={"index": index})
+        _, reward, terminated, truncated, info = env.step("```python\ndef twice(x): return x\n```")
+        assert (reward, terminated, truncated) == (0.0, False, True)
+        assert info["error"] == {"kind": "sandbox", "message": "the sandbox failed: no space left"}
+        assert "correct" not in info
+
+
+@pytest.mark.parametrize(
+    ("code", "status"),
+    [
+        ("while True: pass", "timeout"),
+        ("x = bytearray(2**30)\nprint(len(x))", "memory"),
+        ("while True: print('x' * 1000)", "output_limit"),
+        ("print('x' * 30000)", "output_limit"),
+        ("import time\ntime.sleep(60)", "timeout"),
+        ("print(", "compile_error"),
+        ("print(1 / 0)", "runtime_error"),
+        ("import os\nos.abort()", "runtime_error"),
+    ],
+)
+def test_limits_of_the_sandbox_are_verdicts(code: str, status: str) -> None:
+    """What a program causes is its own failure."""
+    seconds = 1.0 if status == "timeout" else 20.0
+    options = {"timeout_s": seconds, "memory_mb": 128, "max_output_bytes": 20_000}
+    reward, terminated, _, info = answered(f"```python\n{code}\n```", **options)
+    assert (reward, terminated, info["status"]) == (0.0, True, status)
+    assert "error" not in info
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"reward": "some"}, "reward must be 'all' or 'fraction', not 'some'"),
+        ({"comparison": "words"}, "comparison must be one of lines, tokens, exact, not 'words'"),
+        ({"max_tests": 0}, "max_tests must be a whole number from 1 up, or None, not 0"),
+        ({"max_parallel": 1.5}, "max_parallel must be a whole number from 1 up, not 1.5"),
+        ({"timeout_s": 0}, "timeout_s must be seconds above 0, not 0"),
+        ({"timeout_s": 1e7}, "timeout_s must be seconds above 0, not 10000000.0"),
+        ({"timeout_s": float("nan")}, "timeout_s must be seconds above 0, not nan"),
+        ({"memory_mb": True}, "memory_mb must be whole megabytes from 1 up, not True"),
+        ({"max_output_bytes": -1}, "max_output_bytes must be whole bytes from 1 up, not -1"),
+        ({"float_tolerance": -0.1}, "float_tolerance must be a number from 0 up, or None, not -0.1"),
+    ],
+)
+def test_options_that_cannot_be_right_are_refused(options: dict[str, Any], message: str) -> None:
+    """With what is allowed."""
+    with pytest.raises(ArgumentError) as caught:
+        CodeEnv(ROWS, **options)
+    assert str(caught.value) == message
+
+
+@pytest.mark.parametrize("level", ["bubblewrap", "process"])
+def test_levels_of_isolation(level: str) -> None:
+    """Either grades both forms, and info names it."""
+    try:
+        shared_pool(sandbox=level).start()
+    except MissingRequirementError as error:
+        pytest.skip(str(error))
+    for index, code in enumerate(("print(2 * int(input()))", "def twice(x): return 2 * x")):
+        reward, _, _, info = answered(f"```python\n{code}\n```", index, sandbox=level)
+        assert (reward, info["sandbox"]) == (1.0, level)
+        reward, _, _, info = answered("```python\nimport os\nos._exit(0)\n```", index, sandbox=level)
+        assert (reward, info["sandbox"]) == (0.0, level)
+
+
+def test_a_level_that_does_not_exist_is_refused() -> None:
+    """When the environment is made, not at its first program."""
+    with pytest.raises(ArgumentError, match="jail"):
+        CodeEnv(ROWS, sandbox="jail")
+
+
+def test_a_column_that_is_not_there_is_named() -> None:
+    """By ``test_key`` as by ``answer_key``."""
+    for key in ("test_key", "answer_key"):
+        with pytest.raises(DatasetError, match="no column 'test' in the data set"):
+            CodeEnv(ROWS, **{key: "test"})
+
+
+def test_one_register_call_adds_a_data_set(tmp_path: Path) -> None:
+    """A local file, by the names of its columns."""
+    path = tmp_path / "mine.jsonl"
+    path.write_text(json.dumps({"text": "Add.", "checks": ["assert add(1, 2) == 3"]}) + "\n", encoding="utf-8")
+    gem.register("code:TestMine", "gem_code:CodeEnv", dataset_name=str(path), question_key="text", answer_key="checks")
+    env = gem.make("code:TestMine")
+    assert env.reset(seed=0)[0] == "Add."
+    assert env.step("```\ndef add(a, b): return a + b\n```")[1] == 1.0
+
+
+def test_comparison_and_tolerance_are_options() -> None:
+    """Outputs are compared as asked for."""
+    rows = [{"problem": "p", "tests": {"inputs": ["", ""], "outputs": ["0.5 1\n", "0.5 1\n"]}}]
+    action = "```python\nprint(0.5000001)\nprint(1)\n```"
+    for options, reward in (({}, 0.0), ({"comparison": "tokens"}, 0.0), ({"float_tolerance": 1e-6}, 1.0)):
+        env = CodeEnv(rows, **options)
+        env.reset(seed=0)
+        assert env.step(action)[1] == reward
+
+
+def test_a_program_that_is_too_long_is_not_run() -> None:
+    """Nor held in memory many times over."""
+    env = CodeEnv(ROWS)
+    env.runner = runner = CountingRunner()
+    for index in (0, 1):
+        env.reset(options={"index": index})
+        info = env.step("```python\n" + "#" * 1_100_000 + "\n```")[4]
+        assert info["status"] == "compile_error"
+    assert runner.runs == 0
+
+
+def test_tools_leave_the_answer_to_the_task() -> None:
+    """A fenced block is the program, though a tool called python is there; its tag is still a call."""
+
+    class Python(Tool):
+        name, fences, concurrency = "python", ("python", "py"), "inline"
+
+        class Parameters(Tool.Parameters):
+            code: str
+
+        def call(self, arguments: Any, session: Any) -> str:
+            return f"ran {arguments.code}"
+
+    env = gem.ToolEnv(CodeEnv(ROWS), [Python()])
+    run_sync(env.reset_async(seed=0, options={"index": 0}))
+    observation, _, terminated, _, _ = run_sync(env.step_async("<python>1 + 1</python>"))
+    assert "ran 1 + 1" in observation
+    assert not terminated
+    _, reward, terminated, _, _ = run_sync(env.step_async(DOUBLE))
+    assert (reward, terminated) == (1.0, True)
+
+
+def test_many_environments_grade_at_once() -> None:
+    """64 of them, from plain code: right and wrong ones come out as they should."""
+    gem.register("code:TestMany", "gem_code:CodeEnv", rows=ROWS[:2])
+    vec = gem.make_vec("code:TestMany", num_envs=64, seed=0)
+    _, infos = vec.reset()
+    actions = []
+    for slot, info in enumerate(infos):
+        right = ["print(2 * int(input()))", "def twice(x): return 2 * x"][info["index"]]
+        actions.append(f"```python\n{right if slot % 2 else 'pass'}\n```")
+    step = vec.step(actions)
+    vec.close()
+    assert step.rewards.tolist() == [float(slot % 2) for slot in range(64)]
+
+
+def test_a_synchronous_step_on_the_library_loop_is_an_error() -> None:
+    """It would wait for itself; ``step_async`` is there for that."""
+    env = CodeEnv(ROWS)
+    env.reset(seed=0, options={"index": 0})
+
+    async def wrong() -> None:
+        env.step(DOUBLE)
+
+    async def right() -> float:
+        return (await env.step_async(DOUBLE))[1]
+
+    with pytest.raises(BridgeError):
+        run_sync(wrong())
+    assert run_sync(right()) == 1.0
+    assert asyncio.run(right()) == 1.0
+
+
+def test_state_goes_on_in_another_instance() -> None:
+    """By the index alone."""
+    env = CodeEnv(ROWS)
+    env.reset(seed=3, options={"index": 1})
+    state = json.loads(json.dumps(env.get_state()))
+    other = CodeEnv(ROWS)
+    other.set_state(state)
+    action = env.sample_random_action()
+    assert action == other.sample_random_action()
+    assert "def twice(*arguments)" in action
+    assert env.step(action) == other.step(action)

@@ -1,0 +1,305 @@
+"""Functions: with given arguments, and with assertions."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+import pytest
+from counting import CountingRunner
+
+from gem_code import function_form
+from gem_code.cases import AssertionTests
+from gem_code.function_form import grade_assertions
+from gem_code.inside import program
+from gem_code.program_form import Grading
+from gem_code.runner import ProgramLimits
+from gem_core.errors import GradingError
+
+if TYPE_CHECKING:
+    from judging import Judge
+
+CHECK = """
+def check(candidate):
+    assert candidate(1) == 2
+    assert candidate(2) == 4, "twice two"
+    assert candidate(-3) == -6
+"""
+
+
+def test_humaneval_form(judge: Judge) -> None:
+    """Each assertion is a test of its own."""
+    verdict = judge("def twice(x):\n    return 2 * x", CHECK, "twice")
+    assert (verdict.correct, len(verdict.tests)) == (True, 3)
+    verdict = judge("def twice(x):\n    return x + 2 if x > 1 else 2", CHECK, "twice", every=True)
+    assert [test.status for test in verdict.tests] == ["passed", "passed", "wrong_answer"]
+    assert verdict.fraction == pytest.approx(2 / 3)
+
+
+def test_mbpp_form(judge: Judge) -> None:
+    """A list of assertions, which name the function themselves; several functions may be called."""
+    tests = [
+        "assert add(1, 2) == 3",
+        "assert set(both([1], b=[2])) == {1, 2}",
+        "import math",
+        "assert math.isclose(add(0.1, 0.2), 0.3)",
+    ]
+    code = "def add(a, b):\n    return a + b\ndef both(a, b):\n    return a + b"
+    assert judge(code, tests).correct
+    verdict = judge(code.replace("def both", "def other"), tests, every=True)
+    assert [test.status for test in verdict.tests] == ["passed", "runtime_error", "passed"]
+    failed = verdict.first_failure
+    assert failed is not None
+    assert failed.error == "NameError: the program defines no function 'both'"
+
+
+def test_pytest_form(judge: Judge) -> None:
+    """Functions that begin with ``test`` are called; their assertions are counted."""
+    tests = "def test_one():\n    assert f(1) == 1\n    assert f(2) == 2\n\ndef test_two():\n    assert f(3) == 3\n"
+    verdict = judge("def f(x): return x if x < 3 else 0", tests, every=True)
+    assert [test.status for test in verdict.tests] == ["passed", "passed", "wrong_answer"]
+
+
+def test_calls_with_given_arguments(judge: Judge) -> None:
+    """The form of TACO and APPS; a method of ``Solution`` counts too, and a result wrapped in a list."""
+    tests = {"fn_name": "add", "inputs": [[1, 2], [3, 4], [[5], [6]]], "outputs": [3, [7], [[5, 6]]]}
+    assert judge("def add(a, b): return a + b", tests).correct
+    assert judge("class Solution:\n    def add(self, a, b): return a + b", tests).correct
+    verdict = judge("def add(a, b): return a + b if a != 3 else 0", tests, every=True)
+    assert [test.status for test in verdict.tests] == ["passed", "wrong_answer", "passed"]
+    verdict = judge("def sub(a, b): return a - b", tests)
+    assert [test.status for test in verdict.tests] == ["runtime_error", "not_run", "not_run"]
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "def twice(x):\n    return shift(x, x)",
+        "    return shift(x, x)",
+        "    return shift(x, Optional and x)",
+        "twice = lambda x: shift(x, x)",
+        "from operator import add\ndef shift(a, b): return add(a, b)\ndef twice(x): return shift(x, x)",
+    ],
+)
+def test_a_prompt_that_is_code_comes_first(judge: Judge, code: str) -> None:
+    """Its imports and helpers are there; a response may hold the whole function, or its body alone."""
+    prompt = "from typing import Optional\n\ndef shift(a, b):\n    return a + b\n\n"
+    prompt += "def twice(x: Optional[int]):\n    '''Doc.'''\n"
+    assert judge(code, CHECK, "twice", prompt).correct
+
+
+def test_helpers_of_the_prompt_are_the_tests_own(judge: Judge) -> None:
+    """A program cannot change what the tests use of the prompt."""
+    prompt = "def encode(x):\n    return x + 1\n\ndef decode(x):\n    '''Undo encode.'''\n"
+    tests = "def check(candidate):\n    for x in range(5):\n        assert candidate(encode(x)) == x\n"
+    assert judge("def decode(x): return x - 1", tests, "decode", prompt).correct
+    assert not judge("def encode(x): return x\ndef decode(x): return x", tests, "decode", prompt).correct
+
+
+@pytest.mark.parametrize(
+    ("code", "status"),
+    [
+        ("def twice(x: return x", "compile_error"),
+        ("def twice(x):\n    return \x00", "compile_error"),
+        ("def twice(x):\n    return '\ud800'", "compile_error"),
+        ("raise ValueError('no')", "runtime_error"),
+        ("import sys\nsys.exit(0)", "runtime_error"),
+        ("def other(x): return 1", "runtime_error"),
+        ("def twice(x): raise MemoryError", "memory"),
+        ("def twice(x): return 1 / 0", "runtime_error"),
+        ("def twice(x): return object()", "runtime_error"),
+        ("def twice(x): return twice(x)", "runtime_error"),
+        ("def twice(x): return 3", "wrong_answer"),
+        ("", "runtime_error"),
+    ],
+)
+def test_reasons_of_failure_are_told_apart(judge: Judge, code: str, status: str) -> None:
+    """In both forms of function tests."""
+    calls = {"fn_name": "twice", "inputs": [[1]], "outputs": [2]}
+    assert judge(code, CHECK, "twice").status == status
+    assert judge(code, calls).status == status
+
+
+def test_a_call_that_does_not_end_leaves_those_before_it(judge: Judge) -> None:
+    """The answers until then count; the rest is not run."""
+    code = "def twice(x):\n    while x < 0: pass\n    return 2 * x"
+    tests = CHECK + "    assert candidate(5) == 10\n"
+    limits = ProgramLimits(wall_s=4.0, cpu_s=4.0)
+    verdict = judge(code, tests, "twice", every=True, limits=limits)
+    assert [test.status for test in verdict.tests] == ["passed", "passed", "timeout", "not_run"]
+    calls = {"fn_name": "twice", "inputs": [[1], [-1], [2]], "outputs": [2, -2, 4]}
+    verdict = judge(code, calls, every=True, limits=limits)
+    assert [test.status for test in verdict.tests] == ["passed", "timeout", "not_run"]
+
+
+def test_types_matter_as_they_do_in_python(judge: Judge) -> None:
+    """A tuple is no list, and True is 1."""
+    code = "def f(x): return (1, 2) if x else True"
+    verdict = judge(code, ["assert f(1) == (1, 2)", "assert f(1) == [1, 2]", "assert f(0) == 1"], every=True)
+    assert [test.status for test in verdict.tests] == ["passed", "wrong_answer", "passed"]
+
+
+def test_errors_that_are_expected(judge: Judge) -> None:
+    """The type of an exception arrives; one of the program's own arrives as another error."""
+    tests = """
+try:
+    f(0)
+    raised = None
+except ValueError as error:
+    raised = str(error)
+except Exception as error:
+    raised = type(error).__name__
+assert raised == "no zero"
+try:
+    f(1)
+except Exception as error:
+    other = type(error).__name__
+assert other == "ProgramError"
+"""
+    code = "class Own(Exception): pass\ndef f(x):\n    raise ValueError('no zero') if x == 0 else Own('x')"
+    verdict = judge(code, tests, every=True)
+    assert [test.status for test in verdict.tests] == ["passed", "passed", "passed", "passed"]
+
+
+def test_arguments_that_the_program_changes(judge: Judge) -> None:
+    """The tests see the change, whatever the container."""
+    tests = [
+        "a = [3, 1, 2]",
+        "assert f(a) is None",
+        "assert a == [1, 2, 3]",
+        "d = {'k': [2, 1]}",
+        "f(d['k'])",
+        "g(d)",
+        "assert d == {}",
+    ]
+    code = "def f(a): a.sort()\ndef g(d): d.clear()"
+    assert judge(code, tests).correct
+    assert not judge("def f(a): sorted(a)\ndef g(d): pass", tests).correct
+
+
+def test_calls_that_hang_on_earlier_answers(judge: Judge) -> None:
+    """Chains of calls, and loops until an answer changes, are played in rounds."""
+    tests = ["assert f(f(f(0))) == 3", "n = 0\nwhile f(n) < 5:\n    n = f(n)\nassert n == 4"]
+    assert judge("def f(x): return x + 1", tests).correct
+    assert not judge("def f(x): return x + 2", tests).correct
+
+
+def test_random_tests_ask_the_same_each_time(judge: Judge) -> None:
+    """Their generator has a seed; 50 calls in a loop are found out at once."""
+    tests = "import random\ndef check(candidate):\n    for _ in range(50):\n"
+    tests += "        x = random.randint(0, 10**9)\n        assert candidate(x) == x * 2\n"
+    runner = CountingRunner()
+    assert judge("def f(x): return 2 * x", tests, "f", runner=runner).correct
+    assert runner.runs == 3
+
+
+def test_loops_of_very_many_calls_are_played_in_rounds(judge: Judge) -> None:
+    """5,000 calls of a test in each."""
+    tests = "def check(candidate):\n    for x in range(6000):\n        assert candidate(x) == x * 2\n"
+    runner = CountingRunner()
+    assert judge("def f(x): return 2 * x", tests, "f", runner=runner).correct
+    assert runner.runs == 5
+    assert not judge("def f(x): return 2 * x if x != 5999 else 0", tests, "f", runner=runner).correct
+
+
+def test_tests_are_looked_at_once_for_all_programs(judge: Judge) -> None:
+    """A second program takes two runs: its own, and that of the tests on its answers."""
+    tests = CHECK + "    assert candidate(100) == 200\n"
+    runner = CountingRunner()
+    assert judge("def twice(x): return 2 * x", tests, "twice", runner=runner).correct
+    assert not judge("def twice(x): return x", tests, "twice", runner=runner).correct
+    assert runner.runs == 5
+
+
+@pytest.mark.parametrize(
+    ("tests", "entry", "message"),
+    [
+        ("assert f(1) ==", "f", "the tests are at fault: they are no Python: SyntaxError"),
+        ("x = 1", "f", "the tests are at fault: they assert nothing"),
+        ("assert True", "f", "the tests are at fault: they assert nothing"),
+        ("def check(candidate):\n    pass", "f", "they assert nothing"),
+        (CHECK, None, "the row names no function in 'entry_point'"),
+        ("import no_such_module\nassert f(1) == 1", "f", "they fail outside of any test: ModuleNotFoundError"),
+        ("assert f(print) == 1", "f", "which cannot be passed to the program"),
+        ("import os\nos._exit(0)", "f", "the tests ended without a result"),
+        ("import time\nassert f(time.perf_counter_ns()) == 0", "f", "the tests make other calls in each run"),
+    ],
+    ids=lambda value: None if isinstance(value, str) and len(value) > 30 else str(value),
+)
+def test_tests_that_are_at_fault_are_no_verdict(judge: Judge, tests: str, entry: str | None, message: str) -> None:
+    """The error says what is wrong with them."""
+    with pytest.raises(GradingError) as caught:
+        judge("def f(x): return 0", tests, entry)
+    assert message in str(caught.value)
+
+
+def test_tests_that_never_end_are_no_verdict(judge: Judge) -> None:
+    """Whatever the program."""
+    with pytest.raises(GradingError, match="the tests do not come to their end"):
+        judge("def f(x): return 1", "while True: pass\nassert f(1)", limits=ProgramLimits(wall_s=0.5, cpu_s=0.5))
+
+
+def test_answers_that_keep_the_tests_from_ending_are_the_programs_fault(
+    judge: Judge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once ever more calls are asked for, and once the tests compute for ever on an answer."""
+    monkeypatch.setattr(function_form, "MAX_ROUNDS", 2)
+    limits = ProgramLimits(wall_s=4.0, cpu_s=4.0)
+    verdict = judge("def f(x): return x", "n = 0\nwhile f(n) < 10**9: n += 1\nassert n", limits=limits)
+    assert verdict.status == "timeout"
+    verdict = judge("def f(x): return 10**9", "assert sum(range(f(1) * 10**9)) >= 0", limits=limits)
+    assert verdict.status == "timeout"
+
+
+def test_what_is_expected_is_not_shown(judge: Judge) -> None:
+    """Neither the assertion nor its message."""
+    verdict = judge("def f(x, y): return [x]", ["assert f(1, y='a') == 'secret', 'expected secret'"])
+    assert verdict.info()["first_failure"] == {
+        "index": 0,
+        "status": "wrong_answer",
+        "input": "f(1, y='a')",
+        "output": "[1]",
+        "error": None,
+    }
+    assert "secret" not in repr(verdict.info())
+
+
+def test_what_a_program_prints_does_not_matter(judge: Judge) -> None:
+    """Nor what it writes to the streams themselves."""
+    code = "import os, sys\nprint('x' * 100000)\ndef twice(x):\n    print('[]')\n"
+    code += "    os.write(1, b'{}')\n    sys.stdout.flush()\n    return 2 * x"
+    assert judge(code, CHECK, "twice").correct
+
+
+def test_standard_input_is_empty(judge: Judge) -> None:
+    """A program that asks for more fails there, and does not hang."""
+    assert judge("def twice(x): return input()", CHECK, "twice").status == "runtime_error"
+
+
+def test_code_under_main_is_not_run(judge: Judge) -> None:
+    """Functions are imported, not started."""
+    code = "def twice(x): return 2 * x\nif __name__ == '__main__':\n    raise SystemExit(twice(int(input())))"
+    assert judge(code, CHECK, "twice").correct
+
+
+def test_programs_that_are_sent_inside_need_nothing_of_gem() -> None:
+    """One text each, with the codec in front and no import of ours."""
+    for name in ("solution", "checks"):
+        text = program(name)
+        assert "import gem" not in text
+        assert "from gem" not in text
+        compile(text, name, "exec")
+
+
+def test_verdicts_are_the_same_again() -> None:
+    """A hundred at once, on one runner."""
+    tests = AssertionTests("def check(candidate):\n    assert candidate(1) == 2\n", "f", None)
+
+    async def many() -> list[bool]:
+        runner = CountingRunner()
+        codes = [f"def f(x): return x + {number % 2}" for number in range(20)]
+        return [
+            v.correct for v in await asyncio.gather(*(grade_assertions(c, tests, runner, Grading()) for c in codes))
+        ]
+
+    assert asyncio.run(many()) == [bool(number % 2) for number in range(20)]

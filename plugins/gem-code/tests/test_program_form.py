@@ -1,0 +1,177 @@
+"""Whole programs: what counts as right, and which tests are run."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+import pytest
+
+from gem_code.cases import StdinTests
+from gem_code.program_form import Grading, grade_program, in_parallel
+from gem_code.runner import ProgramLimits, Run, SandboxError
+from gem_code.verdicts import CaseResult, shortened
+
+if TYPE_CHECKING:
+    from judging import Judge
+
+DOUBLE = {"inputs": ["1\n", "2\n", "21\n"], "outputs": ["2\n", "4\n", "42\n"]}
+
+
+class Scripted:
+    """A runner that knows what becomes of each input, and can hold back some of them."""
+
+    def __init__(self, outcomes: dict[str, Run], held: frozenset[str] = frozenset()) -> None:
+        self.outcomes, self.held = outcomes, held
+        self.begun: list[str] = []
+        self.cancelled: list[str] = []
+        self.at_once = self.most_at_once = 0
+
+    async def run(self, program: str, stdin: str, limits: ProgramLimits) -> Run:
+        """Return the outcome, or wait for ever."""
+        self.begun.append(stdin)
+        self.at_once += 1
+        self.most_at_once = max(self.most_at_once, self.at_once)
+        try:
+            if stdin in self.held:
+                await asyncio.Event().wait()
+            for _ in range(3):
+                await asyncio.sleep(0)
+            return self.outcomes[stdin]
+        except asyncio.CancelledError:
+            self.cancelled.append(stdin)
+            raise
+        finally:
+            self.at_once -= 1
+
+
+def test_a_right_program_passes_every_test(judge: Judge) -> None:
+    """It reads standard input and prints."""
+    verdict = judge("print(2 * int(input()))", DOUBLE)
+    assert (verdict.correct, verdict.fraction, verdict.status) == (True, 1.0, "passed")
+    assert [test.status for test in verdict.tests] == ["passed"] * 3
+
+
+@pytest.mark.parametrize(
+    ("code", "status", "error"),
+    [
+        ("print(int(input()) + 1)", "wrong_answer", None),
+        ("", "wrong_answer", None),
+        ("print(2 * int(input())", "compile_error", "SyntaxError: '(' was never closed"),
+        ("if True:\nprint(1)", "compile_error", "IndentationError: expected an indented block after 'if' statement"),
+        ("x = int(input())\nprint(2 * x)\n1 / 0", "runtime_error", "ZeroDivisionError: division by zero"),
+        ("import sys\nprint(2 * int(input()))\nsys.exit(3)", "runtime_error", None),
+        ("raise MemoryError", "memory", "MemoryError"),
+    ],
+)
+def test_reasons_of_failure_are_told_apart(judge: Judge, code: str, status: str, error: str | None) -> None:
+    """A program that prints the right answer and then fails has failed."""
+    verdict = judge(code, DOUBLE, every=True)
+    assert verdict.status == status
+    assert verdict.fraction == (1 / 3 if code.startswith("print(int") else 0)
+    failed = verdict.first_failure
+    assert failed is not None
+    assert error is None or error in str(failed.error)
+
+
+def test_exit_code_zero_is_no_failure(judge: Judge) -> None:
+    """``sys.exit()`` after the answer is how many programs end."""
+    assert judge("import sys\nprint(2 * int(input()))\nsys.exit(0)", DOUBLE).correct
+
+
+def test_a_program_that_does_not_end_is_stopped(judge: Judge) -> None:
+    """The status says so."""
+    verdict = judge("while True: pass", DOUBLE, limits=ProgramLimits(wall_s=0.5, cpu_s=0.5), parallel=1)
+    assert verdict.status == "timeout"
+    assert [test.status for test in verdict.tests] == ["timeout", "not_run", "not_run"]
+
+
+def test_what_was_printed_and_given_is_shown_and_what_was_expected_is_not(judge: Judge) -> None:
+    """Neither in info nor in the cut texts."""
+    verdict = judge("print('mine')", {"inputs": ["given\n"], "outputs": ["the secret answer\n"]})
+    info = verdict.info()
+    assert info["first_failure"] == {
+        "index": 0,
+        "status": "wrong_answer",
+        "input": "given\n",
+        "output": "mine\n",
+        "error": None,
+    }
+    assert "secret" not in repr(info)
+
+
+def test_the_rest_is_not_run_after_a_failure() -> None:
+    """Once a test has failed, nothing that comes later is begun; what is under way there is given up."""
+    runner = Scripted({"a": Run("ok", 0, "1"), "b": Run("ok", 0, "wrong")}, held=frozenset("cde"))
+    tests = StdinTests(tuple("abcde"), ("1",) * 5)
+    verdict = asyncio.run(grade_program("", tests, runner, Grading(parallel=3)))
+    assert [test.status for test in verdict.tests] == ["passed", "wrong_answer", "not_run", "not_run", "not_run"]
+    assert "e" not in runner.begun
+    assert runner.cancelled
+    assert runner.at_once == 0
+
+
+def test_the_first_failure_does_not_depend_on_which_test_is_fastest() -> None:
+    """A later failure that is known first waits for the tests before it."""
+
+    async def one(index: int) -> CaseResult:
+        for _ in range(10 - index):
+            await asyncio.sleep(0)
+        return CaseResult(index, "passed" if index == 0 else "wrong_answer")
+
+    results = asyncio.run(in_parallel(one, 6, 6, every=False))
+    assert [result.status for result in results] == ["passed", "wrong_answer", *["not_run"] * 4]
+
+
+def test_every_test_is_run_for_the_fraction() -> None:
+    """Some at a time, never more than asked for."""
+    outcomes = {name: Run("ok", 0, "1" if name in "bd" else "0") for name in "abcdefgh"}
+    runner = Scripted(outcomes)
+    tests = StdinTests(tuple("abcdefgh"), ("1",) * 8)
+    verdict = asyncio.run(grade_program("", tests, runner, Grading(parallel=3, every=True)))
+    assert verdict.fraction == 0.25
+    assert sorted(runner.begun) == list("abcdefgh")
+    assert runner.most_at_once == 3
+
+
+@pytest.mark.parametrize(
+    ("run", "status"),
+    [
+        (Run("timeout"), "timeout"),
+        (Run("cpu"), "timeout"),
+        (Run("memory"), "memory"),
+        (Run("output"), "output_limit"),
+        (Run("killed", None, "1"), "runtime_error"),
+        (Run("exit", 1, "1"), "runtime_error"),
+        (Run("exit", 0, "1"), "passed"),
+        (Run("error", 1, "1", "ValueError: x"), "runtime_error"),
+        (Run("error", 1, "1", "TabError: x"), "compile_error"),
+    ],
+)
+def test_what_the_sandbox_says_becomes_a_status(run: Run, status: str) -> None:
+    """A right output does not help a program that was ended."""
+    verdict = asyncio.run(grade_program("", StdinTests(("a",), ("1",)), Scripted({"a": run}), Grading()))
+    assert verdict.status == status
+
+
+def test_a_sandbox_that_fails_is_no_verdict() -> None:
+    """And what is under way is given up."""
+
+    class Failing(Scripted):
+        async def run(self, program: str, stdin: str, limits: ProgramLimits) -> Run:
+            if stdin == "b":
+                raise SandboxError("it is gone")
+            return await super().run(program, stdin, limits)
+
+    runner = Failing({}, held=frozenset("ac"))
+    with pytest.raises(SandboxError, match="it is gone"):
+        asyncio.run(grade_program("", StdinTests(tuple("abc"), ("1",) * 3), runner, Grading()))
+    assert runner.at_once == 0
+
+
+def test_long_texts_are_cut_in_the_middle() -> None:
+    """To a readable length."""
+    assert shortened("x" * 300) == "x" * 300
+    cut = shortened("a" * 5000 + "z" * 5000)
+    assert cut == "a" * 150 + " … (9700 characters) … " + "z" * 150
+    assert shortened(None) is None
