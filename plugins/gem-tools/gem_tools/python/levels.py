@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from gem_tools.python import inside
+from gem_tools.python.hidden import hidden_folders
 
 LEVELS = ("bubblewrap", "docker", "process")
 """From the strongest to the weakest."""
@@ -166,6 +167,8 @@ def _bubblewrap() -> list[str]:
     if _in_venv():
         words += ["--perms", "0755", "--dir", "/venv/bin"]
         words += ["--symlink", os.path.realpath(_base_python()), "/venv/bin/python"]
+    for path in hidden_folders(mounts):
+        words += ["--perms", "0555", "--tmpfs", path, "--remount-ro", path]
     words += ["--symlink", "/tmp", "/dev/shm", "--symlink", "/tmp", "/var/tmp"]
     return [*words, "--proc", "/proc", "--dir", "/tmp", "--remount-ro", "/", "--chdir", "/"]
 
