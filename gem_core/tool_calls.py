@@ -92,11 +92,15 @@ class CallReader:
     def _first(self, text: str) -> ToolCall | None:
         found = [json_call(text, self._tools)]
         for tool in self._tagged:
-            fences = not any(language.casefold() in self._answer_fences for language in tool.fences)
+            fences = not self.leaves_fences_of(tool)
             found.append(tool.parse(text, fences=fences))
             if tool.text_parameter is None:
                 found.append(_object_in_tag(text, tool))
         return first_call(found) or self._misspelt(text)
+
+    def leaves_fences_of(self, tool: Tool) -> bool:
+        """Tell whether fenced blocks that would call a tool are the task's answers."""
+        return any(language.casefold() in self._answer_fences for language in tool.fences)
 
     def _answers(self, text: str) -> list[tuple[int, int]]:
         if not self._answer_fences:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Awaitable
 from typing import Any
 
@@ -228,7 +229,13 @@ class ToolEnv(Wrapper):
         return "\n".join(lines)
 
     def _explained(self, tool: Tool) -> str:
-        return tool.explained_in_json() if tool.name in self._reader.reserved else tool.instructions()
+        if tool.name in self._reader.reserved:
+            return tool.explained_in_json()
+        if self._reader.leaves_fences_of(tool):
+            # Not to be told of a form that would be taken for the answer.
+            tool = copy.copy(tool)
+            tool.fences = ()  # of this copy alone
+        return tool.instructions()
 
     def _own_record(self) -> tuple[str, dict[str, Any]]:
         return "tools", super()._own_record()[1]

@@ -208,8 +208,12 @@ def test_fences_that_are_answers_are_left_to_the_task() -> None:
     class TextTool(Notebook):
         fences = ("text",)
 
-    env = ToolEnv(EchoEnv(), [TextTool()])
-    env.reset()
+    tool = TextTool()
+    env = ToolEnv(EchoEnv(), [tool])
+    explained = str(env.reset()[0])
+    assert "<note>" in explained
+    assert "fenced block" not in explained
+    assert "a fenced block marked text" in tool.instructions()
     assert env.step("```text\nmine\n```")[0] == "Heard: ```text\nmine\n```"
     assert "Output of note" in str(env.step("<note>x</note>")[0])
 
