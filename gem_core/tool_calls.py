@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from gem_core.nesting import is_deep
@@ -24,6 +24,11 @@ _TAG = re.compile(r"<([A-Za-z][\w.-]{0,63}+)>", re.ASCII)
 _MOST_TAGS = 50
 """Different tags of a response that are held against the names of tools."""
 
+# A tag in quotation marks is spoken of, and is none.
+_QUOTED_TAG = re.compile(r"""([`'"])</?[A-Za-z][\w.-]{0,63}+>\1""", re.ASCII)
+_JSON_OUTSIDE = re.compile(
+    r'\{\s*+"(?:name|tool_name|function)"\s*+:\s*+"([^"\\]{1,100}+)"\s*+,\s*+"(?:arguments|parameters)"\s*+:'
+)
 _SPACE = re.compile(r"\s*+")
 _END_OF_CALL = re.compile(rf"\s*+{re.escape(CALL_CLOSE)}")
 _ELEMENTS = re.compile(r"\s*+<tool_name>(.*?)</tool_name>(.*)", re.DOTALL)
@@ -35,7 +40,8 @@ class CallReader:
     """Finds the call in the text of a response.
 
     What stands in a thinking block was thought and not called, unless the block is never closed, as where the server
-    stopped at the call. What stands in a fenced block that is the task's answer is part of the answer.
+    stopped at the call. What stands in a fenced block or a tag that is the task's answer is part of the answer, unless
+    that begins with a call. A lone tag in quotation marks, as in "`<search>`", is none.
 
     Args:
         tools: By name.
@@ -54,9 +60,14 @@ class CallReader:
     ) -> None:
         self._tools = tools
         self._answer_fences = {language.casefold() for language in answer_fences}
+        self._answer_tags = tuple(answer_tags)
         self._thinking_tag = thinking_tag
-        self.reserved = {*answer_tags, *([] if thinking_tag is None else [thinking_tag]), "tool_call"}
+        self.reserved = {*self._answer_tags, *([] if thinking_tag is None else [thinking_tag]), "tool_call"}
         self._tagged = [tool for tool in tools.values() if tool.name not in self.reserved]
+        self._openings = (CALL_OPEN, *(f"<{tool.name}>" for tool in self._tagged))
+        names = "|".join(re.escape(tool.name) for tool in self._tagged)
+        # With attributes, closed in itself, or with white space before its end.
+        self._other_tag = re.compile(rf"<({names})(?:\s++[\w-]++\s*+=[^<>]{{0,1000}}+|\s*+/|\s++)>") if names else None
 
     def find(self, action: str) -> ToolCall | None:
         """Return the first complete call, or the first that is begun; None for an answer to the task."""
@@ -96,16 +107,37 @@ class CallReader:
             found.append(tool.parse(text, fences=fences))
             if tool.text_parameter is None:
                 found.append(_object_in_tag(text, tool))
-        return first_call(found) or self._misspelt(text)
+        return first_call(found) or self._misspelt(text) or self._malformed(text)
 
     def leaves_fences_of(self, tool: Tool) -> bool:
         """Tell whether fenced blocks that would call a tool are the task's answers."""
         return any(language.casefold() in self._answer_fences for language in tool.fences)
 
     def _answers(self, text: str) -> list[tuple[int, int]]:
-        if not self._answer_fences:
-            return []
-        return [(block.start, block.end) for block in extract_code_blocks(text, *self._answer_fences)]
+        """Return the parts that are answers of the task, and the tags that are only spoken of."""
+        found = [quoted.span() for quoted in _QUOTED_TAG.finditer(text)]
+        if self._answer_fences:
+            found += [(block.start, block.end) for block in extract_code_blocks(text, *self._answer_fences)]
+        for tag in self._answer_tags:
+            found += [
+                (start, end)
+                for start, end in _elements(text, tag)
+                if not text[start + len(tag) + 2 : end].lstrip().startswith(self._openings)
+            ]
+        return found
+
+    def _malformed(self, text: str) -> ToolCall | None:
+        """Return what was surely meant for a tool, in a form that is none: a tag with attributes, or JSON alone."""
+        tag = self._other_tag.search(text) if self._other_tag else None
+        if tag is not None:
+            name = tag[1]
+            error = f"its tag takes no attributes; what it is given is written between <{name}> and </{name}>"
+            return ToolCall(name, {}, tag.start(), tag.end(), error)
+        for found in _JSON_OUTSIDE.finditer(text):
+            if found[1] in self._tools:
+                error = f"a call in JSON must stand between {CALL_OPEN} and {CALL_CLOSE}"
+                return ToolCall(found[1], {}, found.start(), len(text), error)
+        return None
 
     def _misspelt(self, text: str) -> ToolCall | None:
         """Return an element whose tag was surely meant for a tool, and is none."""
@@ -315,6 +347,17 @@ def _thinking(action: str, tag: str | None) -> tuple[list[tuple[int, int]], bool
         if end < 0:
             return spans, opened_before
         spans.append((start, end + len(closing)))
+
+
+def _elements(text: str, tag: str) -> Iterator[tuple[int, int]]:
+    """Yield where the elements of a tag begin and end, each from the last opening tag before its end."""
+    opening, closing = f"<{tag}>", f"</{tag}>"
+    behind = 0
+    while (end := text.find(closing, behind)) >= 0:
+        start = text.rfind(opening, behind, end)
+        behind = end + len(closing)
+        if start >= 0:
+            yield start, behind
 
 
 def _blanked(action: str, spans: Collection[tuple[int, int]]) -> str:

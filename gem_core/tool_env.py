@@ -33,8 +33,8 @@ class ToolEnv(Wrapper):
     answer; so is a tag that is a tool's but for one letter.
 
     What stands in a thinking block is no call, as long as the block is closed; neither is what stands in a fenced block
-    that is the task's answer (``answer_fences``). A tool that has the name of a tag of the task's answers
-    (``answer_tags``) is called in JSON only.
+    (``answer_fences``) or a tag (``answer_tags``) that is the task's answer, unless that begins with a call. A tool
+    that has the name of such a tag is called in JSON only.
 
     ``info["tool"]`` says what a tool step did: ``name``, ``arguments``, ``failed`` and ``error`` of the call, the last
     of several; ``calls``, the same for each; and the counters ``uses``, ``successes`` and ``failures`` of the episode.
@@ -219,7 +219,8 @@ class ToolEnv(Wrapper):
     def _instructions(self) -> str:
         if self.max_tool_uses == 0 or not self.tools:
             return ""
-        limit = "" if self.max_tool_uses is None else f" You have {self.max_tool_uses} tool calls."
+        most = self.max_tool_uses
+        limit = "" if most is None else f" You have {most} tool call{'' if most == 1 else 's'}."
         lines = [
             "You may use tools before you answer. Make one call in a response: the result comes back to you, and "
             f"nothing that you write behind the call is read.{limit}",

@@ -210,15 +210,34 @@ class Tool:
         end = action.find(closing, content)
         if end < 0:
             return ToolCall(self.name, start=start, error=f"{opening} is never closed by {closing}")
-        return ToolCall(self.name, {parameter: action[content:end].strip("\r\n")}, start, end + len(closing))
+        return ToolCall(self.name, {parameter: self._unfenced(action[content:end])}, start, end + len(closing))
 
     def _fenced(self, action: str, parameter: str) -> ToolCall | None:
         for block in extract_code_blocks(action, *self.fences):
-            return ToolCall(self.name, {parameter: block.code}, block.start, block.end)
+            return ToolCall(self.name, {parameter: self._untagged(block.code)}, block.start, block.end)
         block_or_none = unclosed_code_block(action, *self.fences)
         if block_or_none is None:
             return None
         return ToolCall(self.name, start=block_or_none.start, error="the fenced block is never closed")
+
+
+    def _unfenced(self, content: str) -> str:
+        """Return what stands in a tag, without the fence of a block that fills it: models write both at once."""
+        if not self.fences:
+            return content.strip("\r\n")
+        around = content.strip()
+        blocks = extract_code_blocks(around, "", *self.fences) if around[:3] in ("```", "~~~") else []
+        if len(blocks) == 1 and (blocks[0].start, blocks[0].end) == (0, len(around)):
+            return blocks[0].code
+        return content.strip("\r\n")
+
+    def _untagged(self, code: str) -> str:
+        """Return what stands in a fenced block, without a tag that fills it."""
+        opening, closing = f"<{self.name}>", f"</{self.name}>"
+        around = code.strip()
+        if not around.startswith(opening) or around.find(closing) != len(around) - len(closing):
+            return code
+        return around[len(opening) : -len(closing)].strip("\r\n")
 
 
 def first_call(calls: Sequence[ToolCall | None]) -> ToolCall | None:

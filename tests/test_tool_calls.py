@@ -284,7 +284,8 @@ def test_of_two_nested_calls_the_outer_one_is_executed() -> None:
     inner = json_call("calculator", left=1, right=1)
     assert called(f"<lookup>{inner}</lookup>") == ("lookup", {"query": inner})
     assert called(json_call("lookup", query="<lookup>y</lookup>")) == ("lookup", {"query": "<lookup>y</lookup>"})
-    assert called("```lookup\n<lookup>y</lookup>\n```") == ("lookup", {"query": "<lookup>y</lookup>"})
+    inner = "so <lookup>y</lookup>"
+    assert called(f"```lookup\n{inner}\n```") == ("lookup", {"query": inner})
 
 
 def test_a_call_counts_once_and_what_follows_is_left_out() -> None:
@@ -292,6 +293,78 @@ def test_a_call_counts_once_and_what_follows_is_left_out() -> None:
     info = around().step(f"<think>{CALL}</think>{CALL} and {CALL}")[4]
     assert info["parsed_action"] == f"<think>{CALL}</think>{CALL}"
     assert info["tool"]["uses"] == 1
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        "I would write it between `<lookup>` and `</lookup>`, but I know it: 42",
+        "I called the \"<lookup>\" before; it is 42",
+        "With '<tool_call>' one calls; it is 42",
+        "<answer>Use the <lookup> tag</answer>",
+        f"<answer>Write {CALL} to ask</answer>",
+        "I put it into <answer> now: <answer>a <calculator> b</answer>",
+    ],
+)
+def test_what_only_speaks_of_a_call_is_the_tasks(answer: str) -> None:
+    """A lone tag in quotation marks, and whatever stands within the tag of an answer."""
+    assert called(answer) is None
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        f"`<lookup>` it is: {CALL}",
+        f"`{CALL}`",
+        f"<answer>{CALL}</answer>",
+        f"I write <answer> later. {CALL} <answer>42</answer>",
+        f"{CALL} <answer>42</answer>",
+        f"<answer>42</answer> {CALL}",
+    ],
+)
+def test_a_call_beside_an_answer_or_a_quotation_is_executed(action: str) -> None:
+    """As is one that is all that an answer holds: nobody answers with a call."""
+    assert called(action) == QUERY
+
+
+def test_an_answer_and_a_quotation_inside_a_call_belong_to_it() -> None:
+    """As in a program that prints them."""
+    for query in ("<answer>y</answer>", "print('<lookup>')", "`<calculator>`"):
+        assert called(f"<lookup>{query}</lookup>") == ("lookup", {"query": query})
+        assert called(json_call("lookup", query=query)) == ("lookup", {"query": query})
+    assert "<lookup> is never closed by </lookup>" in refused("<lookup>y <answer>42</answer>")
+
+
+@pytest.mark.parametrize(
+    "call", ["<lookup query='x'>", '<lookup query="x"/>', "<lookup/>", "<lookup />", "<lookup >x</lookup>"]
+)
+def test_a_tag_with_more_than_the_name_is_told(call: str) -> None:
+    """It was meant for the tool, and would be a wrong answer."""
+    told = "its tag takes no attributes; what it is given is written between <lookup> and </lookup>"
+    assert told in refused(f"so: {call}")
+    assert called(f"<answer>{call}</answer>") is None
+    assert called(f"<think>{call}</think> 42") is None
+
+
+@pytest.mark.parametrize("around_it", ["{}", "<tool_calls>{}</tool_calls>", "[{}]", "```json\n{}\n```", "so: {} <end>"])
+@pytest.mark.parametrize("arguments", ["arguments", "parameters"])
+def test_json_that_calls_a_tool_outside_the_tag_is_told(around_it: str, arguments: str) -> None:
+    """As some models write their calls; of no tool it is the task's."""
+    told = "a call in JSON must stand between <tool_call> and </tool_call>"
+    call = f'{{"name": "lookup", "{arguments}": {{"query": "x"}}}}'
+    assert told in refused(around_it.replace("{}", call))
+    assert called(around_it.replace("{}", call.replace("lookup", "pump"))) is None
+
+
+def test_a_tag_around_a_fence_and_a_fence_around_a_tag_are_one_call() -> None:
+    """Models write both; what is run is the content of the inner one."""
+    for fence in ("```lookup", "```", "~~~lookup"):
+        assert called(f"<lookup>\n{fence}\nx\n{fence[:3]}\n</lookup>") == QUERY
+    assert called("```lookup\n<lookup>\nx\n</lookup>\n```") == QUERY
+    both = "```lookup\nx\n```\n```lookup\ny\n```"
+    assert called(f"<lookup>{both}</lookup>") == ("lookup", {"query": both})
+    two = "<lookup>x</lookup> <lookup>y</lookup>"
+    assert called(f"```lookup\n{two}\n```") == ("lookup", {"query": two})
 
 
 PIECES = [
@@ -323,6 +396,8 @@ PIECES = [
     "<calculator>",
     "</calculator>",
     "<answer>",
+    "`<lookup>`",
+    "<lookup query='x'>",
     "\n",
     " ",
     "é",
@@ -380,6 +455,11 @@ def test_no_text_around_a_call_takes_it_to_the_task(before: str, call: str, afte
         ",",
         "[",
         "<lookup></think>",
+        "`<lookup>",
+        "<lookup query=",
+        "</answer>",
+        "<answer>",
+        '{"name": "lookup", ',
     ],
 )
 def test_megabytes_of_any_piece_are_read(piece: str) -> None:
