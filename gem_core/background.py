@@ -72,6 +72,21 @@ def finish_or_start(awaitable: Awaitable[object]) -> None:
         run_sync(awaitable)
 
 
+def wait_for_started(timeout_s: float) -> None:
+    """Wait in plain code for what ``finish_or_start`` has begun without waiting; on the loop itself, return at once.
+
+    Args:
+        timeout_s: Longest wait, in seconds; what takes longer goes on.
+    """
+
+    async def ended() -> None:
+        if _started:
+            await asyncio.wait(set(_started), timeout=timeout_s)
+
+    if _started and not on_background_loop():
+        run_sync(ended())
+
+
 def close_later(resource: Any, loop: asyncio.AbstractEventLoop) -> None:
     """Close what belongs to a loop and whose owner was forgotten, such as a session of connections.
 
@@ -217,6 +232,7 @@ def _after_fork() -> None:
     # The thread of the loop does not exist in a forked child.
     global _loop, _lock
     _loop, _lock = None, threading.Lock()
+    _started.clear()
 
 
 def _register_fork_handler() -> None:

@@ -68,7 +68,8 @@ class Awaited(Logged):
         return super().call(arguments, session)
 
     async def close(self, session: Any) -> Any:
-        await asyncio.sleep(0)
+        for _ in range(1000):  # so that whoever does not wait for it is sure to miss it
+            await asyncio.sleep(0)
         super().close(session)
 
 

@@ -9,7 +9,13 @@ import time
 from collections.abc import Callable, Collection, MutableMapping
 from typing import Any, cast
 
-from gem_core.background import DaemonPool, background_loop, finish_or_start, on_background_loop
+from gem_core.background import (
+    DaemonPool,
+    background_loop,
+    finish_or_start,
+    on_background_loop,
+    wait_for_started,
+)
 from gem_core.errors import ArgumentError, FaultBudgetError
 from gem_core.types import Concurrency
 from gem_core.vector.body import Body, EnvFactory
@@ -182,6 +188,8 @@ class LocalHost(Host):
         deadline = time.monotonic() + _CLOSING_S
         for closed in [] if on_background_loop() else list(self._closing):
             closed.wait(max(0.0, deadline - time.monotonic()))
+        # An environment that failed in a task was closed there, and its tools' sessions may still be closing.
+        wait_for_started(max(0.0, deadline - time.monotonic()))
         self._pool.close()
 
     def _is_inline(self, env_id: str | None) -> bool:
