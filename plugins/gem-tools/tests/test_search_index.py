@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import subprocess
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ import pytest
 from gem_core.errors import ArgumentError, DatasetError
 from gem_tools.search.building import open_index
 from gem_tools.search.corpus import PASSAGE_CHARS, find_corpus
-from gem_tools.search.index import META, Index, best
+from gem_tools.search.index import FORMAT, META, Index, best
 
 ROWS = [
     {"id": "r", "title": "Rivers", "text": "The Loire flows through France."},
@@ -219,8 +221,66 @@ def test_a_damaged_index_is_built_again(corpus: Path, tmp_path: Path, damage: st
     elif damage == "meta":
         meta.write_text("[]")
     else:
-        meta.write_text(meta.read_text().replace('"format": 1', '"format": 0'))
+        meta.write_text(json.dumps({**json.loads(meta.read_text()), "format": FORMAT - 1}))
     assert found(open_index(corpus, cache), "loire") == ["r"]
+    assert json.loads(meta.read_text())["format"] == FORMAT
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "data.csc.index.npy",
+        "indptr.csc.index.npy",
+        "params.index.json",
+        "passages.bin",
+        "passages.offsets.npy",
+        "words.bin",
+        "words.ids.npy",
+    ],
+)
+def test_an_index_of_zeros_is_built_again(corpus: Path, tmp_path: Path, name: str) -> None:
+    """As a crash of the machine leaves it: every file has its size."""
+    cache = tmp_path / "cache"
+    open_index(corpus, cache)
+    (file,) = cache.glob(f"*/{name}")
+    file.write_bytes(bytes(file.stat().st_size))
+    assert found(open_index(corpus, cache), "loire") == ["r"]
+    assert any(file.read_bytes())
+
+
+def test_an_index_is_opened_where_nothing_can_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A full disk keeps nobody from an index that is there."""
+    cache = tmp_path / "cache"
+    corpus = written(tmp_path / "c.jsonl", *({"text": f"word{n} " + "padding " * 60} for n in range(5000)))
+    os.utime(corpus, (1e9, 1e9))
+    open_index(corpus, cache)
+    (seen,) = cache.glob("*.seen")
+    seen.unlink()
+
+    def full(*args: Any, **options: Any) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    assert found(open_index(corpus, cache), "word7") == ["8"]
+    assert [file.suffix for file in cache.iterdir() if file.is_file()] == [".lock"]
+
+
+def test_a_folder_that_cannot_be_read_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Left out in silence, its texts would never be found."""
+    (tmp_path / "texts" / "closed").mkdir(parents=True)
+    (tmp_path / "texts" / "a.txt").write_text("loire")
+    closed, scandir = str(tmp_path / "texts" / "closed"), os.scandir
+
+    def refusing(place: Any) -> Any:
+        if str(place) == closed:
+            raise PermissionError(errno.EACCES, "Permission denied", closed)
+        return scandir(place)
+
+    monkeypatch.setattr(os, "scandir", refusing)  # root may read everything
+    with pytest.raises(ArgumentError) as caught:
+        open_index(tmp_path / "texts", tmp_path / "cache")
+    place = str(tmp_path / "texts")
+    assert str(caught.value) == f"the corpus {place!r} cannot be read: Permission denied ({closed!r})"
 
 
 def test_what_a_killed_process_left_is_removed(corpus: Path, tmp_path: Path) -> None:

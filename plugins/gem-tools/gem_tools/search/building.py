@@ -23,7 +23,7 @@ import numpy as np
 from gem_core.errors import ArgumentError, DatasetError
 from gem_core.progress import Progress
 from gem_tools.search.corpus import Corpus, find_corpus
-from gem_tools.search.index import FORMAT, META, Index
+from gem_tools.search.index import FORMAT, META, Index, proof
 from gem_tools.search.words import singular, split_words
 
 K1, B = 1.2, 0.75
@@ -118,8 +118,8 @@ def build(corpus: Corpus, folder: Path) -> None:
     # The words have a file of their own; bm25s would read all of them whenever an index is opened.
     scorer.vocab_dict = {}
     scorer.save(folder, show_progress=False)
-    sizes = {file.name: file.stat().st_size for file in sorted(folder.iterdir())}
-    meta = {"format": FORMAT, "passages": len(tokens), "files": sizes}
+    proofs = {file.name: proof(file) for file in sorted(folder.iterdir())}
+    meta = {"format": FORMAT, "passages": len(tokens), "files": proofs}
     (folder / META).write_text(json.dumps(meta), encoding="utf-8")
 
 
@@ -209,8 +209,11 @@ def _digest(corpus: Corpus, folder: Path) -> str:
     newest = max(mtime for _, _, mtime, _ in stamp)
     if corpus.size > _SHOW_FROM_BYTES and started - newest / 1e9 > _RACY_S and corpus.stamp() == stamp:
         work = memo.with_suffix(f".{os.getpid()}")
-        work.write_text(digest, encoding="ascii")
-        work.replace(memo)
+        try:
+            work.write_text(digest, encoding="ascii")
+            work.replace(memo)
+        except OSError:  # a full disk keeps nobody from an index that is there; the next to open it reads the corpus
+            work.unlink(missing_ok=True)
     return digest
 
 

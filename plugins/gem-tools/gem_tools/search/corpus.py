@@ -108,12 +108,16 @@ def find_corpus(place: str | os.PathLike[str]) -> Corpus:
             raise ArgumentError(f"no corpus at {str(place)!r}; {expected}")
         size = sum(file.stat().st_size for file in files)
     except OSError as error:
-        raise ArgumentError(f"the corpus {str(place)!r} cannot be read: {error.strerror}") from None
+        of_it = f" ({error.filename!r})" if error.filename not in (None, str(path)) else ""
+        raise ArgumentError(f"the corpus {str(place)!r} cannot be read: {error.strerror}{of_it}") from None
     return Corpus(path, files, size)
 
 
 def _files_of(folder: Path) -> Iterator[Path]:
-    for place, folders, names in os.walk(folder):
+    def refuse(error: OSError) -> None:
+        raise error  # left out in silence, what it holds would never be found
+
+    for place, folders, names in os.walk(folder, onerror=refuse):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         for name in sorted(names):
             file = Path(place, name)

@@ -1,13 +1,14 @@
 """A BM25 index on disk: searched where it lies, through the memory map, by any number of threads and processes.
 
 Scoring is done by ``bm25s``. Words and passages lie beside it in files of our own, so that opening an index reads
-nothing and costs no memory, however large it is.
+only the ends of its files and costs no memory, however large it is.
 """
 
 from __future__ import annotations
 
 import json
 import mmap
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,14 @@ from gem_core.errors import DatasetError
 from gem_tools.search.passages import Passage
 from gem_tools.search.words import query_words
 
-FORMAT = 1
+FORMAT = 2
 """Goes up whenever an index that was built by earlier code would be searched wrongly."""
 
 META = "meta.json"
 MAX_QUERY_WORDS = 64
+
+_PROVED_BYTES = 65_536
+"""Of each file so much is proved at both ends whenever it is opened; to read all of it would take seconds."""
 
 
 class Blob:
@@ -70,7 +74,13 @@ class Index:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._check(folder)
+        _check(folder)
+        try:
+            self._open(folder)
+        except (OSError, ValueError, LookupError, TypeError) as error:
+            raise DatasetError(f"the index in {folder.name!r} is damaged ({type(error).__name__})") from error
+
+    def _open(self, folder: Path) -> None:
         self._words = Blob(folder, "words")
         self._ids: NDArray[np.int32] = np.asarray(np.load(folder / "words.ids.npy", mmap_mode="r"))
         self._passages = Blob(folder, "passages")
@@ -96,17 +106,30 @@ class Index:
         name, title, text = json.loads(self._passages[number])
         return Passage(name, title, text, score)
 
-    @staticmethod
-    def _check(folder: Path) -> None:
-        try:
-            meta: Any = json.loads((folder / META).read_text(encoding="utf-8"))
-            whole = meta["format"] == FORMAT and all(
-                (folder / name).stat().st_size == size for name, size in meta["files"].items()
-            )
-        except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-            raise DatasetError(f"there is no index in {folder.name!r} ({type(error).__name__})") from None
-        if not whole:
-            raise DatasetError(f"the index in {folder.name!r} is damaged or of another version")
+
+def proof(file: Path) -> list[int]:
+    """Return what tells whether a file is as it was written: its size, and a checksum of both its ends.
+
+    A machine that crashes may leave files of the right size, and zeros in them.
+    """
+    with file.open("rb") as stream:
+        size = stream.seek(0, 2)
+        stream.seek(0)
+        checksum = zlib.crc32(stream.read(_PROVED_BYTES))
+        stream.seek(max(0, size - _PROVED_BYTES))
+        return [size, zlib.crc32(stream.read(_PROVED_BYTES), checksum)]
+
+
+def _check(folder: Path) -> None:
+    try:
+        meta: Any = json.loads((folder / META).read_text(encoding="utf-8"))
+        whole = meta["format"] == FORMAT and all(
+            proof(folder / name) == expected for name, expected in meta["files"].items()
+        )
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        raise DatasetError(f"there is no index in {folder.name!r} ({type(error).__name__})") from None
+    if not whole:
+        raise DatasetError(f"the index in {folder.name!r} is damaged or of another version")
 
 
 def best(scores: NDArray[np.float32], count: int) -> NDArray[np.int64]:
