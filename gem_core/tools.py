@@ -220,7 +220,6 @@ class Tool:
             return None
         return ToolCall(self.name, start=block_or_none.start, error="the fenced block is never closed")
 
-
     def _unfenced(self, content: str) -> str:
         """Return what stands in a tag, without the fence of a block that fills it: models write both at once."""
         if not self.fences:

@@ -299,7 +299,7 @@ def test_a_call_counts_once_and_what_follows_is_left_out() -> None:
     "answer",
     [
         "I would write it between `<lookup>` and `</lookup>`, but I know it: 42",
-        "I called the \"<lookup>\" before; it is 42",
+        'I called the "<lookup>" before; it is 42',
         "With '<tool_call>' one calls; it is 42",
         "<answer>Use the <lookup> tag</answer>",
         f"<answer>Write {CALL} to ask</answer>",

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from aiohttp import web
 
 from gem_core.background import run_sync
 from gem_tools.search.building import open_index
+from gem_tools.search.listening import Listener
 from gem_tools.search.server import RetrievalServer
 from gem_tools.search.tool import RemoteSearch, make_search
 
@@ -46,16 +46,10 @@ def index(corpus: Path, tmp_path: Path) -> Index:
     return open_index(corpus, tmp_path / "cache")
 
 
-def running(server: RetrievalServer) -> Iterator[str]:
-    async def start() -> web.AppRunner:
-        runner = web.AppRunner(server.app(), access_log=None, shutdown_timeout=0.1)
-        await runner.setup()
-        await web.TCPSite(runner, "127.0.0.1", 0).start()
-        return runner
-
-    runner = run_sync(start())
-    yield f"http://127.0.0.1:{runner.addresses[0][1]}"
-    run_sync(runner.cleanup())
+def running(server: RetrievalServer, **options: Any) -> Iterator[str]:
+    listener = Listener(server.app(), shutdown_s=0.1, **options)
+    yield f"http://127.0.0.1:{run_sync(listener.open('127.0.0.1', 0))}"
+    run_sync(listener.close())
     server.close()
 
 
@@ -146,6 +140,80 @@ def test_a_body_that_does_not_arrive_is_given_up(url: str, monkeypatch: pytest.M
         answer = connection.recv(1000)
     assert answer.startswith(b"HTTP/1.1 408 ")
     assert answer.endswith(b'{"error": "the body did not arrive within 0.1 s"}')
+
+
+def connected(url: str) -> socket.socket:
+    return socket.create_connection(("127.0.0.1", int(url.rpartition(":")[2])), 60)
+
+
+@pytest.mark.parametrize("said", [b"", b"POST /retrieve HTTP/1.1\r\nHost: x\r\n"])
+def test_a_connection_that_brings_no_request_is_closed(url: str, monkeypatch: pytest.MonkeyPatch, said: bytes) -> None:
+    """So that nobody can hold all connections by saying nothing."""
+    monkeypatch.setattr("gem_tools.search.listening.HEADERS_S", 0.1)
+    with connected(url) as silent:
+        silent.sendall(said)
+        assert silent.recv(1000) == b""
+
+
+def test_a_connection_that_brought_a_request_is_kept(index: Index) -> None:
+    """However long ago it was opened."""
+    server = RetrievalServer(index, workers=1, max_pending=9)
+    listener = Listener(server.app(), shutdown_s=0.1)
+    with connected(f":{run_sync(listener.open('127.0.0.1', 0))}") as connection:
+        for _ in range(2):
+            connection.sendall(b"GET /health HTTP/1.1\r\nHost: x\r\n\r\n")
+            assert connection.recv(1000).startswith(b"HTTP/1.1 200 ")
+            assert not listener._silent
+    run_sync(listener.close())
+    server.close()
+
+
+def test_more_connections_than_there_is_room_for_are_closed(index: Index) -> None:
+    """Those that are open are answered, and a place that is given back is taken."""
+    for url in running(RetrievalServer(index, workers=1, max_pending=9), most=2):
+        with connected(url) as first, connected(url) as second:
+            for connection in (first, second):
+                connection.sendall(b"GET /health HTTP/1.1\r\nHost: x\r\n\r\n")
+                assert connection.recv(1000).startswith(b"HTTP/1.1 200 ")
+            with connected(url) as third:
+                assert third.recv(1000) == b""
+            second.sendall(b"GET /health HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n")
+            while second.recv(1000):
+                pass
+            assert ask(url, {"queries": ["loire"]})[0] == 200
+
+
+def test_every_error_is_json(url: str) -> None:
+    """Also where there is no such page, and where a body is not what it is said to be."""
+    pages = "there are POST /retrieve and GET /health"
+    for method, path, status, message in [
+        ("GET", "/nothing", 404, f"not found; {pages}"),
+        ("GET", "/retrieve", 405, f"method not allowed; {pages}"),
+        ("POST", "/retrieve", 400, "the body cannot be read"),
+    ]:
+        request = urllib.request.Request(url + path, b"gz" if method == "POST" else None, {"Content-Encoding": "gzip"})
+        with pytest.raises(urllib.error.HTTPError) as caught:
+            urllib.request.urlopen(request, timeout=60)
+        with caught.value as error:
+            assert (error.code, json.loads(error.read())) == (status, {"error": message})
+
+
+class BrokenIndex:
+    """An index whose files were taken away."""
+
+    def __len__(self) -> int:
+        return 1
+
+    def search(self, query: str, top_k: int) -> Any:
+        raise ValueError("secret")
+
+
+def test_a_search_that_fails_is_answered_and_logged(caplog: pytest.LogCaptureFixture) -> None:
+    """With status 500, on which a client tries again."""
+    server = RetrievalServer(BrokenIndex(), workers=1, max_pending=1)  # type: ignore[arg-type]
+    for url in running(server):
+        assert ask(url, {"queries": ["loire"]}) == (500, {"error": "the search failed (ValueError)"})
+    assert [record.message for record in caplog.records] == ["gem: a search failed"]
 
 
 class HeldIndex:

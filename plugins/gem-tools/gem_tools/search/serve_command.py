@@ -23,7 +23,7 @@ A corpus is a file of lines {"id": …, "title": …, "text": …}, a folder of 
 articles, for those that come with the plugin. It is indexed once; the index is kept.
 \b
 Ask it, here or from another machine that may reach it:
-  curl http://127.0.0.1:8000/retrieve -d '{"queries": ["white rhino"], "topk": 3, "return_scores": true}'
+  curl http://127.0.0.1:8000/retrieve -d '{"queries": ["Rembrandt in Leiden"], "topk": 3, "return_scores": true}'
   curl http://127.0.0.1:8000/health
   gem.make(…, wrappers=[("search", {"url": "http://127.0.0.1:8000/retrieve"})])
 \b

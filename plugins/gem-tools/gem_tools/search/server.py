@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import json
+import logging
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from aiohttp import web
 
+from gem_tools.search.listening import Listener
 from gem_tools.search.passages import MAX_TOP_K, Passage, cleaned_query
 
 if TYPE_CHECKING:
@@ -30,6 +32,8 @@ BODY_S = 30.0
 """A request whose body takes longer would hold a place for ever."""
 
 _DEFAULT_TOP_K = 3
+
+logger = logging.getLogger("gem_tools")
 
 
 @dataclass
@@ -72,7 +76,7 @@ class RetrievalServer:
 
     def app(self) -> web.Application:
         """Return the application."""
-        app = web.Application(client_max_size=MAX_BODY_BYTES)
+        app = web.Application(client_max_size=MAX_BODY_BYTES, middlewares=[_errors_as_json])
         app.router.add_post("/retrieve", self._retrieve)
         app.router.add_get("/health", self._health)
         return app
@@ -130,17 +134,29 @@ async def serve(server: RetrievalServer, host: str, port: int, started: Callable
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
-    runner = web.AppRunner(server.app(), access_log=None, shutdown_timeout=SHUTDOWN_S)
+    listener = Listener(server.app(), shutdown_s=SHUTDOWN_S)
     try:
-        await runner.setup()
-        site = web.TCPSite(runner, host, port)
-        await site.start()
-        bound = runner.addresses[0][1]
+        bound = await listener.open(host, port)
         started(f"http://{f'[{host}]' if ':' in host else host}:{bound}")
         await ended.wait()
     finally:
-        await runner.cleanup()
+        await listener.close()
         server.close()
+
+
+@web.middleware
+async def _errors_as_json(request: web.Request, handler: Any) -> web.StreamResponse:
+    """Answer as the others are, where there is no such page, or the search itself failed."""
+    try:
+        response: web.StreamResponse = await handler(request)
+    except web.HTTPException as error:
+        headers = {"Allow": error.headers["Allow"]} if "Allow" in error.headers else None
+        message = f"{error.reason.lower()}; there are POST /retrieve and GET /health"
+        return web.json_response({"error": message}, status=error.status, headers=headers)
+    except Exception as error:
+        logger.exception("gem: a search failed")
+        return web.json_response({"error": f"the search failed ({type(error).__name__})"}, status=500)
+    return response
 
 
 async def _json_of(request: web.Request) -> Any:
@@ -154,6 +170,8 @@ async def _json_of(request: web.Request) -> Any:
         raise RefusedError(f"the body is longer than {MAX_BODY_BYTES // 1_000_000} MB", 413) from None
     except (ValueError, RecursionError):
         raise RefusedError("the body is no JSON") from None
+    except web.RequestPayloadError:  # as where it is said to be compressed, and is not
+        raise RefusedError("the body cannot be read") from None
 
 
 def _read(body: Any) -> tuple[list[str], int, bool]:
