@@ -264,6 +264,10 @@ class Registry:
         if not hint:
             variants = sorted(name for name in self._envs if name.startswith(env_id))[:3] if env_id else []
             hint = f" Did you mean {' or '.join(map(repr, variants))}?" if variants else ""
+        if not hint and not colon:
+            # What 'gem info' takes is an environment or a tool.
+            tool = did_you_mean(env_id, (tool.name for tool in self.named(ToolSpec)))
+            hint = tool.replace("Did you mean", "Did you mean the tool")
         return f"no environment {env_id!r}.{hint}{failed} Run 'gem list{f' {namespace}' if colon else ''}'"
 
     def _how_to_get(self, namespace: str) -> str:

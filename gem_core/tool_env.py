@@ -10,7 +10,7 @@ import gymnasium
 import pydantic
 
 from gem_core.env import observation_from
-from gem_core.errors import ArgumentError, StateNotSupported
+from gem_core.errors import ArgumentError, StateError, StateNotSupported
 from gem_core.tool_calls import CallReader, native_calls
 from gem_core.tool_choices import ToolChoice, ToolChoices, tool_choices, tools_by_name
 from gem_core.tool_sessions import ToolSessions
@@ -254,8 +254,11 @@ class ToolEnv(Wrapper):
 
     def _set_state(self, state: dict[str, Any]) -> None:
         self._sessions.close()
-        self._uses, self._successes, self._failures = state["counters"]
-        self._suffix, self._live = state["suffix"], bool(state["live"])
+        self._uses, self._successes, self._failures = map(int, state["counters"])
+        suffix = state["suffix"]
+        if suffix is not None and not isinstance(suffix, str):
+            raise StateError(f"the suffix in a state must be text or None, not {type(suffix).__name__}")
+        self._suffix, self._live = suffix, bool(state["live"])
         for key, session in state["sessions"].items():
             self._sessions.open[key] = self._sessions.holders[key].set_session_state(session)
 

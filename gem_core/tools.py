@@ -198,8 +198,9 @@ class Tool:
 
     def _explained(self, how: str) -> str:
         description = " ".join(self.description.split())
-        end = "" if description.endswith((".", "!", "?")) or not description else "."
-        return f"- {self.name}: {description}{end} Call it with {how}"
+        end = "" if description.endswith((".", "!", "?")) else "."
+        told = f"{description}{end} " if description else ""
+        return f"- {self.name}: {told}Call it with {how}"
 
     def _tagged(self, action: str, parameter: str) -> ToolCall | None:
         opening, closing = f"<{self.name}>", f"</{self.name}>"

@@ -186,3 +186,10 @@ def test_list_of_what_has_a_short_name(run_gem: RunGem, kind: str, name: str) ->
 def test_list_of_tools_where_there_are_none(run_gem: RunGem, own_registry: Any) -> None:
     """It says where to get some."""
     assert run_gem("list", "tools").out == "No tools are installed. Try 'pip install gem-tools'.\n"
+
+
+def test_info_of_a_misspelt_tool_names_it(run_gem: RunGem) -> None:
+    """Where no environment has such a name."""
+    done = run_gem("info", "boxx")
+    assert (done.code, done.out) == (2, "")
+    assert done.err == "gem: no environment 'boxx'. Did you mean the tool 'box'? Run 'gem list'\n"

@@ -384,3 +384,23 @@ def test_a_forgotten_engine_closes_its_connections(server: Server) -> None:
     tool = None
     gc.collect()
     assert session.closed
+
+
+@pytest.mark.parametrize(
+    ("url", "proxy"),
+    [
+        ("http://corp.example/retrieve", None),
+        ("http://name:password@corp.example:8000/retrieve", None),
+        ("http://[::1]:8000/retrieve", None),
+        ("http://other.example/retrieve", "http://proxy.example:3128"),
+        ("https://corp.example.org/", None),
+    ],
+)
+def test_the_environment_names_the_proxy(monkeypatch: pytest.MonkeyPatch, url: str, proxy: str | None) -> None:
+    """And who is reached without one, also where the address holds a password."""
+    for name in ("http_proxy", "https_proxy", "no_proxy", "all_proxy"):
+        monkeypatch.delenv(name, raising=False)
+        monkeypatch.delenv(name.upper(), raising=False)
+    monkeypatch.setenv("http_proxy", "http://proxy.example:3128")
+    monkeypatch.setenv("no_proxy", "corp.example")
+    assert remote._proxy_for(url) == proxy

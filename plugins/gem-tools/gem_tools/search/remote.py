@@ -373,6 +373,7 @@ async def _body(response: ClientResponse) -> bytes:
 def _proxy_for(url: str) -> str | None:
     """Return the proxy that the environment names; none for this machine itself."""
     parts = urllib.parse.urlsplit(url)
-    if re.fullmatch(r"localhost|127\.[\d.]+|::1", parts.hostname or "") or urllib.request.proxy_bypass(parts.netloc):
+    host = parts.netloc.rpartition("@")[2]  # proxy_bypass would take a name and password for a part of the host
+    if re.fullmatch(r"localhost|127\.[\d.]+|::1", parts.hostname or "") or urllib.request.proxy_bypass(host):
         return None
     return urllib.request.getproxies().get(parts.scheme)
