@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, Self, cast
 
 from gem_core.errors import EpisodeFileError
 from gem_core.jsonable import ImageFolder, from_plain, to_plain
+from gem_core.redaction import without_secrets
 from gem_core.types import Info, Observation, Response
 
 SCHEMA_VERSION = 1
@@ -60,8 +61,8 @@ class Episode:
         transitions: The turns in order; none where the reset failed.
         final_observation: What the last step returned.
         kwargs: Keyword arguments of the environment over the registered ones. In a file, those that are long, as the
-            rows of a data set, are left out.
-        wrappers: Names and options of its wrappers, innermost first.
+            rows of a data set, are left out, and secrets blotted out.
+        wrappers: Names and options of its wrappers, innermost first. In a file, secrets are blotted out.
         tools: Names of its tools.
         options: What was passed to ``reset``.
         group: Shared by episodes that started alike.
@@ -126,9 +127,9 @@ class Episode:
         # By their number first: to write a data set out only to find it long would take its time for every episode.
         fields["kwargs"] = {name: value for name, value in self.kwargs.items() if not _has_many_parts(value)}
         record = {name: to_plain(value, images) for name, value in fields.items()}
-        record["kwargs"] = {
-            name: value for name, value in record["kwargs"].items() if len(str(value)) <= _LONG_ARGUMENT
-        }
+        kept = {name: value for name, value in record["kwargs"].items() if len(str(value)) <= _LONG_ARGUMENT}
+        # Files are handed on: to whoever trains on them, or looks at them.
+        record["kwargs"], record["wrappers"] = without_secrets(kept), without_secrets(record["wrappers"])
         record["transitions"] = [
             {
                 "observation": to_plain(turn.observation, images),
