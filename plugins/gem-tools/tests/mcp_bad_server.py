@@ -157,6 +157,9 @@ def handle(message: dict[str, object]) -> None:
         start(request, params)
     elif method == "server/discover" and "modern" in WAYS:
         answer(request, {"supportedVersions": ["2026-07-28"], "capabilities": {"tools": {}}})
+    elif method == "tools/list" and "no-list" in WAYS:
+        sys.stderr.write("I keep this to myself\n")
+        sys.stderr.flush()
     elif method == "tools/list":
         listed(request, params)
     elif method == "tools/call":

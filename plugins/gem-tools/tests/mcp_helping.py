@@ -16,7 +16,7 @@ from gem_core.dataset import DatasetEnv
 from gem_core.tool_env import ToolEnv
 
 BAD_SERVER = str(Path(__file__).with_name("mcp_bad_server.py"))
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 """How long a test waits for what must come; none waits for it to pass."""
 
 

@@ -58,12 +58,11 @@ def test_a_server_that_dies_takes_what_it_started_with_it():
     env.close()
 
 
-@pytest.mark.parametrize("sessions", ["episode", "shared"])
-@pytest.mark.parametrize("way", ["behaves", "stay"])
+@pytest.mark.parametrize(("way", "sessions"), [("behaves", "shared"), ("stay", "episode")])
 def test_nothing_is_left_at_the_interpreters_end(way, sessions):
     """Without a word, and without anyone having closed anything."""
     process, pids = started("pass", way, sessions=sessions)
-    assert process.communicate(timeout=60) == ("", "")
+    assert process.communicate(timeout=120) == ("", "")
     assert process.returncode == 0
     wait_until_gone(pids)
 
@@ -71,7 +70,7 @@ def test_nothing_is_left_at_the_interpreters_end(way, sessions):
 @pytest.mark.parametrize("then", ["raise ValueError('broken')", "os._exit(7)", "os.abort()"])
 def test_nothing_is_left_after_a_crash(then):
     process, pids = started(then, "stay")
-    process.communicate(timeout=60)
+    process.communicate(timeout=120)
     assert process.returncode != 0
     wait_until_gone(pids)
 
@@ -82,7 +81,7 @@ def test_nothing_is_left_after_a_signal(number, then):
     """Ctrl-C, a polite request to end, and ``kill -9``: while idle, and during a call."""
     process, pids = started(then, "stay")
     process.send_signal(number)
-    process.communicate(timeout=60)
+    process.communicate(timeout=120)
     assert process.returncode != 0
     wait_until_gone(pids)
 
@@ -92,7 +91,7 @@ def test_a_forked_child_leaves_the_servers_of_its_parent_alone():
     process, pids = started(
         "child = os.fork(); child or os._exit(0); os.waitpid(child, 0); step(env, 'echo', text='x')"
     )
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=120)
     assert errors == ""
     assert process.returncode == 0
     wait_until_gone(pids)
@@ -103,7 +102,7 @@ def test_the_keeper_passes_on_how_a_server_ended():
 
     def code(*command: str) -> int:
         keeper = [sys.executable, "-I", "-S", _KEEPER, str(__import__("os").getpid()), *command]
-        return subprocess.run(keeper, stdin=subprocess.DEVNULL, capture_output=True, timeout=60).returncode
+        return subprocess.run(keeper, stdin=subprocess.DEVNULL, capture_output=True, timeout=120).returncode
 
     assert code("sh", "-c", "exit 5") == 5
     assert code("/no/such/program") == 127

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -47,10 +46,10 @@ else:
 '''
 
 
-@pytest.fixture(params=["stdio", "streamable-http", "sse"])
-def library(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[dict[str, Any]]:
+@pytest.fixture(scope="module", params=["stdio", "streamable-http", "sse"])
+def library(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
     """Options for the server, over one of the transports."""
-    path = tmp_path / "library.py"
+    path = tmp_path_factory.mktemp("library") / "library.py"
     path.write_text(SERVER, encoding="utf-8")
     if request.param == "stdio":
         yield {"command": sys.executable, "args": [str(path), "stdio"], "server_name": "library"}

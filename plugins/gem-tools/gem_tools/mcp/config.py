@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import json
 import os
 import re
+import shlex
+import shutil
 import urllib.parse
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -56,6 +59,17 @@ _FOREIGN = frozenset(
 _VARIABLE = re.compile(r"\$\{([^{}]*)\}")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 
+_LONG_PART = 24
+"""Parts of an address's path that are so long are keys: some services have them there."""
+
+_SHORTEST_SECRET = 6
+"""What is shorter is no secret, and blotted out it would garble words."""
+
+_LAUNCHER = re.compile(r"python[\d.]*|node|npx|bunx?|deno|uvx?|pipx|sh|bash")
+"""Programs that servers are started by, and that say nothing of them."""
+
+_PACKAGE = re.compile(r"(?:@[\w.-]+/)?([\w.-]+?)(?:@[\w.^~-]+|==[\w.]+)?", re.ASCII)
+
 
 @dataclass(frozen=True)
 class Server:
@@ -91,7 +105,24 @@ class Server:
         if self.transport == STDIO:
             return self.command
         parts = urllib.parse.urlsplit(self.url)
-        return f"{parts.scheme}://{parts.hostname}{f':{parts.port}' if parts.port else ''}{parts.path}"
+        path = "/".join("…" if len(part) >= _LONG_PART else part for part in parts.path.split("/"))
+        return f"{parts.scheme}://{parts.hostname}{f':{parts.port}' if parts.port else ''}{path}"
+
+    def blotted(self, text: str) -> str:
+        """Return what a server said, without the secrets that it was given."""
+        for secret in self._secrets:
+            text = text.replace(secret, "***")
+        return text
+
+    @functools.cached_property
+    def _secrets(self) -> list[str]:
+        parts = urllib.parse.urlsplit(self.url)
+        given = [value for _, value in (*self.env, *self.headers)]
+        given += [word for _, value in self.headers for word in value.split()]  # as in "Bearer TOKEN"
+        given += [value for _, value in urllib.parse.parse_qsl(parts.query)]
+        given += [part for part in parts.path.split("/") if len(part) >= _LONG_PART]
+        given += [urllib.parse.unquote(parts.password)] if parts.password else []
+        return sorted({text for text in given if len(text) >= _SHORTEST_SECRET}, key=len, reverse=True)
 
 
 def from_keywords(
@@ -120,8 +151,37 @@ def from_keywords(
     }
     chosen = {key: value for key, value in entry.items() if value is not None and value != []}
     if name is None:
-        name = Path(command).stem if isinstance(command, str) and command else "server"
+        name = _name_for(command, args)
     return _Reader("the tool 'mcp'", name, lambda text: text, None).server(chosen)
+
+
+def _name_for(command: object, args: object) -> str:
+    """Return a name for a server that has none: of its program, script, module or package."""
+    if not isinstance(command, str) or not command.strip():
+        return "server"
+    words = [command, *(args if isinstance(args, list | tuple) else [])]
+    words = _words(command) + words[1:]
+    name = Path(words[0]).stem if not _LAUNCHER.fullmatch(Path(words[0]).name) else ""
+    rest = [word for word in words[1:] if isinstance(word, str)]
+    if name or not rest:
+        return name or Path(words[0]).stem
+    if "-m" in rest[:-1]:
+        return rest[rest.index("-m") + 1].rpartition(".")[2]
+    named = next((word for word in rest if not word.startswith("-") and word not in ("run", "tool", "x")), "")
+    if (package := _PACKAGE.fullmatch(named)) and not named.endswith((".py", ".js", ".mjs", ".ts")):
+        return package[1]
+    return Path(named).stem or Path(words[0]).stem
+
+
+def _words(command: str) -> list[str]:
+    """Return a program, and its arguments where a whole command line was given in its place."""
+    path = os.path.expanduser(command)
+    if not re.search(r"\s", command.strip()) or shutil.which(path) is not None:
+        return [path]
+    try:
+        return [os.path.expanduser(word) for word in shlex.split(command)] or [path]
+    except ValueError:
+        return [path]
 
 
 def read_config(config: str | os.PathLike[str] | Mapping[str, Any]) -> tuple[list[Server], list[str]]:
@@ -216,14 +276,15 @@ class _Reader:
         command = self._text(entry, "command")
         if not command.strip():
             self.wrong("command", "is empty")
+        program, *first = _words(command)
         if "cwd" in entry and self.folder is not None:
             cwd: str | None = str(self.folder / Path(self._text(entry, "cwd")).expanduser())
         else:
             cwd = self._text(entry, "cwd") if "cwd" in entry else None
         return Server(
             self.name,
-            command=os.path.expanduser(command),
-            args=self._list(entry, "args"),
+            command=program,
+            args=(*first, *self._list(entry, "args")),
             env=self._pairs(entry, "env"),
             cwd=cwd,
             transport=transport,

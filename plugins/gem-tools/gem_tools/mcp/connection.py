@@ -151,11 +151,11 @@ class Connection:
         except MCPError as error:
             if error.code == CONNECTION_CLOSED and self._ended.is_set():
                 raise ServerFault("died", await self._last_words()) from None
-            raise _fault(error, timeout_s) from None
+            raise _fault(error, self.server.blotted(error.message), timeout_s) from None
         except TimeoutError:
             raise ServerFault("deaf", f"it did not even take the request within {timeout_s:g} s") from None
         except (ValidationError, RuntimeError, ValueError) as error:
-            message = f"the answer is not of the protocol's form: {shortened(str(error))}"
+            message = f"the answer is not of the protocol's form: {shortened(self.server.blotted(str(error)))}"
             raise ServerFault("protocol", message) from None
 
     async def close(self) -> None:
@@ -175,10 +175,15 @@ class Connection:
 
     def death(self) -> str:
         """Return how the server went, in words."""
-        said = str(self.remarks)
         if self.server.transport == STDIO:
+            said = self.said()
             return f"the server has ended ({said})" if said else "the server has ended"
-        return "the connection to the server has ended"
+        why = "" if self._cause is None else f" ({self.server.blotted(_words(_innermost(self._cause)))})"
+        return f"the connection to the server has ended{why}"
+
+    def said(self) -> str:
+        """Return what the server said besides messages, and how it ended, in words; nothing where there is nothing."""
+        return self.server.blotted(str(self.remarks))
 
     async def _last_words(self) -> str:
         # The owner closes the transport now, and learns the exit code.
@@ -191,14 +196,14 @@ class Connection:
         if isinstance(cause, GemError):
             return cause
         if timed_out:
-            text = f"did not answer within {self.limits.connect_s:g} s"
+            text = f"did not answer within {self.limits.connect_s:g} s; give it more with connect_timeout_s"
         elif isinstance(cause, MCPError) and cause.code != CONNECTION_CLOSED:
-            text = f"refused the connection: {shortened(cause.message, 500)}"
+            text = f"refused the connection: {shortened(self.server.blotted(cause.message), 500)}"
         elif self.server.transport == STDIO:
             text = "ended before it had answered"
         else:
-            text = f"cannot be used: {_words(cause)}"
-        said = str(self.remarks)
+            text = f"cannot be used: {self.server.blotted(_words(cause))}"
+        said = self.said()
         message = f"the MCP server {self.server.name!r} ({self.server.place}) {text}{f'; {said}' if said else ''}"
         return ServerFault("timeout" if timed_out else "unreachable", message, sent=False)
 
@@ -311,8 +316,8 @@ async def _first(*events: asyncio.Event) -> None:
             task.cancel()
 
 
-def _fault(error: MCPError, timeout_s: float) -> ServerFault:
-    message = shortened(error.message, 2000) or "no reason given"
+def _fault(error: MCPError, said: str, timeout_s: float) -> ServerFault:
+    message = shortened(said, 2000) or "no reason given"
     if error.code == REQUEST_TIMEOUT:
         return ServerFault("timeout", f"it did not answer within {timeout_s:g} s", code=error.code)
     if error.code in (NOT_SENT, SESSION_LOST):

@@ -72,9 +72,11 @@ def listings(servers: Sequence[Server], limits: Limits, roots: Sequence[str] = (
         GemError: A server cannot be started or reached, or does not answer.
     """
     found = asked(servers, limits, roots)
-    for listing in found:
-        if isinstance(listing, GemError):
-            raise listing
+    broken = [listing for listing in found if isinstance(listing, GemError)]
+    if len(broken) > 1:
+        raise GemError(f"{len(broken)} of {len(found)} MCP servers cannot be used: {'; '.join(map(str, broken))}")
+    if broken:
+        raise broken[0]
     return [listing for listing in found if isinstance(listing, Listing)]
 
 
@@ -196,14 +198,17 @@ async def _ask_all(servers: Sequence[Server], limits: Limits, roots: Sequence[st
 
 
 async def _ask(server: Server, limits: Limits, roots: Sequence[str]) -> Listing | GemError:
+    connection: Connection | None = None
     try:
         async with connected(server, limits, roots) as connection:
             return await listing_of(connection)
     except ServerFault as fault:
         name = repr(server.name)
-        if name in fault.message:
-            return fault
+        if connection is None:
+            return fault  # which names it
+        said = "" if fault.kind == "died" else connection.said()
         message = f"the MCP server {name} ({server.place}) does not tell what it offers: {fault.message}"
+        message += f"; {said}" if said else ""
         return ServerFault(fault.kind, message, sent=fault.sent, code=fault.code)
     except GemError as error:
         return error

@@ -1,0 +1,102 @@
+"""What is said of servers: by their names, with what went wrong, and without the secrets that they were given."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import pytest
+from mcp_helping import BAD_SERVER, around, bad, step
+
+from gem_core.errors import GemError
+from gem_tools.mcp.config import Server, from_keywords, read_config
+from gem_tools.mcp.connection import ServerFault
+from gem_tools.mcp.tool import make_mcp
+
+TELLTALE = "import os, sys; sys.exit('refused: ' + os.environ['TOKEN'])"
+
+
+def named(command: str, *args: str) -> str:
+    """Return the name of a server that has none."""
+    return from_keywords(command, args, None, None, None, None, None, None).name
+
+
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        (("mcp-server-time",), "mcp-server-time"),
+        (("/opt/bin/server.sh", "-v"), "server"),
+        (("python3.12", "-S", "/a/notes.py"), "notes"),
+        (("/usr/bin/python", "-m", "gem_tools.mcp.sql_server"), "sql_server"),
+        (("npx", "-y", "@modelcontextprotocol/server-filesystem@1.2.3", "/tmp"), "server-filesystem"),
+        (("uvx", "mcp-server-git==1.0"), "mcp-server-git"),
+        (("uv", "run", "notes.py"), "notes"),
+        (("node", "build/index.js"), "index"),
+        (("npx -y some-server",), "some-server"),
+        (("python",), "python"),
+        (("node", "--version"), "node"),
+    ],
+)
+def test_a_server_is_named_for_what_it_is(command, name):
+    assert named(*command) == name
+
+
+def test_a_command_line_in_the_place_of_a_program_is_taken_apart():
+    """As some clients allow, and as one types it."""
+    servers, _ = read_config({"mcpServers": {"a": {"command": "npx -y 'a server'", "args": ["/tmp"]}}})
+    assert (servers[0].command, servers[0].args) == ("npx", ("-y", "a server", "/tmp"))
+    tools = make_mcp(command=f"{sys.executable} -S {BAD_SERVER}", include=["echo"])
+    assert tools[0].server.name == "mcp_bad_server"
+
+
+def test_a_program_with_a_space_in_its_path_stays_whole(tmp_path):
+    program = tmp_path / "my server"
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    assert from_keywords(str(program), [], None, None, None, None, None, None).command == str(program)
+
+
+def test_secrets_of_a_server_are_blotted_out_of_what_it_says():
+    key = "0123456789abcdef01234567"
+    server = Server(
+        "a",
+        url=f"https://me:pass%20word@h/{key}/mcp?api=querysecret",
+        headers=(("Authorization", "Bearer headersecret"),),
+        transport="http",
+    )
+    assert server.place == "https://h/…/mcp"
+    said = f"no 'pass word', {key}, querysecret, headersecret, Bearer headersecret for h"
+    assert server.blotted(said) == "no '***', ***, ***, ***, *** for h"
+    assert Server("a", command="x", env=(("N", "5"), ("T", "longer"))).blotted("5 longer") == "5 ***"
+
+
+def test_a_server_that_tells_its_secrets_when_it_fails():
+    options = {"command": sys.executable, "args": ["-c", TELLTALE], "env": {"TOKEN": "s3cret-s3cret"}}
+    with pytest.raises(ServerFault, match=r"its standard error ends with: refused: \*\*\*$"):
+        make_mcp(**options)
+
+
+def test_all_servers_that_cannot_be_used_are_named():
+    servers = {
+        "good": {"command": sys.executable, "args": ["-S", BAD_SERVER]},
+        "gone": {"command": "no-such-program"},
+        "broken": {"command": sys.executable, "args": ["-S", BAD_SERVER, "die-at-start"]},
+    }
+    with pytest.raises(GemError, match=r"^2 of 3 MCP servers cannot be used: .*'gone'.*; .*'broken'.*cannot open"):
+        make_mcp({"mcpServers": servers})
+    servers["gone"]["disabled"] = servers["broken"]["disabled"] = True
+    assert make_mcp(json.loads(json.dumps({"mcpServers": servers})))
+
+
+def test_what_a_server_said_stands_beside_a_list_that_does_not_come():
+    way = bad("no-list", list_timeout_s=2)[1]
+    with pytest.raises(ServerFault, match=r"does not tell what it offers: it did not .*I keep this to myself"):
+        make_mcp(**way)
+
+
+def test_names_of_servers_reach_the_agent():
+    env = around(("mcp", {"command": sys.executable, "args": ["-S", BAD_SERVER]}))
+    try:
+        assert "The server mcp_bad_server was lost" in step(env, "die")[0]
+    finally:
+        env.close()
