@@ -25,6 +25,9 @@ _loop: asyncio.AbstractEventLoop | None = None
 _started: set[asyncio.Future[Any]] = set()
 """Tasks that nobody waits for; a loop keeps only weak references to its own."""
 
+_of_parent: list[object] = []
+"""What a forked child must not even collect: to close it there would change what the parent's loop listens to."""
+
 
 def background_loop() -> asyncio.AbstractEventLoop:
     """Return the library's event loop, started on first use; it ends with the process."""
@@ -231,8 +234,10 @@ async def _finish(awaitable: Awaitable[T]) -> T:
 def _after_fork() -> None:
     # The thread of the loop does not exist in a forked child.
     global _loop, _lock
-    _loop, _lock = None, threading.Lock()
+    _of_parent.append(_loop)
+    _of_parent.extend(_started)
     _started.clear()
+    _loop, _lock = None, threading.Lock()
 
 
 def _register_fork_handler() -> None:

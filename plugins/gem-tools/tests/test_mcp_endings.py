@@ -97,6 +97,31 @@ def test_a_forked_child_leaves_the_servers_of_its_parent_alone():
     wait_until_gone(pids)
 
 
+FORKED = """
+import gc, os
+from mcp_helping import around, bad, step
+
+env = around(bad(sessions={sessions!r}))
+first = step(env, "count")[0]
+child = os.fork()
+if not child:
+    gc.collect()
+    said = step(env, "count")[0]
+    env.close()
+    gc.collect()
+    os._exit(0 if said.endswith("may be lost.]\\n1") else 1)
+print(os.waitpid(child, 0)[1], first, step(env, "count")[0])
+"""
+
+
+@pytest.mark.parametrize("sessions", ["episode", "shared"])
+def test_a_forked_child_that_goes_on_with_an_environment_gets_a_server_of_its_own(sessions):
+    """And the agent is told; the parent goes on with its own."""
+    program = f"import sys; sys.path.insert(0, {TESTS!r})\n{FORKED.format(sessions=sessions)}"
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
+    assert (run.stdout, run.stderr) == ("0 1 2\n", "")
+
+
 def test_the_keeper_passes_on_how_a_server_ended():
     from gem_tools.mcp.stdio import _KEEPER
 

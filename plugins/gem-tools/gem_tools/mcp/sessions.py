@@ -44,6 +44,7 @@ class ServerSession:
         self._in_vain = 0
         self._last_start = 0.0
         self._closed = False
+        self._process = os.getpid()
 
     async def request(self, method: str, params: Mapping[str, Any], *, repeatable: bool = False) -> dict[str, Any]:
         """Send a request; connect first where there is no connection.
@@ -95,12 +96,14 @@ class ServerSession:
 
     async def close(self) -> None:
         """Close the connection, for good."""
+        self._leave_to_parent()
         self._closed = True
         connection, self._connection = self._connection, None
         if connection is not None:
             await connection.close()
 
     async def _connected(self) -> Connection:
+        self._leave_to_parent()
         async with self._connecting:
             if self._closed:
                 raise ServerFault("unreachable", "the session is closed", sent=False)
@@ -116,6 +119,14 @@ class ServerSession:
             self._connection = connection
             self.generation += 1
             return connection
+
+    def _leave_to_parent(self) -> None:
+        """In a forked child: go on without the connection, whose loop and server are the parent's."""
+        if self._process == os.getpid():
+            return
+        if self._connection is not None:
+            _of_parent.append(self._connection)
+        self._connection, self._connecting, self._process = None, asyncio.Lock(), os.getpid()
 
     async def _pause(self) -> None:
         if self._in_vain == 0 and self.generation == 0:
@@ -160,6 +171,9 @@ class Handle:
         if not self.shared:
             await self.session.close()
 
+
+_of_parent: list[object] = []
+"""What a forked child must not even collect: pipes that are closed here are lost to the parent's event loop, too."""
 
 _lock = threading.Lock()
 _shared: dict[tuple[Any, ...], tuple[ServerSession, set[int]]] = {}
@@ -216,6 +230,7 @@ async def _closed(session: ServerSession) -> None:
 def _after_fork() -> None:
     global _lock
     _lock = threading.Lock()
+    _of_parent.extend([*_shared.values(), *_closing])
     _shared.clear()
     _closing.clear()
 
