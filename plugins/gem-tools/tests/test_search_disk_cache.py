@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sqlite3
 import subprocess
 import sys
@@ -192,3 +193,15 @@ def test_engines_with_another_cache_are_others(server: Server, tmp_path: Path) -
     assert with_disk.engine is not without.engine
     assert with_disk.engine is make_search(url=server.url, cache="disk", cache_dir=tmp_path).engine  # type: ignore[attr-defined]
     assert RemoteEngine(SERVICES["retrieve"], server.url, Limits()).disk is None
+
+
+def test_a_forgotten_cache_closes_its_file(tmp_path: Path) -> None:
+    """As soon as no tool uses it; Python warns of a connection that nobody closed."""
+    forgotten = DiskCache(tmp_path / "results.sqlite")
+    assert forgotten.get("server", "query", 1) is None
+    assert forgotten._connection is not None
+    connection = forgotten._connection[1]
+    del forgotten
+    gc.collect()
+    with pytest.raises(sqlite3.ProgrammingError, match="closed"):
+        connection.execute("SELECT 1")

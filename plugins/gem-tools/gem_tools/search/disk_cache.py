@@ -90,6 +90,11 @@ class DiskCache:
             if connection is not None and connection[0] == os.getpid():
                 connection[1].close()
 
+    def __del__(self) -> None:
+        # Since Python 3.13 a connection that is merely forgotten is warned of.
+        if getattr(self, "_connection", None) is not None:
+            self.close()
+
     def _try(self, work: Callable[[sqlite3.Connection], T]) -> T | None:
         """Do something with the file; None where that fails."""
         with self._lock:
