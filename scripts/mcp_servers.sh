@@ -46,7 +46,7 @@ with_pip() {
 
 with_npm() {
     mkdir -p "$folder/npm"
-    npm install --prefix "$folder/npm" --no-package-lock --no-audit --no-fund --no-save --silent "$@"
+    npm install --prefix "$folder/npm" --no-package-lock --no-audit --no-fund --no-save --loglevel=error "$@"
 }
 
 install python with_pip python

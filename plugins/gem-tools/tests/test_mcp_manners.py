@@ -8,7 +8,7 @@ import sys
 import pytest
 from mcp_helping import BAD_SERVER, around, bad, step
 
-from gem_core.errors import GemError
+from gem_core.errors import ArgumentError, GemError
 from gem_tools.mcp.config import Server, from_keywords, read_config
 from gem_tools.mcp.connection import ServerFault
 from gem_tools.mcp.tool import make_mcp
@@ -41,12 +41,29 @@ def test_a_server_is_named_for_what_it_is(command, name):
     assert named(*command) == name
 
 
+@pytest.mark.parametrize(
+    ("url", "name"),
+    [
+        ("http://127.0.0.1:8000/mcp", "127.0.0.1:8000"),
+        ("https://me:secret@example.com/key/mcp", "example.com"),
+        ("http://[::1]/mcp", "server"),
+    ],
+)
+def test_a_server_that_runs_is_named_for_its_host(url, name):
+    assert from_keywords(None, (), None, None, url, None, None, None).name == name
+
+
 def test_a_command_line_in_the_place_of_a_program_is_taken_apart():
     """As some clients allow, and as one types it."""
     servers, _ = read_config({"mcpServers": {"a": {"command": "npx -y 'a server'", "args": ["/tmp"]}}})
     assert (servers[0].command, servers[0].args) == ("npx", ("-y", "a server", "/tmp"))
     tools = make_mcp(command=f"{sys.executable} -S {BAD_SERVER}", include=["echo"])
     assert tools[0].server.name == "mcp_bad_server"
+
+
+def test_arguments_of_a_wrong_kind_are_an_error_that_says_so():
+    with pytest.raises(ArgumentError, match=r"^the tool 'mcp': server 'x', key 'args': must be a list of texts"):
+        make_mcp(command="x", args=5)
 
 
 def test_a_program_with_a_space_in_its_path_stays_whole(tmp_path):

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from gem_core.errors import ArgumentError
+from gem_tools.mcp.names import server_name
 
 STDIO, HTTP, SSE = "stdio", "http", "sse"
 
@@ -64,11 +65,6 @@ _LONG_PART = 24
 
 _SHORTEST_SECRET = 6
 """What is shorter is no secret, and blotted out it would garble words."""
-
-_LAUNCHER = re.compile(r"python[\d.]*|node|npx|bunx?|deno|uvx?|pipx|sh|bash")
-"""Programs that servers are started by, and that say nothing of them."""
-
-_PACKAGE = re.compile(r"(?:@[\w.-]+/)?([\w.-]+?)(?:@[\w.^~-]+|==[\w.]+)?", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -151,26 +147,10 @@ def from_keywords(
     }
     chosen = {key: value for key, value in entry.items() if value is not None and value != []}
     if name is None:
-        name = _name_for(command, args)
+        words = _words(command) if isinstance(command, str) and command.strip() else []
+        rest = [word for word in args if isinstance(word, str)] if isinstance(args, Sequence) else []
+        name = server_name([*words, *rest], None) if words else server_name([], url)
     return _Reader("the tool 'mcp'", name, lambda text: text, None).server(chosen)
-
-
-def _name_for(command: object, args: object) -> str:
-    """Return a name for a server that has none: of its program, script, module or package."""
-    if not isinstance(command, str) or not command.strip():
-        return "server"
-    words = [command, *(args if isinstance(args, list | tuple) else [])]
-    words = _words(command) + words[1:]
-    name = Path(words[0]).stem if not _LAUNCHER.fullmatch(Path(words[0]).name) else ""
-    rest = [word for word in words[1:] if isinstance(word, str)]
-    if name or not rest:
-        return name or Path(words[0]).stem
-    if "-m" in rest[:-1]:
-        return rest[rest.index("-m") + 1].rpartition(".")[2]
-    named = next((word for word in rest if not word.startswith("-") and word not in ("run", "tool", "x")), "")
-    if (package := _PACKAGE.fullmatch(named)) and not named.endswith((".py", ".js", ".mjs", ".ts")):
-        return package[1]
-    return Path(named).stem or Path(words[0]).stem
 
 
 def _words(command: str) -> list[str]:

@@ -7,11 +7,37 @@ import hashlib
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from pathlib import PurePath
 
 from gem_core.errors import ArgumentError
 
 MAX_CHARS = 64
 _ILLEGAL = re.compile(r"[^A-Za-z0-9_-]+")
+
+_LAUNCHER = re.compile(r"python[\d.]*|node|npx|bunx?|deno|uvx?|pipx|sh|bash")
+"""Programs that servers are started by, and that say nothing of them."""
+
+_PACKAGE = re.compile(r"(?:@[\w.-]+/)?([\w.-]+?)(?:@[\w.^~-]+|==[\w.]+)?", re.ASCII)
+
+
+def server_name(words: Sequence[str], url: object) -> str:
+    """Return a name for a server that has none.
+
+    Args:
+        words: Program and arguments; then it is that of the program, or of the script, module or package that it runs.
+        url: Where there are none; then it is that of the host.
+    """
+    if not words:
+        found = re.match(r"https?://(?:[^/?#@]*@)?([\w.-]+(?::\d+)?)", url) if isinstance(url, str) else None
+        return found[1] if found else "server"
+    program, rest = PurePath(words[0]), list(words[1:])
+    if not _LAUNCHER.fullmatch(program.name):
+        return program.stem
+    if "-m" in rest[:-1]:
+        return rest[rest.index("-m") + 1].rpartition(".")[2]
+    named = next((word for word in rest if not word.startswith("-") and word not in ("run", "tool", "x")), "")
+    package = None if named.endswith((".py", ".js", ".mjs", ".ts")) else _PACKAGE.fullmatch(named)
+    return package[1] if package else PurePath(named).stem or program.stem
 
 
 def legal(name: str) -> str:
