@@ -84,7 +84,8 @@ constraints: ## pin the newest versions in constraints.txt (PYTHONS="python3.11 
 
 .PHONY: clean
 clean: ## remove all that these commands made, but for runs/
-	rm -rf $(VENV) $(VENV)-isolated $(VENV)-peer .venv-mcp build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	@if [ -d .venv-docker ]; then scripts/docker_engine.sh stop; fi
+	rm -rf .venv-docker $(VENV) $(VENV)-isolated $(VENV)-peer .venv-mcp build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The environments. A stamp file says that one is up to date; what it was made from stands behind the colon.
