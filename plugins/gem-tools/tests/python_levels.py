@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 import os
+import shutil
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,17 +13,32 @@ from pathlib import Path
 import pytest
 
 from gem_core.errors import MissingRequirementError
-from gem_tools.python import Limits, Outcome, Pool
+from gem_tools.python import Limits, Outcome, Pool, levels
 from gem_tools.python.inside import watch
 
-ALL = ("bubblewrap", "process")
-"""The levels that can be tried without a container engine."""
+ALL = levels.LEVELS
+"""Each is tried where it can be had; ``scripts/docker_engine.sh`` starts a container engine."""
+
+
+@functools.cache
+def image() -> str | None:
+    """Return the image for the level ``docker``: what ``scripts/docker_engine.sh`` makes, or the usual one."""
+    if shutil.which("docker") is not None:
+        for name in ("gem-python:base", levels.DOCKER_IMAGE):
+            if not docker("image", "inspect", name).returncode:
+                return name
+    return None
+
+
+def docker(*words: str) -> subprocess.CompletedProcess[str]:
+    """Tell Docker's client something."""
+    return subprocess.run(["docker", *words], capture_output=True, text=True, timeout=120, stdin=subprocess.DEVNULL)
 
 
 @functools.cache
 def why_not(level: str) -> str | None:
     """Return why a level cannot be had on this machine; None where it can."""
-    pool = Pool(level, num_workers=1)
+    pool = new_pool(level)
     try:
         pool.start()
     except MissingRequirementError as error:
@@ -36,13 +53,21 @@ def pool_of(level: str, workers: int = 1) -> Pool:
     reason = why_not(level)
     if reason is not None:
         pytest.skip(reason)
-    pool = Pool(level, num_workers=workers)
+    pool = new_pool(level, workers)
     pool.start()
     return pool
 
 
+def new_pool(level: str, workers: int = 1) -> Pool:
+    """Return a pool of a level, not yet started."""
+    return Pool(level, num_workers=workers, image=image() if level == "docker" else None)
+
+
 def processes(pool: Pool) -> list[int]:
-    """Return all processes of a pool's sandboxes, as this machine sees them."""
+    """Return all processes of a pool's sandboxes, as this machine sees them; a container's without the client's."""
+    if pool.level == "docker":
+        lists = [docker("top", cell.launch.container or "", "-eo", "pid").stdout.split()[1:] for cell in pool._cells]
+        return [int(pid) for pids in lists for pid in pids]
     proc = os.open("/proc", os.O_RDONLY | os.O_DIRECTORY)
     try:
         found = []
@@ -56,6 +81,10 @@ def processes(pool: Pool) -> list[int]:
 
 def folders(pool: Pool) -> list[str]:
     """Return the folders on disk of a pool's calls, where it has any."""
+    if pool.level == "docker":
+        inside = [cell.launch.container or "" for cell in pool._cells]
+        lists = [docker("exec", name, "find", "/tmp", "-mindepth", "2", "-maxdepth", "2") for name in inside]
+        return [name for done in lists for name in done.stdout.split()]
     return [
         name for cell in pool._cells for base in [cell.launch.settings["base"]] if base for name in os.listdir(base)
     ]

@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gem_tools.python import inside
+from gem_tools.python import docker, inside
+from gem_tools.python.errors import Unavailable
 from gem_tools.python.hidden import hidden_folders
 
 LEVELS = ("bubblewrap", "docker", "process")
@@ -72,6 +73,7 @@ class Launch:
         popen: Further keywords for ``subprocess.Popen``.
         base: Folder on disk that the sandbox owns; None where it has none.
         note: What is special about this way of the level, in a few words.
+        container: Name of the container that it is; None where it is none.
     """
 
     level: str
@@ -80,10 +82,7 @@ class Launch:
     popen: Mapping[str, Any] = field(default_factory=dict)
     base: str | None = None
     note: str = ""
-
-
-class Unavailable(Exception):
-    """A level cannot be used here; the message says why and what to do."""
+    container: str | None = None
 
 
 def bootstrap(settings: Mapping[str, Any]) -> bytes:
@@ -222,27 +221,35 @@ def _venv_python() -> list[str]:
 
 
 def _docker_ways() -> list[Callable[[Mapping[str, Any]], Launch]]:
-    return [_docker]
+    return [_docker_as_root, _docker_as_user]
 
 
-def _docker(options: Mapping[str, Any]) -> Launch:
-    program = shutil.which("docker")
-    if program is None:
-        raise Unavailable("the command 'docker' is not on the PATH: install Docker's client and start an engine")
-    uid = 1_000_000_000 + secrets.randbelow(1_000_000_000)
-    folder = options["folder_mb"]
-    words = [program, "run", "--rm", "--interactive", "--pull", "never"]
-    words += ["--name", f"gem-python-{secrets.token_hex(8)}", "--label", "gem-tools=python"]
-    words += ["--network", "none", "--ipc", "private", "--read-only", "--cap-drop", "ALL"]
-    words += ["--security-opt", "no-new-privileges", "--pids-limit", "512", "--ulimit", "core=0"]
-    words += ["--tmpfs", f"/tmp:rw,nosuid,nodev,mode=1777,size={4 * folder}m"]
-    words += ["--memory", f"{options['docker_memory_mb']}m", "--memory-swap", f"{options['docker_memory_mb']}m"]
-    words += ["--user", f"{uid}:{uid}", "--workdir", "/"]
-    for name, value in _environment().items():
-        words += ["--env", f"{name}={value}"]
-    settings = _settings(options, namespaces=False, uid=None, counts="shared", base=f"/tmp/gem-{secrets.token_hex(8)}")
-    words += [options["image"], "python", *_OPTIONS, "-c", _BOOT]
-    return Launch("docker", words, settings, note=f"image {options['image']}")
+def _docker_as_root(options: Mapping[str, Any]) -> Launch:
+    """Root of the container, with few of its rights, runs each call as a user of its own."""
+    first, uids = 1_000_000_000 + secrets.randbelow(1_000_000) * 1000, 1000
+    note = "each call as a user of its own"
+    return _docker(options, None, note, uid=first, uids=uids, counts="own")
+
+
+def _docker_as_user(options: Mapping[str, Any]) -> Launch:
+    """One user for all calls of a container, where an engine has few users to give, as one without root's rights."""
+    return _docker(options, 10_000 + secrets.randbelow(50_000), "all calls as one user", uid=None, counts="shared")
+
+
+def _docker(options: Mapping[str, Any], user: int | None, note: str, **further: Any) -> Launch:
+    name = docker.new_name()
+    words = docker.run_words(
+        name,
+        options["image"],
+        {key: value for key, value in _environment().items() if key != "PATH"},
+        ["python3", *_OPTIONS, "-c", _BOOT],
+        user=user,
+        memory_mb=options["docker_memory_mb"],
+        folder_mb=4 * options["folder_mb"],
+        folder_files=4 * options["folder_files"],
+    )
+    settings = _settings(options, namespaces=False, base=f"/tmp/gem-{secrets.token_hex(8)}", **further)
+    return Launch("docker", words, settings, container=name, note=f"image {options['image']}, {note}")
 
 
 # A process with limits.

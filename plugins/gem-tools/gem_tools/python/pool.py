@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from gem_core.background import on_library_loop, run_sync
 from gem_core.errors import ArgumentError
 from gem_tools.python import starting
-from gem_tools.python.cell import Cell, wait_for_end
+from gem_tools.python.cell import Cell
 from gem_tools.python.errors import SandboxError
 from gem_tools.python.limits import Limits
 from gem_tools.python.outcome import Outcome, outcome_from
@@ -26,6 +26,8 @@ from gem_tools.python.turns import Ticket, Turns
 
 if TYPE_CHECKING:
     import subprocess
+
+    from gem_tools.python.levels import Launch
 
 USUAL: tuple[str, ...] = (
     "bisect",
@@ -61,7 +63,7 @@ class Pool:
         preload: Further modules that are imported once, before any call; one that is missing is left out.
         num_workers: Sandboxes, hence calls that run at once; by default one for each processor, but two to eight.
         folder_mb: Default size of a call's folder, for the level ``docker`` of all folders.
-        image: Image of the level ``docker``, with ``python`` on its PATH. It is never pulled by itself.
+        image: Image of the level ``docker``, with ``python3``, 3.11 or newer, on its PATH. It is never pulled.
 
     Raises:
         ArgumentError: An option that cannot be right.
@@ -161,15 +163,14 @@ class Pool:
 
     def close(self) -> None:
         """End every sandbox and whatever runs in it; further calls are refused."""
-        processes = run_sync(self._close())
-        for process in processes:
-            wait_for_end(process, _END_S)
+        for process, launch in run_sync(self._close()):
+            starting.wait_and_clear(process, launch, _END_S)
 
-    async def _close(self) -> list[subprocess.Popen[bytes]]:
+    async def _close(self) -> list[tuple[subprocess.Popen[bytes], Launch]]:
         self._closed = True
         for ticket in self._queue.everyone():
             ticket.turn.set_exception(SandboxError("the pool was closed"))
-        processes = [cell.process for cell in self._cells if cell.process is not None]
+        processes = [(cell.process, cell.launch) for cell in self._cells if cell.process is not None]
         for cell in list(self._cells):
             cell.close()
         return processes
@@ -303,8 +304,7 @@ class Pool:
         for ticket in self._queue.bound.pop(cell, ()):
             if not ticket.turn.done():
                 ticket.turn.set_exception(SandboxError("the sandbox of this session was lost"))
-        if cell.launch.base is not None and cell.process is not None:
-            starting.remove_when_ended(cell.process, cell.launch.base)
+        starting.end_of(cell)
         if not self._closed:
             self._serve()
 

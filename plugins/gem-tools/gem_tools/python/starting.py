@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+import dataclasses
 import os
-import shutil
-import subprocess
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gem_core.errors import ArgumentError, MissingRequirementError
+from gem_tools.python import docker
 from gem_tools.python.cell import Cell, wait_for_end
-from gem_tools.python.errors import SandboxError
-from gem_tools.python.levels import DOCKER_IMAGE, LEVELS, Launch, Unavailable, launches
+from gem_tools.python.errors import SandboxError, Unavailable
+from gem_tools.python.levels import DOCKER_IMAGE, LEVELS, Launch, launches
+
+if TYPE_CHECKING:
+    import subprocess
 
 AUTO = "auto"
 _ANSWER_S = 10.0
 _DOCKER_MEMORY_MB = 4096
 
-_working: dict[str, int] = {}
-"""The way of each level that has worked in this process, so that no other is tried again."""
+_working: dict[tuple[str, str], int] = {}
+"""The way of each level, and image, that has worked in this process, so that no other is tried again."""
 
 
 filtered: dict[str, bool] = {}
@@ -75,7 +79,7 @@ async def chosen(sandbox: str, settings: Mapping[str, Any]) -> Chosen:
     passed_over: dict[str, str] = {}
     for level in LEVELS if sandbox == AUTO else (sandbox,):
         try:
-            launch, note = await _working_way(level, settings, asked_for=sandbox != AUTO)
+            launch, note = await _working_way(level, settings)
         except Unavailable as reason:
             passed_over[level] = str(reason)
         else:
@@ -84,12 +88,14 @@ async def chosen(sandbox: str, settings: Mapping[str, Any]) -> Chosen:
     raise MissingRequirementError(f"the Python sandbox {sandbox!r} cannot run here: {reasons}")
 
 
-async def _working_way(level: str, settings: Mapping[str, Any], *, asked_for: bool) -> tuple[Callable[[], Launch], str]:
+async def _working_way(level: str, settings: Mapping[str, Any]) -> tuple[Callable[[], Launch], str]:
     """Try the ways of a level until one starts."""
-    if level == "docker" and level not in _working:
-        _check_docker(settings["image"], asked_for=asked_for)
+    key = level, settings["image"] if level == "docker" else ""
+    if level == "docker":
+        # In a thread: an engine that hangs must not keep other pools waiting.
+        await asyncio.to_thread(docker.check, settings["image"])
     ways = launches(level, settings)
-    known = _working.get(level)
+    known = _working.get(key)
     reasons = []
     for number, way in enumerate(ways):
         if known is not None and number != known:
@@ -103,7 +109,7 @@ async def _working_way(level: str, settings: Mapping[str, Any], *, asked_for: bo
         except SandboxError as error:
             reasons.append(_advice(level, str(error)))
         else:
-            _working[level] = number
+            _working[key] = number
             return way, launch.note
     raise Unavailable("; ".join(dict.fromkeys(reasons)))
 
@@ -111,7 +117,7 @@ async def _working_way(level: str, settings: Mapping[str, Any], *, asked_for: bo
 async def _try(launch: Launch) -> bool:
     """Start a sandbox, run nothing in it, and end it; return whether it filters system calls."""
     settings = {**launch.settings, "preload": []}
-    cell = Cell(Launch(launch.level, launch.command, settings, launch.popen, launch.base, launch.note), lambda _: None)
+    cell = Cell(dataclasses.replace(launch, settings=settings), end_of)
     await cell.start()
     limits = {"folder_mb": settings["folder_mb"], "folder_files": settings["folder_files"]}
     limits |= {"wall_s": 30.0, "cpu_s": 30.0, "memory_mb": 512, "processes": 8, "open_files": 64, "file_mb": 8}
@@ -121,8 +127,6 @@ async def _try(launch: Launch) -> bool:
         answer, output = await cell.ask({"op": "run", "id": 0, "limits": limits}, job)
     finally:
         cell.close()
-        if launch.base is not None and cell.process is not None:
-            remove_when_ended(cell.process, launch.base)
     if answer["failed"] is not None or answer["status"] != 0:
         words = " ".join(output.decode("utf-8", "replace").split())[-600:]
         raise SandboxError(f"the sandbox does not work: {answer['failed'] or words}")
@@ -135,35 +139,20 @@ def _advice(level: str, error: str) -> str:
     return error
 
 
-def _check_docker(image: str, *, asked_for: bool) -> None:
-    """See to it that an engine answers and has the image, which is never pulled unasked."""
-    program = shutil.which("docker")
-    if program is None:
-        raise Unavailable("the command 'docker' is not on the PATH: install Docker's client and start an engine")
-    try:
-        done = subprocess.run(
-            [program, "image", "inspect", "--format", "{{.Id}}", image],
-            capture_output=True,
-            stdin=subprocess.DEVNULL,
-            timeout=_ANSWER_S,
-            check=False,
-        )
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise Unavailable(f"the container engine does not answer ({type(error).__name__}): start it") from error
-    if done.returncode:
-        words = " ".join(done.stderr.decode("utf-8", "replace").split())[:200]
-        raise Unavailable(f"the image {image!r} is not there: 'docker pull {image}' ({words})")
+def end_of(cell: Cell) -> None:
+    """See a sandbox that is gone to its end, without waiting."""
+    if cell.process is not None and (cell.launch.base is not None or cell.launch.container is not None):
+        ending = (cell.process, cell.launch, _ANSWER_S)
+        threading.Thread(target=wait_and_clear, args=ending, name="gem-python-end", daemon=True).start()
 
 
-def remove_when_ended(process: subprocess.Popen[bytes], base: str) -> None:
-    """Remove a sandbox's folder once it has ended, which it does itself unless it was killed."""
+def wait_and_clear(process: subprocess.Popen[bytes], launch: Launch, limit_s: float) -> None:
+    """Wait for a sandbox to end, then remove what it left, which is nothing unless it was killed."""
+    wait_for_end(process, limit_s)
+    if launch.base is not None and os.path.isdir(launch.base):
+        from gem_tools.python.inside.folders import Folders
 
-    def work() -> None:
-        wait_for_end(process, _ANSWER_S)
-        if os.path.isdir(base):
-            from gem_tools.python.inside.folders import Folders
-
-            with contextlib.suppress(OSError):
-                Folders(base).remove_all()
-
-    threading.Thread(target=work, name="gem-python-folder", daemon=True).start()
+        with contextlib.suppress(OSError):
+            Folders(launch.base).remove_all()
+    if launch.container is not None and process.returncode:
+        docker.remove(launch.container)

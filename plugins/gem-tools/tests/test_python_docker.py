@@ -1,0 +1,247 @@
+"""The level ``docker`` on a real engine: what becomes of its containers, whatever ends them or whoever started them.
+
+The attacks of ``test_python_attacks_*`` are tried in containers as well. ``scripts/docker_engine.sh`` starts an engine.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from python_levels import docker, image, new_pool, pool_of, until
+
+from gem_core.errors import MissingRequirementError
+from gem_tools.python import Limits, Pool, SandboxError
+from gem_tools.python import docker as containers
+from gem_tools.python import pool as pools
+
+PARENT = """
+import sys, threading
+from gem_tools.python import Limits, Pool
+pool = Pool("docker", num_workers=2, image=sys.argv[1])
+pool.start()
+endless = ("while True: pass",), {"limits": Limits(wall_s=600)}
+threading.Thread(target=pool.run, args=endless[0], kwargs=endless[1], daemon=True).start()
+print(*[cell.launch.container for cell in pool._cells], flush=True)
+try:
+    threading.Event().wait()
+except KeyboardInterrupt:
+    pass
+"""
+
+
+@pytest.fixture
+def running() -> Iterator[Pool]:
+    """A pool of one container."""
+    found = pool_of("docker")
+    yield found
+    found.close()
+
+
+def names(*filters: str) -> list[str]:
+    """Return the containers of the engine with a name or a label."""
+    words = [word for each in filters for word in ("--filter", each)]
+    return docker("ps", "--all", "--format", "{{.Names}}", *words).stdout.split()
+
+
+def container(of: Pool) -> str:
+    """Return the name of a pool's container."""
+    name = of._cells[0].launch.container
+    assert name is not None
+    return name
+
+
+def gone(name: str) -> bool:
+    """Whether a container is no more, also among those that have ended."""
+    return until(lambda: not names(f"name={name}"))
+
+
+def mine() -> list[str]:
+    """Return the containers that belong to this process."""
+    return names(f"label={containers.OWNER}={containers.owner()}")
+
+
+def test_calls_and_sessions(running: Pool) -> None:
+    """As in the other levels."""
+    outcome = running.run("print(input())\n6 * 7", stdin="in", value=True)
+    assert (outcome.sandbox, outcome.status, outcome.stdout, outcome.value) == ("docker", "ok", "in\n", "42")
+    session = running.session(Limits(wall_s=5))
+    session.run("x = 1\nopen('kept', 'w').write('y')")
+    assert session.run("x, open('kept').read()").value == "(1, 'y')"
+    session.close()
+    assert running.chosen is not None
+    assert running.chosen.note == f"image {image()}, each call as a user of its own"
+
+
+def test_nothing_can_be_written_but_the_folder(running: Pool) -> None:
+    """So that no call finds what another has left: not in the shared memory of a container, nor beside its folder."""
+    code = """
+import os
+found = []
+for top, folders, _ in os.walk("/"):
+    if top == os.getcwd() or top.startswith(("/proc/", "/sys/")):
+        folders.clear()
+    elif os.access(top, os.W_OK):
+        found.append(top)
+print(found)
+"""
+    assert running.run(code).stdout == "[]\n"
+
+
+def test_the_environment_is_empty(running: Pool) -> None:
+    """What the image, or the client's configuration, sets is not there."""
+    outcome = running.run("import os\nprint({'HOSTNAME', 'container'} & {*os.environ}, 'PYTHONHASHSEED' in os.environ)")
+    assert outcome.stdout == "set() True\n"
+
+
+def test_many_calls_at_once() -> None:
+    """In two containers, each call answered, and no container left."""
+    pool = pool_of("docker", workers=2)
+
+    async def work() -> list[str]:
+        outcomes = await asyncio.gather(*(pool.arun(f"print({number})") for number in range(200)))
+        return [outcome.stdout for outcome in outcomes]
+
+    try:
+        assert asyncio.run(work()) == [f"{number}\n" for number in range(200)]
+    finally:
+        pool.close()
+    assert until(lambda: not mine())
+
+
+def test_no_container_after_close(running: Pool) -> None:
+    """Also when a call runs, as soon as it returns."""
+    name = container(running)
+    session = running.session(Limits(wall_s=600))
+    session.run("1")
+    running.close()
+    assert names(f"name={name}") == []
+
+
+def test_a_container_that_hangs_is_removed(running: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One whose processes do not see that their input has ended."""
+    monkeypatch.setattr(pools, "_END_S", 0.2)
+    name = container(running)
+    assert docker("pause", name).returncode == 0
+    running.close()
+    assert names(f"name={name}") == []
+
+
+@pytest.mark.parametrize("what", ["container", "client"])
+def test_a_container_is_killed_in_the_middle(running: Pool, what: str) -> None:
+    """The call fails as the machine's fault; the next has a new container, and the old one is gone."""
+    name = container(running)
+    errors: list[SandboxError] = []
+
+    def call() -> None:
+        try:
+            running.run("while True: pass", limits=Limits(wall_s=600))
+        except SandboxError as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=call)
+    thread.start()
+    assert until(lambda: running._cells[0]._answer is not None)
+    if what == "container":
+        docker("kill", name)
+    else:
+        process = running._cells[0].process
+        assert process is not None
+        process.kill()
+    thread.join()
+    assert [str(error).partition(":")[0] for error in errors] == ["the sandbox was lost"]
+    assert running.run("print(1)").stdout == "1\n"
+    assert gone(name)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_no_container_after_the_parent(number: signal.Signals) -> None:
+    """Whether it may clean up or not."""
+    pool_of("docker").close()
+    process = subprocess.Popen([sys.executable, "-c", PARENT, str(image())], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        started = process.stdout.readline().split()
+        assert started
+        process.send_signal(number)
+        process.wait(60)
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+    for name in started:
+        assert gone(name)
+
+
+def test_what_the_dead_have_left_is_removed_at_the_next_start(running: Pool) -> None:
+    """A container that was made and never started, by a process that is no more; those of the living stay."""
+    place, pid, _ = containers.owner().rsplit(":", 2)
+    made = {
+        "dead": f"{place}:{pid}:1",
+        "alive": containers.owner(),
+        "elsewhere": "0000/1:1:1",
+        "unknown": "",
+    }
+    found = {}
+    for what, owner in made.items():
+        found[what] = containers.new_name()
+        labels = ["--label", containers.LABEL, "--label", f"{containers.OWNER}={owner}"]
+        done = docker("create", "--network", "none", "--name", found[what], *labels, str(image()), "true")
+        assert done.returncode == 0, done.stderr
+    try:
+        another = new_pool("docker")
+        another.start()
+        another.close()
+        left = [what for what, name in found.items() if names(f"name={name}")]
+        assert left == ["alive", "elsewhere", "unknown"]
+        assert running.run("1", value=True).value == "1"
+    finally:
+        docker("rm", "--force", *found.values())
+
+
+def test_what_could_not_be_removed_is_removed_later(running: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As when the engine was away."""
+    name = container(running)
+    with monkeypatch.context() as away:
+        away.setenv("DOCKER_HOST", "unix:///nonexistent/docker.sock")
+        containers.remove(name)
+    assert names(f"name={name}") == [name]
+    containers.remove()
+    assert gone(name)
+
+
+def test_an_image_that_is_missing(running: Pool) -> None:
+    """Is told with what to do, though another image works."""
+    with pytest.raises(MissingRequirementError) as caught:
+        Pool("docker", num_workers=1, image="gem/not-there:1").run("")
+    assert "the image 'gem/not-there:1' is not there: 'docker pull gem/not-there:1'" in str(caught.value)
+
+
+def test_an_image_without_python(running: Pool, tmp_path: Path) -> None:
+    """Is told with what the engine said."""
+    (tmp_path / "empty").touch()
+    name = f"gem-empty:{os.getpid()}"
+    packed = subprocess.run(["tar", "-C", str(tmp_path), "-c", "."], capture_output=True, check=True).stdout
+    subprocess.run(["docker", "import", "-", name], input=packed, capture_output=True, check=True)
+    try:
+        with pytest.raises(MissingRequirementError, match=r"the sandbox did not start: .*no such file") as caught:
+            Pool("docker", num_workers=1, image=name).run("")
+        assert "/bin/sh" in str(caught.value)
+    finally:
+        docker("rmi", name)
+    assert until(lambda: mine() == [container(running)])
+
+
+def test_an_engine_that_does_not_answer(running: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Is told so, and not as an image that is missing."""
+    monkeypatch.setenv("DOCKER_HOST", "unix:///nonexistent/docker.sock")
+    with pytest.raises(MissingRequirementError) as caught:
+        Pool("docker", num_workers=1, image=image()).run("")
+    assert "the container engine does not answer: start it, or set DOCKER_HOST" in str(caught.value)
