@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import os
 import shutil
@@ -141,7 +142,9 @@ class Watched:
         assert memory_mb(processes(pool)) < 150
 
 
-SMALL = Limits(wall_s=2, memory_mb=128, processes=16, folder_mb=16, file_mb=8, output_bytes=2000)
+SMALL = Limits(wall_s=60, memory_mb=128, processes=16, folder_mb=16, file_mb=8, output_bytes=2000)
+SHORT = dataclasses.replace(SMALL, wall_s=2)
+"""For what ends at its limit of time; all else has so much time that a busy machine does not matter."""
 
 
 def attack(watched: Watched, code: str, limits: Limits = SMALL, **options: str) -> Outcome:

@@ -13,6 +13,7 @@ import pytest
 from python_levels import SMALL, Watched, attack, each_level, new_pool
 
 from gem_tools.python import Limits
+from gem_tools.python.inside import folders, zygote
 
 watched = each_level()
 
@@ -195,6 +196,75 @@ os.fchdir(top)
 os.mkdir("closed"); open("closed/file", "w").close(); os.chmod("closed", 0); os.chmod(".", 0)
 """
     assert attack(watched, code).status == "ok"
+
+
+def test_leaving_a_file_without_a_trace_in_times(watched: Watched) -> None:
+    """A file made in the same tick of the kernel's clock as its folder, or with the times put back, goes as well."""
+    if watched.pool.level != "bubblewrap":
+        pytest.skip("each call has a folder of its own")
+    folder = os.stat_result((0o40700, 2, 1, 2, 0, 0, 40, 5, 5, 5))
+    empty, one_file = (
+        os.statvfs_result((4096, 4096, 100, free, free, 50, inodes, inodes, 0, 255))
+        for free, inodes in ((100, 49), (100, 48))
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(zygote.os, "stat", lambda path: folder)
+        states = []
+        for system in (empty, one_file):
+            patch.setattr(zygote.os, "statvfs", lambda path, system=system: system)
+            states.append(zygote.Zygote.folder_state(None))
+    assert states[0] != states[1]
+    code = "import os\nat = os.stat('.').st_mtime_ns\nopen('random.py', 'w').write('1 / 0')\nos.utime('.', ns=(at, at))"
+    assert attack(watched, code).status == "ok"
+
+
+def test_places_that_everyone_may_write_to(watched: Watched) -> None:
+    """Nothing can be left in them for later calls or for others, and what is left in shared memory is removed."""
+    if watched.pool.level == "process" and not watched.pool._cells[0].walled:
+        pytest.skip("this kernel has no Landlock")
+    name = f"gem-{secrets.token_hex(8)}"
+    code = f"""
+import os
+for place in ("/tmp", "/var/tmp", "/dev/shm", "/run/lock", "/var/lock", "/dev/mqueue"):
+    for act in (lambda path: open(path, "w"), os.mkdir):
+        try: act(os.path.join(place, {name!r} + act.__name__.strip("<>")))
+        except OSError: pass
+os.chdir("/dev/shm")
+for _ in range(50):
+    os.mkdir({name!r}); os.chdir({name!r})
+"""
+    attack(watched, code)
+    for place in ("/tmp", "/var/tmp", "/dev/shm", "/run/lock", "/var/lock", "/dev/mqueue"):
+        if os.path.isdir(place):
+            assert not [left for left in os.listdir(place) if left.startswith(name)], place
+
+
+def test_removing_folders_of_any_depth_and_permission(tmp_path: Path) -> None:
+    """Without a path that grows too long, and without changing the working folder of this process."""
+    made = folders.Folders(str(tmp_path))
+    top = made.make(None)
+    here = os.open(".", os.O_RDONLY)
+    try:
+        os.chdir(top)
+        for _ in range(1200):
+            os.mkdir("deep" * 20)
+            Path("file").touch()
+            os.symlink("/", "link")
+            os.chdir("deep" * 20)
+    finally:
+        os.fchdir(here)
+        os.close(here)
+    for name in ("closed", "other"):
+        Path(top, name, "inner").mkdir(parents=True)
+        Path(top, name).chmod(0)
+    Path(top).chmod(0)
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    before = os.getcwd()
+    made.remove(top)
+    assert os.listdir(tmp_path) == ["outside"]
+    assert os.getcwd() == before
+    made.remove(top)
 
 
 def test_files_are_not_handed_to_the_host(watched: Watched) -> None:

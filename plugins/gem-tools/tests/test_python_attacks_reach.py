@@ -14,7 +14,7 @@ import threading
 from collections.abc import Iterator
 
 import pytest
-from python_levels import SMALL, Watched, attack, each_level
+from python_levels import SHORT, Watched, attack, each_level
 
 from gem_tools.python import Limits, Outcome
 
@@ -50,6 +50,9 @@ attempt("name2", lambda: socket.getaddrinfo("example.org", 80) and socket.create
 attempt("udp", lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM).sendto(b"x", ("1.1.1.1", 53)))
 attempt("raw", lambda: socket.socket(socket.AF_INET, socket.SOCK_RAW, 1))
 attempt("packet", lambda: socket.socket(socket.AF_PACKET, socket.SOCK_RAW))
+for family in (socket.AF_VSOCK, socket.AF_ALG, socket.AF_CAN, 45):
+    attempt(family, lambda: socket.socket(family, socket.SOCK_STREAM))
+    attempt(family, lambda: socket.socket(family, socket.SOCK_SEQPACKET))
 attempt("abstract", lambda: socket.socket(socket.AF_UNIX).connect({name!r}))
 print(reached)
 """
@@ -169,7 +172,7 @@ def test_attacks_at_once(watched: Watched) -> None:
     bomb = "import os\nwhile True:\n    try: os.fork()\n    except OSError: pass"
     codes = [bomb, "print(1)", "kept = bytearray(1 << 40)", "print(2)"]
     threads = [
-        threading.Thread(target=lambda code=code: outcomes.append(watched.pool.run(code, limits=SMALL)))
+        threading.Thread(target=lambda code=code: outcomes.append(watched.pool.run(code, limits=SHORT)))
         for code in codes
     ]
     for thread in threads:

@@ -94,6 +94,11 @@ def test_without_the_stronger_ones_auto_takes_the_next_and_says_why(
     monkeypatch.setenv("PATH", str(tmp_path))
     facts = status()
     assert facts["sandbox"].startswith("process (each call as a user of its own)" if os.geteuid() == 0 else "process (")
+    assert facts["files"] == (
+        "code is kept to its folder (Landlock)"
+        if starting.walled["process"]
+        else "this kernel has no Landlock: code opens what you may"
+    )
     assert facts["not bubblewrap"].startswith("bubblewrap is not on the PATH")
     assert facts["not docker"].startswith("the command 'docker' is not on the PATH")
 
@@ -203,13 +208,16 @@ ALLOW, REFUSE, NOT_THERE, KILL = 0x7FFF0000, 0x00050001, 0x00050026, 0x80000000
 
 @pytest.mark.parametrize("name", sorted(syscalls.MACHINES))
 @pytest.mark.parametrize("own_pid", [None, 77])
-@pytest.mark.parametrize("sockets", [True, False])
-def test_the_filter_refuses_what_it_should_and_nothing_else(name: str, own_pid: int | None, sockets: bool) -> None:
+@pytest.mark.parametrize(("sockets", "connect"), [(True, True), (False, True), (False, False)])
+def test_the_filter_refuses_what_it_should_and_nothing_else(
+    name: str, own_pid: int | None, sockets: bool, connect: bool
+) -> None:
     """On each processor; other processors' calls end the process."""
     machine = syscalls.MACHINES[name]
-    program = syscalls.program(machine, sockets=sockets, own_pid=own_pid)
+    program = syscalls.program(machine, sockets=sockets, connect=connect, own_pid=own_pid)
     assert len(program) < 250
-    special = {machine.clone, machine.clone3, machine.socket, *machine.signalling}
+    special = {machine.clone, machine.clone3, machine.socket, machine.socketpair, machine.connect}
+    special |= {machine.fcntl, machine.ioctl, *machine.signalling, *machine.priorities}
     for number in range(460):
         if number in machine.denied:
             assert run_filter(program, number, machine.arch) == REFUSE, number
@@ -219,16 +227,52 @@ def test_the_filter_refuses_what_it_should_and_nothing_else(name: str, own_pid: 
     assert run_filter(program, machine.clone3, machine.arch) == NOT_THERE
     assert run_filter(program, machine.clone, machine.arch, (17,)) == ALLOW
     assert run_filter(program, machine.clone, machine.arch, (0x10000000 | 17,)) == REFUSE
-    assert run_filter(program, machine.socket, machine.arch, (1,)) == ALLOW
-    assert run_filter(program, machine.socket, machine.arch, (2,)) == (ALLOW if sockets else REFUSE)
-    for number in machine.signalling:
-        assert run_filter(program, number, machine.arch, (77,)) == ALLOW
-        assert run_filter(program, number, machine.arch, (0,)) == ALLOW
-        for other in (1, 78, -1, -77):
-            expected = ALLOW if own_pid is None else REFUSE
-            assert run_filter(program, number, machine.arch, (other,)) == expected
     if machine.x32:
         assert run_filter(program, 0x40000000 | 101, machine.arch) == REFUSE
+
+
+@pytest.mark.parametrize("name", sorted(syscalls.MACHINES))
+@pytest.mark.parametrize(("sockets", "connect"), [(True, True), (False, True), (False, False)])
+def test_the_filter_looks_at_the_family_and_the_type_of_sockets(name: str, sockets: bool, connect: bool) -> None:
+    """Those that reach out of a network namespace are refused everywhere; those with addresses where it matters."""
+    machine = syscalls.MACHINES[name]
+    program = syscalls.program(machine, sockets=sockets, connect=connect, own_pid=None)
+    for family, allowed in (
+        (1, True),
+        (2, sockets),
+        (10, sockets),
+        (16, sockets),
+        (17, False),
+        (38, False),
+        (40, False),
+    ):
+        assert run_filter(program, machine.socket, machine.arch, (family, 1)) == (ALLOW if allowed else REFUSE), family
+    for call in (machine.socket, machine.socketpair):
+        for kind in (1, 5, 1 | 0o2004000):
+            assert run_filter(program, call, machine.arch, (1, kind)) == ALLOW
+        for kind in (2, 3, 2 | 0o2004000):
+            assert run_filter(program, call, machine.arch, (1, kind)) == (ALLOW if connect else REFUSE)
+    assert run_filter(program, machine.connect, machine.arch) == (ALLOW if connect else REFUSE)
+
+
+@pytest.mark.parametrize("name", sorted(syscalls.MACHINES))
+@pytest.mark.parametrize("own_pid", [None, 77])
+def test_the_filter_keeps_code_off_other_processes(name: str, own_pid: int | None) -> None:
+    """By signals, limits, priorities, and the owners of files; where they are out of sight anyway it lets all pass."""
+    machine = syscalls.MACHINES[name]
+    program = syscalls.program(machine, sockets=False, connect=False, own_pid=own_pid)
+    others = ALLOW if own_pid is None else REFUSE
+    for number in machine.signalling:
+        for own in (77, 0):
+            assert run_filter(program, number, machine.arch, (own,)) == ALLOW
+        for other in (1, 78, -1, -77):
+            assert run_filter(program, number, machine.arch, (other,)) == others
+    for number in machine.priorities:
+        assert run_filter(program, number, machine.arch, (2, 0)) == others
+    for command, allowed in ((8, others), (10, others), (15, others), (1, ALLOW), (4, ALLOW), (1030, ALLOW)):
+        assert run_filter(program, machine.fcntl, machine.arch, (0, command)) == allowed
+    for command, allowed in ((0x8901, others), (0x8902, others), (0x5401, ALLOW)):
+        assert run_filter(program, machine.ioctl, machine.arch, (0, command)) == allowed
 
 
 def test_the_filter_is_in_force_here() -> None:

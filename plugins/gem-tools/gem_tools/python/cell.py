@@ -43,7 +43,7 @@ class Cell:
         self.call: object = None
         self.sessions = 0
         self.failed_preload: list[str] = []
-        self.filtered = False
+        self.filtered = self.walled = False
         self._reader = wire.Reader()
         self._answer: asyncio.Future[Answer] | None = None
         self._outgoing = bytearray()
@@ -92,7 +92,7 @@ class Cell:
             raise
         finally:
             self._answer = None
-        self.failed_preload, self.filtered = header["failed"], header["filtered"]
+        self.failed_preload, self.filtered, self.walled = header["failed"], header["filtered"], header["walled"]
 
     async def ask(self, header: dict[str, Any], body: bytes = b"") -> Answer:
         """Ask for something and return the answer; one question at a time.

@@ -23,7 +23,7 @@ LEVELS = ("bubblewrap", "docker", "process")
 DOCKER_IMAGE = f"python:{sys.version_info[0]}.{sys.version_info[1]}-slim"
 
 # In the order in which they need one another.
-_MODULES = ("wire", "kernel", "syscalls", "confine", "runner", "watch", "folders", "zygote", "call", "keeper")
+_MODULES = ("wire", "kernel", "syscalls", "walls", "confine", "runner", "watch", "folders", "zygote", "call", "keeper")
 _PACKAGE = inside.__name__
 _BOOT = """
 import json, os, sys, types
@@ -48,6 +48,8 @@ _OPTIONS = ("-s", "-P", "-B")
 _ENVIRONMENT = {
     "PATH": "/usr/local/bin:/usr/bin:/bin",
     "LANG": "C.UTF-8",
+    # There is no list of users; libraries ask for a name.
+    "LOGNAME": "sandbox",
     "PYTHONHASHSEED": "0",
     # A library that starts threads at its import could not be forked.
     "OPENBLAS_NUM_THREADS": "1",
@@ -152,7 +154,7 @@ def _bubblewrap() -> list[str]:
     for name, value in _environment().items():
         words += ["--setenv", name, value]
     mounts = _mounts()
-    for path in _above([target for _, target in mounts] + ["/dev/null", "/var/tmp"]):
+    for path in _above([target for _, target in mounts] + ["/dev/null", "/etc/localtime", "/var/tmp"]):
         # By itself it would make some of these for their owner alone, who may be another than runs the code.
         words += ["--perms", "0755", "--dir", path]
     for source, target in mounts:
@@ -249,6 +251,7 @@ def _docker(options: Mapping[str, Any], user: int | None, note: str, **further: 
         folder_files=4 * options["folder_files"],
     )
     settings = _settings(options, namespaces=False, base=f"/tmp/gem-{secrets.token_hex(8)}", **further)
+    settings["own_machine"] = True
     return Launch("docker", words, settings, container=name, note=f"image {options['image']}, {note}")
 
 
@@ -313,6 +316,7 @@ def _settings(
         "uids": 1,
         "counts": counts,
         "same_user": not namespaces and uid is None,
+        "own_machine": False,
         "base": "",
         "hidden": "",
         "shown": [],

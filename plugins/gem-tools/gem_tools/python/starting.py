@@ -28,6 +28,9 @@ _working: dict[tuple[str, str], int] = {}
 """The way of each level, and image, that has worked in this process, so that no other is tried again."""
 
 
+walled: dict[str, bool] = {}
+"""Whether Landlock keeps code to its folder on the levels that have worked; those with namespaces do without."""
+
 filtered: dict[str, bool] = {}
 """Whether the levels that have worked filter system calls; a rare processor or an old kernel has no filter."""
 
@@ -103,7 +106,7 @@ async def _working_way(level: str, settings: Mapping[str, Any]) -> tuple[Callabl
         try:
             launch = way()
             if known is None:
-                filtered[level] = await _try(launch)
+                filtered[level], walled[level] = await _try(launch)
         except Unavailable as reason:
             reasons.append(str(reason))
         except SandboxError as error:
@@ -114,8 +117,8 @@ async def _working_way(level: str, settings: Mapping[str, Any]) -> tuple[Callabl
     raise Unavailable("; ".join(dict.fromkeys(reasons)))
 
 
-async def _try(launch: Launch) -> bool:
-    """Start a sandbox, run nothing in it, and end it; return whether it filters system calls."""
+async def _try(launch: Launch) -> tuple[bool, bool]:
+    """Start a sandbox, run nothing in it, and end it; return whether it filters system calls, and has Landlock."""
     settings = {**launch.settings, "preload": []}
     cell = Cell(dataclasses.replace(launch, settings=settings), end_of)
     await cell.start()
@@ -130,7 +133,7 @@ async def _try(launch: Launch) -> bool:
     if answer["failed"] is not None or answer["status"] != 0:
         words = " ".join(output.decode("utf-8", "replace").split())[-600:]
         raise SandboxError(f"the sandbox does not work: {answer['failed'] or words}")
-    return cell.filtered
+    return cell.filtered, cell.walled
 
 
 def _advice(level: str, error: str) -> str:

@@ -7,7 +7,8 @@ def status() -> dict[str, str]:
     """Start a sandbox as the tool would, and say which it is; takes some tenths of a second.
 
     Returns:
-        ``sandbox``, ``filter`` of system calls, and for each stronger level that was passed over the reason.
+        ``sandbox``, ``filter`` of system calls, ``files`` where there are no namespaces, and for each stronger level
+        that was passed over the reason.
     """
     from gem_core.errors import GemError
     from gem_tools.python import starting
@@ -24,6 +25,12 @@ def status() -> dict[str, str]:
     facts = {"sandbox": level, "filter": "system calls are filtered" if starting.filtered.get(level) else "none"}
     if chosen is None:
         return facts
+    if level != "bubblewrap":
+        walled, not_walled = (
+            "code is kept to its folder (Landlock)",
+            "this kernel has no Landlock: code opens what you may",
+        )
+        facts["files"] = walled if starting.walled.get(level) else not_walled
     if chosen.note:
         facts["sandbox"] = f"{level} ({chosen.note})"
     return {**facts, **{f"not {name}": reason for name, reason in chosen.passed_over.items()}}

@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
-import stat
+
+_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 class Folders:
@@ -30,25 +31,7 @@ class Folders:
 
     def remove(self, path: str) -> None:
         """Remove a folder with all that is in it, however deep, whatever its permissions."""
-        with contextlib.suppress(OSError):
-            os.chmod(path, 0o700)
-        waiting = [path]
-        while waiting:
-            folder = waiting.pop()
-            for name in _names(folder):
-                entry = os.path.join(folder, name)
-                if _is_folder(entry):
-                    # Moved up before it is opened, so that no path grows longer than the system allows.
-                    moved = os.path.join(self.base, f"gone-{next(self._numbers)}")
-                    with contextlib.suppress(OSError):
-                        os.chmod(entry, 0o700)
-                        os.rename(entry, moved)
-                        waiting.append(moved)
-                else:
-                    with contextlib.suppress(OSError):
-                        os.unlink(entry)
-            with contextlib.suppress(OSError):
-                os.rmdir(folder)
+        remove(path)
 
     def remove_all(self) -> None:
         """Remove every folder, and the base."""
@@ -65,8 +48,76 @@ def _names(folder: str) -> list[str]:
         return []
 
 
-def _is_folder(path: str) -> bool:
+def remove(path: str) -> None:
+    """Remove a file, or a folder with all that is in it."""
+    parent, name = os.path.split(path)
+    with contextlib.suppress(OSError):
+        above = os.open(parent, _FOLDER)
+        try:
+            _remove(above, name)
+            with contextlib.suppress(OSError):
+                os.unlink(name, dir_fd=above)
+        finally:
+            os.close(above)
+
+
+def _remove(above: int, name: str) -> None:
+    """Remove a folder of an open one.
+
+    One is open at a time, and none has a path here: neither the depth nor the length of names has a limit. No working
+    folder changes, which the whole process would share.
+    """
+    levels: list[tuple[tuple[int, int], str, list[str]]] = []
+    here = os.dup(above)
     try:
-        return stat.S_ISDIR(os.lstat(path).st_mode)
+        entering: str | None = name
+        while True:
+            inner = None if entering is None else _entered(here, entering)
+            if inner is not None and entering is not None:
+                levels.append((_identity(here), entering, _folders_left(inner)))
+                os.close(here)
+                here = inner
+            if not levels:
+                return
+            if levels[-1][2]:
+                entering = levels[-1][2].pop()
+                continue
+            outside, own_name, _ = levels.pop()
+            outer = os.open("..", _FOLDER, dir_fd=here)
+            os.close(here)
+            here = outer
+            if _identity(here) != outside:
+                return  # moved meanwhile: what is here now is none of ours
+            with contextlib.suppress(OSError):
+                os.rmdir(own_name, dir_fd=here)
+            entering = None
+    finally:
+        os.close(here)
+
+
+def _entered(folder: int, name: str) -> int | None:
+    with contextlib.suppress(OSError):
+        os.chmod(name, 0o700, dir_fd=folder)
+    try:
+        return os.open(name, _FOLDER, dir_fd=folder)
     except OSError:
-        return False
+        return None
+
+
+def _folders_left(folder: int) -> list[str]:
+    """Remove the files of a folder; return the names of the folders in it."""
+    names = []
+    with os.scandir(folder) as entries:
+        found = [(entry.name, entry.is_dir(follow_symlinks=False)) for entry in entries]
+    for name, is_folder in found:
+        if is_folder:
+            names.append(name)
+        else:
+            with contextlib.suppress(OSError):
+                os.unlink(name, dir_fd=folder)
+    return names
+
+
+def _identity(folder: int) -> tuple[int, int]:
+    found = os.fstat(folder)
+    return found.st_dev, found.st_ino

@@ -90,7 +90,8 @@ class Keeper:
         ready = self.from_zygote()
         self.base_bytes = ready["base_bytes"]
         self.spawn()
-        self.send(wire.pack({"op": "ready", "failed": ready["failed"], "filtered": ready["filtered"]}))
+        found = {name: ready[name] for name in ("failed", "filtered", "walled")}
+        self.send(wire.pack({"op": "ready", **found}))
         self.poller.register(self.incoming, select.POLLIN)
         while True:
             while self.asked:

@@ -62,6 +62,12 @@ def prctl(option: int, value: int, pointer: object = 0) -> None:
     _checked(_libc.prctl(option, ctypes.c_ulong(value), third, ctypes.c_ulong(0), ctypes.c_ulong(0)), "prctl")
 
 
+def syscall(number: int, *arguments: object) -> int:
+    """Make a system call that the C library has no function for; -1 where it fails, with ``ctypes.get_errno()``."""
+    words = [ctypes.c_long(each) if isinstance(each, int) else each for each in arguments]
+    return int(_libc.syscall(ctypes.c_long(number), *words))
+
+
 class _CapabilityHeader(ctypes.Structure):
     _fields_ = (("version", ctypes.c_uint32), ("pid", ctypes.c_int))
 

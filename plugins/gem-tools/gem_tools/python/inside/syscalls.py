@@ -16,10 +16,14 @@ from gem_tools.python.inside import kernel
 _LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
 _ALLOW, _FAIL, _KILL = 0x7FFF0000, 0x00050000, 0x80000000
 _NUMBER, _ARCH = 0, 4
-_FIRST_ARGUMENT = 16  # its low half, on little-endian machines
+_FIRST_ARGUMENT, _SECOND_ARGUMENT = 16, 24  # their low halves, on little-endian machines
 _NEW_NAMESPACE = 0x7E020080  # CLONE_NEWTIME, NEWNS, NEWCGROUP, NEWUTS, NEWIPC, NEWUSER, NEWPID, NEWNET
 _X32 = 0x40000000
 _AF_UNIX = 1
+_FAMILIES = (_AF_UNIX, 2, 10, 16)  # INET, INET6, NETLINK; others, as VSOCK, reach out of a network namespace
+_ADDRESSED = 2  # the bit of the types of sockets that send to any address: DGRAM, RAW
+_OWNERS = (8, 10, 15)  # F_SETOWN, F_SETSIG, F_SETOWN_EX: a file that becomes ready signals its owner, whoever that is
+_IOCTL_OWNERS = (0x8901, 0x8902)  # FIOSETOWN, SIOCSPGRP
 
 
 class Machine(NamedTuple):
@@ -30,14 +34,20 @@ class Machine(NamedTuple):
     clone: int
     clone3: int
     socket: int
+    socketpair: int
+    connect: int
+    fcntl: int
+    ioctl: int
     signalling: tuple[int, ...]
-    """Calls whose first argument is the process that they reach."""
+    """Calls whose first argument is the process that they reach, by a signal, a limit, or its place on processors."""
+    priorities: tuple[int, ...]
+    """Calls that slow down all processes of a user."""
     x32: bool
 
 
 # Tracing and other processes' memory; mounts, roots, namespaces; keys; bpf, perf, userfaultfd, io_uring; modules and
 # restarts; handles of files; System V and POSIX message objects, which outlive a process; clocks and host names;
-# memory files, which no limit on memory counts.
+# memory files, which no limit on memory counts; moving the memory of processes.
 _X86_64 = Machine(
     arch=0xC000003E,
     denied=(
@@ -49,11 +59,17 @@ _X86_64 = Machine(
         *(29, 30, 31, 64, 65, 66, 67, 68, 69, 70, 71, 220, 240, 241),
         *(164, 227, 159, 305, 170, 171),
         *(319, 447),
+        *(256, 279),
     ),
     clone=56,
     clone3=435,
     socket=41,
-    signalling=(62, 200, 234, 129, 297, 302, 434),
+    socketpair=53,
+    connect=42,
+    fcntl=72,
+    ioctl=16,
+    signalling=(62, 200, 234, 129, 297, 302, 434, 203, 142, 144, 314),
+    priorities=(141, 251),
     x32=True,
 )
 _AARCH64 = Machine(
@@ -67,11 +83,17 @@ _AARCH64 = Machine(
         *(194, 195, 196, 197, 190, 191, 192, 193, 186, 187, 188, 189, 180, 181),
         *(170, 112, 171, 266, 161, 162),
         *(279, 447),
+        *(238, 239),
     ),
     clone=220,
     clone3=435,
     socket=198,
-    signalling=(129, 130, 131, 138, 240, 261, 434),
+    socketpair=199,
+    connect=203,
+    fcntl=25,
+    ioctl=29,
+    signalling=(129, 130, 131, 138, 240, 261, 434, 122, 118, 119, 274),
+    priorities=(140, 30),
     x32=False,
 )
 MACHINES = {"x86_64": _X86_64, "aarch64": _AARCH64}
@@ -79,12 +101,13 @@ MACHINES = {"x86_64": _X86_64, "aarch64": _AARCH64}
 Instruction = tuple[int, int, int, int]
 
 
-def program(machine: Machine, *, sockets: bool, own_pid: int | None) -> list[Instruction]:
+def program(machine: Machine, *, sockets: bool, connect: bool, own_pid: int | None) -> list[Instruction]:
     """Return the filter.
 
     Args:
         machine: Numbers of the processor.
         sockets: Whether sockets other than those of one machine's processes may be made, as behind a network namespace.
+        connect: Whether sockets may be connected by name: those of this machine's services lie in its file system.
         own_pid: The only process that may be reached by signals; None where other processes are out of sight anyway.
     """
     refuse = [(_RETURN, 0, 0, _FAIL | errno.EPERM)]
@@ -96,10 +119,19 @@ def program(machine: Machine, *, sockets: bool, own_pid: int | None) -> list[Ins
     lines += [(_EQUAL, 0, 1, machine.clone3), (_RETURN, 0, 0, _FAIL | errno.ENOSYS)]
     lines += [(_EQUAL, 0, 3, machine.clone), (_LOAD, 0, 0, _FIRST_ARGUMENT), (_ANY_BIT, 0, 1, _NEW_NAMESPACE), *refuse]
     lines.append((_LOAD, 0, 0, _NUMBER))
-    if not sockets:
-        lines += [(_EQUAL, 0, 4, machine.socket), (_LOAD, 0, 0, _FIRST_ARGUMENT), (_EQUAL, 1, 0, _AF_UNIX), *refuse]
-        lines += [(_RETURN, 0, 0, _ALLOW)]
+    families = _FAMILIES if sockets else (_AF_UNIX,)
+    known = [(_EQUAL, len(families) - place, 0, family) for place, family in enumerate(families)]
+    lines += [(_EQUAL, 0, len(known) + 2 + 1, machine.socket), (_LOAD, 0, 0, _FIRST_ARGUMENT), *known, *refuse]
+    # Loaded anew for the checks below, which look at sockets too.
+    lines.append((_LOAD, 0, 0, _NUMBER))
+    if not connect:
+        for number in (machine.socket, machine.socketpair):
+            lines += _second(number, [(_ANY_BIT, 0, 1, _ADDRESSED), *refuse])
+        lines += [(_EQUAL, 0, 1, machine.connect), *refuse]
     if own_pid is not None:
+        for number, values in ((machine.fcntl, _OWNERS), (machine.ioctl, _IOCTL_OWNERS)):
+            lines += _second(number, [line for value in values for line in ((_EQUAL, 0, 1, value), *refuse)])
+        lines += [line for number in machine.priorities for line in ((_EQUAL, 0, 1, number), *refuse)]
         for number in machine.signalling:
             lines += [(_EQUAL, 0, 5, number), (_LOAD, 0, 0, _FIRST_ARGUMENT), (_EQUAL, 2, 0, own_pid)]
             lines += [(_EQUAL, 1, 0, 0), *refuse, (_RETURN, 0, 0, _ALLOW)]
@@ -108,21 +140,32 @@ def program(machine: Machine, *, sockets: bool, own_pid: int | None) -> list[Ins
     return [*lines, (_RETURN, 0, 0, _ALLOW), *refuse]
 
 
+def _second(number: int, checks: list[Instruction]) -> list[Instruction]:
+    """Return checks of the second argument of one call, which is allowed if it passes."""
+    return [
+        (_EQUAL, 0, len(checks) + 2, number),
+        (_LOAD, 0, 0, _SECOND_ARGUMENT),
+        *checks,
+        (_RETURN, 0, 0, _ALLOW),
+    ]
+
+
 class Filter:
     """A filter that is made ahead and set in each process that runs code.
 
     Args:
         sockets: Whether sockets other than those of one machine's processes may be made.
+        connect: Whether sockets may be connected by name.
         only_own: Whether signals reach no other process.
     """
 
-    def __init__(self, *, sockets: bool, only_own: bool) -> None:
+    def __init__(self, *, sockets: bool, connect: bool, only_own: bool) -> None:
         self._machine = MACHINES.get(platform.machine())
-        self._sockets, self._only_own = sockets, only_own
+        self._sockets, self._connect, self._only_own = sockets, connect, only_own
         self._made = None if self._machine is None or only_own else self._make(self._machine, None)
 
     def _make(self, machine: Machine, own_pid: int | None) -> kernel.Program:
-        return kernel.Program(program(machine, sockets=self._sockets, own_pid=own_pid))
+        return kernel.Program(program(machine, sockets=self._sockets, connect=self._connect, own_pid=own_pid))
 
     def works(self) -> bool:
         """Try it in a process of its own."""

@@ -15,10 +15,10 @@ import time
 import traceback
 from typing import Any
 
-from gem_tools.python.inside import confine, kernel, runner, syscalls, watch, wire
-from gem_tools.python.inside.folders import Folders
+from gem_tools.python.inside import confine, folders, kernel, runner, syscalls, walls, watch, wire
 
 _JOB = 3
+_SHARED = "/dev/shm"
 _GIVE_UP_S = 10.0
 
 
@@ -40,7 +40,8 @@ class Zygote:
         self.folder_limits = {"folder_mb": settings["folder_mb"], "folder_files": settings["folder_files"]}
         self.clean: object = None
         self.base_bytes = 0
-        self.calls = syscalls.Filter(sockets=self.namespaces, only_own=settings["same_user"])
+        apart = self.namespaces or settings["own_machine"]
+        self.calls = syscalls.Filter(sockets=self.namespaces, connect=apart, only_own=settings["same_user"])
         self.wake, wake_in = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.signal(signal.SIGCHLD, lambda *_: None)
         signal.set_wakeup_fd(wake_in, warn_on_full_buffer=False)
@@ -49,6 +50,8 @@ class Zygote:
         """Serve until the keeper is gone."""
         confine.go_first()
         self.settings["filtered"] = self.calls.works()
+        self.settings["walled"] = not self.namespaces and walls.version() > 0
+        walls.readable()  # found out once, ahead of all forks
         failed = preload(self.settings["preload"])
         runner.make_streams()
         # No signal comes to this process, which is in a session of its own; and its children need not set them.
@@ -69,7 +72,8 @@ class Zygote:
         gc.collect()
         gc.freeze()
         gc.disable()
-        self.tell({"op": "ready", "failed": failed, "base_bytes": anonymous, "filtered": self.settings["filtered"]})
+        found = {name: self.settings[name] for name in ("filtered", "walled")}
+        self.tell({"op": "ready", "failed": failed, "base_bytes": anonymous, **found})
         poller = select.poll()
         poller.register(self.control, select.POLLIN)
         poller.register(self.wake, select.POLLIN)
@@ -149,10 +153,13 @@ class Zygote:
                 continue  # a stray of some call, which has no parent any more
             at = time.monotonic()
             if self.folders is not None:
+                folder_uid = os.lstat(folder).st_uid
                 # Clearing up may take long, and is not part of the call's time.
                 self.tell({"op": "ended", "pid": pid, "at": at})
                 self.kill_strays()
                 self.folders.remove(folder)
+                if self.settings["uid"] is not None:
+                    clear_shared(folder_uid)
             elif self.folder_state() != self.clean:
                 self.mount_folder()
             cpu_s = used.ru_utime + used.ru_stime
@@ -192,8 +199,10 @@ class Zygote:
 
     def folder_state(self) -> object:
         """Return what changes when anything is made, removed or permitted at the top of the folder."""
-        found = os.stat(confine.FOLDER)
-        return found.st_mtime_ns, found.st_ctime_ns, found.st_nlink
+        found, system = os.stat(confine.FOLDER), os.statvfs(confine.FOLDER)
+        # Times alone would not do: they have the steps of the kernel's clock, some milliseconds.
+        times = found.st_mtime_ns, found.st_ctime_ns
+        return *times, found.st_nlink, found.st_mode, system.f_ffree, system.f_bfree
 
     def mount_folder(self, *, first: bool = False) -> None:
         """Mount a new folder in the place of the old one."""
@@ -220,9 +229,18 @@ class Zygote:
             self.folders.remove_all()
 
 
-def _folders(base: str) -> Folders:
+def _folders(base: str) -> folders.Folders:
     os.mkdir(base, 0o711)
-    return Folders(base)
+    return folders.Folders(base)
+
+
+def clear_shared(uid: int) -> None:
+    """Remove what a call has left in the machine's shared memory; each has a user id of its own."""
+    with contextlib.suppress(OSError):
+        for entry in list(os.scandir(_SHARED)):
+            with contextlib.suppress(OSError):
+                if entry.stat(follow_symlinks=False).st_uid == uid:
+                    folders.remove(entry.path)
 
 
 def preload(names: list[str]) -> list[str]:
@@ -262,6 +280,8 @@ class Child:
         self.settings, self.calls, self.base_bytes = zygote.settings, zygote.calls, zygote.base_bytes
         self.job, self.folder = job, folder
         self.reader = wire.Reader()
+        self.walls: walls.Walls | None = None
+        self.fault: OSError | None = None
 
     def receive(self) -> tuple[dict[str, Any], bytes] | None:
         """Return the next message; None when the keeper is gone."""
@@ -274,6 +294,8 @@ class Child:
     def main(self) -> int:
         """Return the exit code."""
         warm_up()
+        if self.settings["walled"]:
+            self.make_walls()
         message = self.receive()
         if message is None:
             return 0
@@ -303,6 +325,14 @@ class Child:
             self.next_input(job)
             self.job.sendall(wire.pack({"op": "started", "at": time.monotonic()}))
 
+    def make_walls(self) -> None:
+        """Make the walls ahead; a failure is told once there is someone to tell it to."""
+        shared = self.settings["own_machine"] or not self.settings["same_user"]
+        try:
+            self.walls = walls.Walls(self.folder, shared=shared)
+        except OSError as error:
+            self.fault = error
+
     def set_up(self, limits: dict[str, Any], job: dict[str, Any]) -> None:
         """Get ready for code that nobody trusts."""
         if limits["session"] and self.settings["namespaces"]:
@@ -312,6 +342,10 @@ class Child:
             at_home(self.folder)
         runner.prepare(job["stdin"], job["files"])
         confine.limit(limits, self.settings, self.base_bytes)
+        if self.fault is not None:
+            raise self.fault
+        if self.walls is not None:
+            self.walls.put_up()
         confine.give_up_rights(self.calls, self.settings)
 
     def next_input(self, job: dict[str, Any]) -> None:

@@ -1,0 +1,230 @@
+"""Attacks by code that runs as the very user who started it, as on the level ``process`` without root.
+
+Everything that belongs to this user is tried: variables, files, processes, sockets.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from python_levels import SMALL, Watched, attack, pool_of
+
+from gem_tools.python import Limits, levels
+
+
+@pytest.fixture(scope="module")
+def watched() -> Iterator[Watched]:
+    """A pool whose code runs as this user, also where this user is root."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(levels, "_spare_uid", lambda count: None)
+        patch.setenv("GEM_SECRET", "in the environment")
+        pool = pool_of("process")
+        if not pool._cells[0].walled:
+            pool.close()
+            pytest.skip("this kernel has no Landlock")
+        yield Watched(pool)
+        pool.close()
+
+
+@pytest.fixture
+def bystander() -> Iterator[subprocess.Popen[bytes]]:
+    """A process of the same user, with a secret in its environment."""
+    environment = {"BYSTANDER": "secret"}
+    process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], env=environment)
+    yield process
+    process.kill()
+    process.wait()
+
+
+def test_it_is_the_same_user(watched: Watched) -> None:
+    """Or the other tests would try nothing."""
+    assert attack(watched, "import os\nprint(os.getuid())").stdout == f"{os.getuid()}\n"
+
+
+def test_looking_into_other_processes(watched: Watched, bystander: subprocess.Popen[bytes]) -> None:
+    """Neither this process nor another shows its variables, memory, files or arguments."""
+    code = f"""
+import os
+seen = []
+for pid in ({os.getpid()}, os.getppid(), {bystander.pid}):
+    for name in ("environ", "mem", "maps", "cmdline", "status", "auxv"):
+        try: seen.append((pid, name, open(f"/proc/{{pid}}/{{name}}", "rb").read(16)))
+        except OSError: pass
+    for name in ("cwd", "root", "exe", "fd/0"):
+        try: seen.append((pid, name, os.readlink(f"/proc/{{pid}}/{{name}}")))
+        except OSError: pass
+print(seen)
+"""
+    assert attack(watched, code).stdout == "[]\n"
+
+
+def test_reading_and_writing_files_of_its_user(watched: Watched, tmp_path: Path) -> None:
+    """Only the system, the interpreter and its own folder can be opened."""
+    private = tmp_path / "private"
+    private.write_text("kept", "utf-8")
+    private.chmod(0o600)
+    places = [
+        str(tmp_path),
+        tempfile.gettempdir(),
+        "/tmp",
+        "/var/tmp",
+        "/dev/shm",
+        "/run/lock",
+        os.path.expanduser("~"),
+    ]
+    name = secrets.token_hex(8)
+    code = f"""
+import os
+done = []
+def attempt(what, act):
+    try:
+        act()
+        done.append(what)
+    except OSError: pass
+attempt("read", lambda: open({str(private)!r}).read())
+attempt("cut", lambda: os.truncate({str(private)!r}, 0))
+attempt("remove", lambda: os.unlink({str(private)!r}))
+attempt("link", lambda: os.link({str(private)!r}, "linked"))
+attempt("move", lambda: os.rename({str(private)!r}, "moved"))
+for place in {places!r}:
+    attempt("list " + place, lambda: os.listdir(place))
+    attempt("write " + place, lambda: open(os.path.join(place, {name!r}), "w"))
+    attempt("mkdir " + place, lambda: os.mkdir(os.path.join(place, {name!r})))
+attempt("terminal", lambda: os.open("/dev/ptmx", os.O_RDWR | os.O_NOCTTY))
+open("mine", "w").write("x"); os.mkdir("a"); os.rename("mine", "a/mine")
+print(done, os.listdir("a"))
+"""
+    assert attack(watched, code).stdout == "[] ['mine']\n"
+    assert private.read_text("utf-8") == "kept"
+
+
+def test_another_session_of_the_same_user(watched: Watched) -> None:
+    """Its folder cannot be opened, though its name be known, and its process cannot be looked into."""
+    session = watched.pool.session(SMALL)
+    try:
+        where = session.run("import os\nopen('mine', 'w').write('private')\nprint(os.getcwd(), os.getpid())").stdout
+        folder, pid = where.split()
+        code = f"""
+import os
+seen = []
+for act in (lambda: os.listdir({folder!r}), lambda: open({folder!r} + "/mine").read(),
+            lambda: os.listdir(os.path.dirname(os.getcwd())), lambda: open("/proc/{pid}/environ").read()):
+    try: seen.append(act())
+    except OSError: pass
+print(seen)
+"""
+        assert watched.pool.run(code, limits=SMALL).stdout == "[]\n"
+        assert session.run("open('mine').read()").value == "'private'"
+    finally:
+        session.close()
+    watched.check()
+
+
+def test_signals_by_way_of_a_file(watched: Watched, bystander: subprocess.Popen[bytes]) -> None:
+    """A file that becomes ready may signal any process of its user: it is given no other owner."""
+    code = f"""
+import fcntl, os, signal
+reading, writing = os.pipe()
+for act in (lambda: fcntl.fcntl(reading, fcntl.F_SETOWN, {bystander.pid}),
+            lambda: fcntl.ioctl(reading, 0x8901, {bystander.pid}.to_bytes(4, "little")),
+            lambda: fcntl.fcntl(reading, 10, signal.SIGKILL)):
+    try:
+        act()
+        print("set")
+    except OSError: pass
+fcntl.fcntl(reading, fcntl.F_SETFL, os.O_ASYNC | os.O_NONBLOCK)
+os.write(writing, b"x")
+os.kill(os.getpid(), 0)
+"""
+    assert attack(watched, code).stdout == ""
+    with pytest.raises(subprocess.TimeoutExpired):
+        bystander.wait(0.05)
+
+
+def test_slowing_other_processes_down(watched: Watched, bystander: subprocess.Popen[bytes]) -> None:
+    """Their processors, priorities and limits stay."""
+    code = f"""
+import os, resource
+done = []
+for name, act in (("affinity", lambda: os.sched_setaffinity({bystander.pid}, [0])),
+                  ("scheduler", lambda: os.sched_setscheduler({bystander.pid}, 5, os.sched_param(0))),
+                  ("priority", lambda: os.setpriority(os.PRIO_PROCESS, {bystander.pid}, 19)),
+                  ("all", lambda: os.setpriority(os.PRIO_USER, 0, 19)),
+                  ("limit", lambda: resource.prlimit({bystander.pid}, resource.RLIMIT_NOFILE, (0, 0)))):
+    try:
+        act()
+        done.append(name)
+    except OSError: pass
+print(done)
+"""
+    before = os.getpriority(os.PRIO_PROCESS, bystander.pid), os.sched_getaffinity(bystander.pid)
+    assert attack(watched, code).stdout == "[]\n"
+    assert (os.getpriority(os.PRIO_PROCESS, bystander.pid), os.sched_getaffinity(bystander.pid)) == before
+
+
+def test_services_that_listen_in_the_file_system(watched: Watched) -> None:
+    """No socket can be connected by its name, by a path or an abstract one, nor be sent to."""
+    name = secrets.token_hex(6)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        socket.socket(socket.AF_UNIX) as stream,
+        socket.socket(socket.AF_UNIX) as abstract,
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as datagrams,
+    ):
+        path = os.path.join(folder, "s")
+        stream.bind(path)
+        abstract.bind(f"\0{name}")
+        datagrams.bind(f"\0{name}-d")
+        for listening in (stream, abstract):
+            listening.listen()
+        datagrams.setblocking(False)
+        code = f"""
+import socket
+reached = []
+def attempt(what, act):
+    try:
+        act()
+        reached.append(what)
+    except OSError: pass
+attempt("path", lambda: socket.socket(socket.AF_UNIX).connect({path!r}))
+attempt("abstract", lambda: socket.socket(socket.AF_UNIX).connect("\\0{name}"))
+attempt("sent", lambda: socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM).sendto(b"x", "\\0{name}-d"))
+attempt("pair", lambda: socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)[0].sendto(b"x", "\\0{name}-d"))
+here, there = socket.socketpair()
+here.send(b"works")
+print(reached, there.recv(9))
+"""
+        assert attack(watched, code).stdout == "[] b'works'\n"
+        with pytest.raises(BlockingIOError):
+            datagrams.recv(1)
+
+
+def test_usual_code_does_not_notice(watched: Watched) -> None:
+    """Imports, temporary files, other programs, threads, its own facts in /proc."""
+    code = """
+import asyncio, concurrent.futures, ctypes.util, decimal, hashlib, os, sqlite3, ssl, subprocess, sys, tempfile, time
+with tempfile.NamedTemporaryFile("w+") as file: print(file.write("x"))
+print(subprocess.run([sys.executable, "-c", "import json; print(40 + 2)"], capture_output=True, text=True).stdout)
+print(subprocess.run("echo $((1 + 1)) | cat > o; cat o 2>/dev/null", shell=True, capture_output=True, text=True).stdout)
+with concurrent.futures.ThreadPoolExecutor(2) as threads: print(list(threads.map(abs, [-1, 2])))
+async def one(): return 1
+print(asyncio.run(one()), sqlite3.connect("data.db").execute("select 1 + 1").fetchone(), os.cpu_count() > 0)
+print("VmRSS" in open("/proc/self/status").read(), open("/dev/stdin").read(), open(os.devnull).read() == "")
+"""
+    outcome = attack(watched, code, Limits(wall_s=60), stdin="given")
+    assert outcome.stdout == "1\n42\n\n2\n\n[1, 2]\n1 (2,) True\nTrue given True\n", outcome
+
+
+def test_signals_to_itself(watched: Watched) -> None:
+    """Are as usual."""
+    outcome = attack(watched, "import signal\nsignal.raise_signal(signal.SIGTERM)")
+    assert (outcome.status, outcome.signal) == ("killed", signal.SIGTERM.name)
