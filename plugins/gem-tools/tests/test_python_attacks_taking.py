@@ -5,8 +5,10 @@ Each is really tried; afterwards the pool still serves, and no process, file or 
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
-from python_levels import Watched, attack, each_level
+from python_levels import SHORT, SMALL, Watched, attack, each_level
 
 from gem_tools.python import Limits
 
@@ -16,7 +18,7 @@ watched = each_level()
 def test_fork_bomb(watched: Watched) -> None:
     """Processes that multiply as fast as they can reach the limit, and all end with the call."""
     code = "import os\nwhile True:\n    try:\n        os.fork()\n    except OSError:\n        pass"
-    assert attack(watched, code).status in ("timeout", "cpu")
+    assert attack(watched, code, SHORT).status in ("timeout", "cpu")
 
 
 def test_processes_are_counted(watched: Watched) -> None:
@@ -39,7 +41,7 @@ except BlockingIOError:
 
 
 def test_threads_count_as_processes(watched: Watched) -> None:
-    """As the kernel counts them."""
+    """As the kernel counts them; each takes address space as well, of which there is enough here."""
     code = """
 import threading, time, os
 made = 0
@@ -51,7 +53,7 @@ except RuntimeError:
     print(made, flush=True)
     os._exit(0)
 """
-    assert attack(watched, code).stdout == "15\n"
+    assert attack(watched, code, dataclasses.replace(SMALL, memory_mb=1024)).stdout == "15\n"
 
 
 def test_memory_bomb(watched: Watched) -> None:
@@ -93,7 +95,7 @@ time.sleep(60)
 )
 def test_memory_by_other_ways(watched: Watched, code: str) -> None:
     """Nothing that counts as memory, or lives outside of it, comes past the limit."""
-    assert attack(watched, code).status in ("error", "memory", "cpu", "timeout")
+    assert attack(watched, code, SHORT).status in ("error", "memory", "cpu", "timeout")
 
 
 def test_endless_output(watched: Watched) -> None:

@@ -375,7 +375,8 @@ def test_nothing_is_left_after_many_calls(pool: Pool) -> None:
     asyncio.run(some(400))
     rest()
     assert open_files() == before
-    assert until(lambda: sandbox_files(pool) == files)
+    # The next process may still have been closing what it inherited when the first count was taken.
+    assert until(lambda: sum(sandbox_files(pool)) <= sum(files))
     assert len(folders(pool)) <= 2
 
 
@@ -412,9 +413,12 @@ print(*[cell.launch.base for cell in pool._cells if cell.launch.base], flush=Tru
 @pytest.mark.parametrize("level", ALL)
 @pytest.mark.parametrize("how", ["end", "exception", "interrupt", "kill", "terminate"])
 def test_nothing_is_left_when_the_process_ends(level: str, how: str) -> None:
-    """By itself, by an error, by Ctrl-C, by kill -9: with a call and a session in its sandboxes."""
+    """By itself, by an error, by Ctrl-C, by kill -9: with a call and a session in its sandboxes.
+
+    The process waits again and again: a signal that comes just before it blocks is noticed when it wakes.
+    """
     pool_of(level).close()
-    end = {"end": "", "exception": "raise ValueError"}.get(how, "threading.Event().wait(600)")
+    end = {"end": "", "exception": "raise ValueError"}.get(how, "while True:\n    threading.Event().wait(0.1)")
     path = [str(Path(__file__).parent), *filter(None, sys.path)]
     code = PROGRAM.format(path=path, level=level, end=end, least=7 if level == "bubblewrap" else 5)
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
@@ -426,7 +430,10 @@ def test_nothing_is_left_when_the_process_ends(level: str, how: str) -> None:
         number = {"interrupt": signal.SIGINT, "kill": signal.SIGKILL, "terminate": signal.SIGTERM}.get(how)
         if number is not None:
             process.send_signal(number)
-        process.wait(60)
+        try:
+            process.wait(60)
+        finally:
+            process.kill()
     assert until(lambda: not any(map(alive, pids)))
     assert until(lambda: not any(map(os.path.exists, bases)))
 
