@@ -31,10 +31,12 @@ _ALIKE, _EQUALS = "it is written like the reference", "it equals the reference"
 _DIFFERS = "it is not the reference"
 _DECIMAL_COMMA = re.compile(r"^\s*-?\d+,\d+\s*$")
 _TAIL_CHARS = 20_000
-_SPAN = re.compile(r"\$\$[^$]+\$\$|(?<!\\)\$[^$\n]+\$|\\\[(?:[^\\]|\\(?!\]))+\\\]|\\\((?:[^\\\n]|\\(?!\)))+\\\)")
+# No mathematics begins within mathematics; without that, many opening marks would take the square of their number.
+_SPAN = re.compile(r"\$\$[^$]+\$\$|(?<!\\)\$[^$\n]+\$|\\\[(?:[^\\]|\\(?![\[\]]))+\\\]|\\\((?:[^\\\n]|\\(?![()]))+\\\)")
 _DENIAL = re.compile(r"(?i)\b(?:not|never|wrong|incorrect|neither|nor|isn|cannot|no)\b|n['\u2019]t\b")
 _BOX = re.compile(r"\\boxed\s*\{")
 _SEPARATION = re.compile(r"\\text\s*\{\s*(?:,?\s*(?:and|or)|,)\s*\}|\\q?quad|\b(?:and|or)\b|[,;\s$&]|\\[\[\](), ;]")
+_JOINING = re.compile(r"\b(?:and|or)\b|[,;]")
 _PHRASE = re.compile(r"(?i)\b(?:final\s+)?answer\s*(?:is|:)\s*:?\s*")
 
 
@@ -86,20 +88,16 @@ def grade(
     Source: the boxed-answer convention of MATH, arXiv:2103.03874; math-verify 0.9.0 for what evaluation does not tell.
     """
     golds = _golds(gold)
-    extracted = extract_answer(answer, strict=strict)
-    if extracted is None:
-        return Grade(0.0, False, None, "there is no \\boxed{} and no <answer>" if strict else "there is no answer")
-    if not extracted.strip():
-        return Grade(0.0, False, "", "the answer is empty")
-    if len(extracted) > MAX_ANSWER_CHARS:
-        return Grade(0.0, False, extracted[:80] + "…", f"the answer has more than {MAX_ANSWER_CHARS} characters")
-    beside = _boxes_side_by_side(answer)
+    beside, joined = _boxes_side_by_side(answer)
+    extracted = beside if joined else extract_answer(answer, strict=strict)
+    if (refused := _refused(extracted, strict)) is not None or extracted is None:
+        return refused or Grade(0.0, False, None, "there is no answer")
     best = Grade(0.0, False, extracted, _DIFFERS)
     failure: GradingError | None = None
     for one in golds:
         try:
             found = _grade_one(extracted, one, timeout_s, partial_credit)
-            if not found.correct and beside is not None:
+            if not (found.correct or joined or beside is None):
                 found = max(found, _grade_one(beside, one, timeout_s, partial_credit), key=_reward_of)
         except GradingError as error:
             failure = error
@@ -116,6 +114,17 @@ def grade(
     if failure is not None:
         raise failure
     return best
+
+
+def _refused(extracted: str | None, strict: bool) -> Grade | None:
+    """Return the verdict on what cannot be compared: nothing, or too much."""
+    if extracted is None:
+        return Grade(0.0, False, None, "there is no \\boxed{} and no <answer>" if strict else "there is no answer")
+    if not extracted.strip():
+        return Grade(0.0, False, "", "the answer is empty")
+    if len(extracted) > MAX_ANSWER_CHARS:
+        return Grade(0.0, False, extracted[:80] + "…", f"the answer has more than {MAX_ANSWER_CHARS} characters")
+    return None
 
 
 def extract_answer(text: str, *, strict: bool = False) -> str | None:
@@ -143,22 +152,30 @@ def extract_answer(text: str, *, strict: bool = False) -> str | None:
     return text or None
 
 
-def _boxes_side_by_side(text: str) -> str | None:
-    """Return the contents of the last boxes of a text where only commas and 'and' stand between them."""
+def _boxes_side_by_side(text: str) -> tuple[str | None, bool]:
+    """Return the contents of the last boxes of a text where only commas and 'and' stand between them.
+
+    Boxes that such a sign or word joins, which the second value tells, are one answer together; others may be the same
+    answer twice.
+    """
     text = text[-_TAIL_CHARS:]
     contents: list[str] = []
     position = 0
+    joined = True
     for match in _BOX.finditer(text):
         if match.start() < position:
             continue
         end = close_of(text, match.end() - 1)
         if end < 0:
             break
-        if contents and _SEPARATION.sub("", text[position : match.start()]):
-            contents = []
+        between = text[position : match.start()]
+        if contents and _SEPARATION.sub("", between):
+            contents, joined = [], True
+        elif contents:
+            joined = joined and _JOINING.search(between) is not None
         contents.append(text[match.end() : end])
         position = end + 1
-    return ", ".join(contents) if 1 < len(contents) < 40 else None
+    return (", ".join(contents), joined) if 1 < len(contents) < 40 else (None, False)
 
 
 def _reward_of(verdict: Grade) -> float:
@@ -179,7 +196,7 @@ def _golds(gold: Any) -> list[str]:
         raise GradingError(
             f"the gold answer must be a text, a number or a list of these, and not empty: it is {gold!r}"
         )
-    return [_boxes_side_by_side(text) or extract_last_boxed_answer(text) or text for text in texts]
+    return [_boxes_side_by_side(text)[0] or extract_last_boxed_answer(text) or text for text in texts]
 
 
 class _Asking:

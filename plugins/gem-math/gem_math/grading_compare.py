@@ -26,7 +26,7 @@ from gem_math.grading_formulas import read_formula
 from gem_math.grading_numbers import compare_formulas, proportional, value_of
 from gem_math.grading_reading import read
 from gem_math.grading_text import words_of
-from gem_math.grading_units import DEGREE, Unit, go_together
+from gem_math.grading_units import DEGREE, go_together
 
 # Six decimals are as many as math-verify compares; fewer are a rounded number, which is another one.
 _MIN_DECIMALS = 6
@@ -173,6 +173,8 @@ class Comparison:
         answers = answer.items if isinstance(answer, Many) else (answer,)
         if len(golds) > _MAX_PARTS or len(answers) > _MAX_PARTS:
             return False
+        if (theirs := _in_named_order(golds, answers)) is not None:
+            return self.in_order(golds, theirs)
         if len(golds) != len(answers):
             golds, answers = self.distinct(golds), self.distinct(answers)
         return self.matched(golds, answers)
@@ -317,7 +319,9 @@ class Comparison:
             # 25 % is 1/4, and the answer 25 to a question for a percentage.
             other = Leaf(rf"\frac{{{answer.text}}}{{100}}") if answer.percent else answer
             mine = Leaf(rf"\frac{{{gold.text}}}{{100}}") if gold.percent else gold
-            return self.formulas(mine, other) or self.formulas(Leaf(gold.text), Leaf(answer.text))
+            if self.formulas(mine, other):
+                return True
+            return not (answer.percent and _is_part(gold)) and self.formulas(Leaf(gold.text), Leaf(answer.text))
         if gold.unit is not None and answer.unit is not None and gold.unit.factor != answer.unit.factor:
             return self.formulas(_scaled(gold, gold.unit.factor), _scaled(answer, answer.unit.factor))
         if (gold.unit == DEGREE) != (answer.unit == DEGREE) and self.formulas(_in_radians(gold), _in_radians(answer)):
@@ -361,6 +365,13 @@ def _same_name(first: str, second: str) -> bool:
         return True
     # Words name nothing that a formula needs: "Area = 5" and "A = 5".
     return len(words_of(first)) > 3 or len(words_of(second)) > 3
+
+
+def _in_named_order(golds: Sequence[Form], answers: Sequence[Form]) -> Sequence[Form] | None:
+    """Return bare answers to a = 2, b = 3, which then stand in that order; None where names tell, or name one thing."""
+    names = {re.sub(r"_.*", "", item.name) for item in golds if isinstance(item, Assignment)}
+    bare = not any(isinstance(item, Assignment | Equation) for item in answers)
+    return answers if bare and len(answers) == len(golds) == len(names) > 1 else None
 
 
 def _spread(form: Form) -> Form:
@@ -429,6 +440,12 @@ def _same_digits(gold: Leaf, answer: Leaf) -> bool:
     return answer.base in {None, gold.base} and gold.text.upper() == (answer.text.lstrip("0") or "0").upper()
 
 
+def _is_part(gold: Leaf) -> bool:
+    """Whether a gold number is a part of one, such as a probability: 0.5 asks for no percentage."""
+    value = _exact(gold)
+    return value is not None and 0 < abs(value) < 1
+
+
 def _infinities(first: str, second: str) -> bool | None:
     signs = [{r"\infty": 1, r"+\infty": 1, r"-\infty": -1}.get(_bare(text)) for text in (first, second)]
     if signs == [None, None]:
@@ -445,11 +462,19 @@ def _rounded(gold: Leaf, answer: Leaf) -> bool | None:
         if decimal.formula is None or other.formula is None or len(match[1]) > 60:
             return None
         value, written = value_of(other.formula), value_of(decimal.formula)
-        if value is None or not isinstance(written, Fraction) or _terminates(value):
+        if value is None or not isinstance(written, Fraction) or _terminates(value) or _is_complex(value):
             return None
-        value = Fraction(str(value.real)) if hasattr(value, "real") and not isinstance(value, Fraction) else value
-        return abs(Fraction(value) - written) <= Fraction(1, 10 ** len(match[1]))
+        # Zeros in front tell nothing: 0.000001 is no third of it.
+        if len((decimal.text.lstrip("+-").replace(".", "")).lstrip("0")) < _MIN_DECIMALS:
+            return False
+        value = value if isinstance(value, Fraction) else Fraction(str(value.real))
+        return abs(value - written) <= Fraction(1, 10 ** len(match[1]))
     return None
+
+
+def _is_complex(value: Any) -> bool:
+    """Whether a value has an imaginary part beyond what rounding leaves."""
+    return not isinstance(value, Fraction) and abs(value.imag) > 1e-60
 
 
 def _terminates(value: Any) -> bool:
@@ -460,8 +485,3 @@ def _terminates(value: Any) -> bool:
         while below % prime == 0:
             below //= prime
     return below == 1
-
-
-def plain_unit(unit: Unit | None) -> bool:
-    """Return whether a number stands alone."""
-    return unit is None

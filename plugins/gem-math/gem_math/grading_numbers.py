@@ -26,6 +26,9 @@ _LEAST = Fraction(1, 10**35)
 _MAX_BITS = 60_000
 _MAX_WORK = 2_000_000  # bits of all exact results together
 _POINTS = 4
+# Absolute values and roots may agree with something else nearby, floors with something else at some whole numbers.
+_POINTS_FAR, _POINTS_WHOLE = range(_POINTS, _POINTS + 6), range(_POINTS, _POINTS + 60)
+_BROKEN = {"abs", "root", "^", "floor", "ceil", "arcsin", "arccos", "arctan", "log", "ln"}
 
 Value = Any  # Fraction, mpf or mpc
 
@@ -84,21 +87,66 @@ def exact_value(text: str) -> Fraction | None:
 
 def _compare(first: Formula, second: Formula, base: str) -> bool | None:
     letters = first.letters | second.letters
-    verdicts: set[bool | None] = set()
-    evaluated = 0
-    for point in range(_POINTS if letters else 1):
+    whole = first.whole or second.whole
+    verdicts = _verdicts(first, second, base, whole, range(_POINTS if letters else 1))
+    if UnsupportedError in verdicts or (len(verdicts) < 2 if letters else not verdicts):
+        return None
+    if letters and False not in verdicts:
+        verdicts += _verdicts_elsewhere(first, second, base, whole)
+    return verdicts[0] if len(set(verdicts)) == 1 else None
+
+
+def _verdicts(first: Formula, second: Formula, base: str, whole: bool, points: range) -> list[Any]:
+    """Return what each point tells where both have a value; ``UnsupportedError`` ends it."""
+    verdicts: list[Any] = []
+    for point in points:
         try:
-            whole = first.whole or second.whole
-            same = _same(_evaluate(first, point, base, whole), _evaluate(second, point, base, whole))
+            verdicts.append(_same(_evaluate(first, point, base, whole), _evaluate(second, point, base, whole)))
         except UndefinedError:
             continue
         except (UnsupportedError, RecursionError):
-            return None
-        evaluated += 1
-        verdicts.add(same)
-    if not evaluated or (letters and evaluated < 2):
-        return None
-    return verdicts.pop() if len(verdicts) == 1 else None
+            verdicts.append(UnsupportedError)
+            break
+    return verdicts
+
+
+def _verdicts_elsewhere(first: Formula, second: Formula, base: str, whole: bool) -> list[bool | None]:
+    """Look at more points where the formulas have pieces, which may agree at some points by chance."""
+    kinds = _kinds(first.tree) | _kinds(second.tree)
+    found: list[Any] = []
+    if kinds & {"floor", "ceil"}:
+        found += _verdicts(first, second, base, True, _POINTS_WHOLE)
+        # The floor of what is whole at each whole number only says something between them.
+        if not kinds & {"!", "binom"} and (_idle(first.tree) or _idle(second.tree)):
+            found += _verdicts(first, second, base, False, range(_POINTS))
+    elif kinds & _BROKEN and not whole:
+        for point in _POINTS_FAR:
+            found += _verdicts(first, second, base, False, range(point, point + 1))
+    return [verdict for verdict in found if verdict is not UnsupportedError]
+
+
+def _kinds(tree: Tree) -> set[str]:
+    """Return the kinds of all parts of a formula."""
+    kinds = {tree[0]}
+    for part in tree[1:]:
+        if isinstance(part, tuple):
+            kinds |= _kinds(part)
+    return kinds
+
+
+def _idle(tree: Tree) -> bool:
+    """Whether a formula has a floor of sums and products of letters and whole numbers."""
+    parts = [part for part in tree[1:] if isinstance(part, tuple)]
+    if tree[0] in {"floor", "ceil"} and _kinds(tree[1]) <= {"+", "-", "*", "n", "x"} and _kinds(tree[1]) & {"x"}:
+        return all(number.denominator == 1 for number in _numbers(tree))
+    return any(map(_idle, parts))
+
+
+def _numbers(tree: Tree) -> list[Fraction]:
+    """Return the numbers that are written in a formula."""
+    if tree[0] == "n":
+        return [tree[1]]
+    return [number for part in tree[1:] if isinstance(part, tuple) for number in _numbers(part)]
 
 
 def _same(one: Value, other: Value) -> bool | None:
@@ -159,7 +207,10 @@ def _letter_value(name: str, run: _Run) -> Fraction:
     """A value that depends on the name and the point alone: positive, negative, large, small; or a whole number."""
     seed = zlib.crc32(f"{name}#{run.point}".encode())
     if run.whole:
-        return Fraction(3 + (seed % 29) * 2 + run.point % 2)
+        return Fraction(3 + (seed % 29) * 2 + run.point % 2 + (run.point // _POINTS) * (seed >> 8) % 5)
+    if run.point >= _POINTS:
+        far = Fraction((30 + seed % 37) * 20 ** ((run.point - _POINTS) // 2))
+        return -far if run.point % 2 else far
     number = Fraction(101 + seed % 7919, 1009 + (seed >> 13) % 3001)
     return -number if run.point == 1 else (number + 3 if run.point == 2 else number)
 

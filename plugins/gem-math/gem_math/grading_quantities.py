@@ -24,7 +24,9 @@ _DEGREE = re.compile(r"\s*\^\s*(?:\{\s*\\circ\s*\}|\\circ)\s*(\\text\s*\{\s*[CF]
 _ANGLE_FUNCTION = re.compile(r"\\(?:sin|cos|tan|cot|sec|csc)(?![a-zA-Z])")
 _EXPONENT = re.compile(r"^(-?\d+(?:\.\d+)?)\s*[eE]\s*([-+]?\d{1,3})$")
 _MAX_EXPONENT = 400
-_REPEATING = re.compile(r"(\d*)\.(\d*)\s*\\(?:overline|bar|dot)\s*\{\s*(\d+)\s*\}")
+_REPEATING = re.compile(r"(-?\d*)\.(\d*)\s*\\(?:overline|bar|dot)\s*\{\s*(\d+)\s*\}")
+# 0.333… and 0.1666…: what comes three times goes on.
+_GOING_ON = re.compile(r"^(-?\d*)\.(\d*?)(\d{1,6}?)\3{2,}\s*(?:\\ldots|\.\.\.)$")
 _MIXED = re.compile(r"^(-?)\s*(\d+)\s+(\d+)\s*/\s*(\d+)$")
 _BASE = re.compile(r"^([0-9A-Fa-f]+)\s*_\s*(?:\{\s*)?(?:\\text\s*\{\s*(\w+)\s*\}|(\d+))(?:\s*\})?$")
 _ORDINAL = re.compile(r"^(\d+)\s*(?:\^\s*)?(?:\{?\s*\\text\s*\{\s*(?:st|nd|rd|th)\s*\}\s*\}?|(?:st|nd|rd|th))$")
@@ -79,6 +81,8 @@ def read_quantity(text: str, *, loose_units: bool = False) -> Form:
         text = rf"{match[1]} \cdot 10^{{{match[2]}}}"
     if "overline" in text or "bar" in text or "dot" in text:
         text = _REPEATING.sub(_fraction_of, text)
+    if r"\ldots" in text or "..." in text:
+        text = _GOING_ON.sub(_fraction_of, text)
     if match := _MIXED.match(text):
         text = f"{match[1]}({match[2]}+{match[3]}/{match[4]})"
     if match := _ORDINAL.match(text):
@@ -115,10 +119,10 @@ def _unit(text: str, loose_units: bool) -> tuple[str, Unit | None]:
 
 def _fraction_of(match: re.Match[str]) -> str:
     """Return a repeating decimal as the fraction that it is."""
-    whole, fixed, block = match[1] or "0", match[2], match[3]
+    sign, whole, fixed, block = match[1][:1].strip("0123456789"), match[1].lstrip("-") or "0", match[2], match[3]
     nines = (10 ** len(block) - 1) * 10 ** len(fixed)
     above = int(whole + fixed + block) - int(whole + fixed)
-    return rf"\frac{{{above}}}{{{nines}}}"
+    return rf"{sign}\frac{{{above}}}{{{nines}}}"
 
 
 def _trailing_unit(text: str) -> tuple[str, Unit | None]:

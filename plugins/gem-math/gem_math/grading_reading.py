@@ -47,10 +47,12 @@ _LEAD = re.compile(
 _STRANGE = {
     r"\to", r"\mapsto", r"\equiv", r"\sim", r"\propto", r"\cong", r"\notin", r"\subset", r"\subseteq", r"\Rightarrow",
     r"\implies", r"\iff", r"\rightarrow", r"\longrightarrow", r"\mid", r"\nmid", r"\parallel", r"\perp", r"\land",
-    r"\wedge", r"\forall", r"\exists", r"\cap", r"\supset", r"\leftrightarrow", r"\Leftrightarrow", r"\pmod", r"\bmod",
-    r"\ldots",
+    r"\wedge", r"\forall", r"\exists", r"\cap", r"\supset", r"\leftrightarrow", r"\Leftrightarrow", r"\pmod", r"\mod",
+    r"\ldots", r"\not",
 }  # fmt: skip
+_OR = re.compile(r"(?<![A-Za-z])or(?![A-Za-z])|\\vee")
 _SEPARATORS = {",", ";", "and", "or", r"\vee"}
+_NO_VALUE = {"dne", "does not exist", "the limit does not exist", "it does not exist"}
 _NOTHING = {
     "no solution", "no solutions", "none", "empty set", "the empty set", "no real solution", "no real solutions",
     "there is no solution", "there are no solutions", "no such solution",
@@ -59,6 +61,7 @@ _REALS = {r"\mathbb{R}", "all real numbers", "all reals", "the real numbers", "a
 _PLUS_INFINITY, _MINUS_INFINITY = Leaf(r"\infty"), Leaf(r"-\infty")
 _REAL_LINE = Group("(", (_MINUS_INFINITY, _PLUS_INFINITY), ")")
 _DIFFERENCE = re.compile(r"(?<![A-Za-z])[A-Za-z]\s*-\s*[A-Za-z](?![A-Za-z])|^\s*-\s*[A-Za-z](?![A-Za-z])")
+_ARTICLE = re.compile(r"^(?:an|the) (?=\w{2})|^a (?=\w{3})")
 _TIME = re.compile(r"(\d{1,2}:\d\d)\s*([ap])\.?\s*m\.?", re.IGNORECASE)
 _TO = re.compile(r"(\d+)\s*(?:to|\\text\s*\{\s*to\s*\})\s*(\d+)")
 _BUILDER = re.compile(r"^\s*([A-Za-z])\s*(?:\\in\s*\\mathbb\s*\{R\}\s*)?(?:\\mid|\||:)(.*)$", re.DOTALL)
@@ -118,6 +121,10 @@ class _Reading:
             return self.read(inside, _MAX_NESTING)
         if re.search(r"[\d\\+*/=<>^_|:$]", rest) or _DIFFERENCE.search(rest) or re.search(r"\\text\s*\{[^{}]*\d", text):
             return None
+        if words in _NO_VALUE:
+            return Words("does not exist", text)
+        if words in {"infinity", "positive infinity", "negative infinity"}:
+            return _MINUS_INFINITY if "negative" in words else _PLUS_INFINITY
         if words in NUMBER_WORDS:
             return Leaf(str(NUMBER_WORDS[words]))
         letters = rest.strip(" .,:;!?'\"-()[]{}")
@@ -126,7 +133,7 @@ class _Reading:
         if re.fullmatch(r"\\text\s*\{[^{}]*\}", text) and split(inside := text_inside(text), _SEPARATORS) != [inside]:
             return self.read(inside, depth + 1)
         separated = re.search(r"(?:^|\W)(?:and|or)(?:\W|$)|[,;]", text) is not None
-        return None if separated or not words else Words(words, text)
+        return None if separated or not words else Words(_ARTICLE.sub("", words), text)
 
     def choice(self, text: str, depth: int) -> Form | None:
         """A letter of a multiple choice."""
@@ -163,6 +170,8 @@ class _Reading:
         for piece in pieces:
             item = self.read(piece, depth + 1)
             items.extend(item.items if isinstance(item, Many) and not item.is_set else [item])
+        if (between := _between(items)) is not None and not _OR.search(text):
+            return between
         ranges = _inequalities(items) if " and " not in text and r"\text{ and }" not in text else None
         return ranges or Many(tuple(items))
 
@@ -347,6 +356,26 @@ def _signs(text: str) -> str:
 
 def _exact(form: Form) -> Any:
     return exact_value(form.text) if isinstance(form, Leaf) and form.base is None else None
+
+
+def _between(items: list[Form]) -> Form | None:
+    """Return the interval that x > 1 and x < 2 describe; of x < 1 and x > 2 there is none."""
+    if len(items) != 2:
+        return None
+    first, second = items
+    if not (isinstance(first, Inequality) and isinstance(second, Inequality) and first.name == second.name):
+        return None
+    if not (isinstance(first.values, Group) and isinstance(second.values, Group)):
+        return None
+    lower, upper = first.values, second.values
+    if lower.items[0] == _MINUS_INFINITY:
+        lower, upper = upper, lower
+    if lower.items[1] != _PLUS_INFINITY or upper.items[0] != _MINUS_INFINITY:
+        return None
+    low, high = _exact(lower.items[0]), _exact(upper.items[1])
+    if low is None or high is None or low >= high:
+        return None
+    return Inequality(first.name, Group(lower.opening, (lower.items[0], upper.items[1]), upper.closing))
 
 
 def _inequalities(items: list[Form]) -> Form | None:

@@ -48,6 +48,7 @@ _COMMANDS = {
     "thickapprox": "approx", "simeq": "approx", "geqq": "ge", "leqq": "le", "R": "mathbb{R}", "arctg": "arctan",
     "tg": "tan", "ctg": "cot", "varphi": "phi", "varepsilon": "epsilon", "infin": "infty", "and": "text{ and }",
     "or": "text{ or }", "percent": "%", "textpercent": "%", "textdollar": "$", "dollar": "$",
+    "bmod": "mod",
 }  # fmt: skip
 _PLAIN = {"{", "}", "$", "%"}  # these keep their backslash: they are LaTeX's visible signs
 _COMMAND = re.compile(r"\\([a-zA-Z]+)")
@@ -56,6 +57,8 @@ _BARE_FUNCTION = re.compile(
     r"|exp|theta|alpha|beta|gamma|lambda|cup|frac|times|cdot)(?![a-zA-Z])"
 )
 _SHORT_FRACTION = re.compile(r"\\frac\s*(\d)\s*(\d)")
+_NOT = re.compile(r"\\not\s*=")
+_TAG = re.compile(r"</?(?:b|i|em|strong|u|span|p|code|math|mark)>")
 _WORD = re.compile(r"[^\W_]+", re.UNICODE)
 
 
@@ -66,9 +69,11 @@ def clean(text: str) -> str:
         text = _ROOT.sub(_root, _SCRIPTS.sub(_scripts, text).translate(_TRANSLATION))
         text = unicodedata.normalize("NFKC", text)
     text = text.replace("**", " ^ " if re.search(r"\w\s*\*\*\s*[\w({-]", text) and not text.startswith("**") else " ")
+    text = _without_markup(text)
     text = re.sub(r"\\!\s*", "", text).replace("{,}", ",").replace("{:}", ":").replace("``", '"').replace("''", '"')
     if "\\\\" in text and "matrix" not in text and "array" not in text and "cases" not in text:
         text = re.sub(r"\\\\(?=[a-zA-Z({\[%$])", r"\\", text)  # models escape twice: \\frac is \frac
+    text = _NOT.sub(r"\\ne ", text) if "\\not" in text else text
     text = _dollars(text)
     text = _SIZES.sub("", text)
     text = _MATH_MARKS.sub(" ", text)
@@ -76,7 +81,16 @@ def clean(text: str) -> str:
     text = _COMMAND.sub(_command, text)
     text = _text_groups(text)
     text = _BARE_FUNCTION.sub(lambda match: "\\" + {"infinity": "infty", "inf": "infty"}.get(match[1], match[1]), text)
+    text = text.replace(r"\text{\infty}", r"\infty ")
     return _strip(_SHORT_FRACTION.sub(r"\\frac{\1}{\2}", text) if r"\frac" in text else text)
+
+
+def _without_markup(text: str) -> str:
+    """Take away quotation marks and code marks around all of an answer, and the tags that make it bold or italic."""
+    text = _TAG.sub(" ", text).strip() if "<" in text else text
+    if len(text) > 2 and text[0] == text[-1] and text[0] in '"`' and text[0] not in text[1:-1]:
+        text = text[1:-1].strip()
+    return text
 
 
 def words_of(text: str) -> str:

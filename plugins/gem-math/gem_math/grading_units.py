@@ -58,6 +58,8 @@ _NO_UNIT = {
     "when", "because", "since", "between", "to", "from", "through", "incorrect", "false", "hundred", "thousand",
     "million", "billion", "trillion", "half", "third", "quarter", "possibly", "answer", "correct", "true",
     "choose", "mod", "modulo", "divided", "over", "factorial", "percent", "infinity", "double", "twice",
+    "ten", "hundredth", "thousandth", "millionth", "tenth", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth",
+    "below", "above", "under", "excluded", "excluding", "exclusive", "short", "before", "beyond", "versus", "vs",
 }  # fmt: skip
 _SINGLE = {"m", "s", "h", "g", "l", "L", "N", "J", "W"}
 _PIECE = re.compile(r"[^\W\d_]+(?:'[a-z]+)?|\^\s*\{?\s*(-?\d)\s*\}?|/|(\S)")
@@ -101,7 +103,7 @@ class _UnitReading:
             return all(self.take(part, None, None) for part in _RATES[word].replace("/", " / ").split())
         elif (found := _known(piece)) is not None:
             self.multiply(*found)
-        elif word in _NO_UNIT:
+        elif word in _NO_UNIT or _singular(word) in _NO_UNIT:
             return False
         elif word not in _ARTICLES and self.sign > 0 and _singular(word) not in _NOTHING:
             self.nouns.add(_singular(word))
@@ -148,7 +150,8 @@ def go_together(first: Unit | None, second: Unit | None) -> bool:
 
 
 def _known(word: str) -> tuple[str, Fraction] | None:
-    for spelling in (word, word.lower(), _singular(word)):
+    # Mm is no millimetre.
+    for spelling in (word,) if re.fullmatch("M[a-z]", word) else (word, word.lower(), _singular(word)):
         # Capital letters alone are no lengths and times: M is no metre.
         if spelling in _TABLE and (len(word) > 1 or word in _SINGLE):
             return _TABLE[spelling]

@@ -40,7 +40,8 @@ def _answer(request: dict[str, Any], replies: TextIO) -> dict[str, Any]:
     _grant(request["cpu_s"])
     gold_text, answer_text = str(request["gold"])[:_MAX_TEXT], str(request["answer"])[:_MAX_TEXT]
     try:
-        gold = _parsed(gold_text)
+        real = _is_real(gold_text, answer_text)
+        gold = _parsed(gold_text, real)
         with contextlib.suppress(AttributeError, TypeError, ValueError, NotImplementedError):
             gold.doit().evalf(15)
     except Exception as error:  # noqa: BLE001  # sympy raises whatever; the caller is told
@@ -49,20 +50,26 @@ def _answer(request: dict[str, Any], replies: TextIO) -> dict[str, Any]:
         return {"stage": "gold", "failed": f"RecursionError: {error}"[:300]}
     replies.write('"gold"\n')
     try:
-        answer = _parsed(answer_text)
+        answer = _parsed(answer_text, real)
         return {"same": _verified(gold, answer)}
     except Exception as error:  # noqa: BLE001  # an answer that cannot be read is a wrong one
         return {"stage": "answer", "failed": f"{type(error).__name__}: {error}"[:300]}
 
 
-def _parsed(text: str) -> Any:
+def _is_real(gold_text: str, answer_text: str) -> bool:
+    """Whether letters stand for real numbers; for both texts alike, since a real n and a complex n are two."""
+    from math_verify.grader import should_treat_as_complex  # type: ignore[import-untyped]
+
+    return not (should_treat_as_complex(gold_text) or should_treat_as_complex(answer_text))
+
+
+def _parsed(text: str, real: bool) -> Any:
     # None of these packages has types.
     from latex2sympy2_extended import latex2sympy  # type: ignore[import-untyped]
     from latex2sympy2_extended.math_normalization import (  # type: ignore[import-untyped]
         NormalizationConfig,
         normalize_latex,
     )
-    from math_verify.grader import should_treat_as_complex  # type: ignore[import-untyped]
 
     # Units and boxes are ours; taking away "units" would take letters from formulas.
     config = NormalizationConfig(
@@ -70,7 +77,7 @@ def _parsed(text: str) -> Any:
     )
     return latex2sympy(
         normalize_latex(text, config),
-        is_real=not should_treat_as_complex(text),
+        is_real=real,
         convert_degrees=False,
         normalization_config=None,
     )
@@ -83,20 +90,31 @@ def _verified(gold: Any, answer: Any) -> bool:
     for value in (gold, answer):
         if isinstance(value, sympy.Basic) and value.has(sympy.nan, sympy.zoo):
             return False
+    # The sum of the first n numbers is n(n+1)/2 once it is carried out, which math-verify does late, or not at all.
+    unfinished = (sympy.Sum, sympy.Product, sympy.Integral, sympy.Limit, sympy.Derivative)
+    pair = (gold, answer)
+    if all(isinstance(one, sympy.Expr) for one in pair) and any(one.has(*unfinished) for one in pair):
+        done = [one.doit() for one in pair]
+        if not any(one.has(*unfinished, sympy.nan, sympy.zoo) for one in done):
+            return bool(verify(*done, timeout_seconds=None, raise_on_error=True))
     return bool(verify(gold, answer, timeout_seconds=None, raise_on_error=True))
 
 
 def _warm_up() -> None:
     """Load what the first comparison would have to, and fill the caches of the grammar."""
+    import importlib
     import logging
 
+    # sympy imports it when it first adds up a series, and it sets variables of the environment: refused by then.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    importlib.import_module("numpy")
     logging.disable(logging.CRITICAL)
     for gold, answer in (
         (r"\frac{1}{2}", "0.5"),
         (r"\sqrt{x^2+1}", r"(x+1)^{2}"),
         (r"\sum_{k=1}^{3} k", r"\sin(1)+\ln 2"),
     ):
-        _verified(_parsed(gold), _parsed(answer))
+        _verified(_parsed(gold, True), _parsed(answer, True))
     sys.setrecursionlimit(3000)
     if hasattr(sys, "set_int_max_str_digits"):
         sys.set_int_max_str_digits(20_000)
