@@ -33,7 +33,9 @@ _DECIMAL_COMMA = re.compile(r"^\s*-?\d+,\d+\s*$")
 _TAIL_CHARS = 20_000
 # No mathematics begins within mathematics; without that, many opening marks would take the square of their number.
 _SPAN = re.compile(r"\$\$[^$]+\$\$|(?<!\\)\$[^$\n]+\$|\\\[(?:[^\\]|\\(?![\[\]]))+\\\]|\\\((?:[^\\\n]|\\(?![()]))+\\\)")
-_DENIAL = re.compile(r"(?i)\b(?:not|never|wrong|incorrect|neither|nor|isn|cannot|no)\b|n['\u2019]t\b")
+_DENIAL = re.compile(
+    r"(?i)\b(?:not|never|wrong|incorrect|neither|nor|isn|cannot|no|or|either|maybe|perhaps|possibly)\b|n['\u2019]t\b"
+)
 _BOX = re.compile(r"\\boxed\s*\{")
 _SEPARATION = re.compile(r"\\text\s*\{\s*(?:,?\s*(?:and|or)|,)\s*\}|\\q?quad|\b(?:and|or)\b|[,;\s$&]|\\[\[\](), ;]")
 _JOINING = re.compile(r"\b(?:and|or)\b|[,;]")
@@ -146,8 +148,9 @@ def extract_answer(text: str, *, strict: bool = False) -> str | None:
     if last is not None:
         text = re.split(r"\n|\.\s", text[last.end() :], maxsplit=1)[0].strip()
     *_, span = [None, *_SPAN.finditer(text)]
-    # In a sentence the last formula is the answer, unless the sentence denies it.
-    if span is not None and re.search(r"[A-Za-z]{3}", text.replace(span[0], "")) and not _DENIAL.search(text):
+    # In a sentence the last formula is the answer, unless the sentence denies it or leaves a choice.
+    words = _SPAN.sub(" ", text)
+    if span is not None and re.search(r"[A-Za-z]{3}", words.replace(" and ", " ")) and not _DENIAL.search(words):
         return span[0]
     return text or None
 
