@@ -8,6 +8,8 @@ import pytest
 
 from gem_code.runner import ProgramLimits
 
+pytestmark = pytest.mark.thorough
+
 if TYPE_CHECKING:
     from judging import Judge
 

@@ -16,6 +16,8 @@ from gem_code.function_form import grade_assertions
 from gem_code.program_form import Grading
 from gem_code.sandbox import SandboxRunner
 
+pytestmark = pytest.mark.thorough
+
 if TYPE_CHECKING:
     from gem_code.verdicts import Verdict
 

@@ -14,6 +14,8 @@ import gem_core as gem
 from gem_code.cases import AssertionTests, StdinTests, read_tests
 from gem_core.testing import check_env
 
+pytestmark = pytest.mark.thorough
+
 if TYPE_CHECKING:
     from judging import Judge
     from problems.problem import Problem

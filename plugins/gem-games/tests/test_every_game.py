@@ -14,6 +14,8 @@ import gem_core as gem
 from gem_core.errors import ResetNeededError
 from gem_core.testing import check_env
 
+pytestmark = pytest.mark.thorough
+
 IDS = gem.list_envs("game")
 FORMAT_ERROR = {env_id: -0.2 if "WikiGame" in env_id else -0.1 for env_id in IDS}
 LONGEST_FEEDBACK = 1_000  # characters

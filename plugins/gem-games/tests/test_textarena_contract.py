@@ -18,6 +18,8 @@ from gem_games.textarena.env import TextArenaEnv
 from gem_games.textarena.games import GAMES
 from gem_games.textarena.listing import textarena_specs
 
+pytestmark = pytest.mark.thorough
+
 EVERY = bool(os.environ.get("GEM_EVERY_TEXTARENA_GAME"))
 RUNNABLE = {spec.id: spec for spec in textarena_specs() if not spec.requires}
 FAMILIES = list({env_id.partition("-")[0]: env_id for env_id in reversed(RUNNABLE)}.values())[::-1]

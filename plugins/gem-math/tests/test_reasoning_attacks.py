@@ -14,6 +14,8 @@ import gem_core as gem
 from gem_math.reasoning.mending import READ_AS_FORMULAS, READ_AS_LITERALS, formula, literal
 from gem_math.reasoning.tasks import TASKS
 
+pytestmark = pytest.mark.thorough
+
 READERS = {"eval", "exec", "parse_expr", "sympify", "compile", "__import__", "literal_eval", "loads", "system", "Popen"}
 HARMLESS = {
     # What each of these reads is the library's own, or JSON.

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from mcp_helping import BAD_SERVER, around, bad, running, servers_of, step, wait_until_gone
 
+pytestmark = pytest.mark.thorough
+
 TESTS = str(Path(__file__).parent)
 
 PROGRAM = """

@@ -20,6 +20,8 @@ import gem_core as gem
 from gem_core.dataset import DatasetEnv
 from gem_core.tool_env import ToolEnv
 
+pytestmark = pytest.mark.thorough
+
 ROOT = Path(__file__).resolve().parents[3]
 SERVERS = Path(os.environ.get("GEM_MCP_SERVERS", ROOT / ".venv-mcp"))
 SQL_SERVER = Path(__file__).parents[1] / "gem_tools" / "mcp" / "sql_server.py"

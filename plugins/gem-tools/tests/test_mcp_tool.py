@@ -22,6 +22,8 @@ from gem_tools.mcp import listing
 from gem_tools.mcp.connection import ServerFault
 from gem_tools.mcp.tool import make_mcp
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.fixture(autouse=True)
 def nothing_left() -> Iterator[None]:

@@ -22,6 +22,8 @@ from gem_tools.python import Limits, Pool, SandboxError
 from gem_tools.python import docker as containers
 from gem_tools.python import pool as pools
 
+pytestmark = pytest.mark.thorough
+
 PARENT = """
 import sys, threading
 from gem_tools.python import Limits, Pool

@@ -104,7 +104,7 @@ class PythonTool(Tool):
     """
 
     name = "python"
-    fences = ("python", "py")
+    fences = ("python", "py", "python3")
 
     class Parameters(pydantic.BaseModel):
         """What is run."""
