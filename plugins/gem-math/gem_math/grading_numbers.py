@@ -126,8 +126,9 @@ def _verdicts_elsewhere(first: Formula, second: Formula, base: str, whole: bool)
 
 
 def _kinds(tree: Tree) -> set[str]:
-    """Return the kinds of all parts of a formula."""
-    kinds = {tree[0]}
+    """Return the kinds of all parts of a formula; a whole power is a product, and has no pieces."""
+    whole = tree[0] == "^" and tree[2][0] == "n" and tree[2][1].denominator == 1
+    kinds = {"*" if whole else tree[0]}
     for part in tree[1:]:
         if isinstance(part, tuple):
             kinds |= _kinds(part)
