@@ -46,7 +46,8 @@ with_pip() {
 
 with_npm() {
     mkdir -p "$folder/npm"
-    npm install --prefix "$folder/npm" --no-package-lock --no-audit --no-fund --no-save --loglevel=error "$@"
+    # It tries again for minutes where the registry is refused.
+    timeout 180 npm install --prefix "$folder/npm" --fetch-retries 1 --no-package-lock --no-audit --no-fund --no-save --loglevel=error "$@"
 }
 
 install python with_pip python
