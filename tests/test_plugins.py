@@ -198,10 +198,10 @@ def test_make_of_an_id_of_a_failed_plugin_says_the_cause(sites: dict[str, Path])
 
 def test_a_failed_plugin_does_not_hide_the_one_to_install(sites: dict[str, Path]) -> None:
     """An id of a published namespace names the distribution to install, whatever else has failed."""
-    done = report([sites["hook_raises"]], ("logic:Nothing",))
-    assert done["made"]["logic:Nothing"].startswith(
-        "UnknownEnvError: no environment 'logic:Nothing'. The namespace 'logic' comes with a plugin: "
-        "try 'pip install gem-qa'. It may belong to a plugin that failed: "
+    done = report([sites["hook_raises"]], ("terminal:Nothing",))
+    assert done["made"]["terminal:Nothing"].startswith(
+        "UnknownEnvError: no environment 'terminal:Nothing'. The namespace 'terminal' comes with a plugin: "
+        "try 'pip install gem-terminal'. It may belong to a plugin that failed: "
     )
 
 
