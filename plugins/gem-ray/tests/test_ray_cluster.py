@@ -15,6 +15,8 @@ import pytest
 
 import gem_core as gem
 
+pytestmark = pytest.mark.thorough
+
 FAR = {"num_actors": 1, "num_cpus": 0, "resources": {"far": 1}}
 """Options for one actor on the node that is not ours."""
 

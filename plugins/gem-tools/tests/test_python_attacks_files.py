@@ -15,6 +15,8 @@ from python_levels import SMALL, Watched, attack, each_level, new_pool
 from gem_tools.python import Limits
 from gem_tools.python.inside import folders, zygote
 
+pytestmark = pytest.mark.thorough
+
 watched = each_level()
 
 

@@ -20,6 +20,8 @@ from python_levels import SMALL, Watched, attack, pool_of
 
 from gem_tools.python import Limits, levels
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.fixture(scope="module")
 def watched() -> Iterator[Watched]:

@@ -14,6 +14,8 @@ from python_levels import SMALL, Watched, attack, each_level
 from gem_tools.python import Limits
 from gem_tools.python.inside import wire
 
+pytestmark = pytest.mark.thorough
+
 watched = each_level()
 
 WRITE_EVERYWHERE = """

@@ -18,6 +18,8 @@ from python_levels import SHORT, Watched, attack, each_level
 
 from gem_tools.python import Limits, Outcome
 
+pytestmark = pytest.mark.thorough
+
 watched = each_level()
 
 

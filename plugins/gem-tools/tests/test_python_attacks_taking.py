@@ -12,6 +12,8 @@ from python_levels import SHORT, SMALL, Watched, attack, each_level
 
 from gem_tools.python import Limits
 
+pytestmark = pytest.mark.thorough
+
 watched = each_level()
 
 

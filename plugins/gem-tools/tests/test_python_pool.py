@@ -18,6 +18,8 @@ from python_levels import ALL, folders, pool_of, processes, until
 from gem_core.errors import BridgeError
 from gem_tools.python import Limits, Outcome, Pool, SandboxError, shared_pool
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.fixture(params=ALL)
 def pool(request: pytest.FixtureRequest) -> Iterator[Pool]:
