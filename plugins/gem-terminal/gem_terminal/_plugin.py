@@ -1,0 +1,1 @@
+"""What this distribution offers; it imports no task and no engine."""

@@ -1,0 +1,1 @@
+"""Backends: where the machine of an episode comes from."""

@@ -1,0 +1,253 @@
+"""What a backend offers: machines, each with its terminal, its files and its processes.
+
+``Backend`` makes a ``Machine`` for an episode; ``Machine`` runs commands and opens a ``Terminal``. What happens in a
+terminal (``shell.py``), what is verified (``verifying/``) and which machines are kept ready (``pool.py``) is written on
+these alone, so that a backend is nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Protocol, Self
+
+if TYPE_CHECKING:
+    from gem_terminal.errors import MachineLostError
+    from gem_terminal.tasks.task import Environment, Network, Task
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one machine may take; what a task asks for is given where it is less.
+
+    Args:
+        cpus: Processors.
+        memory_mb: Megabytes (2**20 bytes) of memory, without swap.
+        processes: Processes and threads at once.
+        storage_mb: Megabytes written to its files.
+        network: ``"task"`` gives what the task asks for, and none where it says nothing; ``"none"`` and ``"public"``
+            overrule it.
+    """
+
+    cpus: float = 1.0
+    memory_mb: int = 2048
+    processes: int = 256
+    storage_mb: int = 4096
+    network: str = "task"
+
+
+@dataclass(frozen=True)
+class Completed:
+    """What a command did that ran to its end.
+
+    Args:
+        exit_code: Its exit code; 128 and the signal's number where a signal ended it; None where time ran out, and all
+            that it had started was killed.
+        output: Standard output and error together, as they came; cut in the middle beyond what was asked for.
+        dropped: Bytes that were cut out.
+    """
+
+    exit_code: int | None
+    output: bytes
+    dropped: int = 0
+
+
+@dataclass(frozen=True)
+class Process:
+    """A process of a machine, as ``/proc`` shows it there.
+
+    Args:
+        pid: Its number, as its own machine counts.
+        parent: Its parent's.
+        started: Clock ticks since the start of the system; with ``pid`` it names the process.
+        command: Its command line, cut to 200 characters.
+        session: The session it belongs to.
+    """
+
+    pid: int
+    parent: int
+    started: int
+    command: str
+    session: int
+
+
+class Terminal(Protocol):
+    """A program in a pseudo-terminal of a machine. Not for several threads at once."""
+
+    pid: int
+    """The program's process number, as its own machine counts."""
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what the program wrote, as soon as there is something; ``b""`` when ``timeout_s`` has passed.
+
+        Raises:
+            MachineLostError: The program has ended, and all that it wrote was read; or the machine is gone.
+        """
+
+    def write(self, data: bytes) -> None:
+        """Type. Never blocks for longer than a few seconds, though nobody reads: what was not taken is dropped.
+
+        Raises:
+            MachineLostError: The program has ended, or the machine is gone.
+        """
+
+    def close(self) -> None:
+        """Let go of it; the program gets a hang-up. May be called again."""
+
+
+class Machine(Protocol):
+    """The containers of one episode. Its methods may be called from several threads."""
+
+    id: str
+    """Names it in messages and to the engine."""
+
+    def open_terminal(
+        self,
+        command: Sequence[str],
+        *,
+        user: str = "",
+        workdir: str = "",
+        env: Mapping[str, str] | None = None,
+        columns: int = 120,
+        lines: int = 40,
+    ) -> Terminal:
+        """Start a program in a pseudo-terminal, with the environment of the container and ``env``.
+
+        Raises:
+            MachineLostError: The machine is gone, or the program is not there.
+            EngineError: The engine does not answer.
+        """
+
+    def run(
+        self,
+        command: Sequence[str],
+        *,
+        user: str = "",
+        workdir: str = "",
+        env: Mapping[str, str] | None = None,
+        timeout_s: float,
+        most_output: int = 1_000_000,
+    ) -> Completed:
+        """Run a command without a terminal and without input, and wait for it to end.
+
+        When ``timeout_s`` has passed it is killed, with all processes that have come up since it began below it. It
+        ends with the command itself: what goes on in the background, and holds its output open, is not waited for.
+
+        Raises:
+            MachineLostError: The machine is gone.
+            EngineError: The engine does not answer.
+        """
+
+    def put(self, files: Mapping[str, Path | bytes], *, mode: int | None = None) -> None:
+        """Write files, and folders with all that is in them, as root; what is there is replaced, folders whole.
+
+        A symbolic link of the agent's at a path, or on the way to it, is replaced by what it should be, not followed.
+
+        Args:
+            files: Host files and folders, or contents, by absolute paths in the machine.
+            mode: Permissions of files; None keeps those of the host's, readable by all.
+
+        Raises:
+            MachineLostError: The machine is gone, or its file system is full (then ``by_agent``).
+        """
+
+    def get(self, path: str, *, most_bytes: int = 10_000_000) -> dict[str, bytes]:
+        """Return the regular files at ``path``: a file, or a folder with all below it.
+
+        Links are not followed, and files beyond ``most_bytes`` in all are left out.
+
+        Returns:
+            Contents by path relative to ``path``; a file itself is under ``""``. Empty when there is nothing.
+
+        Raises:
+            MachineLostError: The machine is gone.
+        """
+
+    def remove_files(self, paths: Sequence[str]) -> None:
+        """Remove files and folders, following no links; what is not there is no error."""
+
+    def processes(self) -> list[Process]:
+        """Return all processes but those that the backend itself needs to keep the machine."""
+
+    def kill(self, processes: Sequence[Process]) -> None:
+        """Kill processes with SIGKILL; one that has ended, or whose number is another's by now, is left alone."""
+
+    def judge(self, network: Network | None = None) -> Machine:
+        """Return a machine with the same files as this one has now, in which the agent's processes have no part.
+
+        Those go on in this one. Services that listen on the loopback are reached from the other, and its processes are
+        seen; its files, environment and memory are out of reach for the agent's, even for root. The caller removes it.
+
+        Args:
+            network: What its network is; None for this one's.
+        """
+
+    def written_mb(self) -> float | None:
+        """Return how many megabytes its files have grown by; None where the backend cannot tell."""
+
+    def why_lost(self) -> MachineLostError | None:
+        """Return what happened to a machine that is gone; None while it is there."""
+
+    def remove(self) -> None:
+        """End all of it: processes, containers, network, volumes. May be called again; never raises."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None: ...
+
+
+class Backend(Protocol):
+    """Makes machines. One object serves all environments of a process, in any thread."""
+
+    name: str
+    weaker: str
+    """What makes its isolation weaker than a container's, in words for ``info``; empty where nothing does."""
+
+    def check(self, task: Task) -> None:
+        """Raise when it cannot run a task at all.
+
+        Raises:
+            TaskError: The task asks for what it does not have; says what, and which backend has it.
+            EngineError: The engine is missing; says what to install or start.
+        """
+
+    def build(self, task: Task, *, fresh: bool = False, on_line: Callable[[str], None] | None = None) -> None:
+        """Make the images of a task, unless those of the same content are there.
+
+        Args:
+            task: The task.
+            fresh: Build anew, without caches.
+            on_line: Called with each line of the log.
+
+        Raises:
+            BuildError: It failed, or took longer than the task allows.
+        """
+
+    def start(self, task: Task, limits: Limits, *, environment: Environment | None = None) -> Machine:
+        """Build what is missing, and start a machine that nothing has touched, its healthchecks passed.
+
+        Args:
+            task: The task.
+            limits: What it may take.
+            environment: Another environment than the task's, as one of a verifier's own.
+
+        Raises:
+            BuildError, EngineError, MachineLostError: It could not be started.
+        """
+
+    def clean(self, *, images: bool = False) -> list[str]:
+        """Remove what processes that are dead have left behind.
+
+        Args:
+            images: Also remove every image it has made.
+
+        Returns:
+            What was removed, a line each.
+        """
+
+    def close(self) -> None:
+        """Remove every machine that this process has made. May be called again; never raises."""

@@ -1,0 +1,208 @@
+"""``Task``: what a task folder asks for, whatever its format."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+Format = Literal["terminal-bench", "harbor"]
+Network = Literal["none", "public", "allowlist"]
+
+
+@dataclass(frozen=True)
+class Healthcheck:
+    """A command that succeeds once a container is ready.
+
+    Args:
+        command: Its words, run in the container.
+        interval_s: Seconds between two tries.
+        timeout_s: Seconds that one try may take.
+        start_period_s: Seconds in which failures do not count.
+        retries: Failures after which it is given up.
+    """
+
+    command: tuple[str, ...]
+    interval_s: float = 1.0
+    timeout_s: float = 30.0
+    start_period_s: float = 0.0
+    retries: int = 10
+
+
+@dataclass(frozen=True)
+class Container:
+    """One container that a task asks for: where its image comes from, and how it is run.
+
+    Args:
+        context: Folder that its image is built from; None where ``image`` names one.
+        dockerfile: Path of the Dockerfile inside ``context``.
+        image: Name of an image that is there, or that the engine pulls; None where it is built.
+        build_args: Arguments of the build.
+        target: Stage of the Dockerfile to build; empty for the last.
+        entrypoint: Replaces the image's; None keeps it.
+        command: Replaces the image's; None stands for one that sleeps for ever, in the agent's container, and for the
+            image's own in a service.
+        env: Environment variables.
+        workdir: Working directory; empty for the image's.
+        user: Name or number; empty for the image's.
+        healthcheck: When it is ready; None for at once.
+        cpus: Processors it may use, as 1.5; None where the task says nothing, as in what follows.
+        memory_mb: Megabytes (2**20 bytes) of memory.
+        storage_mb: Megabytes that it may write.
+        shm_mb: Megabytes of ``/dev/shm``.
+        volumes: Paths in the container by the names of the volumes that are mounted there, which services share.
+        hostname: Its name on the network; empty for any.
+    """
+
+    context: Path | None = None
+    dockerfile: str = "Dockerfile"
+    image: str | None = None
+    build_args: Mapping[str, str] = field(default_factory=dict)
+    target: str = ""
+    entrypoint: tuple[str, ...] | None = None
+    command: tuple[str, ...] | None = None
+    env: Mapping[str, str] = field(default_factory=dict)
+    workdir: str = ""
+    user: str = ""
+    healthcheck: Healthcheck | None = None
+    cpus: float | None = None
+    memory_mb: int | None = None
+    storage_mb: int | None = None
+    shm_mb: int | None = None
+    volumes: Mapping[str, str] = field(default_factory=dict)
+    hostname: str = ""
+
+
+@dataclass(frozen=True)
+class Environment:
+    """All that runs for one episode.
+
+    Args:
+        main: The container that the agent works in.
+        services: Further containers by their names on the private network that all share; started before ``main``, in
+            this order.
+        network: What the task asks for; None where it says nothing.
+        allowed_hosts: The hosts that ``"allowlist"`` stands for.
+        build_timeout_s: Seconds that building may take.
+        unsupported: What the task asks for and no backend here has (graphics cards, another operating system), in
+            words for an error; empty when all is well.
+    """
+
+    main: Container
+    services: Mapping[str, Container] = field(default_factory=dict)
+    network: Network | None = None
+    allowed_hosts: tuple[str, ...] = ()
+    build_timeout_s: float = 600.0
+    unsupported: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Verifier:
+    """How what the agent left is judged.
+
+    Args:
+        files: What is put into the container for it, and only then: host files and folders by their paths there.
+        command: Its words, run in the container afterwards, in its working directory.
+        timeout_s: Seconds that it may take.
+        result: Where the verdict stands: ``"reward_file"`` in ``/logs/verifier``, or ``"output"`` of the command, which
+            ``parser`` reads.
+        parser: Name of the reader of the output, as ``"pytest"``.
+        env: Environment variables.
+        user: Who runs it; empty for the container's user.
+        network: The network it asks for; None for the agent's.
+        allowed_hosts: The hosts that ``"allowlist"`` stands for.
+        same_shell: Whether it runs in the agent's own shell, with its variables and working directory.
+        environment: A container of its own, to which only ``artifacts`` of the agent's are taken; None for the agent's.
+        artifacts: Paths in the agent's container that are taken there.
+        weights: Weights of tests by name, where the task has them.
+    """
+
+    files: Mapping[str, Path]
+    command: tuple[str, ...]
+    timeout_s: float
+    result: Literal["reward_file", "output"]
+    parser: str = "pytest"
+    env: Mapping[str, str] = field(default_factory=dict)
+    user: str = ""
+    network: Network | None = None
+    allowed_hosts: tuple[str, ...] = ()
+    same_shell: bool = False
+    environment: Environment | None = None
+    artifacts: tuple[str, ...] = ()
+    weights: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The reference solution, which no agent sees.
+
+    Args:
+        files: Host files and folders by their paths in the container.
+        command: Its words; empty where ``typed`` is what to do.
+        typed: Lines to type one after another, each with the seconds that it may take.
+        env: Environment variables.
+    """
+
+    files: Mapping[str, Path] = field(default_factory=dict)
+    command: tuple[str, ...] = ()
+    typed: tuple[tuple[str, float], ...] = ()
+    env: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One instruction and what judges it; most tasks have one step.
+
+    Args:
+        name: Its name; empty in a task of one step.
+        instruction: What the agent is asked to do.
+        verifier: What judges it.
+        agent_timeout_s: Seconds that the agent may take for it; None for no limit of the task's.
+        agent_user: Whom the agent's shell runs as; empty for the container's user.
+        min_reward: The task ends after this step when its reward is less; None goes on in any case.
+        healthcheck: What must succeed before the step begins.
+        solution: Its reference solution; None where the task has none.
+    """
+
+    name: str
+    instruction: str
+    verifier: Verifier
+    agent_timeout_s: float | None = None
+    agent_user: str = ""
+    min_reward: float | None = None
+    healthcheck: Healthcheck | None = None
+    solution: Solution | None = None
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task folder, read and checked.
+
+    Args:
+        name: What it is chosen by: the folder's name; in a set with equal names, the path below the set's folder.
+        folder: Where it is, absolute.
+        format: The format it is in.
+        environment: All that runs for one episode.
+        steps: At least one.
+        digest: Hash of all files of the folder: the version of the task.
+        difficulty: As the task says; empty where it does not.
+        category: The same.
+        tags: The same.
+        reward_of_steps: How the rewards of several steps make one, ``"mean"`` or ``"final"``.
+        metadata: What else the task says of itself, as plain data.
+        notes: What was passed over in reading it, for ``gem terminal list``.
+    """
+
+    name: str
+    folder: Path
+    format: Format
+    environment: Environment
+    steps: tuple[Step, ...]
+    digest: str
+    difficulty: str = ""
+    category: str = ""
+    tags: tuple[str, ...] = ()
+    reward_of_steps: Literal["mean", "final"] = "mean"
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
