@@ -98,6 +98,21 @@ class Environment:
 
 
 @dataclass(frozen=True)
+class Collect:
+    """A command that is run in the agent's container once the agent is done, to leave in files what only runs there.
+
+    Args:
+        command: Its words.
+        timeout_s: Seconds that it may take.
+        user: Who runs it; empty for the container's user.
+    """
+
+    command: tuple[str, ...]
+    timeout_s: float = 60.0
+    user: str = ""
+
+
+@dataclass(frozen=True)
 class Verifier:
     """How what the agent left is judged.
 
@@ -116,6 +131,7 @@ class Verifier:
         environment: A container of its own, to which only ``artifacts`` of the agent's are taken; None for the agent's.
         artifacts: Paths in the agent's container that are taken there.
         weights: Weights of tests by name, where the task has them.
+        collect: Commands that come before ``artifacts`` are taken, and before ``command``.
     """
 
     files: Mapping[str, Path]
@@ -131,6 +147,7 @@ class Verifier:
     environment: Environment | None = None
     artifacts: tuple[str, ...] = ()
     weights: Mapping[str, float] = field(default_factory=dict)
+    collect: tuple[Collect, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -163,6 +180,8 @@ class Step:
         min_reward: The task ends after this step when its reward is less; None goes on in any case.
         healthcheck: What must succeed before the step begins.
         solution: Its reference solution; None where the task has none.
+        files: Host files that are put into the container before the step, by paths relative to its working directory.
+        setup: Words of a command that is run there afterwards; empty for none.
     """
 
     name: str
@@ -173,6 +192,8 @@ class Step:
     min_reward: float | None = None
     healthcheck: Healthcheck | None = None
     solution: Solution | None = None
+    files: Mapping[str, Path] = field(default_factory=dict)
+    setup: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
