@@ -1,0 +1,212 @@
+"""Finding tasks: one folder, a folder of tasks, or a list of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import overload
+
+from gem_core.errors import UnknownNameError
+from gem_core.suggestions import did_you_mean
+from gem_terminal.errors import TaskError
+from gem_terminal.tasks import harbor, terminal_bench
+from gem_terminal.tasks.reading import TaskFolder
+from gem_terminal.tasks.task import Task
+
+_MOST_TASKS = 100_000
+
+
+@dataclass(frozen=True)
+class BrokenTask:
+    """A task folder that cannot be read.
+
+    Args:
+        name: What it would be chosen by.
+        folder: Where it is.
+        error: What is wrong with it.
+    """
+
+    name: str
+    folder: Path
+    error: TaskError
+
+
+class TaskSet(Sequence[Task]):
+    """Tasks in a fixed order, chosen by number or by name.
+
+    Args:
+        tasks: The tasks; their names differ.
+        broken: Folders that could not be read.
+    """
+
+    def __init__(self, tasks: Iterable[Task], broken: Iterable[BrokenTask] = ()) -> None:
+        self.tasks = tuple(tasks)
+        self.broken = tuple(broken)
+        self._by_name = {task.name: task for task in self.tasks}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the tasks, in order."""
+        return tuple(self._by_name)
+
+    @overload
+    def __getitem__(self, key: int | str) -> Task: ...
+
+    @overload
+    def __getitem__(self, key: slice) -> TaskSet: ...
+
+    def __getitem__(self, key: int | str | slice) -> Task | TaskSet:
+        """Return the task of a number or a name, or a part of the set.
+
+        Raises:
+            TaskError: The task of this name cannot be read.
+            UnknownNameError: No task has this name; the message gives the nearest ones.
+        """
+        if isinstance(key, slice):
+            return TaskSet(self.tasks[key])
+        if not isinstance(key, str):
+            return self.tasks[key]
+        if key in self._by_name:
+            return self._by_name[key]
+        for broken in self.broken:
+            if broken.name == key:
+                raise TaskError(str(broken.error)) from broken.error
+        raise UnknownNameError(f"no task {key[:200]!r} among {len(self)}.{did_you_mean(key, self._by_name)}")
+
+    def __len__(self) -> int:
+        return len(self.tasks)
+
+    def __iter__(self) -> Iterator[Task]:
+        return iter(self.tasks)
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._by_name if isinstance(key, str) else key in self.tasks
+
+    def __repr__(self) -> str:
+        broken = f", {len(self.broken)} broken" if self.broken else ""
+        return f"TaskSet({len(self)} tasks{broken})"
+
+
+def read_task(folder: str | os.PathLike[str], *, variables: Mapping[str, str] | None = None) -> Task:
+    """Read one task folder, in whichever format it is.
+
+    Args:
+        folder: The folder, with a ``task.toml`` or a ``task.yaml``.
+        variables: Values for variables that the task names; the environment of this process is never read.
+
+    Raises:
+        TaskError: It cannot be read, or is no task folder.
+    """
+    path = _folder(folder)
+    return _read(path, path.name, variables or {})
+
+
+def find_tasks(
+    paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], *, variables: Mapping[str, str] | None = None
+) -> TaskSet:
+    """Read the tasks of a folder, or of a list of folders.
+
+    A path is a task folder, or a folder of them, or has such a folder in it, as ``tasks/NAME``; hidden folders and
+    links are passed over. The order is that of the list, and of names within a folder. A folder that is there twice
+    counts once. Among several, one that cannot be read is kept in ``TaskSet.broken``.
+
+    Args:
+        paths: One path or several.
+        variables: As of ``read_task``.
+
+    Raises:
+        TaskError: A path is missing or has no tasks; no task can be read; or the only one cannot.
+    """
+    listed = [paths] if isinstance(paths, (str, os.PathLike)) else list(paths)
+    if not listed:
+        raise TaskError("no path of a task is given; expected a task folder, a folder of tasks, or a list of them.")
+    found: dict[Path, Path] = {}  # folders of tasks by themselves, each with the folder of its set
+    for one in listed:
+        root = _folder(one)
+        for folder in _task_folders(root):
+            found.setdefault(folder, root)
+    tasks, broken = [], []
+    for folder, name in _names(found).items():
+        try:
+            tasks.append(_read(folder, name, variables or {}))
+        except TaskError as error:
+            broken.append(BrokenTask(name, folder, error))
+    if not tasks:
+        more = f" None of the {len(broken)} tasks can be read; this is the first." if len(broken) > 1 else ""
+        raise TaskError(f"{broken[0].error}{more}") from broken[0].error
+    return TaskSet(tasks, broken)
+
+
+def _folder(path: str | os.PathLike[str]) -> Path:
+    try:
+        folder = Path(path).expanduser()
+        if folder.is_dir():
+            return folder.resolve()
+        there = folder.exists()
+    except (OSError, ValueError, RuntimeError, TypeError) as error:
+        raise TaskError(f"{str(path)[:200]!r} is no path of a task folder: {error}.") from error
+    if there:
+        raise TaskError(f"{folder}: is a file; expected a task folder, or a folder of tasks.")
+    raise TaskError(f"{folder}: there is no such folder; expected a task folder, or a folder of tasks.")
+
+
+def _is_task(folder: Path) -> bool:
+    return any(os.path.lexists(folder / file) for file in (harbor.FILE, terminal_bench.FILE))
+
+
+def _task_folders(root: Path) -> list[Path]:
+    """Return a folder itself, or the task folders in it, or those one level down, sorted by name."""
+    if _is_task(root):
+        return [root]
+    found: list[Path] = []
+    for child in _children(root):
+        found += [child] if _is_task(child) else [one for one in _children(child) if _is_task(one)]
+        if len(found) > _MOST_TASKS:
+            raise TaskError(f"{root}: has more than {_MOST_TASKS:,} tasks; name fewer.")
+    if not found:
+        raise TaskError(
+            f"{root}: has no task; expected a folder with {harbor.FILE} (Harbor) or {terminal_bench.FILE} "
+            "(Terminal-Bench), or a folder of such folders."
+        )
+    return found
+
+
+def _children(folder: Path) -> list[Path]:
+    """Return the folders in a folder, without hidden ones and links."""
+    try:
+        with os.scandir(folder) as opened:
+            names = [entry.name for entry in opened if entry.is_dir(follow_symlinks=False)]
+    except OSError as error:
+        raise TaskError(f"{folder}: cannot be read: {error.strerror}.") from error
+    return [folder / name for name in sorted(names) if not name.startswith(".")]
+
+
+def _names(found: Mapping[Path, Path]) -> dict[Path, str]:
+    """Return a name for each folder: its own; where that is taken, the path below its set's, or below ever more."""
+    names = {folder: folder.name or "task" for folder in found}
+    for attempt in range(3):
+        taken: dict[str, int] = {}
+        for name in names.values():
+            taken[name] = taken.get(name, 0) + 1
+        for folder, root in found.items():
+            if taken[names[folder]] > 1:
+                base = (root, root.parent, Path(folder.anchor))[attempt]
+                relative = folder.relative_to(base).as_posix() if folder != base else folder.name
+                names[folder] = relative
+    return names
+
+
+def _read(path: Path, name: str, variables: Mapping[str, str]) -> Task:
+    if not _is_task(path):
+        raise TaskError(
+            f"{path}: is no task folder; expected {harbor.FILE} (Harbor) or {terminal_bench.FILE} (Terminal-Bench) "
+            "in it."
+        )
+    folder = TaskFolder(path)
+    if folder.has_file(harbor.FILE):
+        if folder.has_file(terminal_bench.FILE):
+            folder.note(f"{terminal_bench.FILE}: has no effect beside {harbor.FILE}.")
+        return harbor.read_harbor(folder, name, variables)
+    return terminal_bench.read_terminal_bench(folder, name, variables)

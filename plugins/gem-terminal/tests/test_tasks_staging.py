@@ -1,0 +1,84 @@
+"""What a task does to a machine before a step and before its verifier."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+from gem_terminal.backends.interface import Completed, Machine
+from gem_terminal.errors import MachineError
+from gem_terminal.tasks.staging import collect, stage
+from gem_terminal.tasks.task import Collect, Step, Verifier
+
+
+class Recorder:
+    """A machine that keeps what it is asked, and ends every command as it is told to."""
+
+    def __init__(self, *, workdir: str = "/app", exit_code: int | None = 0) -> None:
+        self.asked: list[object] = []
+        self.workdir = workdir
+        self.exit_code = exit_code
+
+    def run(self, command: Sequence[str], **how: Any) -> Completed:
+        self.asked.append((tuple(command), how))
+        if list(command) == ["pwd"]:
+            return Completed(0, f"{self.workdir}\n".encode())
+        return Completed(self.exit_code, b"what it said\n")
+
+    def put(self, files: Mapping[str, Path]) -> None:
+        self.asked.append(dict(files))
+
+
+def step(**more: Any) -> Step:
+    """Return a step named ``two``."""
+    return Step("two", "Do.", Verifier({}, ("true",), 1.0, "output"), **more)
+
+
+def test_a_step_brings_its_files_to_the_working_directory() -> None:
+    """And its command is run there, with a limit."""
+    recorder = Recorder()
+    stage(cast("Machine", recorder), step(files={"a/b": Path("/x")}, setup=("bash", "setup.sh")))
+    assert recorder.asked == [
+        (("pwd",), {"timeout_s": 60.0}),
+        {"/app/a/b": Path("/x")},
+        (("bash", "setup.sh"), {"workdir": "/app", "timeout_s": 600.0}),
+    ]
+
+
+def test_the_root_is_a_working_directory() -> None:
+    """Without a second stroke in the path."""
+    recorder = Recorder(workdir="/")
+    stage(cast("Machine", recorder), step(files={"a": Path("/x")}))
+    assert recorder.asked[1] == {"/a": Path("/x")}
+
+
+def test_a_step_that_brings_nothing_asks_for_nothing() -> None:
+    """As most do."""
+    recorder = Recorder()
+    stage(cast("Machine", recorder), step())
+    assert recorder.asked == []
+
+
+@pytest.mark.parametrize(("exit_code", "how"), [(3, "ended with exit code 3"), (None, "took too long")])
+def test_a_command_that_fails_is_the_machines_failure(exit_code: int | None, how: str) -> None:
+    """With what it said; never a reward of 0."""
+    with pytest.raises(MachineError) as raised:
+        stage(cast("Machine", Recorder(exit_code=exit_code)), step(setup=("bash", "setup.sh")))
+    assert str(raised.value) == f"the command 'bash setup.sh' before the step 'two' {how}:\nwhat it said"
+
+
+def test_commands_before_the_verifier_are_run_and_told_of() -> None:
+    """One that fails is no error: its file is missing, which the verifier judges."""
+    verifier = Verifier({}, ("true",), 1.0, "output", collect=(Collect(("dump",), 5.0, "root"), Collect(("more", "x"))))
+    recorder = Recorder(exit_code=None)
+    assert collect(cast("Machine", recorder), verifier) == [
+        {"command": "dump", "exit_code": None},
+        {"command": "more x", "exit_code": None},
+    ]
+    assert recorder.asked == [
+        (("dump",), {"user": "root", "timeout_s": 5.0}),
+        (("more", "x"), {"user": "", "timeout_s": 60.0}),
+    ]
