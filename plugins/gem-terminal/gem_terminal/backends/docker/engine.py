@@ -1,0 +1,251 @@
+"""``Engine``: the connection to Docker, or to Podman's socket of the same kind, and its errors in words that help."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import docker
+import docker.errors
+import requests
+import urllib3.exceptions
+from docker.utils import version_lt
+
+from gem_terminal.errors import EngineError
+
+OLDEST_API = "1.40"
+"""Docker 19.03; what is used here was in the interface by then."""
+
+NEWEST_API = "1.47"
+"""Docker 27."""
+
+ANSWER_S = 120.0
+"""Seconds in which the engine answers any question; with 32 starts at once on two cores it takes a while."""
+
+_CONNECTIONS = 64
+_REFUSALS = (
+    (
+        ("permission denied", "errno 13"),
+        "this user may not use it: join the group 'docker', or run Podman as this user",
+    ),
+    (("no such file", "errno 2]", "connection refused", "errno 111"), "it is not running there: start it"),
+    (("timed out", "timeout"), "it did not answer in time: look at its load and its log"),
+)
+_FULL = ("no space left on device", "disk quota exceeded")
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where an engine may be, and what says so."""
+
+    url: str
+    source: str
+    options: tuple[tuple[str, Any], ...] = ()
+
+
+def is_full(error: BaseException) -> bool:
+    """Whether an error says that a disk is full."""
+    return any(words in str(error).lower() for words in _FULL)
+
+
+def addresses(base_url: str | None = None) -> list[Address]:
+    """Return where to look for an engine, in order; what the user names is the only one.
+
+    Args:
+        base_url: As ``unix:///run/user/1000/podman/podman.sock``; None for the usual places.
+    """
+    if base_url:
+        return [Address(base_url, "base_url")]
+    if os.environ.get("DOCKER_HOST"):
+        options = docker.utils.kwargs_from_env()
+        url = str(options.pop("base_url", os.environ["DOCKER_HOST"]))
+        return [Address(url, "DOCKER_HOST", tuple(options.items()))]
+    context = _context()
+    if context is not None:
+        return [context]
+    places = ["/var/run/docker.sock"]
+    if os.environ.get("XDG_RUNTIME_DIR"):
+        places.append(os.path.join(os.environ["XDG_RUNTIME_DIR"], "podman/podman.sock"))
+    places.append("/run/podman/podman.sock")
+    return [Address(f"unix://{place}", "usual place") for place in places]
+
+
+def _context() -> Address | None:
+    """Return the address in the chosen context of Docker's client; None for the default one."""
+    try:
+        context = docker.context.ContextAPI.get_current_context()
+        if os.environ.get("DOCKER_CONTEXT"):
+            context = docker.context.ContextAPI.get_context(os.environ["DOCKER_CONTEXT"])
+        if context is None or context.Name == "default":
+            return None
+        tls = context.TLSConfig
+        return Address(str(context.Host), f"context {context.Name!r}", (("tls", tls),) if tls else ())
+    except (docker.errors.DockerException, OSError, ValueError, KeyError, TypeError) as error:
+        raise EngineError(
+            f"the context of Docker's client cannot be read ({error}): see 'docker context ls'"
+        ) from error
+
+
+class Client(docker.APIClient):
+    """Docker's own client, with the questions that it has no words for."""
+
+    def ask(self, method: str, path: str, **options: Any) -> requests.Response:
+        """Ask the engine for something by its path, as ``/containers/NAME/archive``.
+
+        Raises:
+            docker.errors.APIError: It refused.
+        """
+        options.setdefault("timeout", self.timeout)
+        response = self.request(method, f"{self.base_url}/v{self.api_version}{path}", **options)
+        try:
+            response.raise_for_status()
+        except requests.HTTPError as error:
+            with contextlib.closing(response):
+                docker.errors.create_api_error_from_http_exception(error)
+        return response
+
+    def make_container(self, said: dict[str, Any], name: str) -> None:
+        """Make a container from its whole configuration."""
+        self.ask("POST", "/containers/create", params={"name": name}, json=said)
+
+    def image(self, name: str) -> dict[str, Any]:
+        """Return what an image is.
+
+        Raises:
+            docker.errors.NotFound: It is not there.
+        """
+        return cast("dict[str, Any]", self.ask("GET", f"/images/{name}/json").json())
+
+
+class Engine:
+    """The connection to a container engine, safe in threads and after a fork.
+
+    Args:
+        base_url: Where it is; None looks at DOCKER_HOST, the context of Docker's client, and the usual sockets.
+    """
+
+    def __init__(self, base_url: str | None = None) -> None:
+        self._base_url = base_url
+        self._lock = threading.Lock()
+        self._client: Client | None = None
+        self._pid = 0
+        self.is_podman = False
+
+    @property
+    def client(self) -> Client:
+        """The client of this process, connected at the first use.
+
+        Raises:
+            EngineError: There is no engine, or none of use; says what to do.
+        """
+        with self._lock:
+            if self._client is None or self._pid != os.getpid():
+                # A child that was forked must not speak on its parent's sockets, nor close them with a farewell.
+                self._client, self._pid = self._connect(), os.getpid()
+            return self._client
+
+    def close(self) -> None:
+        """Let go of the connections; the next use makes new ones."""
+        with self._lock:
+            if self._client is not None and self._pid == os.getpid():
+                self._client.close()
+            self._client = None
+
+    def _connect(self) -> Client:
+        places = addresses(self._base_url)
+        reasons = []
+        for place in places:
+            if place.source == "usual place" and not _exists(place.url):
+                continue
+            try:
+                return self._open(place)
+            except (docker.errors.DockerException, requests.RequestException, OSError, ValueError) as error:
+                reasons.append(f"{place.url} ({place.source}): {_why(error)}")
+        if reasons:
+            raise EngineError(f"no container engine answers at {'; '.join(reasons)}")
+        raise EngineError(
+            f"no container engine: nothing at {', '.join(place.url for place in places)}. Install and start Docker, or "
+            "Podman ('systemctl --user start podman.socket'), or set DOCKER_HOST"
+        )
+
+    def _open(self, place: Address) -> Client:
+        if place.url.startswith("unix://"):
+            # Docker's client leaves its socket open where nobody listens (docker 7.2, unixconn.py).
+            with socket.socket(socket.AF_UNIX) as probe:
+                probe.settimeout(10)
+                probe.connect(place.url.removeprefix("unix://"))
+        options = cast("dict[str, Any]", dict(place.options))
+        client = Client(base_url=place.url, version=OLDEST_API, timeout=10, **options)
+        try:
+            # Asked without a version, which any engine answers, so that one too old is told from one that is broken.
+            said = client.version(api_version=False)
+            version = str(said["ApiVersion"])
+            self.is_podman = any("podman" in str(part.get("Name", "")).lower() for part in said.get("Components") or ())
+        except (KeyError, TypeError, AttributeError) as error:
+            client.close()
+            raise ValueError("what answers there is no container engine") from error
+        except BaseException:
+            client.close()
+            raise
+        if version_lt(version, OLDEST_API):
+            client.close()
+            raise ValueError(f"its interface has version {version}, and {OLDEST_API} is needed: install a newer engine")
+        client.close()
+        # Newer interfaces than those that were tried here may mean other things by the same words.
+        newest = version if version_lt(version, NEWEST_API) else NEWEST_API
+        client = Client(
+            base_url=place.url, version=newest, timeout=int(ANSWER_S), max_pool_size=_CONNECTIONS, **options
+        )
+        if place.url.startswith("unix:"):
+            # Proxies and .netrc have no say on a local socket, and looking for them takes longer than the question.
+            client.trust_env = False
+        return client
+
+    @contextlib.contextmanager
+    def asking(self, what: str) -> Iterator[Client]:
+        """Give the client, and turn what goes wrong into :class:`EngineError`; a thing that is not there passes.
+
+        Args:
+            what: What is tried, in words for the error: "start a container".
+
+        Raises:
+            EngineError: The engine failed, or refused.
+            docker.errors.NotFound: A container, image or network is not there.
+        """
+        try:
+            yield self.client
+        except docker.errors.NotFound:
+            raise
+        except docker.errors.APIError as error:
+            hint = ""
+            if is_full(error):
+                hint = ". The engine's disk is full: free space ('docker system df'), or run 'gem terminal clean'"
+            raise EngineError(f"could not {what}: {error.explanation or error}{hint}") from error
+        except FAILURES as error:
+            raise EngineError(f"could not {what}: the container engine failed: {_why(error)}") from error
+
+
+FAILURES = (docker.errors.DockerException, requests.RequestException, urllib3.exceptions.HTTPError, OSError, ValueError)
+"""What the client raises when the engine does not do its part; it does not turn all of them into its own."""
+
+
+def _exists(url: str) -> bool:
+    try:
+        return Path(url.removeprefix("unix://")).exists()
+    except OSError:
+        return True  # it may not be looked at: let the client say why
+
+
+def _why(error: BaseException) -> str:
+    """Return what an error of the connection says, and what to do."""
+    words = " ".join(str(error).split())
+    for parts, advice in _REFUSALS:
+        if any(part in words.lower() for part in parts):
+            return f"{advice} ({words[:200]})"
+    return words[:300] or type(error).__name__

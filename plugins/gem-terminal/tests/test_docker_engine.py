@@ -1,0 +1,121 @@
+"""Finding an engine, and what is said when there is none, or when it is not what it should be."""
+
+from __future__ import annotations
+
+import json
+import socketserver
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gem_terminal.backends.docker.engine import Engine, addresses
+from gem_terminal.errors import EngineError
+
+
+@contextmanager
+def engine_that_says(path: Path, answers: dict[str, tuple[int, Any]]) -> Iterator[str]:
+    """Give the address of a server that answers to paths by their ends."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            found = [said for end, said in answers.items() if self.path.partition("?")[0].endswith(end)]
+            status, body = found[0] if found else (404, {"message": "page not found"})
+            data = body if isinstance(body, bytes) else json.dumps(body).encode()
+            self.send_response(status)
+            self.send_header("Content-Type", "application/json")
+            self.send_header("Content-Length", str(len(data)))
+            self.end_headers()
+            self.wfile.write(data)
+
+        def address_string(self) -> str:
+            return "test"
+
+        def log_message(self, *_: object) -> None:
+            """Say nothing."""
+
+    class Server(socketserver.ThreadingUnixStreamServer):
+        daemon_threads = True
+
+    with Server(str(path), Handler) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        yield f"unix://{path}"
+        server.shutdown()
+        thread.join()
+
+
+def test_no_engine_at_all_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """With the places that were looked at, in order."""
+    for name in ("DOCKER_HOST", "DOCKER_CONTEXT"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("DOCKER_CONFIG", str(tmp_path))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    urls = [place.url for place in addresses()]
+    assert urls == [
+        "unix:///var/run/docker.sock",
+        f"unix://{tmp_path}/podman/podman.sock",
+        "unix:///run/podman/podman.sock",
+    ]
+    if not any(Path(url.removeprefix("unix://")).exists() for url in urls):
+        with pytest.raises(EngineError, match=r"no container engine: nothing at .* Install and start Docker"):
+            _ = Engine().client
+
+
+def test_what_the_user_names_is_the_only_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The argument before the variable."""
+    monkeypatch.setenv("DOCKER_HOST", "unix:///from/variable.sock")
+    assert [(place.url, place.source) for place in addresses()] == [("unix:///from/variable.sock", "DOCKER_HOST")]
+    assert [place.url for place in addresses("unix:///argument.sock")] == ["unix:///argument.sock"]
+
+
+def test_an_engine_that_is_not_running_says_so(tmp_path: Path) -> None:
+    """With its address."""
+    url = f"unix://{tmp_path}/none.sock"
+    with pytest.raises(EngineError, match=r"answers at .*none\.sock \(base_url\): it is not running"):
+        _ = Engine(url).client
+
+
+def test_an_engine_that_is_too_old_says_what_is_needed(tmp_path: Path) -> None:
+    """By the version of its interface."""
+    with (
+        engine_that_says(tmp_path / "e.sock", {"/version": (200, {"ApiVersion": "1.24"})}) as url,
+        pytest.raises(EngineError, match=r"has version 1\.24, and 1\.40 is needed: install a newer engine"),
+    ):
+        _ = Engine(url).client
+
+
+@pytest.mark.parametrize("said", [(200, b"hello"), (200, []), (200, {}), (500, {"message": "broken"}), (200, b"\xff")])
+def test_something_else_that_answers_is_no_engine(tmp_path: Path, said: tuple[int, Any]) -> None:
+    """Whatever it says."""
+    with (
+        engine_that_says(tmp_path / "e.sock", {"/version": said}) as url,
+        pytest.raises(EngineError, match="no container engine answers at"),
+    ):
+        _ = Engine(url).client
+
+
+def test_a_full_disk_says_what_frees_space(tmp_path: Path) -> None:
+    """Whatever was tried."""
+    full = (500, {"message": "write /var/lib/docker/tmp: no space left on device"})
+    answers = {"/version": (200, {"ApiVersion": "1.41"}), "/json": full}
+    with engine_that_says(tmp_path / "e.sock", answers) as url:
+        engine = Engine(url)
+        words = r"could not look: .* disk is full: free space .*'gem terminal clean'"
+        with pytest.raises(EngineError, match=words), engine.asking("look") as client:
+            client.inspect_container("x")
+        engine.close()
+
+
+def test_podman_is_known_by_its_parts(tmp_path: Path) -> None:
+    """Its version names it."""
+    said = {"ApiVersion": "1.41", "Components": [{"Name": "Podman Engine"}]}
+    with engine_that_says(tmp_path / "e.sock", {"/version": (200, said)}) as url:
+        engine = Engine(url)
+        assert engine.client.api_version == "1.41"
+        assert engine.is_podman
+        engine.close()

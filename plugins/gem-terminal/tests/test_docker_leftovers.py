@@ -1,0 +1,163 @@
+"""Nothing is left on the engine: not by a close, an end of the interpreter, a fork, or a process that was killed."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+from docker_machines import BASE, DOCKERFILE, SMALL, backend, left, needs_engine, run_label, task
+
+from gem_terminal.backends.docker.backend import DockerBackend
+from gem_terminal.backends.docker.labels import is_dead, owner
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from gem_terminal.tasks.task import Task
+
+__all__ = ["backend", "run_label", "task"]
+pytestmark = needs_engine
+
+_PROGRAM = """
+    import sys, time
+    from pathlib import Path
+    sys.path.insert(0, {tests!r})
+    from docker_machines import SMALL, BASE, DockerBackend, make_task, Container, ready
+    backend = DockerBackend(build_args={{"BASE": BASE}})
+    folder = Path({folder!r})
+    task = make_task(folder, dockerfile={dockerfile!r})
+    print("begin", flush=True)
+    {work}
+"""
+
+
+def program(folder: Path, work: str, dockerfile: str = DOCKERFILE) -> list[str]:
+    """Return a command that does something with a backend in a process of its own."""
+    tests = os.path.dirname(__file__)
+    text = textwrap.dedent(_PROGRAM).format(tests=tests, folder=str(folder), dockerfile=dockerfile, work=work)
+    return [sys.executable, "-c", text]
+
+
+def test_an_interpreter_that_ends_leaves_nothing(task: Task, tmp_path: Path, run_label: str) -> None:
+    """Nobody has to close anything; also not when an exception ends it."""
+    for ending in (
+        "m = backend.start(task, SMALL)",
+        "m = backend.start(task, SMALL); m.judge(); raise KeyboardInterrupt",
+    ):
+        done = subprocess.run(program(tmp_path, ending), capture_output=True, timeout=120, check=False)
+        assert b"begin" in done.stdout, done.stderr
+        assert left(run_label) == []
+
+
+def test_a_machine_that_nobody_holds_any_more_is_removed(backend: DockerBackend, task: Task, run_label: str) -> None:
+    """As soon as Python forgets it."""
+    machine = backend.start(task, SMALL)
+    assert len(left(run_label)) == 1
+    del machine
+    assert left(run_label) == []
+
+
+def test_a_forked_child_leaves_its_parents_machines_alone(backend: DockerBackend, task: Task) -> None:
+    """It can have its own, on connections of its own, and ends without touching its parent's."""
+    with backend.start(task, SMALL) as machine:
+        assert machine.run(["true"], timeout_s=30).exit_code == 0
+        child = os.fork()
+        if not child:
+            code = 1
+            try:
+                with backend.start(task, SMALL) as own:
+                    code = own.run(["sh", "-c", "exit 42"], timeout_s=30).exit_code or 1
+                backend.close()
+            finally:
+                os._exit(code)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 42
+        assert machine.run(["echo", "here"], timeout_s=30).output == b"here\n"
+
+
+def test_closing_removes_all_machines(task: Task, run_label: str) -> None:
+    """Those that are still held say so afterwards."""
+    other = DockerBackend(build_args={"BASE": BASE})
+    machines = [other.start(task, SMALL) for _ in range(3)]
+    other.close()
+    other.close()
+    assert left(run_label) == []
+    assert all(machine.why_lost() is not None for machine in machines)
+
+
+_SERVICES = "{'db': Container(context=folder, command=('sleep', '99'), volumes={'data': '/data'})}"
+_WORK = {
+    "starting": "while True: backend.start(task, SMALL).remove()",
+    "running": "m = backend.start(task, SMALL)\nwhile True: m.run(['true'], timeout_s=30); m.processes()",
+    "judging": "m = backend.start(task, SMALL)\nwhile True:\n    with m.judge() as j: j.run(['true'], timeout_s=30)",
+    "serving": (
+        f"task = make_task(folder, dockerfile={DOCKERFILE!r}, services={_SERVICES})\n"
+        "while True: backend.start(task, SMALL).remove()"
+    ),
+}
+
+
+@pytest.mark.parametrize("work", sorted(_WORK))
+def test_a_killed_process_is_cleared_up_after(
+    backend: DockerBackend, task: Task, tmp_path: Path, run_label: str, work: str
+) -> None:
+    """Wherever it was killed, the next process to use the engine removes what it has left; others' things stay."""
+    backend.build(task)
+    dice = random.Random(work)
+    with backend.start(task, SMALL) as kept:
+        for _ in range(3):
+            with subprocess.Popen(program(tmp_path, _WORK[work]), stdout=subprocess.PIPE) as process:
+                assert process.stdout is not None
+                assert process.stdout.readline() == b"begin\n"
+                # Any moment will do, and no outcome hangs on which one it is.
+                time.sleep(dice.uniform(0.05, 1.2))
+                process.send_signal(signal.SIGKILL)
+        # What it had asked for just before its end may still be under way.
+        deadline = time.monotonic() + 60
+        backend.clean()
+        while len(left(run_label)) > 1 and time.monotonic() < deadline:
+            backend.clean()
+        assert left(run_label) == [f"container ['/{kept.id}']"]
+        assert kept.run(["true"], timeout_s=30).exit_code == 0
+
+
+def test_a_killed_build_leaves_no_layers(backend: DockerBackend, tmp_path: Path, run_label: str) -> None:
+    """They are found by the label that each stage begins with."""
+    mark = f"layer-{run_label}"
+    dockerfile = f"ARG BASE\nFROM ${{BASE}}\nENV MARK={mark}\nRUN echo one > /one\nRUN echo two && sleep 1000\n"
+    work = "backend.build(task, on_line=lambda line: print(line, flush=True))"
+    with subprocess.Popen(program(tmp_path, work, dockerfile), stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.startswith(b"two"):
+                break
+        process.send_signal(signal.SIGKILL)
+
+    def ours() -> list[str]:
+        client = backend.engine.client
+        rows = client.images(filters={"dangling": True, "label": "org.gem-llm.terminal=layer"})
+        images = [row["Id"] for row in rows if f"MARK={mark}" in client.inspect_image(row["Id"])["Config"]["Env"]]
+        running = [row["Id"] for row in client.containers(all=True) if "sleep 1000" in row["Command"]]
+        return images + running
+
+    deadline = time.monotonic() + 60
+    while ours() and time.monotonic() < deadline:
+        backend.clean()
+    assert ours() == []
+
+
+def test_an_owner_is_dead_only_where_that_is_sure() -> None:
+    """This process is not, another machine's is unknown, and a number that was given anew is no owner."""
+    me = owner()
+    place, pid, started = me.split(":")
+    assert not is_dead(me)
+    assert is_dead(f"{place}:{pid}:{int(started) + 1}")
+    assert is_dead(f"{place}:4194999:1")
+    assert not is_dead(f"elsewhere/1:{pid}:1")
+    assert not any(is_dead(text) for text in ("", ":", "::", "a:b", f"{place}:x:1", f"{place}:-1:1"))
