@@ -1,0 +1,1 @@
+"""The backend ``local``: a bubblewrap sandbox over a folder on disk, for machines without a container engine."""
