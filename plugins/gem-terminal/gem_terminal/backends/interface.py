@@ -11,11 +11,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING, Literal, Protocol, Self
 
 if TYPE_CHECKING:
     from gem_terminal.errors import MachineLostError
     from gem_terminal.tasks.task import Environment, Network, Task
+
+Change = Literal["added", "changed", "removed"]
+"""How a path differs from what the machine began with."""
 
 
 @dataclass(frozen=True)
@@ -168,13 +171,38 @@ class Machine(Protocol):
     def remove_files(self, paths: Sequence[str]) -> None:
         """Remove files and folders, following no links; what is not there is no error."""
 
+    def changed(self) -> Mapping[str, Change] | None:
+        """Return the absolute paths that are not what the machine's image has, with how they differ.
+
+        Folders above such paths may be among them, as ``"changed"``; what is below a folder that was removed is left
+        out. The machine of ``judge()`` answers for what its files were when it was made. None where the backend cannot
+        tell.
+
+        Raises:
+            MachineLostError: The machine is gone.
+        """
+
+    def put_back(self, paths: Sequence[str]) -> list[str]:
+        """Make paths what the machine's image has there, with owner and permissions; what it has not is removed.
+
+        Uses no program of the machine but its image's ``rm``, and that after all else is back. Links on the way are
+        replaced, not followed. A folder that is a folder in both keeps what it holds; one that was replaced or removed
+        comes back whole.
+
+        Returns:
+            The paths that did differ, in order.
+
+        Raises:
+            MachineLostError: The machine is gone, or its file system is full (then ``by_agent``).
+        """
+
     def processes(self) -> list[Process]:
         """Return all processes but those that the backend itself needs to keep the machine."""
 
     def kill(self, processes: Sequence[Process]) -> None:
         """Kill processes with SIGKILL; one that has ended, or whose number is another's by now, is left alone."""
 
-    def judge(self, network: Network | None = None) -> Machine:
+    def judge(self, network: Network | None = None, *, prepare: Callable[[Machine], object] | None = None) -> Machine:
         """Return a machine with the same files as this one has now, in which the agent's processes have no part.
 
         Those go on in this one. Services that listen on the loopback are reached from the other, and its processes are
@@ -182,6 +210,8 @@ class Machine(Protocol):
 
         Args:
             network: What its network is; None for this one's.
+            prepare: Called with the other before any program of its files runs, so that what the agent made of them can
+                be put back first. It may use ``changed``, ``put_back``, ``put`` and ``get``.
         """
 
     def written_mb(self) -> float | None:
