@@ -24,7 +24,7 @@ from gem_terminal.errors import BuildError, EngineError, MachineLostError, TaskE
 if TYPE_CHECKING:
     from gem_terminal.tasks.task import Container, Environment, Healthcheck, Task
 
-_LAYOUT = 1  # goes up whenever templates are made in another way
+_LAYOUT = 2  # goes up whenever templates are made in another way
 _ROOT = ("", "root", "0", "root:root", "0:0")
 _HELD = ("none", None)
 _SLEEPS = ("sleep", "/bin/sleep", "/usr/bin/sleep", "tail", "/usr/bin/tail")
@@ -290,4 +290,4 @@ def _close_at_exit(backend: LocalBackend) -> None:
             found.close()
 
     atexit.register(close)
-    weakref.finalize(backend, atexit.unregister, close)
+    weakref.finalize(backend, atexit.unregister, close).atexit = False

@@ -83,7 +83,7 @@ class Channel:
             for descriptor in answer.descriptors:
                 os.close(descriptor)
             if answer.message["full"]:
-                raise MachineLostError(f"the machine's file system is full: {answer.message['error']}", by_agent=True)
+                raise MachineLostError(f"the machine's files are too much: {answer.message['error']}", by_agent=True)
             raise EngineError(answer.message["error"])
         return {**answer.message, "number": number}, answer.descriptors
 

@@ -23,7 +23,17 @@ PYTHON = "/python"
 
 _PROBE_S = 20.0
 _INSTALL = "install bubblewrap ('apt-get install bubblewrap'), or use the backend 'docker'"
-_MODULES = ("kernel", "wire", "views", "processes", "files", "programs", "keeper")  # as they need one another
+# In the order in which they need one another.
+_MODULES = (
+    "kernel",
+    "wire",
+    "views",
+    "processes",
+    "files",
+    "compare",
+    "programs",
+    "keeper",
+)
 _POWERS = (
     *("CHOWN", "DAC_OVERRIDE", "FOWNER", "FSETID", "KILL", "SETGID", "SETUID", "SETPCAP", "NET_BIND_SERVICE"),
     *("SYS_CHROOT", "SYS_PTRACE", "SYS_ADMIN", "SYS_RESOURCE", "AUDIT_WRITE"),
@@ -50,6 +60,8 @@ import ctypes, os, sys
 uid, count = int(sys.argv[1]), int(sys.argv[2])
 paths, words = sys.argv[3:3 + count], sys.argv[3 + count:]
 libc = ctypes.CDLL(None, use_errno=True)
+program = os.open(words[0], os.O_RDONLY)
+os.set_inheritable(program, True)
 places = {}
 if not libc.unshare(0x20000):
     opened = [os.open(path, os.O_PATH) for path in paths]
@@ -67,7 +79,7 @@ if not libc.unshare(0x20000):
 os.setgroups([])
 os.setresgid(uid, uid, uid)
 os.setresuid(uid, uid, uid)
-os.execv(words[0], [places.get(word, word) for word in words])
+os.execve(program, [places.get(word, word) for word in words], dict(os.environ))
 """
 
 
@@ -192,7 +204,8 @@ def launch(
     try:
         os.write(code, _code())
         descriptors = (channel.fileno(), owner, code)
-        words = [*_bubblewrap(program, folder, template, hostname), *map(str, descriptors)]
+        # The last word only tells one machine's processes from another's, for whoever lists them.
+        words = [*_bubblewrap(program, folder, template, hostname), *map(str, descriptors), folder.name]
         paths = [str(path) for path in (folder, interpreter()[0], template) if path is not None]
         return subprocess.Popen(
             [*_as_user(paths), *words],

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from gem_terminal.backends.interface import Completed, Process
+from gem_terminal.backends.interface import Change, Completed, Process
 from gem_terminal.backends.local.terminal import LocalTerminal, Middle, drain, follow
 from gem_terminal.errors import EngineError, MachineLostError, TaskError
 
@@ -190,6 +190,30 @@ class LocalMachine:
             self._check_path(path)
         self._ask("remove", paths=list(paths))
 
+    def changed(self) -> Mapping[str, Change] | None:
+        """Return the absolute paths that are not what the template has, with how they differ.
+
+        The host's programs, which cannot differ, are not among them.
+
+        Raises:
+            MachineLostError: The machine is gone, or has too many files to tell.
+        """
+        answer, _ = self._ask("changed", timeout_s=_JUDGE_S)
+        found: Mapping[str, Change] | None = answer["changed"]
+        return found
+
+    def put_back(self, paths: Sequence[str]) -> list[str]:
+        """Make paths what the template has there; what it has not is removed. No program of the machine is used.
+
+        Returns:
+            The paths that did differ, in order.
+
+        Raises:
+            MachineLostError: The machine is gone, or its file system is full.
+        """
+        answer, _ = self._ask("put_back", paths=list(paths), timeout_s=_JUDGE_S)
+        return [str(path) for path in answer["paths"]]
+
     def processes(self) -> list[Process]:
         """Return all processes of this view but those that keep the machine."""
         answer, _ = self._ask("processes")
@@ -199,10 +223,16 @@ class LocalMachine:
         """Kill processes with SIGKILL; one that has ended, or whose number is another's by now, is left alone."""
         self._ask("kill", processes=[[process.pid, process.started] for process in processes])
 
-    def judge(self, network: Network | None = None) -> LocalMachine:
+    def judge(
+        self, network: Network | None = None, *, prepare: Callable[[LocalMachine], object] | None = None
+    ) -> LocalMachine:
         """Return a machine with a copy of this one's files, whose files and memory this one's processes cannot reach.
 
         It shares this one's loopback and its process numbers, and ends with it.
+
+        Args:
+            network: None, or ``"none"``.
+            prepare: Called with the other before any program runs in it.
 
         Raises:
             MachineLostError: The machine is gone, or the copy cannot be made.
@@ -216,7 +246,14 @@ class LocalMachine:
         def release() -> None:
             self._channel.ask("dismiss", view=name)
 
-        return LocalMachine(f"{self.id}-{name.replace('/', '-')}", self._channel, self._surroundings, release, name)
+        judge = LocalMachine(f"{self.id}-{name.replace('/', '-')}", self._channel, self._surroundings, release, name)
+        if prepare is not None:
+            try:
+                prepare(judge)
+            except BaseException:
+                judge.remove()
+                raise
+        return judge
 
     def written_mb(self) -> float | None:
         """Return how many megabytes the agent's files have grown by."""

@@ -30,7 +30,7 @@ _FILES = {
 }
 # What programs of the system need of its settings, and what says nothing of whoever uses it.
 _COPIED = (
-    *("alternatives", "debian_version", "inputrc", "ld.so.cache", "ld.so.conf", "ld.so.conf.d", "localtime"),
+    *("debian_version", "inputrc", "ld.so.cache", "ld.so.conf", "ld.so.conf.d", "localtime"),
     *("login.defs", "lsb-release", "magic", "magic.mime", "mime.types", "nanorc", "os-release", "perl", "profile"),
     *("protocols", "rpc", "services", "terminfo", "timezone", "vim"),
 )
@@ -60,6 +60,7 @@ def make(root: Path) -> None:
     for name, text in _PROFILE.items():
         (root / "root" / name).write_text(text, "utf-8")
     _copy_settings(root / "etc")
+    _copy_alternatives(root / "etc/alternatives")
     _python(root / "usr/local/bin")
     user = launch.uid()
     if user is not None:
@@ -78,6 +79,17 @@ def _copy_settings(etc: Path) -> None:
                 shutil.copyfile(source, target)
         except (OSError, shutil.Error):
             continue  # not for this user to read: then not for an agent either
+
+
+def _copy_alternatives(folder: Path) -> None:
+    """Copy the links that programs have as one of their names; there are many more, of their manuals."""
+    folder.mkdir()
+    try:
+        links = [link for link in Path("/etc/alternatives").iterdir() if os.access(link, os.X_OK) and link.is_file()]
+    except OSError:
+        return  # this system has none
+    for link in links:
+        (folder / link.name).symlink_to(os.readlink(link))
 
 
 def _python(folder: Path) -> None:

@@ -8,7 +8,7 @@ import os
 import stat
 from typing import Any
 
-_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+FOLDER_FLAGS = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 _MOST_FILES = 20_000
 _MOST_DEPTH = 100
 _PIECE = 1 << 20
@@ -25,7 +25,7 @@ class Trash:
         """Move an entry of an open folder here; what is not there is no error."""
         self.count += 1
         with contextlib.suppress(FileNotFoundError):
-            os.rename(name, f"{self.folder}/{self.count}", src_dir_fd=parent)
+            os.rename(name, f"{self.folder}/{os.getpid()}-{self.count}", src_dir_fd=parent)
 
 
 def parts_of(path: str) -> list[str]:
@@ -46,7 +46,7 @@ def open_folder(root: str, parts: list[str], trash: Trash | None) -> int:
     Raises:
         OSError: It is not there, or cannot be made.
     """
-    current = os.open(root, _FOLDER)
+    current = os.open(root, FOLDER_FLAGS)
     try:
         for part in parts:
             following = _step(current, part, trash)
@@ -61,7 +61,7 @@ def open_folder(root: str, parts: list[str], trash: Trash | None) -> int:
 def _step(parent: int, name: str, trash: Trash | None) -> int:
     for _ in range(10):
         try:
-            return os.open(name, _FOLDER, dir_fd=parent)
+            return os.open(name, FOLDER_FLAGS, dir_fd=parent)
         except FileNotFoundError:
             if trash is None:
                 raise
@@ -105,12 +105,13 @@ def write(root: str, trash: Trash, entry: dict[str, Any], source: int | None) ->
         if entry["kind"] == "link":
             os.symlink(entry["target"], name, dir_fd=parent)
         elif source is not None:
-            _copy(source, name, parent, entry["mode"])
+            copy_file(source, name, parent, entry["mode"])
     finally:
         os.close(parent)
 
 
-def _copy(source: int, name: str, parent: int, mode: int) -> None:
+def copy_file(source: int, name: str, parent: int, mode: int) -> None:
+    """Copy an open file to a new one in an open folder."""
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     target = os.open(name, flags, 0o600, dir_fd=parent)
     try:
@@ -202,7 +203,7 @@ def _walk(
     if depth > _MOST_DEPTH:
         return
     try:
-        folder = os.open(name, _FOLDER, dir_fd=parent)
+        folder = os.open(name, FOLDER_FLAGS, dir_fd=parent)
     except OSError:
         return
     try:

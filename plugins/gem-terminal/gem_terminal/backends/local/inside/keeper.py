@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import os
 import select
 import signal
@@ -16,7 +17,7 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple, NoReturn
 
-from gem_terminal.backends.local.inside import files, kernel, processes, programs, views, wire
+from gem_terminal.backends.local.inside import compare, files, kernel, processes, programs, views, wire
 
 _TICK_S = 0.25
 _SIZES_S = 2.0
@@ -30,12 +31,12 @@ class Helper(NamedTuple):
 
     Args:
         output: File descriptor of what it says.
-        then: Called with that when it has ended.
+        then: Called with that when it has ended; it is closed afterwards.
         until: When it is killed.
     """
 
     output: int
-    then: Callable[[bytes], None]
+    then: Callable[[int], None]
     until: float
 
 
@@ -59,6 +60,10 @@ class Keeper:
         self.helpers: dict[int, Helper] = {}
         self.sizes_due = time.monotonic() + _SIZES_S
         self.measuring = False
+        self.ticks = 0.0
+        self.watched = 0.0
+        self.quiet = False
+        self.copied_ns = 0
         self.woken, waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.signal(signal.SIGCHLD, lambda *_: None)
         signal.set_wakeup_fd(waker, warn_on_full_buffer=False)
@@ -74,7 +79,8 @@ class Keeper:
         for descriptor in (self.channel.fileno(), self.owner, self.woken):
             poller.register(descriptor, select.POLLIN)
         while True:
-            for descriptor, _ in poller.poll(int(_TICK_S * 1000)):
+            for descriptor, _ in poller.poll(None if self.quiet else int(_TICK_S * 1000)):
+                self.quiet = False
                 if descriptor == self.owner:
                     quit_now()
                 elif descriptor == self.woken:
@@ -92,6 +98,9 @@ class Keeper:
         os.close(told)
         if status:
             raise OSError(f"the template could not be copied (cp ended with {programs.exit_code(status)})")
+        marker = os.open(f"{views.SCRATCH}/copied", os.O_CREAT | os.O_WRONLY | os.O_CLOEXEC, 0o600)
+        self.copied_ns = os.fstat(marker).st_ctime_ns
+        os.close(marker)
 
     def open_view(self, name: str, capabilities: tuple[int, ...]) -> None:
         """Make a view of a folder."""
@@ -112,8 +121,7 @@ class Keeper:
         try:
             answer = getattr(self, f"do_{message['op']}")(message, descriptors, made)
         except (OSError, ValueError) as error:
-            full = isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
-            answer = {"error": str(error), "full": full}
+            answer = failed(error)
         finally:
             for descriptor in descriptors:
                 os.close(descriptor)
@@ -230,7 +238,7 @@ class Keeper:
         """Copy the agent's files, and open a view of the copy."""
         name = message["name"]
 
-        def then(_: bytes) -> None:
+        def then(_: int) -> None:
             try:
                 self.open_view(name, kernel.JUDGE_CAPABILITIES)
             except OSError as error:
@@ -255,12 +263,54 @@ class Keeper:
             self.empty_trash()
         return {}
 
+    def do_changed(self, message: dict[str, Any], _: list[int], __: list[int]) -> dict[str, Any] | None:
+        """Answer with how a view differs from the template."""
+        if not self.settings["copy"]:
+            return {"changed": None}
+        root = self.views[message["view"]].folder
+        since = self.copied_ns if message["view"] == _AGENT else 0
+        self.work(message["id"], lambda: {"changed": compare.Comparison(since).run(root)})
+        return None
+
+    def do_put_back(self, message: dict[str, Any], _: list[int], __: list[int]) -> dict[str, Any] | None:
+        """Make paths what the template has there."""
+        if not self.settings["copy"]:
+            return {"paths": []}
+        root = self.views[message["view"]].folder
+        self.work(message["id"], lambda: {"paths": compare.put_back(root, self.trash, message["paths"])})
+        return None
+
+    def work(self, identifier: int, function: Callable[[], dict[str, Any]]) -> None:
+        """Do in a process of its own what may take long, and answer then."""
+        memory = wire.in_memory(b"")
+        pid = os.fork()
+        if pid == 0:
+            try:
+                try:
+                    answer = function()
+                except Exception as error:  # noqa: BLE001 - whatever it is, it must be answered, and not in here
+                    answer = failed(error)
+                with open(memory, "wb", closefd=False) as file:
+                    file.write(json.dumps(answer).encode("ascii"))
+            finally:
+                os._exit(0)
+
+        def then(told: int) -> None:
+            os.lseek(told, 0, os.SEEK_SET)
+            with open(told, "rb", closefd=False) as file:
+                data = file.read()
+            self.answer(identifier, json.loads(data) if data else {"error": "it took too long", "full": True})
+            self.empty_trash()
+
+        self.helpers[pid] = Helper(memory, then, time.monotonic() + _COPY_S)
+        self.infrastructure.add(pid)
+
     def do_sizes(self, message: dict[str, Any], _: list[int], __: list[int]) -> None:
         """Answer with the kilobytes that the agent's files have grown by."""
         words = ["du", "-skx", self.views[_AGENT].folder]
         self.help(words, lambda told: self.answer(message["id"], {"grown_kb": self.grown(told)}), _COPY_S)
 
-    def help(self, words: list[str], then: Callable[[bytes], None], limit_s: float) -> None:
+    def help(self, words: list[str], then: Callable[[int], None], limit_s: float) -> None:
         """Start a program of ours."""
         pid, output = programs.helper(words)
         self.helpers[pid] = Helper(output, then, time.monotonic() + limit_s)
@@ -287,9 +337,8 @@ class Keeper:
                 os.close(self.waited.pop(pid))
             helper = self.helpers.pop(pid, None)
             if helper is not None:
-                told = os.read(helper.output, 4096)
+                helper.then(helper.output)
                 os.close(helper.output)
-                helper.then(told)
             for number in [number for number, (minder, _) in self.minders.items() if minder == pid]:
                 del self.minders[number]
 
@@ -300,33 +349,45 @@ class Keeper:
             if now > helper.until:
                 with contextlib.suppress(OSError):
                     os.kill(pid, signal.SIGKILL)
-        self.watch_memory()
+        if now < self.watched + _TICK_S:
+            return
+        self.watched = now
+        theirs = [stat for stat in processes.everyone() if stat.pid not in self.infrastructure and stat.pid != 1]
+        self.quiet = not theirs and not self.helpers
+        self.watch_memory([stat.pid for stat in theirs])
         if now > self.sizes_due and not self.measuring:
-            self.measuring = True
-            started = now
+            # Who takes no time writes nothing; most machines wait for a model most of the time.
+            ticks = sum(stat.ticks for stat in theirs) + sum(os.times()[2:4])
+            if ticks != self.ticks:
+                self.ticks = ticks
+                self.measure(now)
 
-            def then(told: bytes) -> None:
-                self.measuring = False
-                took = time.monotonic() - started
-                self.sizes_due = time.monotonic() + max(_SIZES_S, 10 * took)
-                if self.grown(told) > self.limits["storage_mb"] * 1024:
-                    self.lose("storage")
+    def measure(self, now: float) -> None:
+        """Find out how much the agent has written, and end the machine where it is too much."""
+        self.measuring = True
 
-            self.help(["du", "-skx", views.SCRATCH + "/" + _AGENT], then, _COPY_S)
+        def then(told: int) -> None:
+            self.measuring = False
+            self.ticks += sum(os.times()[2:4]) - before  # what this took is not the agent's
+            self.sizes_due = time.monotonic() + max(_SIZES_S, 10 * (time.monotonic() - now))
+            if self.grown(told) > self.limits["storage_mb"] * 1024:
+                self.lose("storage")
 
-    def grown(self, told: bytes) -> int:
+        before = sum(os.times()[2:4])
+        self.help(["du", "-skx", f"{views.SCRATCH}/{_AGENT}"], then, _COPY_S)
+
+    def grown(self, told: int) -> int:
         """Return by how many kilobytes files have grown, of what ``du`` says."""
-        words = told.split()
+        words = os.read(told, 4096).split()
         return max(0, int(words[0]) - int(self.settings["baseline_kb"])) if words else 0
 
-    def watch_memory(self) -> None:
+    def watch_memory(self, pids: list[int]) -> None:
         """Kill the largest process while all together have more than they may, as the kernel would."""
         sizes: list[tuple[int, int]] = []
-        for name in os.listdir("/proc"):
-            if name.isdigit() and int(name) not in self.infrastructure and name != "1":
-                with contextlib.suppress(OSError, IndexError, ValueError), open(f"/proc/{name}/statm", "rb") as file:
-                    words = file.read().split()
-                    sizes.append(((int(words[1]) - int(words[2])) * _PAGE, int(name)))
+        for pid in pids:
+            with contextlib.suppress(OSError, IndexError, ValueError), open(f"/proc/{pid}/statm", "rb") as file:
+                words = file.read().split()
+                sizes.append(((int(words[1]) - int(words[2])) * _PAGE, pid))
         if sum(size for size, _ in sizes) > self.limits["memory_mb"] << 20:
             with contextlib.suppress(OSError):
                 os.kill(max(sizes)[1], signal.SIGKILL)
@@ -336,6 +397,12 @@ class Keeper:
         with contextlib.suppress(OSError):
             wire.send(self.channel, {"op": "lost", "why": why})
         quit_now()
+
+
+def failed(error: Exception) -> dict[str, Any]:
+    """Return the answer to what failed: ``full`` says that it is the files of the agent that made it fail."""
+    full = isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
+    return {"error": f"{type(error).__name__}: {error}", "full": full or isinstance(error, compare.TooMuch)}
 
 
 def quit_now() -> NoReturn:

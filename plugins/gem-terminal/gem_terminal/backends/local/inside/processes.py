@@ -20,6 +20,8 @@ class Stat(NamedTuple):
     session: int
     started: int
     state: str
+    ticks: int
+    """Processor time that it, and those of its children that have been waited for, have taken."""
 
 
 def read(pid: int) -> Stat | None:
@@ -31,7 +33,8 @@ def read(pid: int) -> Stat | None:
         return None
     # Its name, in brackets, may hold anything.
     words = data[data.rindex(b")") + 2 :].split()
-    return Stat(pid, int(words[1]), int(words[3]), int(words[19]), words[0].decode("ascii"))
+    ticks = sum(map(int, words[11:15]))
+    return Stat(pid, int(words[1]), int(words[3]), int(words[19]), words[0].decode("ascii"), ticks)
 
 
 def everyone() -> list[Stat]:
