@@ -96,6 +96,8 @@ def test_the_hosts_programs_cannot_be_changed(machine: LocalMachine) -> None:
         "mknod /app/disk b 8 0",
         "ip link set lo down",
         "kill -STOP 1 && grep -q 'State:.T' /proc/1/status",
+        "prlimit --pid 1 --nofile=0:0",
+        "python3 -c 'import resource; resource.prlimit(1, resource.RLIMIT_CPU, (0, 0))'",
         "kill -KILL 1 && ! kill -0 1",
     ],
 )
@@ -258,6 +260,7 @@ def test_a_terminal_is_one(machine: LocalMachine) -> None:
     assert b"/dev/pts/" in shown
     assert b"30 90" in shown
     assert terminal.pid in [process.pid for process in machine.processes()]
+    wait_for(machine, "pgrep -fx 'sleep 100' > /dev/null")
     terminal.write(b"\x03")
     terminal.write(b"echo inter''rupted\n")
     read_until(terminal, b"interrupted")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import struct
 
 CLONE_NEWNS = 0x00020000
 MS_RDONLY, MS_NOSUID, MS_NODEV, MS_REMOUNT, MS_BIND, MS_REC, MS_PRIVATE = 1, 2, 4, 32, 0x1000, 0x4000, 0x40000
@@ -20,6 +21,10 @@ JUDGE_CAPABILITIES = (*AGENT_CAPABILITIES, AUDIT_WRITE)
 
 _CAPABILITY_VERSION_3 = 0x20080522
 _AMBIENT_CLEAR_ALL = 4
+_PR_SET_SECCOMP, _SECCOMP_MODE_FILTER = 22, 2
+# The number by which seccomp knows a machine, and that of prlimit64 on it.
+_PRLIMIT = {"x86_64": (0xC000003E, 302), "aarch64": (0xC00000B7, 261)}
+_X32 = 0x40000000
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
@@ -61,6 +66,33 @@ def prctl(option: int, *values: int) -> None:
     """Set something of this process."""
     words = [ctypes.c_ulong(value) for value in (*values, 0, 0, 0, 0)[:4]]
     _checked(_libc.prctl(option, *words), f"prctl {option}")
+
+
+def guard_limits() -> None:
+    """Forbid setting the limits of other processes for good: as one user, the agent could set the keeper's.
+
+    Needs ``PR_SET_NO_NEW_PRIVS``. On machines of other kinds than the two usual ones, it does nothing.
+    """
+    known = _PRLIMIT.get(os.uname().machine)
+    if known is None:
+        return
+    load, equal, at_least, end = 0x20, 0x15, 0x35, 0x06
+    allow, no_permission, no_such_call = 0x7FFF0000, 0x00050000 | 1, 0x00050000 | 38
+    steps = [
+        (load, 0, 0, 4),  # the machine
+        (equal, 0, 6, known[0]),
+        (load, 0, 0, 0),  # the call
+        (at_least, 4, 0, _X32),
+        (equal, 0, 4, known[1]),
+        (load, 0, 0, 16),  # its first argument: the process, 0 for itself
+        (equal, 2, 0, 0),
+        (end, 0, 0, no_permission),
+        (end, 0, 0, no_such_call),
+        (end, 0, 0, allow),
+    ]
+    code = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *step) for step in steps))
+    program = ctypes.create_string_buffer(struct.pack("HxxxxxxQ", len(steps), ctypes.addressof(code)))
+    prctl(_PR_SET_SECCOMP, _SECCOMP_MODE_FILTER, ctypes.addressof(program))
 
 
 def keep_capabilities(kept: tuple[int, ...]) -> None:

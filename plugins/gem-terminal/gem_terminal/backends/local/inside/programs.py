@@ -130,6 +130,7 @@ def _become(job: dict[str, Any], view: View, bounds: list[tuple[int, int]], outp
             resource.setrlimit(kind, (value, value))
         os.umask(0o022)
         kernel.keep_capabilities(view.capabilities)
+        kernel.guard_limits()
         for number in (signal.SIGPIPE, signal.SIGXFSZ, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_DFL)
         signal.set_wakeup_fd(-1)
