@@ -1,0 +1,344 @@
+"""What an agent's response does: a command, keys, the end, or nothing that can be read.
+
+``read_action`` takes any text in time that grows with its length alone; ``how_to_act`` is what an agent is told.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+from gem_core.parsing import CodeBlock, extract_code_blocks, unclosed_code_block
+from gem_core.tool_calls import json_call, native_calls
+from gem_core.tools import ToolCall
+from gem_terminal.acting import TOOLS, how_to_act, tool_schemas
+from gem_terminal.yaml_commands import looks_like_yaml, read_yaml_command
+
+__all__ = ["Action", "Bash", "Finish", "Keys", "Malformed", "how_to_act", "read_action", "tool_schemas"]
+
+FENCES = ("bash", "sh", "shell")
+"""Languages of the fenced blocks that are commands."""
+
+MOST_COMMAND = 1_000_000
+"""Characters of the longest command that is taken, and of the longest run of keys."""
+
+# Possessive throughout: no tag is tried twice. A tag and its attributes are at most a few hundred characters.
+_OPENING = re.compile(
+    r"""<(bash|keys)((?:\s++[\w-]{1,40}+\s*+=\s*+(?:"[^"<>]{0,100}+"|'[^'<>]{0,100}+'|[^\s"'<>]{1,100}+)){0,10}+)\s*+>"""
+)
+_ATTRIBUTE = re.compile(r"""([\w-]+)\s*+=\s*+(?:"([^"]*+)"|'([^']*+)'|(\S++))""")
+_FINISH = re.compile(r"<finish\s*+(?:/\s*+>|>(?:\s*+</finish\s*+>)?+)")
+# A tag in quotation marks is spoken of, and is none.
+_QUOTED_TAG = re.compile(r"""([`'"])</?(?:bash|keys|finish|tool_call)\s*+/?+>\1""")
+_NUMBER = re.compile(r"\+?(?:\d{1,9}(?:\.\d{0,9})?|\.\d{1,9})\s*(?:s|sec|secs|seconds)?", re.ASCII)
+_OTHER_TAG = re.compile(r"<(sh|shell|cmd|command|execute|terminal|key|done|submit|exit|Bash|BASH|Keys|Finish)\s*+/?+>")
+_TIMEOUTS = ("timeout", "timeout_s", "timeout_sec", "timeout_secs", "timeout_seconds")
+_WAITS = ("wait", "wait_s", "wait_sec", "wait_secs", "wait_seconds")
+
+_WRITE = "Write one command as <bash>command</bash>, keys as <keys>text<Enter></keys>, or <finish/> when you are done."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Action:
+    """What a response does.
+
+    Args:
+        text: What was read of the response: its beginning, as far as the end of the action.
+        call_id: Under which a native call is answered; None for an action in the text.
+        other_call_ids: Of native calls behind the first, which are not executed.
+    """
+
+    text: str = ""
+    call_id: str | None = None
+    other_call_ids: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Bash(Action):
+    """A command for the shell.
+
+    Args:
+        command: Any text but an empty one.
+        timeout_s: Seconds that the agent asks for; None where it does not.
+    """
+
+    command: str
+    timeout_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Keys(Action):
+    """Keys for whatever runs in the terminal.
+
+    Args:
+        keys: In the notation of ``keys.py``; empty to look at the screen only.
+        wait_s: Seconds that the agent asks for; None where it does not.
+    """
+
+    keys: str
+    wait_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Finish(Action):
+    """The end: what is there now is to be verified."""
+
+
+@dataclass(frozen=True)
+class Malformed(Action):
+    """Nothing that could be read.
+
+    Args:
+        reason: What is wrong, and how to write it right, in sentences for the agent.
+    """
+
+    reason: str
+
+
+def read_action(response: str) -> Action:
+    """Return what a response does: a ``Bash``, ``Keys``, ``Finish`` or ``Malformed``.
+
+    Native calls (``Response.tool_calls``) win over text, of which the first complete action counts. What stands in a
+    closed thinking block is no action, and neither is a lone tag in quotation marks.
+    """
+    calls = getattr(response, "tool_calls", None)
+    text = str.__str__(response)
+    if isinstance(calls, Sequence) and not isinstance(calls, str) and calls:
+        return _native(text, calls)
+    thinking, opened_before = _thinking(text)
+    found = _first(text, thinking)
+    if found is None or isinstance(found.action, Malformed):
+        around = _first(text, thinking[1:]) if opened_before else None
+        # What looks like the end of thinking may stand within a command, as in one that prints it.
+        if around is not None and not isinstance(around.action, Malformed) and around.end > thinking[0][1]:
+            found = around
+    if found is not None:
+        return replace(found.action, text=text[: found.end])
+    return Malformed(_reason_for_none(text, thinking), text=text)
+
+
+class _Found(NamedTuple):
+    start: int
+    end: int
+    action: Action
+
+
+def _first(text: str, thinking: Sequence[tuple[int, int]]) -> _Found | None:
+    """Return the complete action that begins first; without one, the incomplete one that does."""
+    seen = _blanked(text, [*thinking])
+    seen = _QUOTED_TAG.sub(lambda quoted: " " * len(quoted[0]), seen)
+    every = [*_tagged(text, seen), _fenced(text, seen), _called(text, seen), _finished(text, seen)]
+    found = [each for each in every if each is not None]
+    complete = [each for each in found if not isinstance(each.action, Malformed)]
+    first = min(complete or found, key=lambda each: each.start, default=None)
+    # An action that is wrong in itself, as one that is empty, is not passed over for a later one: it was meant.
+    whole = [each for each in found if each.end >= 0 and (first is None or each.start < first.start)]
+    first = min(whole, key=lambda each: each.start, default=first)
+    return None if first is None else first._replace(end=first.end if first.end >= 0 else len(text))
+
+
+def _tagged(text: str, seen: str) -> list[_Found]:
+    """Return the first element of each tag, and the first that is never closed."""
+    found: list[_Found] = []
+    known: set[str] = set()
+    for opening in _OPENING.finditer(seen):
+        name = opening[1]
+        if name in known:
+            continue
+        known.add(name)
+        closing = f"</{name}>"
+        end = seen.find(closing, opening.end())
+        if end < 0:
+            reason = f"<{name}> is never closed. Write {closing} at the end of it."
+            found.append(_Found(opening.start(), -1, Malformed(reason)))
+        else:
+            content = text[opening.end() : end]
+            action = _element(name, text[opening.start(2) : opening.end(2)], content, seen[opening.end() : end])
+            found.append(_Found(opening.start(), end + len(closing), action))
+        if len(known) == 2:
+            break
+    return found
+
+
+def _element(name: str, attributes: str, content: str, seen: str) -> Action:
+    if f"<{name}>" in seen:
+        return Malformed(
+            f"<{name}> is opened twice before it is closed, so that it can be read in more than one way. Write one "
+            f"<{name}>…</{name}>, and speak of the tag in quotation marks only."
+        )
+    arguments: dict[str, Any] = {}
+    for attribute in _ATTRIBUTE.finditer(attributes):
+        arguments[attribute[1].lower()] = attribute[2] or attribute[3] or attribute[4] or ""
+    allowed = _TIMEOUTS if name == "bash" else _WAITS
+    unknown = next((each for each in arguments if each not in allowed), None)
+    if unknown is not None:
+        return Malformed(f"<{name}> has no attribute {unknown!r}; there is {allowed[0]}, as in {_example(name)}.")
+    if name == "keys":
+        return _keys(content, arguments)
+    content = _unfenced(content)
+    if looks_like_yaml(content):
+        read = read_yaml_command(content)
+        if isinstance(read, str):
+            return Malformed(read)
+        content, timeout = read
+        if timeout is not None:
+            arguments.setdefault("timeout_secs", timeout)
+    return _bash(content, arguments)
+
+
+def _example(name: str) -> str:
+    return '<bash timeout="30">make</bash>' if name == "bash" else '<keys wait="5">:wq<Enter></keys>'
+
+
+def _bash(command: object, arguments: Mapping[str, Any]) -> Action:
+    if not isinstance(command, str):
+        return Malformed('The command of bash must be text, as in {"name": "bash", "arguments": {"command": "ls"}}.')
+    command = command.strip("\r\n")
+    if not command.strip():
+        return Malformed("The command is empty. Write what the shell should run, as in <bash>ls -l</bash>.")
+    if len(command) > MOST_COMMAND:
+        return Malformed(f"The command has {len(command)} characters; {MOST_COMMAND} are allowed. Write it in parts.")
+    seconds = _seconds(arguments, _TIMEOUTS)
+    if isinstance(seconds, str):
+        return Malformed(f"{seconds}, as in {_example('bash')}.")
+    return Bash(command, seconds)
+
+
+def _keys(keys: object, arguments: Mapping[str, Any]) -> Action:
+    if isinstance(keys, list) and all(isinstance(each, str) for each in keys):
+        keys = "".join(keys)
+    if not isinstance(keys, str):
+        return Malformed('The keys must be text, as in {"name": "keys", "arguments": {"keys": "yes<Enter>"}}.')
+    if len(keys) > MOST_COMMAND:
+        return Malformed(f"There are {len(keys)} characters of keys; {MOST_COMMAND} are allowed.")
+    seconds = _seconds(arguments, _WAITS)
+    if isinstance(seconds, str):
+        return Malformed(f"{seconds}, as in {_example('keys')}.")
+    return Keys(keys, seconds)
+
+
+def _seconds(arguments: Mapping[str, Any], names: Sequence[str]) -> float | str | None:
+    """Return the seconds that are asked for; text where they are no number of seconds."""
+    name = next((each for each in names if arguments.get(each) is not None), None)
+    if name is None:
+        return None
+    value = arguments[name]
+    seconds = -1.0
+    if isinstance(value, str) and (number := _NUMBER.fullmatch(value.strip()[:50])):
+        seconds = float(number[0].rstrip("secondr "))
+    elif isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= 1e9:
+        seconds = float(value)
+    if not math.isfinite(seconds) or seconds < 0 or (seconds == 0 and names is _TIMEOUTS):
+        return f"{name} must be a number of seconds"
+    return seconds
+
+
+def _fenced(text: str, seen: str) -> _Found | None:
+    for block in extract_code_blocks(seen, *FENCES):
+        # Read again, since quotation marks in it are its own.
+        own = next(iter(extract_code_blocks(text[block.start : block.end])), None)
+        return _Found(block.start, block.end, _bash(_untagged((own or block).code), {}))
+    unclosed: CodeBlock | None = unclosed_code_block(seen, *FENCES)
+    if unclosed is None:
+        return None
+    return _Found(unclosed.start, -1, Malformed("The fenced block is never closed. Write ``` on a line at its end."))
+
+
+def _unfenced(content: str) -> str:
+    """Return what stands in a tag, without the fence of a block that fills it: models write both at once."""
+    around = content.strip()
+    if around[:3] not in ("```", "~~~"):
+        return content
+    blocks = extract_code_blocks(around, "", *FENCES)
+    return blocks[0].code if len(blocks) == 1 and (blocks[0].start, blocks[0].end) == (0, len(around)) else content
+
+
+def _untagged(code: str) -> str:
+    around = code.strip()
+    inside = around.removeprefix("<bash>").removesuffix("</bash>")
+    return inside if len(around) - len(inside) == len("<bash></bash>") and "</bash>" not in inside else code
+
+
+def _finished(text: str, seen: str) -> _Found | None:
+    found = _FINISH.search(seen)
+    return None if found is None else _Found(found.start(), found.end(), Finish())
+
+
+def _called(text: str, seen: str) -> _Found | None:
+    call = json_call(seen, TOOLS)
+    if call is None:
+        return None
+    if call.error is None:
+        # Read again, since what looks like a tag or thinking in it is its own.
+        original = json_call(text[call.start :], TOOLS)
+        if original is not None and original.error is None:
+            call = replace(call, arguments=original.arguments, end=call.start + original.end)
+    end = call.end if call.end > call.start else -1
+    return _Found(call.start, end, _of_call(call))
+
+
+def _of_call(call: ToolCall) -> Action:
+    if call.error is not None:
+        problem = call.error[:1].upper() + call.error[1:]
+        return Malformed(
+            f"{problem.rstrip('.')}. Write a call as "
+            '<tool_call>{"name": "bash", "arguments": {"command": "ls -l"}}</tool_call>.'
+        )
+    arguments = call.arguments
+    if call.name == "finish":
+        return Finish()
+    names = ("command", "cmd") if call.name == "bash" else ("keys", "keystrokes")
+    allowed = {*names, *(_TIMEOUTS if call.name == "bash" else _WAITS)}
+    unknown = next((each for each in arguments if each not in allowed), None)
+    if unknown is not None:
+        known = "command and timeout" if call.name == "bash" else "keys and wait"
+        return Malformed(f"{call.name} has no argument {unknown[:50]!r}; there are {known}.")
+    what = next((arguments[name] for name in names if name in arguments), None)
+    return _bash(what, arguments) if call.name == "bash" else _keys(what, arguments)
+
+
+def _native(text: str, calls: Sequence[Any]) -> Action:
+    read = native_calls(calls, TOOLS)
+    first = read[0]
+    others = tuple(call.id for call in read[1:] if call.id is not None)
+    return replace(_of_call(first), text=text, call_id=first.id, other_call_ids=others)
+
+
+def _thinking(text: str) -> tuple[list[tuple[int, int]], bool]:
+    """Return the closed thinking blocks, and whether the first was opened before the response, as templates do."""
+    spans: list[tuple[int, int]] = []
+    opened_before = False
+    behind = 0
+    while (end := text.find("</think>", behind)) >= 0:
+        start = text.find("<think>", behind, end)
+        if start < 0:
+            if spans:
+                behind = end + len("</think>")
+                continue
+            start, opened_before = 0, True
+        behind = end + len("</think>")
+        spans.append((start, behind))
+    return spans, opened_before
+
+
+def _blanked(text: str, spans: Sequence[tuple[int, int]]) -> str:
+    """Return the text with line breaks in place of some parts, so that all else stays where it is."""
+    pieces, position = [], 0
+    for start, end in spans:
+        pieces += [text[position:start], "\n" * (end - start)]
+        position = end
+    return "".join([*pieces, text[position:]])
+
+
+def _reason_for_none(text: str, thinking: Sequence[tuple[int, int]]) -> str:
+    if not text.strip():
+        return f"The response is empty. {_WRITE}"
+    if thinking and _first(text, ()) is not None:
+        return f"What stands in a thinking block is not executed. Write the action behind </think>. {_WRITE}"
+    other = _OTHER_TAG.search(text)
+    if other is not None:
+        return f"There is no <{other[1]}>. {_WRITE}"
+    return f"There is no action in the response. {_WRITE}"

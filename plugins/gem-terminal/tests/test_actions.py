@@ -1,0 +1,227 @@
+"""Reading what a response does: every form, what is wrong in words, and any text at all."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gem_core.types import Response
+from gem_terminal.actions import Bash, Finish, Keys, Malformed, how_to_act, read_action, tool_schemas
+
+HOW = "Write one command as <bash>command</bash>, keys as <keys>text<Enter></keys>, or <finish/> when you are done."
+CALL = 'Write a call as <tool_call>{"name": "bash", "arguments": {"command": "ls -l"}}</tool_call>.'
+
+
+def native(*calls: tuple[str, Any]) -> Response:
+    """Return a response with native calls."""
+    made = [
+        {"id": f"call-{place}", "type": "function", "function": {"name": name, "arguments": json.dumps(arguments)}}
+        for place, (name, arguments) in enumerate(calls)
+    ]
+    return Response("I call.", tool_calls=made)
+
+
+@pytest.mark.parametrize(
+    ("response", "command", "timeout_s"),
+    [
+        ("<bash>ls -l</bash>", "ls -l", None),
+        ("I look.\n<bash>\nls\npwd\n</bash>\nAnd then?", "ls\npwd", None),
+        ('<bash timeout="30">make</bash>', "make", 30.0),
+        ("<bash timeout=2.5s >make</bash>", "make", 2.5),
+        ("```bash\nls\n```", "ls", None),
+        ("text\n```sh\nls\n```\nmore", "ls", None),
+        ("~~~shell\necho '```'\n~~~", "echo '```'", None),
+        ("<bash>\n```bash\nls\n```\n</bash>", "ls", None),
+        ("```bash\n<bash>ls</bash>\n```", "ls", None),
+        ("<bash>cmd: ls -l\ntimeout_secs: 3</bash>", "ls -l", 3.0),
+        ("<bash>\ncmd: |\n  cat <<E\n  a\n  E\n</bash>", "cat <<E\na\nE", None),
+        ('<tool_call>{"name": "bash", "arguments": {"command": "ls", "timeout": 9}}</tool_call>', "ls", 9.0),
+        ('<tool_call>{"name": "bash", "arguments": {"cmd": "echo </bash>"}}</tool_call>', "echo </bash>", None),
+        ("<think><bash>rm x</bash></think><bash>ls</bash>", "ls", None),
+        ("thought <bash>rm x</bash></think><bash>ls</bash>", "ls", None),
+        ("<think>never closed <bash>ls</bash>", "ls", None),
+        ("<bash>echo '</think>'</bash>", "echo '</think>'", None),
+        ('I use `<bash>` and <bash>echo "<bash>"</bash>', 'echo "<bash>"', None),
+        ("<bash>ls</bash><finish/>", "ls", None),
+        ("<bash>echo '<finish/>'</bash>", "echo '<finish/>'", None),
+        ("<keys>never closed <bash>ls</bash>", "ls", None),
+    ],
+)
+def test_read_action_finds_commands(response: str, command: str, timeout_s: float | None) -> None:
+    """Each form of a command is read, with its time limit."""
+    read = read_action(response)
+    assert isinstance(read, Bash), read
+    assert (read.command, read.timeout_s) == (command, timeout_s)
+
+
+def test_read_action_keeps_what_was_read() -> None:
+    """The text of an action ends where the action does."""
+    assert read_action("Now:\n<bash>ls</bash> and then").text == "Now:\n<bash>ls</bash>"
+    assert read_action("```sh\nls\n```\nand then").text == "```sh\nls\n```"
+    assert read_action("<finish></finish> done").text == "<finish></finish>"
+
+
+@pytest.mark.parametrize(
+    ("response", "keys", "wait_s"),
+    [
+        ("<keys>:wq<Enter></keys>", ":wq<Enter>", None),
+        ('<keys wait="2"></keys>', "", 2.0),
+        ("<keys>\ty\n</keys>", "\ty\n", None),
+        ('<tool_call>{"name": "keys", "arguments": {"keys": ["a", "<C-c>"], "wait": 1}}</tool_call>', "a<C-c>", 1.0),
+    ],
+)
+def test_read_action_finds_keys(response: str, keys: str, wait_s: float | None) -> None:
+    """Keys are taken as they are written, white space included."""
+    read = read_action(response)
+    assert isinstance(read, Keys), read
+    assert (read.keys, read.wait_s) == (keys, wait_s)
+
+
+@pytest.mark.parametrize(
+    "response",
+    ["<finish/>", "<finish />", "<finish>", "<finish></finish>", '<tool_call>{"name": "finish"}</tool_call>'],
+)
+def test_read_action_finds_the_end(response: str) -> None:
+    """All ways to write the end are read."""
+    assert isinstance(read_action(f"Done. {response} Bye."), Finish)
+
+
+def test_read_action_takes_native_calls_before_text() -> None:
+    """The first native call is the action; the others are named, so that they can be answered."""
+    read = read_action(native(("bash", {"command": "ls", "timeout": 5}), ("finish", {})))
+    assert read == Bash("ls", 5.0, text="I call.", call_id="call-0", other_call_ids=("call-1",))
+    assert isinstance(read_action(Response("<bash>ls</bash>", tool_calls=[])), Bash)
+
+
+@pytest.mark.parametrize(
+    ("response", "reason"),
+    [
+        ("", f"The response is empty. {HOW}"),
+        ("I am not sure.", f"There is no action in the response. {HOW}"),
+        ("```python\nprint(1)\n```", f"There is no action in the response. {HOW}"),
+        ("<shell>ls</shell>", f"There is no <shell>. {HOW}"),
+        (
+            "<think><bash>ls</bash></think>",
+            f"What stands in a thinking block is not executed. Write the action behind </think>. {HOW}",
+        ),
+        ("<bash>ls", "<bash> is never closed. Write </bash> at the end of it."),
+        ("```bash\nls", "The fenced block is never closed. Write ``` on a line at its end."),
+        ("<bash> \n</bash>", "The command is empty. Write what the shell should run, as in <bash>ls -l</bash>."),
+        (
+            "I use <bash> now. <bash>ls</bash>",
+            "<bash> is opened twice before it is closed, so that it can be read in more than one way. Write one "
+            "<bash>…</bash>, and speak of the tag in quotation marks only.",
+        ),
+        (
+            "<bash time='3'>ls</bash>",
+            "<bash> has no attribute 'time'; there is timeout, as in <bash timeout=\"30\">make</bash>.",
+        ),
+        (
+            "<bash timeout='soon'>ls</bash>",
+            'timeout must be a number of seconds, as in <bash timeout="30">make</bash>.',
+        ),
+        ("<bash timeout='-1'>ls</bash>", 'timeout must be a number of seconds, as in <bash timeout="30">make</bash>.'),
+        ("<keys wait='x'>a</keys>", 'wait must be a number of seconds, as in <keys wait="5">:wq<Enter></keys>.'),
+        (
+            "<bash>cmd: [</bash>",
+            "What stands in <bash> is no valid YAML: expected the node content, but found '<stream end>'. Write the "
+            "command itself, or\ncmd: ls -l\ntimeout_secs: 10",
+        ),
+        (
+            "<bash>timeout_secs: 3</bash>",
+            "YAML in <bash> must have the command as text under cmd, as in\ncmd: ls -l\ntimeout_secs: 10",
+        ),
+        (
+            "<bash>cmd: ls\nblock: 1</bash>",
+            "YAML in <bash> has no 'block'; there are cmd and timeout_secs, as in\ncmd: ls -l\ntimeout_secs: 10",
+        ),
+        (
+            '<tool_call>{"name": "bsh", "arguments": {}}</tool_call>',
+            f"No tool 'bsh'. There are: bash, keys, finish. {CALL}",
+        ),
+        (
+            '<tool_call>{"name": "bash", "arguments": {"command": "ls", "cwd": "/"}}</tool_call>',
+            "bash has no argument 'cwd'; there are command and timeout.",
+        ),
+        (
+            '<tool_call>{"name": "bash"}</tool_call>',
+            'The command of bash must be text, as in {"name": "bash", "arguments": {"command": "ls"}}.',
+        ),
+        ('<tool_call>{"name": "bash"', f"<tool_call> is never closed by </tool_call>. {CALL}"),
+    ],
+)
+def test_read_action_says_what_is_wrong(response: str, reason: str) -> None:
+    """What cannot be read is answered with how to write it."""
+    read = read_action(response)
+    assert isinstance(read, Malformed), read
+    assert read.reason.replace(" Did you mean 'bash'?", "") == reason
+
+
+def test_read_action_does_not_pass_over_what_was_meant() -> None:
+    """An action that is empty is not replaced by a later one, and its text ends with it."""
+    read = read_action("<bash></bash> or <finish/>")
+    assert isinstance(read, Malformed)
+    assert read.text == "<bash></bash>"
+
+
+def test_read_action_refuses_yaml_bombs() -> None:
+    """Aliases, by which a few lines stand for a billion values, are not read."""
+    read = read_action("<bash>cmd: &a [x]\nb: [*a, *a]</bash>")
+    assert isinstance(read, Malformed)
+    assert "aliases are not read" in read.reason
+
+
+PIECES = [
+    "<bash>", "</bash>", "<bash timeout='3'>", "<bash a=", "<keys>", "</keys>", "<finish", "/>", ">",
+    "<think>", "</think>", "<tool_call>", "</tool_call>", '{"name": "bash", "arguments": {"command": "ls"}}',
+    "```bash\n", "\n```\n", "cmd: x\n", "`", '"', "ls",
+    "\x00", "\ud800", "é", "{",
+]  # fmt: skip
+
+
+@given(st.lists(st.sampled_from(PIECES) | st.text(max_size=5)).map("".join))
+def test_read_action_takes_any_text(response: str) -> None:
+    """Whatever is written, there is one action, and its text is a beginning of the response."""
+    read = read_action(response)
+    assert response.startswith(read.text)
+    if isinstance(read, Bash):
+        assert read.command.strip()
+        assert "<think>" in response or read.command in response or "cmd" in response or "command" in response
+
+
+@given(st.text(min_size=1).filter(lambda text: text.strip() and "<" not in text and "`" not in text))
+def test_read_action_returns_commands_as_they_are(command: str) -> None:
+    """A command in tags is run to the letter, line breaks around it apart."""
+    read = read_action(f"<bash>{command}</bash>")
+    if isinstance(read, Bash) and "cmd" not in command:
+        assert read.command == command.strip("\r\n")
+
+
+@pytest.mark.parametrize(
+    "piece", ["<bash>", "<bash ", "</think>", "```bash\n", "<tool_call>{", "<finish ", '"<bash>"', "<keys a='"]
+)
+def test_read_action_reads_megabytes(piece: str) -> None:
+    """A response of openings alone is read once, not again from each of them; it would take hours otherwise."""
+    assert isinstance(read_action(piece * 100_000), Malformed)
+
+
+def test_how_to_act_names_the_limits() -> None:
+    """What an agent is told has the limits in it, and every form that it shows can be read."""
+    told = how_to_act(timeout_s=60, most_timeout_s=600)
+    assert "killed after 60 seconds" in told
+    assert "of at most 600" in told
+    assert isinstance(read_action("<bash>command</bash>"), Bash)
+    assert all(form in told for form in ("<bash>", "<keys>", "<finish/>", "120x40"))
+
+
+def test_tool_schemas_are_functions_of_the_chat_api() -> None:
+    """The actions are described as functions, and what the caller changes in them stays with it."""
+    schemas = tool_schemas()
+    assert [schema["function"]["name"] for schema in schemas] == ["bash", "keys", "finish"]
+    assert schemas[0]["function"]["parameters"]["required"] == ["command"]
+    schemas[0]["function"]["parameters"]["properties"].clear()
+    assert "command" in tool_schemas()[0]["function"]["parameters"]["properties"]
