@@ -42,6 +42,10 @@ class Output:
             self._in_tail -= gone
             self._dropped += gone
 
+    def has(self, data: bytes) -> bool:
+        """Tell whether something is at the beginning of what came."""
+        return data in self._head[:1000]
+
     def text(self) -> tuple[str, int]:
         """Return the text, and how much was left out of it: bytes as they came, or characters as they are shown."""
         head, tail, dropped = bytes(self._head), b"".join(self._tail), self._dropped

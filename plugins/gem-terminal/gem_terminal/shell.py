@@ -1,0 +1,361 @@
+"""``Shell``: a persistent shell in a pseudo-terminal of a machine, for commands and for keys.
+
+A command is typed into a real interactive bash, so that its working directory, variables, functions, jobs and traps are
+those of one shell from turn to turn. How the shell tells that it is ready is in ``shell_script.py``; what a command has
+started, for the end of its time, in ``shell_processes.py``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from gem_terminal.errors import MachineError, MachineLostError
+from gem_terminal.keys import key_bytes
+from gem_terminal.screen import Screen
+from gem_terminal.shell_output import Output
+from gem_terminal.shell_processes import Beginning, started_by_command
+from gem_terminal.shell_results import CommandResult, ScreenResult
+from gem_terminal.shell_running import READY_S, Running, takes_over
+from gem_terminal.shell_script import BASH, SH, Mark
+from gem_terminal.shell_session import Session, ShellEndedError, new_word, open_session
+
+if TYPE_CHECKING:
+    from gem_terminal.backends.interface import Machine
+
+__all__ = ["CommandResult", "ScreenResult", "Shell"]
+
+_QUIET_S = 0.25
+"""A screen that has not changed for so long is at rest."""
+
+_INTERRUPTED_S = 0.3
+_KILLING_S = 10.0
+_DYING_S = 1.0
+_WAITING = (
+    "A program that was started with keys holds the terminal, so the command was not run. Leave the program first, as "
+    "with <keys>q</keys>, <keys><C-c></keys> or <keys><C-d></keys>; look at it with <keys></keys>."
+)
+
+
+class Shell:
+    """A shell that stays open from turn to turn; a new one is started when it ends. Not for several threads at once.
+
+    Args:
+        machine: Where it runs; stays the caller's.
+        user: Who it runs as; empty for the container's user.
+        workdir: Where it begins; empty for the container's.
+        env: Variables beside the container's.
+        columns: Width of the terminal.
+        lines: Height of the terminal.
+        most_output: Characters of a command's output; what is more is cut out of the middle.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        *,
+        user: str = "",
+        workdir: str = "",
+        env: Mapping[str, str] | None = None,
+        columns: int = 120,
+        lines: int = 40,
+        most_output: int = 16_000,
+    ) -> None:
+        self._machine = machine
+        self._user = user
+        self._workdir = workdir
+        # Pagers would wait for a key: for commands nothing is paged.
+        self._env = {"TERM": "xterm-256color", "PAGER": "cat", "GIT_PAGER": "cat", "MANPAGER": "cat", **(env or {})}
+        self._most_output = most_output
+        self._screen = Screen(columns, lines)
+        self._session: Session | None = None
+        self._exit_code: int | None = None
+        self._ended_with: int | None = None
+
+    @property
+    def workdir(self) -> str:
+        """The working directory, when the shell was last heard of."""
+        return self._workdir if self._session is None else self._session.workdir
+
+    def open(self) -> None:
+        """Start the shell now, and not with the first command.
+
+        Raises:
+            MachineLostError: The machine is gone, or has no shell.
+            EngineError: The engine does not answer.
+        """
+        if self._session is None:
+            self._session = open_session(
+                self._machine,
+                user=self._user,
+                workdir=self._workdir,
+                env=self._env,
+                columns=self._screen.columns,
+                lines=self._screen.lines,
+            )
+            self._workdir = self._session.workdir
+
+    def close(self) -> None:
+        """End it, as when a terminal is closed. May be called again; a later command starts a new one."""
+        session, self._session = self._session, None
+        if session is not None:
+            self._workdir = session.workdir or self._workdir
+            session.close()
+
+    def run(self, command: str, timeout_s: float) -> CommandResult:
+        """Run a command and wait for it to end.
+
+        A command that reads its input gets the terminal, where nobody types: it ends with its time.
+
+        Args:
+            command: Any text; characters that no shell can read (NUL) are left out.
+            timeout_s: Seconds that it may take; then all that it has started is killed, also in the background.
+
+        Raises:
+            MachineLostError: The machine is gone.
+            EngineError: The engine does not answer.
+        """
+        output = Output(self._most_output)
+        restarted = self._heard_out(output)
+        session = self._opened()
+        try:
+            if not self._take_from_keys(session):
+                return CommandResult("", None, workdir=session.workdir, waiting=True, note=_WAITING)
+        except ShellEndedError:
+            self.close()
+            session, restarted = self._opened(), True
+        try:
+            running = Running(session, command, timeout_s, output)
+            result = running.result()
+        except ShellEndedError as ended:
+            return self._ended(ended, output)
+        if result is None:
+            return self._stopped(session, running, output, timeout_s)
+        text, dropped = output.text()
+        note = f"The shell had ended; a new one was started in {session.workdir}." if restarted else ""
+        return CommandResult(
+            text, result.status, dropped=dropped, workdir=session.workdir, restarted=restarted, note=note
+        )
+
+    def press(self, keys: str, wait_s: float) -> ScreenResult:
+        """Type keys, and return the screen once it has come to rest.
+
+        At the shell's prompt, the prompt and what is typed are shown as in any terminal. Without keys, it waits for
+        something to change.
+
+        Args:
+            keys: In the notation of ``keys.py``.
+            wait_s: Seconds to wait at most.
+
+        Raises:
+            MachineLostError, EngineError: As ``run`` has them.
+        """
+        restarted = self._heard_out(None)
+        session = self._opened()
+        try:
+            self._give_to_keys(session)
+            changed = self._type_keys(session, keys)
+            self._watch(session, wait_s, changed=changed)
+        except ShellEndedError as ended:
+            restarted = True
+            self.close()
+            self._ended_with = ended.status
+            session = self._opened()
+            try:
+                self._give_to_keys(session)
+            except ShellEndedError as again:
+                raise MachineLostError("the shell ends as soon as it is started", by_agent=True) from again
+        if restarted:
+            self._exit_code = self._ended_with
+        note = "the shell had ended, and a new one was started" if restarted else ""
+        return ScreenResult(
+            self._screen.text(),
+            running=not session.at_prompt,
+            cursor=self._screen.cursor,
+            exit_code=self._exit_code if session.at_prompt or restarted else None,
+            workdir=session.workdir,
+            restarted=restarted,
+            note=note,
+        )
+
+    def _opened(self) -> Session:
+        self.open()
+        if self._session is None:
+            raise MachineLostError(f"no shell in {self._machine.id}")
+        return self._session
+
+    def _heard_out(self, output: Output | None) -> bool:
+        """Take what background jobs wrote meanwhile; tell whether the shell has ended, so that a new one is started."""
+        session = self._session
+        if session is None:
+            return False
+        end = time.monotonic() + _QUIET_S
+        try:
+            heard = True
+            while heard and time.monotonic() < end:
+                heard = False
+                for event in session.events(0.0):
+                    heard = True
+                    self._seen(session, event, output)
+        except ShellEndedError as ended:
+            self.close()
+            self._ended_with = ended.status
+            return True
+        return False
+
+    def _seen(self, session: Session, event: bytes | Mark, output: Output | None = None) -> None:
+        """Take what came while no command was run."""
+        if isinstance(event, bytes):
+            if session.keys_word is not None:
+                self._screen.feed(event)
+            elif output is not None:
+                output.feed(event)
+        elif event.kind == "R":
+            session.at_prompt = False
+        elif event.kind == "P":
+            session.at_prompt = True
+            self._exit_code = event.status
+
+    def _take_from_keys(self, session: Session) -> bool:
+        """Make the shell ready for commands; tell whether it is, and no program that keys have started holds it."""
+        if session.keys_word is None:
+            return True
+        if not session.at_prompt:
+            return False
+        session.type(b"\x03")
+        session.wait_for(session.keys_word if session.dialect is BASH else "", _INTERRUPTED_S)
+        if not session.set_up(READY_S):
+            self._restart(session, None)
+            raise ShellEndedError(None)
+        return True
+
+    def _give_to_keys(self, session: Session) -> None:
+        if session.keys_word is not None:
+            return
+        self._exit_code = None
+        word = new_word()
+        session.type(session.dialect.by_keys(word))
+        ready, _ = session.wait_for(word, READY_S)
+        if ready is None:
+            self._restart(session, None)
+            raise ShellEndedError(None)
+        session.keys_word, session.at_prompt = word, True
+        self._screen.clear()
+        self._watch(session, _QUIET_S, quiet_s=_QUIET_S / 5)
+
+    def _type_keys(self, session: Session, keys: str) -> bool:
+        changed = False
+        data = key_bytes(keys, application=self._screen.application_keys)
+        for start in range(0, len(data), 1024):
+            piece = data[start : start + 1024]
+            session.type(piece)
+            if session.dialect is SH and b"\r" in piece:
+                session.at_prompt = False
+            for event in session.events(0.0):
+                changed = True
+                self._seen(session, event)
+        return changed
+
+    def _watch(self, session: Session, wait_s: float, *, quiet_s: float = _QUIET_S, changed: bool = False) -> None:
+        """Draw what comes, until it has been quiet for a moment or the time is over."""
+        end = time.monotonic() + wait_s
+        while (left := end - time.monotonic()) > 0:
+            heard = False
+            for event in session.events(min(left, quiet_s) if changed else left):
+                heard = True
+                self._seen(session, event)
+            if changed and not heard:
+                return
+            changed = changed or heard
+
+    def _ended(self, ended: ShellEndedError, output: Output) -> CommandResult:
+        """Start a new shell after a command that has ended the old one."""
+        self.close()
+        session = self._opened()
+        text, dropped = output.text()
+        note = f"The shell has ended; a new one was started in {session.workdir}, without the variables of the old one."
+        return CommandResult(text, ended.status, dropped=dropped, workdir=session.workdir, restarted=True, note=note)
+
+    def _stopped(self, session: Session, running: Running, output: Output, timeout_s: float) -> CommandResult:
+        """End a command whose time is over, with all that it has started."""
+        text, dropped = output.text()
+        restarted = False
+        try:
+            if not self._stop(session, running):
+                self._restart(session, running.beginning)
+                restarted = True
+        except ShellEndedError:
+            self.close()
+            restarted = True
+        session = self._opened()
+        note = (
+            f"The command ran longer than {timeout_s:g} s and was killed, with all that it had started. If it waits "
+            "for input, start it with <keys>; if it needs longer, give it a longer timeout or run it in the background"
+        )
+        if restarted:
+            note += (
+                f". The shell had to be ended too; a new one was started in {session.workdir}, without its variables"
+            )
+        return CommandResult(
+            text,
+            None,
+            timed_out=True,
+            dropped=dropped,
+            workdir=session.workdir,
+            restarted=restarted,
+            note=f"{note}.",
+        )
+
+    def _stop(self, session: Session, running: Running) -> bool:
+        """Interrupt a command, then kill what it has started; tell whether the shell is ready."""
+        for _ in range(3):
+            session.type(b"\x03")
+            ready = running.is_ready(_INTERRUPTED_S)
+            self._kill(session, running.beginning)
+            if ready or running.is_ready(_INTERRUPTED_S * 2):
+                return True
+        return takes_over(session) and session.set_up(READY_S)
+
+    def _kill(self, session: Session, beginning: Beginning | None, *, also_shell: bool = False) -> None:
+        """Kill what a command has started, again and again while there is more, until all of it is gone."""
+        end = time.monotonic() + _KILLING_S
+        last = time.monotonic()
+        killed: set[tuple[int, int]] = set()
+        while time.monotonic() < end:
+            processes = self._machine.processes()
+            found = []
+            if beginning is not None:
+                found = started_by_command(
+                    processes,
+                    beginning,
+                    shell=session.pid,
+                    leader=session.leader,
+                    opened_s=session.opened_s,
+                )
+            if also_shell:
+                found += [process for process in processes if process.pid in (session.pid, session.leader)]
+            if not found:
+                return
+            fresh = [process for process in found if (process.pid, process.started) not in killed]
+            if fresh:
+                self._machine.kill(fresh)
+                killed |= {(process.pid, process.started) for process in fresh}
+            elif time.monotonic() > last + _DYING_S:
+                return  # nothing new, and what is left is beyond a signal's reach
+            last = time.monotonic() if fresh else last
+
+    def _restart(self, session: Session, beginning: Beginning | None) -> None:
+        """End a shell that does not listen, and let the next one begin where it was; earlier jobs go on."""
+        workdir = session.workdir
+        try:
+            found = self._machine.run(["readlink", f"/proc/{session.pid}/cwd"], user=self._user, timeout_s=5.0)
+            if found.exit_code == 0 and found.output.startswith(b"/"):
+                workdir = found.output.decode("utf-8", "replace").rstrip("\n")
+            self._kill(session, beginning, also_shell=True)
+        except MachineError:
+            why = self._machine.why_lost()
+            if why is not None:
+                raise why from None
+        session.workdir = workdir
+        self.close()

@@ -1,0 +1,153 @@
+"""The end of a command's time: what it started is killed, what was there before goes on, and the shell is usable."""
+# ruff: noqa: F811 - the fixtures come from shell_machines
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from shell_machines import backend, has_bash, machine, shell  # noqa: F401 - fixtures
+
+from gem_terminal.backends.interface import Process
+from gem_terminal.shell_processes import Beginning, started_by_command
+
+if TYPE_CHECKING:
+    from gem_terminal.backends.interface import Machine
+    from gem_terminal.shell import Shell
+
+LONG = 30.0
+SHORT = 0.5
+
+
+def commands(machine: Machine) -> list[str]:
+    """Return what runs in a machine."""
+    return [process.command for process in machine.processes()]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "sleep 4321",
+        "cat",
+        "read line",
+        "while :; do :; done",
+        "while :; do sleep 0.01; done",
+        "stty raw -isig; cat",
+        "sh -c 'trap \"\" INT TERM HUP; sleep 4321; sleep 4321'",
+        "yes",
+        "cat /dev/urandom",
+        "sleep 4321 | cat | cat",
+        "trap 'echo no' INT; sleep 4321; sleep 4321",
+        "kill -STOP $$",
+    ],
+)
+def test_run_kills_what_takes_too_long(machine: Machine, shell: Shell, command: str) -> None:
+    """The command is ended, says so, and the next one is answered; mostly by the same shell."""
+    shell.run("x=here", LONG)
+    result = shell.run(command, SHORT)
+    assert (result.exit_code, result.timed_out) == (None, True)
+    assert result.note.startswith(
+        "The command ran longer than 0.5 s and was killed, with all that it had started. If it waits for input, start "
+        "it with <keys>; if it needs longer, give it a longer timeout or run it in the background"
+    )
+    assert not [line for line in commands(machine) if "4321" in line or "urandom" in line or line == "cat"]
+    kept = "" if result.restarted else "here"
+    assert shell.run('echo "${x-}"', LONG).output == f"{kept}\n"
+    assert result.restarted == (command in ("kill -STOP $$",))
+
+
+def test_run_kills_what_hides(machine: Machine, shell: Shell) -> None:
+    """Daemons, new sessions, background jobs and what ignores signals are killed; an earlier job goes on."""
+    shell.run("sleep 7001 >/dev/null 2>&1 & sleep 7002 & : ; (setsid sleep 7003 >/dev/null 2>&1 &)", LONG)
+    before: set[int] = set()
+    for _ in range(1000):  # until each has become what it is to be
+        before = {process.pid for process in machine.processes() if process.command.startswith("sleep 700")}
+        if len(before) == 3:
+            break
+    assert len(before) == 3
+    hiding = (
+        "sleep 8001 & nohup sleep 8002 >/dev/null 2>&1 & (setsid sh -c \"trap '' TERM HUP INT; sleep 8003; :\" &) ; "
+        "setsid sh -c '(sleep 8004 &) ; sleep 8005' & python3 -c \"import os,time;"
+        'os.fork() and os._exit(0); os.setsid(); os.fork() and os._exit(0); time.sleep(8006)"; cat'
+    )
+    result = shell.run(hiding, 2.0)
+    assert result.timed_out
+    assert not [line for line in commands(machine) if "800" in line]
+    assert {process.pid for process in machine.processes() if "sleep 700" in process.command} == before
+    assert shell.run("echo here", LONG).output.endswith("here\n")
+
+
+def test_run_spares_what_an_earlier_job_starts(machine: Machine, shell: Shell) -> None:
+    """A server that was started before may start what it likes while a command runs out of time."""
+    shell.run("(until test -e go; do sleep 0.02; done; sleep 7101) >/dev/null 2>&1 &", LONG)
+    result = shell.run("touch go; cat", 1.0)
+    assert result.timed_out
+    assert [line for line in commands(machine) if "7101" in line]
+
+
+def test_run_kills_a_fork_bomb(machine: Machine, shell: Shell) -> None:
+    """Processes that start one another, within a limit, are all ended."""
+    bomb = "sh -c 'ulimit -u 4000 2>/dev/null; b() { b 9001 | b 9001 & sleep 0.2; }; b' 2>/dev/null & cat"
+    if type(machine).__name__ == "HostMachine":
+        # Bounded by its depth, since the limits of this machine are everyone's.
+        bomb = "b() { if [ $1 -gt 0 ]; then b $(($1 - 1)) & b $(($1 - 1)) & fi; sleep 9001; }; b 5; cat"
+    result = shell.run(bomb, 1.0)
+    assert result.timed_out
+    assert not [line for line in commands(machine) if "9001" in line]
+    assert shell.run("echo here", LONG).output.endswith("here\n")
+
+
+def test_run_replaces_a_shell_that_does_not_listen(machine: Machine, shell: Shell) -> None:
+    """A shell that spins and ignores interrupts is replaced, in the directory that it had gone to."""
+    shell.run("sleep 7201 >/dev/null 2>&1 &", LONG)
+    result = shell.run("mkdir sub; cd sub; trap '' INT; while :; do :; done", SHORT)
+    assert (result.timed_out, result.restarted) == (True, True)
+    assert result.note.endswith(
+        f". The shell had to be ended too; a new one was started in {result.workdir}, without its variables."
+    )
+    assert shell.run('basename "$PWD"', LONG).output == "sub\n"
+    assert [line for line in commands(machine) if "7201" in line]
+    assert len([line for line in commands(machine) if "-i" in line.split()]) == 1
+
+
+def test_run_keeps_the_output_before_the_end(shell: Shell) -> None:
+    """What a command wrote before its time was over is shown; what came by its killing is not."""
+    assert shell.run("echo before; sleep 100", SHORT).output == "before\n"
+
+
+def test_run_with_no_time_left(shell: Shell) -> None:
+    """A limit of nothing is a command that ran out of time, and no more."""
+    assert shell.run("sleep 100", 0.0).timed_out
+    assert shell.run("echo here", LONG).output.endswith("here\n")
+
+
+def process(pid: int, parent: int, started: int) -> Process:
+    """Return a process; its session and command do not matter."""
+    return Process(pid, parent, started, "x", 1)
+
+
+def test_started_by_command_goes_by_age_and_line() -> None:
+    """Young processes of the shell and young orphans are the command's; what older ones started is not."""
+    there = [
+        process(1, 0, 100),
+        process(10, 0, 900),  # leader
+        process(11, 10, 901),  # shell
+        process(20, 11, 950),  # an earlier job
+        process(21, 20, 2000),  # started by it now
+        process(30, 11, 1500),
+        process(31, 30, 1501),
+        process(32, 1, 1502),  # a daemon
+        process(33, 999, 1502),  # its parent has just ended
+        process(40, 0, 1600),  # put there from outside
+        process(41, 40, 1601),
+        process(50, 11, 1500),  # the last job, of the same moment
+    ]
+    found = started_by_command(there, Beginning(15.0, background=50), shell=11, leader=10, opened_s=9.0)
+    assert [each.pid for each in found] == [30, 31, 32, 33]
+
+
+def test_started_by_command_corrects_a_clock_of_its_own() -> None:
+    """Where the uptime counts from the container's start, ages are compared all the same."""
+    there = [process(10, 0, 90_000), process(11, 10, 90_001), process(20, 11, 90_100), process(21, 11, 90_600)]
+    found = started_by_command(there, Beginning(8.0), shell=11, leader=10, opened_s=3.0)
+    assert [each.pid for each in found] == [21]
