@@ -1,0 +1,173 @@
+"""Reward files and reports of tests: right, wrong, hostile, and any bytes at all."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gem_terminal.verifying.reports import read_report
+from gem_terminal.verifying.reward_files import RewardFileError, read_rewards, score_of
+
+
+@pytest.mark.parametrize(
+    ("content", "value"),
+    [(b"1", 1.0), (b" 0.5\n", 0.5), (b"-2", -2.0), (b"\xef\xbb\xbf1.0\r\n", 1.0), (b"1e-3", 0.001)],
+)
+def test_reward_txt_is_one_number(content: bytes, value: float) -> None:
+    assert read_rewards({"reward.txt": content}) == {"reward": value}
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"  \n",
+        b"\xef\xbb\xbf",
+        b"yes",
+        b"1 2",
+        b"nan",
+        b"-inf",
+        b"1e999",
+        b"[1]",
+        b"\xff\xfe",
+        b"1,0",
+        b"9" * 2_000_000,
+    ],
+)
+def test_reward_txt_that_is_no_number_cannot_be_read(content: bytes) -> None:
+    with pytest.raises(RewardFileError, match=r"^reward\.txt "):
+        read_rewards({"reward.txt": content})
+
+
+def test_reward_json_takes_precedence_over_reward_txt() -> None:
+    assert read_rewards({"reward.txt": b"1", "reward.json": b'{"reward": 0}'}) == {"reward": 0.0}
+
+
+def test_reward_json_that_the_tests_do_not_write_is_passed_over_for_their_txt() -> None:
+    """A program under test leaves reward.json beside the reward.txt of a test.sh that only knows the latter."""
+    files = {"reward.txt": b"0", "reward.json": b'{"reward": 1}'}
+    assert read_rewards(files, json_written=False) == {"reward": 0.0}
+    assert read_rewards({"reward.json": b'{"reward": 1}'}, json_written=False) == {"reward": 1.0}
+
+
+def test_broken_reward_json_is_not_replaced_by_reward_txt() -> None:
+    with pytest.raises(RewardFileError, match=r"reward\.json is empty"):
+        read_rewards({"reward.json": b"", "reward.txt": b"1"})
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"{}", "must be an object of names and numbers, not a value of type dict"),
+        (b"[1]", "must be an object of names and numbers, not a value of type list"),
+        (b"1", "must be an object of names and numbers, not a value of type int"),
+        (b'{"reward": "1"}', "has '1' for 'reward'; each must be a number"),
+        (b'{"reward": {"reward": 1}}', "has a value of type dict for 'reward'; each must be a number"),
+        (b'{"reward": null}', "has a value of type NoneType for 'reward'; each must be a number"),
+        (b'{"reward": NaN}', "has nan; it must be a finite number"),
+        (b'{"a": 1, "b": -Infinity}', "has -inf; it must be a finite number"),
+        (b'{"reward": 1e999}', "has inf; it must be a finite number"),
+        (b'{"reward": 1' + b"0" * 400 + b"}", "has a value of type int; it must be one number"),
+    ],
+)
+def test_reward_json_that_is_no_flat_object_of_numbers_cannot_be_read(content: bytes, reason: str) -> None:
+    with pytest.raises(RewardFileError) as caught:
+        read_rewards({"reward.json": content})
+    assert str(caught.value) == f"reward.json {reason}"
+
+
+@pytest.mark.parametrize(
+    "content", [b"[" * 100_000, b'{"a":' * 100_000, b'{"reward": ' + b"9" * 5000 + b"}", b"{'a': 1}"]
+)
+def test_hostile_reward_json_is_an_error_and_no_crash(content: bytes) -> None:
+    with pytest.raises(RewardFileError, match=r"^reward\.json is not JSON"):
+        read_rewards({"reward.json": content})
+
+
+@given(
+    st.binary(max_size=60)
+    | st.recursive(st.floats() | st.text() | st.none(), st.lists).map(lambda v: json.dumps(v).encode())
+)
+def test_any_bytes_give_finite_numbers_or_the_error_of_reward_files(content: bytes) -> None:
+    for name in ("reward.json", "reward.txt"):
+        try:
+            rewards = read_rewards({name: content})
+        except RewardFileError:
+            continue
+        assert rewards
+        assert all(math.isfinite(value) for value in rewards.values())
+        assert math.isfinite(score_of(rewards))
+
+
+def test_score_is_the_reward_or_the_only_number_or_the_mean() -> None:
+    assert score_of({"reward": 0.25, "other": 1.0}) == 0.25
+    assert score_of({"accuracy": 0.5}) == 0.5
+    assert score_of({"a": 1.0, "b": 0.0}) == 0.5
+    assert score_of({"a": 1.7e308, "b": 1.7e308}) == 1.7e308
+
+
+CTRF = {
+    "results": {
+        "tests": [
+            {"name": "test_a", "status": "passed", "message": "x"},
+            {"name": "test_b", "status": "failed", "message": "assert 0"},
+            {"name": "test_c", "status": "skipped"},
+            {"name": "test_a", "status": "failed"},
+            {"name": 3, "status": "passed"},
+            "nonsense",
+        ]
+    }
+}
+
+
+def test_ctrf_names_the_tests_and_a_name_that_failed_once_has_failed() -> None:
+    tests = read_report({"ctrf.json": json.dumps(CTRF).encode()})
+    assert [(test.name, test.passed, test.message) for test in tests] == [
+        ("test_a", False, ""),
+        ("test_b", False, "assert 0"),
+        ("test_c", True, ""),
+    ]
+
+
+def test_junit_names_the_tests_where_there_is_no_ctrf() -> None:
+    xml = b"""<testsuites><testsuite><testcase classname="m" name="a"/><testcase classname="m" name="b">
+    <failure message="assert 0">long</failure></testcase><testcase name="c"><error>gone</error></testcase>
+    </testsuite></testsuites>"""
+    found = [(test.name, test.passed, test.message) for test in read_report({"out/junit.xml": xml, "test.log": b"x"})]
+    assert found == [("m::a", True, ""), ("m::b", False, "assert 0"), ("::c", False, "gone")]
+
+
+LAUGHS = b'<!DOCTYPE a [<!ENTITY b "bbbbbbbbbb"><!ENTITY c "&b;&b;&b;">]><testsuite><testcase name="&c;"/></testsuite>'
+
+
+@pytest.mark.parametrize(
+    "files",
+    [
+        {},
+        {"ctrf.json": b""},
+        {"ctrf.json": b"[" * 100_000},
+        {"ctrf.json": b"[1]"},
+        {"ctrf.json": b'{"results": {"tests": 5}}'},
+        {"junit.xml": b"<testsuite>"},
+        {"junit.xml": LAUGHS},
+        {"junit.xml": LAUGHS.decode().encode("utf-16")},
+        {"junit.xml": b"<?xml version='1.0' encoding='nonsense'?><a/>"},
+    ],
+)
+def test_broken_report_names_no_tests(files: dict[str, bytes]) -> None:
+    assert read_report(files) == ()
+
+
+def test_deeply_nested_xml_is_no_crash() -> None:
+    tests = read_report({"junit.xml": b"<a>" * 50_000 + b"<testcase name='x'/>" + b"</a>" * 50_000})
+    assert [test.name for test in tests] in (["::x"], [])
+
+
+@given(st.binary(max_size=80))
+def test_any_bytes_are_no_crash_as_a_report(content: bytes) -> None:
+    for name in ("ctrf.json", "a.xml"):
+        assert isinstance(read_report({name: content}), tuple)
