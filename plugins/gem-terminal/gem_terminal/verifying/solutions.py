@@ -1,0 +1,49 @@
+"""Running a task's reference solution, for ``gem terminal`` and for tests of tasks; no agent sees it."""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING
+
+from gem_terminal.errors import TaskError
+
+if TYPE_CHECKING:
+    from gem_terminal.backends.interface import Completed, Machine
+    from gem_terminal.tasks.task import Step
+
+
+def solve(machine: Machine, step: Step, *, timeout_s: float = 600.0) -> Completed:
+    """Do what the reference solution of a step does, and remove its files.
+
+    Lines to type run in one shell, one after another; the seconds that each may take bound their sum.
+
+    Args:
+        machine: A machine of the task.
+        step: The step.
+        timeout_s: Seconds for all of it, unless the step gives the agent fewer.
+
+    Returns:
+        What it did; an exit code of None where it ran out of time.
+
+    Raises:
+        TaskError: The step has no reference solution.
+        MachineError: The machine is gone, or its engine does not answer.
+    """
+    solution = step.solution
+    if solution is None or not (solution.command or solution.typed):
+        raise TaskError(f"step {step.name!r} has no reference solution." if step.name else "no reference solution.")
+    command = solution.command or ("bash", "-c", _script(solution.typed))
+    limit = min(timeout_s, step.agent_timeout_s or timeout_s)
+    if solution.typed and not solution.command:
+        limit = min(limit, sum(seconds for _, seconds in solution.typed))
+    machine.put(solution.files)
+    try:
+        return machine.run(command, user=step.agent_user, env=solution.env, timeout_s=limit)
+    finally:
+        if solution.files:
+            machine.remove_files(list(solution.files))
+
+
+def _script(typed: tuple[tuple[str, float], ...]) -> str:
+    """Make one script of the lines: each runs by ``eval`` in the same shell, and one that fails does not end it."""
+    return "\n".join(f"eval {shlex.quote(line)}" for line, _ in typed)
