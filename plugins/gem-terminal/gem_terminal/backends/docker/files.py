@@ -280,6 +280,10 @@ class Links:
         self._make = make
         self._targets: dict[str, str | None] = {}
 
+    def untouched(self) -> contextlib.AbstractContextManager[tuple[Client, str]]:
+        """Give such a container for a while."""
+        return self._make()
+
     def has(self, path: str, target: str) -> bool:
         """Whether a link is the image's own."""
         if path not in self._targets:

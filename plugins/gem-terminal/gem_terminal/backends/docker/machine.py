@@ -16,9 +16,10 @@ import docker.errors
 
 from gem_terminal.backends.docker import files as moving
 from gem_terminal.backends.docker.engine import FAILURES, Client, Engine, is_full
+from gem_terminal.backends.docker.putting_back import changes, in_batches, program, put_back
 from gem_terminal.backends.docker.terminal import DockerTerminal, Running, Wish, begin, execute
 from gem_terminal.backends.docker.warden import Seen, Warden, frozen
-from gem_terminal.backends.interface import Completed, Limits, Process
+from gem_terminal.backends.interface import Change, Completed, Limits, Machine, Process
 from gem_terminal.errors import EngineError, MachineError, MachineLostError
 
 if TYPE_CHECKING:
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 _PAUSE_S = 30.0
 _HANG_UP_S = 5.0
 _REMOVE_S = 30.0
+
+Prepare = Callable[[Machine], object]
 
 
 @dataclass
@@ -45,6 +48,8 @@ class Parts:
         has_init: Whether the engine's own first process is in it.
         sleeps: The command line of its first process, where that is not number 1; empty where it is.
         judge: Makes a judge of it.
+        changed: What was changed in a judge's files, from before they were its own; None asks the engine.
+        is_begun: Whether programs run in it yet.
     """
 
     engine: Engine
@@ -55,7 +60,9 @@ class Parts:
     limits: Limits
     has_init: bool = True
     sleeps: str = ""
-    judge: Callable[[DockerMachine, Network | None], DockerMachine] | None = None
+    judge: Callable[[DockerMachine, Network | None, Prepare | None], DockerMachine] | None = None
+    changed: Mapping[str, Change] | None = None
+    is_begun: bool = True
 
 
 class DockerMachine:
@@ -73,6 +80,8 @@ class DockerMachine:
         self._roots: set[int] = set()
         self._lock = threading.Lock()
         self._removed = False
+        self._emptied: list[str] = []
+        self._rm = "rm"
         self._end: MachineLostError | None = None
         self._finalizer = weakref.finalize(self, _discard, parts)
 
@@ -169,6 +178,38 @@ class DockerMachine:
             # Nothing but a program of the container removes a file. Where that is not what it was, the agent is why.
             raise MachineLostError(f"{', '.join(left)} cannot be removed from the machine with its 'rm'", by_agent=True)
 
+    def changed(self) -> Mapping[str, Change] | None:
+        """Return the paths that are not what the machine's image has, with how they differ."""
+        if self.parts.changed is not None:
+            return self.parts.changed
+        with self._asking("look for what was changed") as client:
+            return changes(client, self.id)
+
+    def put_back(self, paths: Sequence[str]) -> list[str]:
+        """Make paths what the machine's image has there; what it has not is removed, once programs run in it."""
+        with self._asking("put files back") as client, self.parts.links.untouched() as (_, untouched):
+            try:
+                done = put_back(client, self.id, untouched, paths)
+            except docker.errors.APIError as error:
+                if is_full(error):
+                    raise MachineLostError(f"the machine's disk is full: {error.explanation}", by_agent=True) from error
+                raise
+            if done.emptied:
+                self._emptied += done.emptied
+                self._rm = program(client, untouched, "rm")
+        if self.parts.is_begun:
+            self.remove_emptied()
+        return done.paths
+
+    def remove_emptied(self) -> None:
+        """Remove what :meth:`put_back` has made empty files of."""
+        emptied, self._emptied = self._emptied, []
+        for paths in in_batches(emptied):
+            done = self.run([self._rm, "-rf", "--", *paths], user="0", workdir="/", timeout_s=_REMOVE_S)
+            if done.exit_code != 0:
+                said = done.output.decode("utf-8", "replace")[-300:]
+                raise MachineLostError(f"what was added to the machine cannot be removed: {said}", by_agent=True)
+
     def processes(self) -> list[Process]:
         """Return all processes but those that the backend itself needs to keep the machine."""
         with self._asking("look for processes"):
@@ -184,12 +225,12 @@ class DockerMachine:
                 lambda all_seen: [s.process.pid for s in all_seen if (s.process.pid, s.process.started) in wanted]
             )
 
-    def judge(self, network: Network | None = None) -> DockerMachine:
+    def judge(self, network: Network | None = None, *, prepare: Prepare | None = None) -> DockerMachine:
         """Return a machine with the same files as this one has now, in which the agent's processes have no part."""
         if self.parts.judge is None:
             raise EngineError("a judge cannot be judged itself: ask the machine of the agent")
         with self._asking("make a machine for the verifier"):
-            return self.parts.judge(self, network)
+            return self.parts.judge(self, network, prepare)
 
     def written_mb(self) -> float | None:
         """Return how many megabytes its files have grown by."""

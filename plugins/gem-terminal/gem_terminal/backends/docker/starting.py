@@ -14,11 +14,12 @@ import docker.errors
 
 from gem_terminal.backends.docker.containers import JUDGES, config, host_config, judge_of, less, safe_name
 from gem_terminal.backends.docker.labels import labels
-from gem_terminal.backends.docker.machine import DockerMachine, Parts
+from gem_terminal.backends.docker.machine import DockerMachine, Parts, Prepare
 from gem_terminal.backends.docker.networks import attached, make_network
+from gem_terminal.backends.docker.putting_back import changes, program
 from gem_terminal.backends.docker.terminal import Running, Wish, begin, execute
 from gem_terminal.backends.docker.things import Things
-from gem_terminal.backends.docker.warden import Warden
+from gem_terminal.backends.docker.warden import Warden, frozen
 from gem_terminal.errors import EngineError, MachineLostError
 
 if TYPE_CHECKING:
@@ -131,14 +132,16 @@ class Starter:
         if service and container.healthcheck is not None:
             wait_healthy(client, name, container.healthcheck, lambda: _ended(client, name, service))
 
-    def _judge(self, machine: DockerMachine, network: Network | None) -> DockerMachine:
+    def _judge(self, machine: DockerMachine, network: Network | None, prepare: Prepare | None) -> DockerMachine:
         """Commit a machine's files, and start a container with them that shares its network and process numbers."""
         plan, engine = self._plan, self._engine
         things = Things(engine)
         name = f"{machine.id}-judge-{secrets.token_hex(4)}"
         image = f"gem-terminal-judge:{name.removeprefix('gem-terminal-')}"
         # Tells its first process among all those that share the numbers.
-        sleeps = ("sleep", str(_draw.randrange(10**9, 2 * 10**9)))
+        with self._links.untouched() as (client, untouched):
+            sleep = program(client, untouched, "sleep")  # the agent may have put another of this name before it
+        sleeps = (sleep, str(_draw.randrange(10**9, 2 * 10**9)))
         container = judge_of(plan.environment.main)
         try:
             with engine.asking("make a machine for the verifier") as client:
@@ -146,8 +149,10 @@ class Starter:
                 repository, _, tag = image.partition(":")
                 marks = labels("judge")
                 # The label of the build is the committed container's as well: this is no image of the cache.
-                changes = [f'LABEL {key}="{value}"' for key, value in marks.items()]
-                client.commit(machine.id, repository, tag, changes="\n".join(changes))
+                said_labels = [f'LABEL {key}="{value}"' for key, value in marks.items()]
+                with frozen(engine, machine.id):  # so that both are of one moment
+                    changed = changes(client, machine.id)
+                    client.commit(machine.id, repository, tag, changes="\n".join(said_labels))
                 host = host_config(container, plan.limits, powers=JUDGES)
                 host["PidMode"] = f"container:{machine.id}"
                 host["VolumesFrom"] = [machine.id]
@@ -157,13 +162,26 @@ class Starter:
                 self._join(client, said, machine, things, network)
                 things.containers.append(name)
                 client.make_container(said, name)
+                parts = Parts(
+                    engine,
+                    name,
+                    things,
+                    machine.parts.warden,
+                    self._links,
+                    machine.parts.limits,
+                    sleeps=" ".join(sleeps),
+                )
+                parts.changed, parts.is_begun = changed, False
+                judge = DockerMachine(parts)
+                if prepare is not None:
+                    prepare(judge)
                 client.start(name)
+                parts.is_begun = True
+                judge.remove_emptied()
         except BaseException:
             things.remove()
             raise
-        limits = machine.parts.limits
-        parts = Parts(engine, name, things, machine.parts.warden, self._links, limits, sleeps=" ".join(sleeps))
-        return DockerMachine(parts)
+        return judge
 
     def _join(
         self,
