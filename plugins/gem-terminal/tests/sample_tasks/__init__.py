@@ -1,0 +1,1 @@
+"""The tasks of terminal:Sample, each written once; ``build.py`` makes both formats of them."""
