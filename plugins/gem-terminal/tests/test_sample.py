@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -153,3 +154,25 @@ def test_output_is_limited():
         ("PASSED", "test_endless"),
         ("PASSED", "test_output_is_limited"),
     ]
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
+def test_git_finds_the_lost_commit(tmp_path: Path):
+    """The repository that lost-commit makes by hand is one to git: whole, clean, its commits those of the checks."""
+    setup = (build.HERE / "lost-commit" / "environment" / "setup" / "make.py").read_text(encoding="utf-8")
+    checks = (build.HERE / "lost-commit" / "checks.py").read_text(encoding="utf-8")
+    root = tmp_path / "project"
+    made = setup.replace('ROOT = "/app/project"', f"ROOT = {str(root)!r}")
+    assert made != setup
+    subprocess.run([sys.executable, "-c", made], check=True, timeout=60)
+
+    def git(*words: str) -> str:
+        command = ["git", "-c", "safe.directory=*", "-C", str(root), *words]
+        return subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
+
+    assert git("status", "--porcelain") == ""
+    dangling = [line.split()[-1] for line in git("fsck", "--strict").splitlines() if line.startswith("dangling commit")]
+    assert len(dangling) == 3
+    same = [name for name in dangling if git("log", "-1", "--format=%s", name) == "Export orders as a table\n"]
+    later = max(same, key=lambda name: int(git("log", "-1", "--format=%ct", name)))
+    assert re.findall(r'^(?:LOST|MAIN) = "(\w+)"', checks, re.MULTILINE) == [later, git("rev-parse", "main").strip()]

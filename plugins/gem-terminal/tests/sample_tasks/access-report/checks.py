@@ -5,7 +5,7 @@ import json
 import os
 import tempfile
 
-from sample_helpers import run
+from sample_helpers import give, run
 
 LINE = '{} - - [01/Jan/2025:00:00:00 +0000] "GET {} HTTP/1.1" {} {}\n'
 EMPTY = {"requests": 0, "bytes": 0, "unreadable": 0, "statuses": {}, "clients": [], "failing": []}
@@ -25,6 +25,7 @@ def report_on(**logs):
             content = text.encode()
             with open(path, "wb") as file:
                 file.write(gzip.compress(content) if path.endswith(".gz") else content)
+        give(folder)
         return report(folder)
 
 

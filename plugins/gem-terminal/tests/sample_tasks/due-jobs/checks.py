@@ -3,7 +3,7 @@
 import os
 import tempfile
 
-from sample_helpers import run
+from sample_helpers import give, run
 
 
 def due(table, when):
@@ -12,52 +12,54 @@ def due(table, when):
         path = os.path.join(folder, "table")
         with open(path, "w", encoding="utf-8") as file:
             file.write(table)
+        give(folder)
         done = run("python3", "/app/due.py", path, when)
     return done.exit_code, done.out.splitlines(), done.errors.splitlines()
 
 
-def is_due(fields, when):
-    exit_code, commands, errors = due(f"{fields} the command\n", when)
+def due_at(when, *fields):
+    """Return which of some fields are due."""
+    exit_code, commands, errors = due("".join(f"{line} {number}\n" for number, line in enumerate(fields)), when)
     assert (exit_code, errors) == (0, []), (fields, exit_code, errors)
-    assert commands in ([], ["the command"]), (fields, commands)
-    return bool(commands)
+    return [fields[int(number)] for number in commands]
 
 
 def test_numbers_lists_and_ranges():
-    assert is_due("5 4 3 2 *", "2025-02-03 04:05")
-    assert not is_due("5 4 3 2 *", "2025-02-03 04:06")
-    assert not is_due("5 4 3 2 *", "2025-03-03 04:05")
-    assert is_due("0,30 8-10,20 * * *", "2025-07-01 20:30")
-    assert is_due("0,30 8-10,20 * * *", "2025-07-01 10:00")
-    assert not is_due("0,30 8-10,20 * * *", "2025-07-01 11:00")
+    whole, lists = "5 4 3 2 *", "0,30 8-10,20 * * *"
+    assert due_at("2025-02-03 04:05", whole, lists) == [whole]
+    assert due_at("2025-02-03 04:06", whole, lists) == []
+    assert due_at("2025-03-03 04:05", whole, lists) == []
+    assert due_at("2025-07-01 20:30", whole, lists) == [lists]
+    assert due_at("2025-07-01 10:00", whole, lists) == [lists]
+    assert due_at("2025-07-01 11:00", whole, lists) == []
 
 
 def test_steps_begin_at_the_first_value():
-    assert is_due("*/20 * * * *", "2025-07-01 10:40")
-    assert not is_due("*/20 * * * *", "2025-07-01 10:30")
-    assert is_due("0 3-20/5 * * *", "2025-07-01 13:00")
-    assert not is_due("0 3-20/5 * * *", "2025-07-01 15:00")
-    assert is_due("0 0 */2 * *", "2025-07-31 00:00")
-    assert not is_due("0 0 */2 * *", "2025-07-30 00:00")
+    minutes, hours, days = "*/20 * * * *", "0 3-20/5 * * *", "0 0 */2 * *"
+    assert due_at("2025-07-01 10:40", minutes, hours, days) == [minutes]
+    assert due_at("2025-07-01 10:30", minutes, hours, days) == []
+    assert due_at("2025-07-01 13:00", minutes, hours, days) == [minutes, hours]
+    assert due_at("2025-07-01 15:00", minutes, hours, days) == [minutes]
+    assert due_at("2025-07-31 00:00", minutes, hours, days) == [minutes, days]
+    assert due_at("2025-07-30 00:00", minutes, hours, days) == [minutes]
 
 
 def test_names_and_both_sundays():
-    assert is_due("0 0 * JAN-mar *", "2025-03-09 00:00")
-    assert not is_due("0 0 * JAN-mar *", "2025-04-09 00:00")
-    for sunday in ("0", "7", "Sun", "5-7", "sun-mon"):
-        assert is_due(f"0 0 * * {sunday}", "2025-03-09 00:00"), sunday
-    assert not is_due("0 0 * * 1-6", "2025-03-09 00:00")
-    assert is_due("0 0 * * tue,THU", "2025-03-06 00:00")
+    months = "0 0 * JAN-mar *"
+    sundays = [f"0 0 * * {sunday}" for sunday in ("0", "7", "Sun", "5-7", "sun-mon")]
+    weekdays = ["0 0 * * 1-6", "0 0 * * tue,THU"]
+    assert due_at("2025-03-09 00:00", months, *sundays, *weekdays) == [months, *sundays]
+    assert due_at("2025-04-06 00:00", months, *sundays, *weekdays) == sundays
+    assert due_at("2025-03-06 00:00", months, *sundays, *weekdays) == [months, *weekdays]
 
 
 def test_one_of_the_two_days_is_enough():
-    assert is_due("0 0 13 * fri", "2025-06-13 00:00")
-    assert is_due("0 0 13 * fri", "2025-06-20 00:00")
-    assert is_due("0 0 13 * fri", "2025-07-13 00:00")
-    assert not is_due("0 0 13 * fri", "2025-07-14 00:00")
-    assert not is_due("0 0 13 5 fri", "2025-06-13 00:00")
-    assert not is_due("0 0 */2 * fri", "2025-06-06 00:00")
-    assert not is_due("0 0 13 * */2", "2025-06-13 00:00")
+    either, in_may, steps, day_steps = "0 0 13 * fri", "0 0 13 5 fri", "0 0 */2 * fri", "0 0 13 * */2"
+    every = [either, in_may, steps, day_steps]
+    assert due_at("2025-06-13 00:00", *every) == [either, steps]  # a Friday
+    assert due_at("2025-06-20 00:00", *every) == [either]  # a Friday
+    assert due_at("2025-07-13 00:00", *every) == [either, day_steps]  # a Sunday
+    assert due_at("2025-07-14 00:00", *every) == []  # a Monday
 
 
 def test_commands_are_printed_whole_and_in_order():
@@ -75,7 +77,7 @@ def test_wrong_lines_are_named_and_passed_over():
         "* * mon * * a",
         "1,,2 * * * * a",
         "-1 * * * * a",
-        "5/2/1 * * * * a",
+        "5/2 * * * * a",
     ]
     table = "* * * * * before\n" + "\n".join(wrong) + "\n* * * * * after\n"
     exit_code, commands, errors = due(table, "2025-08-01 00:00")

@@ -5,7 +5,7 @@ import os
 import tarfile
 import tempfile
 
-from sample_helpers import run
+from sample_helpers import give, run
 
 SCRIPT = "/app/keep-backups.sh"
 
@@ -24,6 +24,7 @@ def folders(*archives):
             os.makedirs(target)
         for name in archives:
             open(os.path.join(target, name), "w", encoding="utf-8").close()
+        give(folder)
         yield source, target
 
 

@@ -9,7 +9,7 @@ LOG = "441b025ca1c400360a447f17ef84730d18d389fdebcc7feb09911671e6110e04"
 
 
 def test_every_service_has_its_number():
-    assert sorted(read_text("/app/errors.txt").split("\n")) == sorted([*LINES, ""])
+    assert sorted(read_text("/app/errors.txt").splitlines()) == sorted(LINES)
 
 
 def test_lines_are_in_order():

@@ -1,14 +1,23 @@
-"""What the checks share: reading what the agent left, and running it, within limits."""
+"""What the checks share: reading what the agent left, and running it, within limits and without rights.
+
+Programs of the agent's run as a user who owns nothing here, where this system lets the checks change users: what they
+do then cannot reach the checks, their files or the reward.
+"""
 
 import contextlib
+import ctypes
+import functools
 import os
 import resource
 import signal
 import stat
 import subprocess
 import tempfile
+import time
 
 MOST_BYTES = 5_000_000
+NOBODY = 65534
+NO_NEW_PRIVILEGES = 38  # PR_SET_NO_NEW_PRIVS, prctl(2): no program makes a user another, whatever its permissions
 
 
 class Done:
@@ -44,33 +53,77 @@ def files_below(folder):
     return sorted(found)
 
 
+@functools.cache
+def can_change_users():
+    """Say whether programs can be run as nobody, in folders that are nobody's; a sandbox may have one user only."""
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            os.chown(folder, NOBODY, NOBODY)
+            made = os.path.join(folder, "made")
+            subprocess.run(["mkdir", made], check=True, timeout=30, **_as_nobody())
+            return os.stat(made).st_uid == NOBODY
+    except (OSError, subprocess.SubprocessError):
+        return False
+
+
+def _as_nobody():
+    return {"user": NOBODY, "group": NOBODY, "extra_groups": []}
+
+
+def give(folder):
+    """Let the programs that are run write in a folder, and in all that is in it."""
+    if can_change_users():
+        for here, folders, names in os.walk(folder):
+            for path in [here, *(os.path.join(here, name) for name in folders + names)]:
+                os.chown(path, NOBODY, NOBODY, follow_symlinks=False)
+
+
 def _limit():
-    os.setsid()
+    ctypes.CDLL(None).prctl(NO_NEW_PRIVILEGES, 1, 0, 0, 0)
     resource.setrlimit(resource.RLIMIT_FSIZE, (MOST_BYTES, MOST_BYTES))
 
 
-def run(*command, cwd=None, timeout_s=15, env=None):
-    """Run what the agent wrote, without input: its output limited, its group killed when it is over."""
+@contextlib.contextmanager
+def started(*command, cwd=None, out=subprocess.DEVNULL, errors=subprocess.DEVNULL):
+    """Start what the agent wrote, without input; its group is killed at the end."""
+    process = subprocess.Popen(
+        command,
+        cwd=cwd,
+        stdin=subprocess.DEVNULL,
+        stdout=out,
+        stderr=errors,
+        start_new_session=True,
+        preexec_fn=_limit,
+        **(_as_nobody() if can_change_users() else {}),
+    )
+    try:
+        yield process
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def run(*command, cwd=None, timeout_s=15):
+    """Run what the agent wrote, and wait for it."""
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as errors:
-        process = subprocess.Popen(
-            command,
-            cwd=cwd,
-            env=None if env is None else {**os.environ, **env},
-            stdin=subprocess.DEVNULL,
-            stdout=out,
-            stderr=errors,
-            preexec_fn=_limit,
-        )
-        try:
-            exit_code = process.wait(timeout_s)
-        except subprocess.TimeoutExpired:
-            exit_code = None
-        finally:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+        with started(*command, cwd=cwd, out=out, errors=errors) as process:
+            try:
+                exit_code = process.wait(timeout_s)
+            except subprocess.TimeoutExpired:
+                exit_code = None
         texts = []
         for file in (out, errors):
             file.seek(0)
             texts.append(file.read(MOST_BYTES).decode("utf-8", "replace"))
         return Done(exit_code, *texts)
+
+
+def wait_for(condition, timeout_s=10):
+    """Return as soon as a condition holds; False when it does not in that time."""
+    end = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.02)
+    return True

@@ -3,15 +3,12 @@
 import contextlib
 import json
 import os
-import signal
 import socket
-import subprocess
 import tempfile
-import time
 import urllib.error
 import urllib.request
 
-from sample_helpers import read_text
+from sample_helpers import give, read_text, started, wait_for
 
 ITEMS = {"plum": 1, "Brussels sprout": 30, "apple/green": 2}
 
@@ -28,6 +25,15 @@ def ask(port, path, method="GET", body=None):
             return error.code, None
 
 
+def listens(port):
+    """Say whether something takes connections."""
+    try:
+        socket.create_connection(("127.0.0.1", port), timeout=1).close()
+    except OSError:
+        return False
+    return True
+
+
 @contextlib.contextmanager
 def own_server(port_as=int):
     """Start the server with other items on a free port; give its port and the file of its items."""
@@ -42,28 +48,11 @@ def own_server(port_as=int):
         ):
             with open(path, "w", encoding="utf-8") as file:
                 json.dump(content, file)
-        process = subprocess.Popen(
-            ["python3", "/app/server.py", config],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-        try:
-            end = time.monotonic() + 10
-            while True:
-                try:
-                    socket.create_connection(("127.0.0.1", port), timeout=1).close()
-                    break
-                except OSError:
-                    assert process.poll() is None, "the server ended at once"
-                    assert time.monotonic() < end, "the server does not listen"
-                    time.sleep(0.02)
+        give(folder)
+        with started("python3", "/app/server.py", config) as process:
+            assert wait_for(lambda: process.poll() is not None or listens(port)), "the server does not listen"
+            assert process.poll() is None, "the server ended at once"
             yield port, items
-        finally:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
 
 
 def test_it_was_left_running():
