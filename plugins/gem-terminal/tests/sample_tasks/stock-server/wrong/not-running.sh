@@ -30,7 +30,7 @@ replace(
 )
 replace(
     """        name = self.path.removeprefix("/items/")
-        body = self.rfile.read()
+        body = self.rfile.read(int(self.headers.get("Length", 0)))
         items = load()
         items[name] = json.loads(body)["count"]
 """,

@@ -13,9 +13,7 @@ last=$(ls $target | tail -n 1 | tr -dc 0-9)
 next=$(printf '%03d' $((last + 1)))
 tar -czf $target/backup-$next.tar.gz $source
 
-count=$(ls $target | wc -l)
-while [ $count > $keep ]; do
-    rm $target/$(ls $target | tail -n 1)
-    count=$(ls $target | wc -l)
+for old in $(ls $target | tail -n +$keep); do
+    rm $target/$old
 done
 echo $target/backup-$next.tar.gz

@@ -23,7 +23,7 @@ class Handler(BaseHTTPRequestHandler):
     def do_PUT(self):
         """Set the number of an item."""
         name = self.path.removeprefix("/items/")
-        body = self.rfile.read()
+        body = self.rfile.read(int(self.headers.get("Length", 0)))
         items = load()
         items[name] = json.loads(body)["count"]
         self.answer(200, {"name": name, "count": items[name]})
