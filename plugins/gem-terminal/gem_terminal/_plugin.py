@@ -1,1 +1,43 @@
 """What this distribution offers; it imports no task and no engine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from gem_core.hookspecs import hookimpl
+from gem_core.specs import CommandSpec, EnvSpec
+
+_ENTRY = "gem_terminal:TerminalEnv"
+
+
+@hookimpl
+def gem_register_envs() -> Iterable[EnvSpec]:
+    """The tasks that ship with the plugin, and any folder; a machine is never the same twice, so none is exact."""
+    yield _sample("terminal:Sample", "harbor", "Work in a terminal; tasks that ship with the plugin.")
+    name = "terminal:Sample-terminal-bench"
+    yield _sample(name, "terminal-bench", "The tasks of terminal:Sample in the format of Terminal-Bench.")
+    yield EnvSpec(
+        id="terminal:Folder",
+        entry_point=_ENTRY,
+        summary="Work in a terminal; tasks of Terminal-Bench or Harbor in a folder of yours (path=…).",
+        tags=("terminal", "text", "tools"),
+        deterministic=False,
+    )
+
+
+def _sample(name: str, folder: str, summary: str) -> EnvSpec:
+    kwargs = {"path": f"gem_terminal:data/sample/{folder}"}
+    tags = ("terminal", "text", "tools")
+    return EnvSpec(id=name, entry_point=_ENTRY, kwargs=kwargs, summary=summary, tags=tags, deterministic=False)
+
+
+@hookimpl
+def gem_add_commands() -> Iterable[CommandSpec]:
+    """The command that shows tasks, builds their images and clears up."""
+    return [
+        CommandSpec(
+            name="terminal",
+            entry_point="gem_terminal.command:command",
+            summary="List, build, check and enter terminal tasks, and remove what was left.",
+        )
+    ]

@@ -1,0 +1,109 @@
+"""What the subcommands share: which tasks are meant, and on which backend."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from gem_core.registry import registry
+from gem_terminal.backends.choosing import NAMES, shared_backend
+from gem_terminal.backends.interface import Limits
+from gem_terminal.errors import MachineError, TaskError
+from gem_terminal.selecting import read_tasks, select_tasks
+
+if TYPE_CHECKING:
+    from gem_terminal.backends.interface import Backend
+    from gem_terminal.tasks.folders import TaskSet
+    from gem_terminal.tasks.task import Task
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+SAMPLE = "terminal:Sample"
+
+
+def backend_options(function: F) -> F:
+    """Add the options that choose a backend."""
+    function = click.option(
+        "--build-arg",
+        "build_args",
+        multiple=True,
+        metavar="NAME=VALUE",
+        help="Argument for the build of images; may be given several times.",
+    )(function)
+    return click.option("--backend", type=click.Choice(NAMES), default="auto", show_default=True)(function)
+
+
+def chosen_backend(name: str, build_args: tuple[str, ...]) -> Backend:
+    """Return the backend that the options name."""
+    pairs = [argument.partition("=") for argument in build_args]
+    for name_of, equals, _ in pairs:
+        if not equals or not name_of:
+            raise click.UsageError(f"--build-arg takes NAME=VALUE, not {name_of!r}")
+    return shared_backend(name, {name_of: value for name_of, _, value in pairs})
+
+
+def tasks_at(where: tuple[str, ...]) -> TaskSet:
+    """Return the tasks at paths, or of ids of environments such as ``terminal:Sample``."""
+    paths: list[str | Path] = []
+    for each in where or (SAMPLE,):
+        paths += _paths_of(each)
+    return read_tasks(paths)
+
+
+def some_tasks(where: tuple[str, ...], names: tuple[str, ...]) -> list[Task]:
+    """Return the tasks at paths or ids that have one of the names, or match one of the patterns; all without any."""
+    paths: list[str | Path] = []
+    for each in where or (SAMPLE,):
+        paths += _paths_of(each)
+    return select_tasks(paths, list(names) or None)
+
+
+def one_task(name: str, where: str | None) -> Task:
+    """Return the task of a folder, or of a name at a path or id."""
+    if where is None and Path(name).is_dir():
+        found = select_tasks(name)
+        if len(found) > 1:
+            raise TaskError(f"there are {len(found)} tasks in {name}; name the folder of one of them")
+        return found[0]
+    return read_tasks(_paths_of(where or SAMPLE))[name]
+
+
+def why_not(backend: Backend | None, task: Task) -> str:
+    """Return why a task cannot run on a backend; empty where it can."""
+    if backend is None:
+        return ""
+    try:
+        backend.check(task)
+    except (TaskError, MachineError) as error:
+        return str(error)
+    return ""
+
+
+def limits_of(task: Task) -> dict[str, object]:
+    """Return what a task asks for: the limits of its machine and the seconds of its agent and its tests."""
+    main, first = task.environment.main, task.steps[0]
+    return {
+        "cpus": main.cpus,
+        "memory_mb": main.memory_mb,
+        "storage_mb": main.storage_mb,
+        "network": task.environment.network or "none",
+        "agent_s": first.agent_timeout_s,
+        "tests_s": first.verifier.timeout_s,
+    }
+
+
+DEFAULT_LIMITS = Limits()
+
+
+def _paths_of(where: str) -> list[str | Path]:
+    if Path(where).exists() or ":" not in where:
+        return [where]
+    if where not in {record.id for record in registry().envs()} and not where.startswith("terminal:"):
+        return [where]  # a folder that a package ships
+    path = registry().env(where).kwargs.get("path")
+    if path is None:
+        raise click.UsageError(f"{where} has no tasks of its own: give the path of a folder")
+    return list(path) if isinstance(path, list | tuple) else [path]

@@ -1,0 +1,247 @@
+"""``Episode``: one machine, the agent's shell in it, the clocks that run, and the verdicts of its steps."""
+
+from __future__ import annotations
+
+import shlex
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from gem_terminal.backends.interface import Completed
+from gem_terminal.deadlines import shared_deadlines
+from gem_terminal.errors import MachineError, MachineLostError
+from gem_terminal.shell import CommandResult, ScreenResult, Shell
+from gem_terminal.verifying.rewards import reward_of_steps
+from gem_terminal.verifying.verify import verify
+
+if TYPE_CHECKING:
+    from gem_terminal.backends.interface import Backend, Machine
+    from gem_terminal.settings import Settings
+    from gem_terminal.tasks.task import Healthcheck, Step, Task
+    from gem_terminal.verifying.verdict import Verdict
+
+_LEAST_S = 0.5
+_SETUP_S = 300.0
+_KEYS_S = 1.0
+"""Seconds for a screen to become quiet, unless the agent asks for others."""
+_UNLIMITED_AGENT_S = 3600.0
+"""What a step counts for in the time limit of an episode where its agent has none."""
+_AROUND_S = 120.0
+"""Seconds of an episode for all that is neither the agent's nor the verifier's."""
+
+
+class Episode:
+    """What runs between a reset and the end.
+
+    Its limits nest: a command's ends before the agent's for the step, and that before the episode's, at which the
+    machine is removed whatever runs in it.
+
+    Args:
+        task: The task.
+        machine: The machine, which nothing has touched.
+        backend: Where it comes from.
+        settings: How it runs.
+        remove: Removes the machine.
+    """
+
+    def __init__(
+        self, task: Task, machine: Machine, backend: Backend, settings: Settings, remove: Callable[[], object]
+    ) -> None:
+        self.task, self.machine, self.backend, self.settings = task, machine, backend, settings
+        self.number = 0
+        self.turns = 0
+        self.malformed = 0
+        self._rewards: list[float] = []
+        self._passed: list[bool] = []
+        self._remove = remove
+        self._shell: Shell | None = None
+        self.began = self._step_began = time.monotonic()
+        limit = settings.episode_timeout_s
+        self.limit_s = _limit_of(task, settings) if limit is None else limit
+        # What is inside ends a little before, so that its end can still be told.
+        self._ends = self.began + self.limit_s
+        self._inner_end = self._ends - min(5.0, self.limit_s / 20)
+        self._deadline = shared_deadlines().add(self._ends, remove)
+
+    @property
+    def step(self) -> Step:
+        """The step that the agent is at."""
+        return self.task.steps[self.number]
+
+    @property
+    def is_last_step(self) -> bool:
+        """Whether none comes after it."""
+        return self.number + 1 == len(self.task.steps)
+
+    @property
+    def workdir(self) -> str:
+        """Where the agent's shell is; empty where that is not known."""
+        return "" if self._shell is None else self._shell.workdir
+
+    def begin_step(self) -> None:
+        """See that the machine is ready for the step, and open the agent's shell.
+
+        Raises:
+            MachineError: It is not.
+        """
+        self._set_up()
+        if self.step.healthcheck is not None:
+            self._wait_until_healthy(self.step.healthcheck)
+        self._step_began = time.monotonic()
+        self._open_shell()
+
+    def run(self, command: str, timeout_s: float | None) -> CommandResult:
+        """Run a command in the agent's shell.
+
+        Args:
+            command: The command.
+            timeout_s: Seconds that it asks for; None where it does not. It gets no more than the agent has left.
+
+        Raises:
+            MachineError: The machine is gone, or its engine does not answer.
+        """
+        return self._open_shell().run(command, self._limit_s(timeout_s))
+
+    def press(self, keys: str, wait_s: float | None) -> ScreenResult:
+        """Type keys, and read the screen.
+
+        Raises:
+            MachineError: The machine is gone, or its engine does not answer.
+        """
+        return self._open_shell().press(keys, self._limit_s(_KEYS_S if wait_s is None else wait_s))
+
+    def verify(self) -> Verdict:
+        """Close the agent's shell, and run the tests of the step.
+
+        Raises:
+            MachineError: No verdict can be had, whatever the agent did.
+        """
+        step, limit = self.step, self.step.verifier.timeout_s
+        same_shell = self._run_tests if self.settings.tests_in_shell and step.verifier.same_shell else None
+        if same_shell is None:
+            self.close_shell()
+        left, task = self._inner_end - time.monotonic(), self.task
+        if limit > left:
+            step = replace(step, verifier=replace(step.verifier, timeout_s=max(_LEAST_S, left)))
+            task = replace(task, steps=(*task.steps[: self.number], step, *task.steps[self.number + 1 :]))
+        return verify(
+            self.machine,
+            task,
+            step,
+            backend=self.backend,
+            limits=self.settings.limits,
+            where=self.settings.verify_in,
+            # Whom a lack of time that is the episode's is to blame for needs no trial.
+            control=limit <= left,
+            same_shell=same_shell,
+        )
+
+    def note(self, verdict: Verdict, reward: float) -> float:
+        """Note what came of the step; return what that adds to the reward of the whole task."""
+        before = reward_of_steps(self.task, self._rewards)
+        self._rewards.append(reward)
+        self._passed.append(verdict.passed)
+        return reward_of_steps(self.task, self._rewards) - before
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether the task is solved: all of its steps, or the last one where that alone counts."""
+        if len(self._passed) < len(self.task.steps):
+            return False
+        return self._passed[-1] if self.task.reward_of_steps == "final" else all(self._passed)
+
+    def agent_left_s(self) -> float:
+        """Return the seconds that the agent has left for this step; below 0 when its time is over."""
+        now = time.monotonic()
+        limit = self.agent_limit_s()
+        of_step = float("inf") if limit is None else self._step_began + limit - now
+        return min(of_step, self._inner_end - now)
+
+    def agent_limit_s(self) -> float | None:
+        """Return the seconds that the agent has for this step; None for those of the episode."""
+        return _agent_limit(self.step, self.settings)
+
+    @property
+    def is_overdue(self) -> bool:
+        """Whether the time of the whole episode is over."""
+        return time.monotonic() >= self._inner_end
+
+    def close_shell(self) -> None:
+        """End the agent's shell; what it runs in the background goes on."""
+        shell, self._shell = self._shell, None
+        if shell is not None:
+            shell.close()
+
+    def end(self) -> None:
+        """Remove the machine."""
+        self._deadline.cancel()
+        try:
+            self.close_shell()
+        except MachineError:
+            pass  # it is gone already
+        finally:
+            self._remove()
+
+    def _limit_s(self, wanted_s: float | None) -> float:
+        settings = self.settings
+        asked = settings.command_timeout_s if wanted_s is None else wanted_s
+        most = max(settings.command_timeout_s, settings.most_command_timeout_s)
+        return max(_LEAST_S, min(asked, most, self.agent_left_s()))
+
+    def _open_shell(self) -> Shell:
+        if self._shell is None:
+            settings, main = self.settings, self.task.environment.main
+            self._shell = Shell(
+                self.machine,
+                user=self.step.agent_user or main.user,
+                workdir=main.workdir,
+                columns=settings.columns,
+                lines=settings.lines,
+                most_output=settings.max_output,
+            )
+            self._shell.open()
+        return self._shell
+
+    def _set_up(self) -> None:
+        """Bring the files of the step, and run what prepares it."""
+        step = self.step
+        if step.files:
+            there = self.machine.run(["pwd"], timeout_s=_SETUP_S).output.decode("utf-8", "replace").strip() or "/"
+            self.machine.put({f"{there.rstrip('/')}/{name}": path for name, path in step.files.items()})
+        if step.setup:
+            done = self.machine.run(step.setup, timeout_s=_SETUP_S)
+            if done.exit_code != 0:
+                said = done.output.decode("utf-8", "replace")[-500:]
+                how = "ran too long" if done.exit_code is None else f"exit code {done.exit_code}"
+                raise MachineLostError(f"the setup of the step {step.name!r} of {self.task.name} fails ({how}): {said}")
+
+    def _run_tests(self, command: Sequence[str], timeout_s: float) -> Completed:
+        result = self._open_shell().run(shlex.join(command), timeout_s)
+        return Completed(result.exit_code, result.output.encode(errors="replace"), result.dropped)
+
+    def _wait_until_healthy(self, check: Healthcheck) -> None:
+        began = time.monotonic()
+        failures = 0
+        while failures < max(1, check.retries) and not self.is_overdue:
+            counts = time.monotonic() - began >= check.start_period_s
+            done = self.machine.run(check.command, timeout_s=check.timeout_s)
+            if done.exit_code == 0:
+                return
+            failures += counts
+            time.sleep(min(check.interval_s, max(0.0, self._inner_end - time.monotonic())))
+        # What the agent did in the steps before may be the cause, and may not.
+        what = f"the task {self.task.name} is not ready for its step {self.step.name!r}: its healthcheck fails"
+        raise MachineLostError(what, by_agent=None)
+
+
+def _agent_limit(step: Step, settings: Settings) -> float | None:
+    limit = settings.agent_timeout_s
+    return step.agent_timeout_s if limit == "task" else limit
+
+
+def _limit_of(task: Task, settings: Settings) -> float:
+    """Return what an episode may take where nobody has said it: what its steps may, and something for the rest."""
+    agents = [_agent_limit(step, settings) for step in task.steps]
+    agent_s = sum(_UNLIMITED_AGENT_S if limit is None else limit for limit in agents)
+    return agent_s + sum(step.verifier.timeout_s for step in task.steps) + _AROUND_S

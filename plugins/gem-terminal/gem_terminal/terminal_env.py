@@ -1,0 +1,360 @@
+"""``TerminalEnv``: a task in a terminal of a machine of its own, and the tests that judge what is left in it."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from gem_core.env import Env
+from gem_core.errors import ArgumentError, ResetNeededError, StateNotSupported
+from gem_core.suggestions import did_you_mean
+from gem_core.types import Concurrency, ResetResult, StepResult
+from gem_terminal import wording
+from gem_terminal.actions import Action, Bash, Finish, Keys, Malformed, how_to_act, read_action, tool_schemas
+from gem_terminal.backends.choosing import shared_backend
+from gem_terminal.backends.interface import Backend, Limits
+from gem_terminal.episode import Episode
+from gem_terminal.errors import MachineError, MachineLostError
+from gem_terminal.holdings import Holdings
+from gem_terminal.pool import shared_pool
+from gem_terminal.reporting import command_info, messages_of, screen_info, verdict_info
+from gem_terminal.selecting import select_tasks
+from gem_terminal.settings import RewardRule, Settings
+from gem_terminal.verifying.rewards import goes_on, reward_of
+
+_HARMLESS = (
+    "pwd",
+    "ls -la",
+    "id -un",
+    "env | wc -l",
+    "df -h . | tail -n 1",
+    "cat /etc/os-release | head -n 2",
+    "date -u",
+)
+
+EndedBy = Literal["finish", "turns", "agent_timeout", "episode_timeout", "malformed", "machine_lost"]
+
+
+class TerminalEnv(Env):
+    """Gives an agent a task and a terminal of a machine of its own; the tests of the task judge what it leaves.
+
+    A task is a folder in the format of Terminal-Bench (``task.yaml``) or Harbor (``task.toml``). ``reset`` draws one,
+    all equally likely; ``reset(options={"task": name})`` or ``{"index": i}`` takes that one.
+
+    A response is a command in ``<bash>…</bash>`` or a fenced block, keys for a program in ``<keys>…</keys>``, the same
+    as a tool call, or ``<finish/>``. The first complete one counts. The tests run after ``<finish/>``, at the end of
+    the budget of turns, and when the agent's time is over.
+
+    ``info`` says ``task_id``, ``index``, ``parsed_action``, ``terminal`` (``backend``, ``weaker``, ``exit_code``,
+    ``timed_out``, ``workdir`` and more), at reset ``tools``, after the tests ``verifier`` with each of them, and at the
+    end ``correct``. What the agent can cause (a killed machine, a full memory, a verifier that hangs because of it) is
+    scored; a missing engine, an image that cannot be built, a verifier that fails on an untouched machine too are
+    ``info["error"]`` and truncate.
+
+    Args:
+        path: A task's folder, a folder of them, or a list of both; ``"package:data/tasks"`` names one that a package
+            ships.
+        tasks: Names of the tasks to use, or patterns such as ``"git-*"``; None for all.
+        backend: ``"docker"``, ``"local"``, ``"auto"``, or an object. ``"auto"`` is what the environment variable
+            GEM_TERMINAL_BACKEND names, else Docker where an engine answers, else local.
+        reward: ``"all"``: 1 when the task is solved, else 0. ``"fraction"``: the part of the tests that passed.
+            ``"weighted"``: the same by the tests' weights. ``"score"``: the number of the task's own reward file.
+        weights: Weights of tests by name for ``"weighted"``; None for the task's.
+        command_timeout_s: Seconds of a command that asks for no limit of its own.
+        most_command_timeout_s: Seconds that a command may ask for.
+        agent_timeout_s: Seconds of the agent for a step, its thinking included; ``"task"`` for the task's limit, None
+            for that of the episode.
+        episode_timeout_s: Seconds after which the machine is removed, whatever runs in it; None for what the task's
+            limits add up to, and 2 minutes.
+        max_turns: Responses of an episode; None for no limit.
+        malformed_penalty: Reward of a response that holds no action.
+        max_malformed: Such responses in a row that end the episode; None for no limit.
+        max_output: Characters of a command's output that are shown; the middle is cut out.
+        columns: Width of the terminal.
+        lines: Its height.
+        cpus: Processors of the machine; what a task asks for counts where it is less, here and in what follows.
+        memory_mb: Megabytes of memory.
+        processes: Processes and threads at once.
+        storage_mb: Megabytes written.
+        network: ``"task"`` for what the task asks for, and none where it says nothing; ``"none"``; ``"public"``.
+        verify_in: Where the tests run: ``"machine"``, ``"judge"`` (a copy of it, out of the agent's reach), or
+            ``"auto"``: the copy where processes of the agent are left.
+        tests_in_shell: Whether tests run in the agent's own shell where a task asks for it
+            (``run_tests_in_same_shell``); the agent decides what a command means there, so such a verdict is worth what
+            the agent is.
+        pool_size: Machines of each task that are kept ready; 0 for none.
+        prestart: Whether to begin at once to make machines ready.
+        build_args: Arguments for the build of images.
+
+    Raises:
+        TaskError: There is no task there, or one that cannot be read.
+        ArgumentError: A value that is not accepted.
+        EngineError: The backend that was asked for is not there; the message says what to install or start.
+
+    Source: the formats are those of Terminal-Bench, https://www.tbench.ai, and Harbor.
+    """
+
+    concurrency: ClassVar[Concurrency] = "thread"
+    answer_fences: ClassVar[tuple[str, ...]] = ("bash", "sh", "shell")
+    answer_tags: ClassVar[tuple[str, ...]] = ("bash", "keys", "finish")
+
+    def __init__(
+        self,
+        path: str | Path | Sequence[str | Path] | None = None,
+        tasks: str | Sequence[str] | None = None,
+        *,
+        backend: str | Backend = "auto",
+        reward: RewardRule = "all",
+        weights: Mapping[str, float] | None = None,
+        command_timeout_s: float = 60.0,
+        most_command_timeout_s: float = 900.0,
+        agent_timeout_s: float | Literal["task"] | None = "task",
+        episode_timeout_s: float | None = None,
+        max_turns: int | None = 50,
+        malformed_penalty: float = -0.1,
+        max_malformed: int | None = 5,
+        max_output: int = 10_000,
+        columns: int = 120,
+        lines: int = 40,
+        cpus: float = 1.0,
+        memory_mb: int = 2048,
+        processes: int = 256,
+        storage_mb: int = 4096,
+        network: str = "task",
+        verify_in: Literal["auto", "machine", "judge"] = "auto",
+        tests_in_shell: bool = False,
+        pool_size: int = 1,
+        prestart: bool = False,
+        build_args: Mapping[str, str] | None = None,
+    ) -> None:
+        super().__init__()
+        self.settings = Settings(
+            reward=reward,
+            weights=weights,
+            command_timeout_s=command_timeout_s,
+            most_command_timeout_s=most_command_timeout_s,
+            agent_timeout_s=agent_timeout_s,
+            episode_timeout_s=episode_timeout_s,
+            max_turns=max_turns,
+            malformed_penalty=malformed_penalty,
+            max_malformed=max_malformed,
+            max_output=max_output,
+            columns=columns,
+            lines=lines,
+            verify_in=verify_in,
+            tests_in_shell=tests_in_shell,
+            pool_size=pool_size,
+            limits=Limits(cpus, memory_mb, processes, storage_mb, network),
+        )
+        self.tasks = select_tasks(path, tasks)
+        self.backend = shared_backend(backend, build_args)
+        self._holdings = Holdings(self, shared_pool())
+        self._episode: Episode | None = None
+        self._index = 0
+        if prestart:
+            for task in self.tasks:
+                self.backend.check(task)
+                self._holdings.prestart(self.backend, task, self.settings.limits, max(1, pool_size))
+
+    @property
+    def num_tasks(self) -> int:
+        """Number of tasks."""
+        return len(self.tasks)
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """Begin a task on a machine that nothing has touched.
+
+        Args:
+            seed: See ``Env.reset``.
+            options: ``{"task": name}`` or ``{"index": i}`` takes that task.
+
+        Raises:
+            ArgumentError: An option that does not exist.
+            TaskError: The backend cannot run the task.
+            MachineError: The machine could not be started, whatever the agent would have done.
+        """
+        super().reset(seed=seed)
+        self._end_episode()
+        self._index = self._chosen(options) if options else int(self.np_random.integers(self.num_tasks))
+        task, settings = self.tasks[self._index], self.settings
+        self.backend.check(task)
+        machine = self._holdings.take(self.backend, task, settings.limits, settings.pool_size)
+        holdings = self._holdings
+        self._episode = Episode(task, machine, self.backend, settings, lambda: holdings.give_back(machine))
+        try:
+            self._episode.begin_step()
+        except BaseException:
+            self._end_episode()
+            raise
+        info = self._info({"tools": tool_schemas(), "difficulty": task.difficulty, "category": task.category})
+        feedback, suffix = wording.first_words(task, 0, self._how_to_act()), self._suffix(self._episode)
+        info |= {"feedback": feedback, "suffix": suffix}
+        return feedback + suffix, info
+
+    def step(self, action: str) -> StepResult:
+        """Do what the response says, and tell what came of it."""
+        episode = self._episode
+        if episode is None:
+            raise ResetNeededError("there is no episode: call reset() first")
+        episode.turns += 1
+        read = read_action(action)
+        info = self._info({"parsed_action": None if isinstance(read, Malformed) else read.text})
+        try:
+            result = self._answered(episode, read, info)
+        except MachineError as error:
+            result = self._without_machine(episode, error, info)
+        if read.call_id is not None:
+            info["messages"] = messages_of(read, str(result[0]))
+        return result
+
+    def close(self) -> None:
+        """Remove the machine, and those that were made ready for this environment alone."""
+        self._end_episode()
+        self._holdings.release()
+        super().close()
+
+    def sample_random_action(self) -> str:
+        """Return a command that changes nothing; once in a while, the end."""
+        if self.action_random.random() < 0.2:
+            return "<finish/>"
+        return f"<bash>{_HARMLESS[int(self.action_random.integers(len(_HARMLESS)))]}</bash>"
+
+    def _get_state(self) -> dict[str, Any]:
+        raise StateNotSupported("a running machine cannot be saved; keep the seed, the options and the actions instead")
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        raise StateNotSupported("a running machine cannot be restored; reset it with the seed, and repeat the actions")
+
+    def _answered(self, episode: Episode, action: Action, info: dict[str, Any]) -> StepResult:
+        if episode.agent_left_s() <= 0:
+            return self._step_over(episode, "agent_timeout", wording.TOO_LATE, 0.0, info)
+        if isinstance(action, Finish):
+            return self._step_over(episode, "finish", "", 0.0, info)
+        reward, feedback = 0.0, ""
+        ended: EndedBy | None = None
+        if isinstance(action, Bash | Keys):
+            episode.malformed = 0
+            feedback = self._done(episode, action, info)
+        else:
+            episode.malformed += 1
+            reward, feedback = self.settings.malformed_penalty, getattr(action, "reason", "")
+            if episode.malformed == self.settings.max_malformed:
+                ended = "malformed"
+        if episode.turns == self.settings.max_turns:
+            ended = "turns"
+        if episode.agent_left_s() <= 0:
+            ended = "agent_timeout"
+        if ended is not None:
+            return self._step_over(episode, ended, feedback, reward, info)
+        return self._going_on(episode, feedback, reward, info)
+
+    def _done(self, episode: Episode, action: Bash | Keys, info: dict[str, Any]) -> str:
+        if isinstance(action, Keys):
+            screen = episode.press(action.keys, action.wait_s)
+            info["terminal"] |= screen_info(screen)
+            return screen.text()
+        result = episode.run(action.command, action.timeout_s)
+        info["terminal"] |= command_info(result)
+        return result.text()
+
+    def _going_on(self, episode: Episode, feedback: str, reward: float, info: dict[str, Any]) -> StepResult:
+        suffix = self._suffix(episode)
+        info |= {"feedback": feedback, "suffix": suffix}
+        return feedback + suffix, reward, False, False, info
+
+    def _step_over(
+        self, episode: Episode, by: EndedBy, feedback: str, reward: float, info: dict[str, Any]
+    ) -> StepResult:
+        """Run the tests; then comes the next step of the task, or the end."""
+        info["terminal"]["ended_by"] = by
+        if episode.is_overdue:
+            return self._overdue(feedback, reward, info)
+        verdict = episode.verify()
+        info["verifier"] = verdict_info(verdict)
+        if verdict.problem is not None and episode.is_overdue:
+            return self._overdue(feedback, reward, info)
+        if verdict.problem is not None and verdict.blame != "agent":
+            return self._error("verifier", verdict.detail or "the verifier gave no verdict", reward, info)
+        reward += episode.note(verdict, reward_of(verdict, self.settings.reward, weights=self.settings.weights))
+        feedback = "\n".join(filter(None, [feedback, wording.of_verdict(verdict)]))
+        if episode.is_last_step or by not in ("finish", "agent_timeout") or not goes_on(episode.step, verdict):
+            return self._over(feedback, reward, episode.is_solved, info)
+        episode.number += 1
+        episode.begin_step()
+        del info["terminal"]["ended_by"]
+        info["terminal"]["next_step"] = episode.step.name
+        feedback = f"{feedback}\n\n{wording.first_words(episode.task, episode.number, self._how_to_act())}"
+        return self._going_on(episode, feedback, reward, info)
+
+    def _without_machine(self, episode: Episode, error: MachineError, info: dict[str, Any]) -> StepResult:
+        if episode.is_overdue:
+            return self._overdue("", 0.0, info)
+        lost = error if isinstance(error, MachineLostError) else episode.machine.why_lost()
+        if lost is None or not lost.by_agent:
+            kind = "machine" if isinstance(error, MachineLostError) else "engine"
+            return self._error(kind, str(error), 0.0, info)
+        info["terminal"] |= {"ended_by": "machine_lost", "lost": str(lost)}
+        return self._over(f"The machine is lost: {lost}", 0.0, False, info)
+
+    def _overdue(self, feedback: str, reward: float, info: dict[str, Any]) -> StepResult:
+        info["terminal"]["ended_by"] = "episode_timeout"
+        return self._over("\n".join(filter(None, [feedback, "The time of the episode is over."])), reward, False, info)
+
+    def _over(self, feedback: str, reward: float, correct: bool, info: dict[str, Any]) -> StepResult:
+        self._end_episode()
+        info |= {"correct": correct, "feedback": feedback, "suffix": ""}
+        return feedback, reward, True, False, info
+
+    def _error(self, kind: str, message: str, reward: float, info: dict[str, Any]) -> StepResult:
+        self._end_episode()
+        info["error"] = {"kind": kind, "message": message}
+        return "The episode was broken off: its machine or its tests have failed.", reward, False, True, info
+
+    def _end_episode(self) -> None:
+        episode, self._episode = self._episode, None
+        if episode is not None:
+            episode.end()
+
+    def _how_to_act(self) -> str:
+        settings = self.settings
+        return how_to_act(
+            timeout_s=settings.command_timeout_s,
+            most_timeout_s=max(settings.command_timeout_s, settings.most_command_timeout_s),
+            columns=settings.columns,
+            lines=settings.lines,
+        )
+
+    def _suffix(self, episode: Episode) -> str:
+        most = self.settings.max_turns
+        return wording.status(episode.workdir, most and most - episode.turns, episode.agent_left_s())
+
+    def _info(self, more: dict[str, Any]) -> dict[str, Any]:
+        episode, backend = self._episode, self.backend
+        terminal: dict[str, Any] = {"backend": backend.name, "weaker": backend.weaker}
+        if episode is not None and len(episode.task.steps) > 1:
+            terminal["step"] = episode.step.name
+        return {"task_id": self.tasks[self._index].name, "index": self._index, "terminal": terminal, **more}
+
+    def _chosen(self, options: dict[str, Any]) -> int:
+        wrong = [name for name in options if name not in ("task", "index")]
+        if wrong:
+            hint = did_you_mean(wrong[0], ["task", "index"])
+            raise ArgumentError(f"no option {wrong[0]!r}.{hint} There are: task, index")
+        if len(options) == 2:
+            raise ArgumentError("give one of the options task and index, not both")
+        if "task" in options:
+            return self._named(options["task"])
+        index = options["index"]
+        number = operator.index(index) if hasattr(index, "__index__") and not isinstance(index, bool) else -1
+        if not 0 <= number < self.num_tasks:
+            raise ArgumentError(f"options['index'] must be from 0 to {self.num_tasks - 1}, not {index!r}")
+        return number
+
+    def _named(self, name: object) -> int:
+        names = [task.name for task in self.tasks]
+        if name not in names:
+            hint = did_you_mean(str(name), names)
+            raise ArgumentError(f"options['task']: there is no task {name!r} among {len(names)}.{hint}")
+        return names.index(str(name))

@@ -1,0 +1,471 @@
+"""What ``TerminalEnv`` makes of actions, verdicts, limits and failures, on a backend, shell and verifier in memory."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from memory_backend import plain_task
+from scripted import HALF, PASSED, Script, result
+
+import gem_core as gem
+from gem_core.errors import ArgumentError, ResetNeededError, StateNotSupported
+from gem_terminal import TerminalEnv, episode, terminal_env
+from gem_terminal.errors import EngineError, MachineLostError
+from gem_terminal.verifying.verdict import Verdict
+
+if TYPE_CHECKING:
+    from gem_terminal.tasks.task import Task
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch) -> Script:
+    """What happens in the machines of a test."""
+    script = Script()
+    monkeypatch.setattr(episode, "Shell", script.shell)
+    monkeypatch.setattr(episode, "verify", script.verify)
+    return script
+
+
+def make(
+    monkeypatch: pytest.MonkeyPatch, script: Script, tasks: list[Task] | None = None, **options: Any
+) -> TerminalEnv:
+    """Return an environment on the memory backend."""
+    chosen = tasks or [plain_task("one"), plain_task("two"), plain_task("three")]
+    monkeypatch.setattr(terminal_env, "select_tasks", lambda path, names: chosen)
+    options.setdefault("pool_size", 0)
+    return TerminalEnv("anywhere", backend=script.backend, **options)
+
+
+@pytest.fixture
+def env(monkeypatch: pytest.MonkeyPatch, script: Script) -> Any:
+    """An environment of three tasks."""
+    made = make(monkeypatch, script)
+    yield made
+    made.close()
+
+
+def steps_task(rule: Any = "mean", **fields: Any) -> Task:
+    """Return a task of three steps."""
+    first = plain_task("long").steps[0]
+    steps = tuple(
+        replace(first, name=name, instruction=f"Do {name}.", **fields) for name in ("first", "second", "third")
+    )
+    return replace(plain_task("long"), steps=steps, reward_of_steps=rule)
+
+
+def test_first_observation_is_the_task_and_how_to_act(env: TerminalEnv) -> None:
+    """It names the forms, the directory and the turns."""
+    observation, info = env.reset(seed=1, options={"task": "two"})
+    assert observation.startswith("Do two.\n\nYou work in a terminal.")
+    assert observation.endswith("\n[/app · 50 turns left]")
+    assert observation == info["feedback"] + info["suffix"]
+    assert info["task_id"] == "two"
+    assert info["index"] == 1
+    assert info["terminal"] == {"backend": "memory", "weaker": "it is not there at all"}
+    assert [tool["function"]["name"] for tool in info["tools"]] == ["bash", "keys", "finish"]
+
+
+def test_command_is_run_and_told(env: TerminalEnv) -> None:
+    """Output, exit code, directory; what was behind it is not in what was read."""
+    env.reset(seed=1)
+    observation, reward, terminated, truncated, info = env.step("I look. <bash>ls</bash> And then?")
+    assert observation == "ran ls\n[exit code 0]\n[/app · 49 turns left]"
+    assert (reward, terminated, truncated) == (0.0, False, False)
+    assert info["parsed_action"] == "I look. <bash>ls</bash>"
+    assert info["terminal"]["exit_code"] == 0
+    assert info["feedback"] + info["suffix"] == observation
+
+
+def test_notes_of_the_shell_are_told(env: TerminalEnv, script: Script) -> None:
+    """What the agent has to know to go on."""
+    env.reset(seed=1)
+    script.on_run = lambda command, limit: result("begun", None, timed_out=True, note="It ran too long.")
+    observation, _, _, _, info = env.step("<bash>x</bash>")
+    assert observation.startswith("begun\n[It ran too long.]\n")
+    assert (info["terminal"]["timed_out"], info["terminal"]["exit_code"]) == (True, None)
+
+
+def test_keys_show_the_screen(env: TerminalEnv) -> None:
+    """And whether a program has the terminal."""
+    env.reset(seed=1)
+    observation, _, _, _, info = env.step("<keys>:q<Enter></keys>")
+    assert observation.startswith("typed :q<Enter>\n[a program is running in the terminal]")
+    assert info["terminal"]["running"] is True
+
+
+def test_finish_runs_the_tests(env: TerminalEnv, script: Script) -> None:
+    """The reward is the verdict's, the machine is gone, and the tests are in the info."""
+    env.reset(seed=1)
+    observation, reward, terminated, truncated, info = env.step("<finish/>")
+    assert (reward, terminated, truncated, info["correct"]) == (1.0, True, False, True)
+    assert observation == "The tests have passed."
+    assert info["terminal"]["ended_by"] == "finish"
+    assert [test["name"] for test in info["verifier"]["tests"]] == ["test_one", "test_two"]
+    assert script.closed == 1
+    env.close()
+    assert script.backend.live == {}
+
+
+@pytest.mark.parametrize(("rule", "expected"), [("all", 0.0), ("fraction", 0.5), ("weighted", 0.75), ("score", 0.5)])
+def test_reward_rules(monkeypatch: pytest.MonkeyPatch, script: Script, rule: Any, expected: float) -> None:
+    """One of two tests has passed, of weight 3 to 1."""
+    script.verdicts = [HALF]
+    env = make(monkeypatch, script, reward=rule)
+    env.reset(seed=1)
+    observation, reward, _, _, info = env.step("<finish/>")
+    assert reward == expected
+    assert info["correct"] is False
+    assert observation == "1 of 2 tests have passed."
+    env.close()
+
+
+def test_malformed_action_is_told_and_costs_little(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
+    """The episode goes on; after so many in a row it ends, and the tests run."""
+    env = make(monkeypatch, script, max_malformed=2, malformed_penalty=-0.25)
+    env.reset(seed=1)
+    observation, reward, terminated, _, info = env.step("hello")
+    assert "There is no action in the response." in observation
+    assert (reward, terminated, info["parsed_action"]) == (-0.25, False, None)
+    env.step("<bash>true</bash>")
+    assert env.step("<bash>")[2] is False
+    _, reward, terminated, truncated, info = env.step("")
+    assert (reward, terminated, truncated) == (0.75, True, False)
+    assert info["terminal"]["ended_by"] == "malformed"
+    env.close()
+
+
+def test_malformed_actions_need_not_end_an_episode(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
+    """With None only the turns do."""
+    env = make(monkeypatch, script, max_malformed=None, max_turns=30)
+    env.reset(seed=1)
+    assert not any(env.step("?")[2] for _ in range(29))
+    _, _, terminated, _, info = env.step("?")
+    assert terminated
+    assert info["terminal"]["ended_by"] == "turns"
+    env.close()
+
+
+def test_last_turn_is_done_and_then_judged(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
+    """The command of the last turn counts."""
+    env = make(monkeypatch, script, max_turns=1)
+    observation, _ = env.reset(seed=1)
+    assert observation.endswith("\n[/app · the last turn]")
+    observation, reward, terminated, truncated, info = env.step("<bash>touch done</bash>")
+    assert observation == "ran touch done\n[exit code 0]\nThe tests have passed."
+    assert (reward, terminated, truncated, info["correct"]) == (1.0, True, False, True)
+    env.close()
+
+
+def test_agent_out_of_time_is_judged(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
+    """What it did counts; what it says too late is not done."""
+    env = make(monkeypatch, script, agent_timeout_s=0.000001)
+    env.reset(seed=1)
+    observation, reward, terminated, truncated, info = env.step("<bash>late</bash>")
+    assert observation == "Your time is over: this was not done any more.\nThe tests have passed."
+    assert (reward, terminated, truncated) == (1.0, True, False)
+    assert info["terminal"]["ended_by"] == "agent_timeout"
+    assert script.limits == []
+    env.close()
+
+
+def test_episode_out_of_time_is_a_failure_of_the_agent(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
+    """Nothing is verified any more, the machine is gone, and it is no error."""
+    env = make(monkeypatch, script, episode_timeout_s=0.000001)
+    env.reset(seed=1)
+    _, reward, terminated, truncated, info = env.step("<bash>late</bash>")
+    assert (reward, terminated, truncated, info["correct"]) == (0.0, True, False, False)
+    assert info["terminal"]["ended_by"] == "episode_timeout"
+    assert "error" not in info
+    assert script.verified == []
+    env.close()
+
+
+def test_machine_is_removed_when_the_time_of_the_episode_is_over(
+    monkeypatch: pytest.MonkeyPatch, script: Script
+) -> None:
+    """Though the agent never comes back."""
+    env = make(monkeypatch, script, episode_timeout_s=0.2)
+    env.reset(seed=1)
+    machine = script.backend.made[0]
+    import threading
+
+    gone = threading.Event()
+    remove = machine.remove
+    machine.remove = lambda: (remove(), gone.set())  # type: ignore[method-assign, assignment, return-value]
+    assert gone.wait(30)
+    assert script.backend.live == {}
+    assert env.step("<bash>late</bash>")[2] is True
+    env.close()
+
+
+def test_limits_of_commands_nest(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
+    """A command's is the one asked for, but no more than may be asked for, and than the agent has left."""
+    env = make(monkeypatch, script, command_timeout_s=10, most_command_timeout_s=20, agent_timeout_s=1000)
+    env.reset(seed=1)
+    for words in ("<bash>a</bash>", '<bash timeout="15">a</bash>', '<bash timeout="500">a</bash>'):
+        env.step(words)
+    assert script.limits == [10, 15, 20]
+    env.close()
+    short = make(monkeypatch, script, agent_timeout_s=5)
+    short.reset(seed=1)
+    short.step("<bash>a</bash>")
+    assert 0 < script.limits[-1] <= 5
+    short.close()
+
+
+def test_verifier_without_a_verdict_because_of_the_agent_is_a_failure(env: TerminalEnv, script: Script) -> None:
+    """An untouched machine gave one."""
+    script.verdicts = [Verdict(False, 0.0, problem="timeout", blame="agent", detail="too slow")]
+    env.reset(seed=1)
+    observation, reward, terminated, truncated, info = env.step("<finish/>")
+    assert (reward, terminated, truncated, info["correct"]) == (0.0, True, False, False)
+    assert observation == "The tests gave no result."
+    assert info["verifier"]["problem"] == "timeout"
+    assert "error" not in info
+
+
+@pytest.mark.parametrize("blame", ["task", None])
+def test_verifier_without_a_verdict_otherwise_is_an_error(env: TerminalEnv, script: Script, blame: Any) -> None:
+    """It is never a reward of 0 that training learns from."""
+    script.verdicts = [Verdict(False, 0.0, problem="no_result", blame=blame, detail="no reward file")]
+    env.reset(seed=1)
+    _, reward, terminated, truncated, info = env.step("<finish/>")
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert info["error"] == {"kind": "verifier", "message": "no reward file"}
+    assert "correct" not in info
+
+
+@pytest.mark.parametrize("by_agent", [True, False, None])
+def test_lost_machine(env: TerminalEnv, script: Script, by_agent: bool | None) -> None:
+    """The agent's doing is scored; anything else, and what is not known, is an error."""
+    env.reset(seed=1)
+
+    def lose(command: str, limit: float) -> Any:
+        raise MachineLostError("its memory was full", by_agent=by_agent)
+
+    script.on_run = lose
+    observation, reward, terminated, truncated, info = env.step("<bash>eat</bash>")
+    assert reward == 0.0
+    if by_agent:
+        assert (terminated, truncated, info["correct"]) == (True, False, False)
+        assert observation == "The machine is lost: its memory was full"
+    else:
+        assert (terminated, truncated) == (False, True)
+        assert info["error"] == {"kind": "machine", "message": "its memory was full"}
+    with pytest.raises(ResetNeededError, match="call reset"):
+        env.step("<bash>ls</bash>")
+
+
+def test_engine_that_fails_in_a_step_is_an_error(env: TerminalEnv, script: Script) -> None:
+    """Whatever the agent did."""
+    env.reset(seed=1)
+
+    def fail(command: str, limit: float) -> Any:
+        raise EngineError("the engine does not answer; start it")
+
+    script.on_run = fail
+    _, _, terminated, truncated, info = env.step("<bash>ls</bash>")
+    assert (terminated, truncated) == (False, True)
+    assert info["error"] == {"kind": "engine", "message": "the engine does not answer; start it"}
+
+
+def test_engine_that_fails_in_a_reset_is_raised(env: TerminalEnv, script: Script) -> None:
+    """A vector environment makes an episode with an error of it, and goes on."""
+
+    def fail(task: Task) -> None:
+        raise EngineError("no engine; start one")
+
+    script.backend.on_start = fail
+    with pytest.raises(EngineError, match="no engine; start one"):
+        env.reset(seed=1)
+    script.backend.on_start = None
+    assert env.reset(seed=1)[1]["task_id"]
+
+
+def test_shell_that_fails_in_a_reset_leaves_no_machine(
+    env: TerminalEnv, script: Script, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is removed, and the error is raised."""
+
+    def fail(*_: Any, **__: Any) -> Any:
+        raise MachineLostError("no shell in the image")
+
+    monkeypatch.setattr(episode, "Shell", fail)
+    with pytest.raises(MachineLostError, match="no shell"):
+        env.reset(seed=1)
+    env.close()
+    assert script.backend.live == {}
+
+
+def test_steps_of_a_task_follow_each_other(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
+    """Each is judged when the agent finishes it; the return is the mean."""
+    script.verdicts = [PASSED, HALF, PASSED]
+    env = make(monkeypatch, script, [steps_task(agent_user="worker")], reward="fraction")
+    observation, _ = env.reset(seed=1)
+    assert observation.startswith("Step 1 of 3.\n\nDo first.")
+    observation, first, terminated, _, info = env.step("<finish/>")
+    assert observation.startswith("The tests have passed.\n\nStep 2 of 3.\n\nDo second.")
+    assert terminated is False
+    assert info["terminal"]["next_step"] == "second"
+    second = env.step("<finish/>")[1]
+    _, third, terminated, _, info = env.step("<finish/>")
+    assert (first, second, third) == pytest.approx((1 / 3, 0.5 / 3, 1 / 3))
+    assert terminated
+    assert info["correct"] is False
+    assert [options["user"] for options in script.shells] == ["worker"] * 3
+    assert script.closed == 3
+    env.close()
+
+
+def test_final_step_alone_counts_where_the_task_says_so(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
+    """Those before bring nothing, and take nothing."""
+    script.verdicts = [HALF, HALF, PASSED]
+    env = make(monkeypatch, script, [steps_task("final")])
+    env.reset(seed=1)
+    assert [env.step("<finish/>")[1] for _ in range(2)] == [0.0, 0.0]
+    _, reward, _, _, info = env.step("<finish/>")
+    assert (reward, info["correct"]) == (1.0, True)
+    env.close()
+
+
+def test_step_below_its_least_reward_ends_the_task(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
+    """The steps that were not reached count as 0."""
+    script.verdicts = [HALF]
+    env = make(monkeypatch, script, [steps_task(min_reward=0.75)], reward="fraction")
+    env.reset(seed=1)
+    _, reward, terminated, _, info = env.step("<finish/>")
+    assert reward == pytest.approx(0.5 / 3)
+    assert (terminated, info["correct"]) == (True, False)
+    env.close()
+
+
+def test_native_calls_are_answered_under_their_ids(env: TerminalEnv) -> None:
+    """The first is executed, the others are told that they were not."""
+    env.reset(seed=1)
+    calls = [
+        {"id": name, "type": "function", "function": {"name": "bash", "arguments": json.dumps({"command": name})}}
+        for name in ("a", "b")
+    ]
+    observation, _, _, _, info = env.step(gem.Response("", tool_calls=calls))
+    assert observation.startswith("ran a")
+    assert [message["tool_call_id"] for message in info["messages"]] == ["a", "b"]
+    assert info["messages"][0] == {"role": "tool", "tool_call_id": "a", "content": observation}
+    assert info["messages"][1]["content"].startswith("Not done")
+
+
+def test_seed_chooses_the_task_and_options_overrule_it(env: TerminalEnv) -> None:
+    """The same seed gives the same task; an index or a name takes that one."""
+    drawn = [env.reset(seed=seed)[1]["task_id"] for seed in range(12)]
+    assert drawn == [env.reset(seed=seed)[1]["task_id"] for seed in range(12)]
+    assert set(drawn) == {"one", "two", "three"}
+    assert [env.reset(options={"index": index})[1]["task_id"] for index in range(3)] == ["one", "two", "three"]
+    assert env.num_tasks == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"task": "twoo"}, "there is no task 'twoo' among 3. Did you mean 'two'?"),
+        ({"index": 3}, r"options\['index'\] must be from 0 to 2, not 3"),
+        ({"index": True}, "not True"),
+        ({"tusk": "one"}, "no option 'tusk'. Did you mean 'task'?"),
+        ({"task": "one", "index": 0}, "give one of the options task and index, not both"),
+    ],
+)
+def test_wrong_options(env: TerminalEnv, options: dict[str, Any], words: str) -> None:
+    """The message says what there is."""
+    with pytest.raises(ArgumentError, match=words):
+        env.reset(options=options)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("reward", "most"),
+        ("command_timeout_s", 0),
+        ("command_timeout_s", float("nan")),
+        ("agent_timeout_s", "tusk"),
+        ("episode_timeout_s", -1),
+        ("max_turns", 0),
+        ("max_malformed", 1.5),
+        ("malformed_penalty", "none"),
+        ("max_output", 1),
+        ("cpus", 0),
+        ("memory_mb", True),
+        ("network", "some"),
+        ("verify_in", "there"),
+        ("pool_size", -1),
+        ("weights", {"a": -1}),
+        ("columns", 5),
+    ],
+)
+def test_wrong_values_are_refused(monkeypatch: pytest.MonkeyPatch, script: Script, name: str, value: Any) -> None:
+    """At once, with what is allowed."""
+    with pytest.raises(ArgumentError, match=rf"^{name} must be .*, not "):
+        make(monkeypatch, script, **{name: value})
+
+
+def test_state_cannot_be_saved(env: TerminalEnv) -> None:
+    """A running machine is no data."""
+    env.reset(seed=1)
+    with pytest.raises(StateNotSupported, match="a running machine cannot be saved"):
+        env.get_state()
+
+
+def test_sampled_actions_are_valid_and_end_in_time(env: TerminalEnv) -> None:
+    """They are the same for the same seed, and change nothing of the episode."""
+    env.reset(seed=1)
+    first = [env.sample_random_action() for _ in range(50)]
+    env.reset(seed=1)
+    assert [env.sample_random_action() for _ in range(50)] == first
+    assert "<finish/>" in first
+    assert all(action == "<finish/>" or action.startswith("<bash>") for action in first)
+
+
+def test_close_is_idempotent_and_the_environment_can_be_used_again(env: TerminalEnv, script: Script) -> None:
+    """Nothing is left after each."""
+    env.reset(seed=1)
+    env.close()
+    env.close()
+    assert script.backend.live == {}
+    env.reset(seed=1)
+    assert len(script.backend.live) == 1
+
+
+def test_pool_makes_the_next_machine_ready(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
+    """And close removes it."""
+    env = make(monkeypatch, script, [plain_task("only")], pool_size=2, prestart=True)
+    for _ in range(3):
+        env.reset()
+    env.close()
+    assert len(script.backend.made) >= 4
+    assert script.backend.live == {}
+
+
+@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(actions=st.lists(st.one_of(st.text(), st.sampled_from(["<bash>", "<bash>x</bash>", "<keys>", "</bash>\x00"]))))
+def test_any_text_gives_an_observation_and_a_reward(env: TerminalEnv, actions: list[str]) -> None:
+    """Never an exception, and an info that JSON takes."""
+    env.reset(seed=1)
+    for action in actions:
+        observation, reward, terminated, truncated, info = env.step(action)
+        assert isinstance(observation, str)
+        assert isinstance(reward, float)
+        json.dumps(info)
+        if terminated or truncated:
+            break
+
+
+def test_info_has_no_path_of_this_machine(env: TerminalEnv) -> None:
+    """Neither the folder of the task nor that of the program."""
+    _, info = env.reset(seed=1)
+    *_, last = env.step("<finish/>")
+    text = json.dumps([info, last])
+    assert "/nowhere" not in text
+    assert str(Path.home()) not in text.replace('"/root"', "")
