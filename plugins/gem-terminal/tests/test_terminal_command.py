@@ -1,0 +1,158 @@
+"""``gem terminal``: what it shows, its errors in one line, and its exit codes."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from machines import backend_names, environment
+
+TASK = "[agent]\ntimeout_sec = 30\n[verifier]\ntimeout_sec = 20\n[environment]\nmemory_mb = 256\n"
+
+each_backend = pytest.mark.parametrize("backend", backend_names())
+
+
+def gem_terminal(*words: str, cwd: Path, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run the command."""
+    command = [sys.executable, "-m", "gem_core", "terminal", *words]
+    variables = {**os.environ, **variables}
+    return subprocess.run(command, cwd=cwd, env=variables, capture_output=True, text=True, timeout=300, check=False)
+
+
+def write_task(folder: Path, *, test: str = "grep -q done /app/note", dockerfile: str = "WORKDIR /app\n") -> Path:
+    """Write a task whose tests are one line of shell."""
+    for name in ("environment", "tests", "solution"):
+        (folder / name).mkdir(parents=True)
+    (folder / "task.toml").write_text('version = "1.0"\n' + TASK)
+    (folder / "instruction.md").write_text("Write 'done' into /app/note.\n")
+    base = "ARG BASE=python:3.12-slim-bookworm\nFROM ${BASE}\n"
+    (folder / "environment" / "Dockerfile").write_text(base + dockerfile)
+    (folder / "tests" / "test.sh").write_text(f"if {test}; then echo 1; else echo 0; fi >/logs/verifier/reward.txt\n")
+    (folder / "solution" / "solve.sh").write_text("#!/bin/bash\necho done >/app/note\n")
+    return folder
+
+
+def test_list_shows_tasks_limits_and_what_is_broken(tmp_path: Path) -> None:
+    """A table, and as JSON with all that is known."""
+    write_task(tmp_path / "tasks" / "one")
+    (tmp_path / "tasks" / "two").mkdir()
+    (tmp_path / "tasks" / "two" / "task.toml").write_text("this is no TOML")
+    done = gem_terminal("list", "tasks", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[0].split() == ["task", "format", "difficulty", "agent", "tests", "memory", "network", "here"]
+    assert lines[1].split()[:9] == ["one", "harbor", "-", "30", "s", "20", "s", "256", "MB"]
+    assert lines[-1].startswith("two: cannot be read: ")
+    rows = json.loads(gem_terminal("list", "tasks", "--json", cwd=tmp_path).stdout)
+    assert [row["name"] for row in rows] == ["one", "two"]
+    assert rows[0]["memory_mb"] == 256
+    assert "task.toml" in rows[1]["broken"]
+
+
+def test_list_says_that_nothing_can_run_here(tmp_path: Path) -> None:
+    """Without an engine the tasks are shown all the same, with the reason."""
+    write_task(tmp_path / "one")
+    address = f"unix://{tmp_path}/no.sock"
+    done = gem_terminal("list", "one", "--backend", "docker", cwd=tmp_path, DOCKER_HOST=address)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[1].split()[-1] == "no"
+    assert done.stdout.splitlines()[2].startswith("one: ")
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["list", "nowhere"], 2, "gem: "),
+        (["build", "nowhere"], 2, "gem: "),
+        (["check", "one", "--task", "tow"], 2, "gem: there is no task 'tow' among 1."),
+        (["shell", "one"], 2, "gem: gem terminal shell needs a terminal"),
+        (["list", "--backend", "podman"], 2, "gem: Invalid value for '--backend'"),
+        (["build", "one", "--build-arg", "BASE"], 2, "gem: --build-arg takes NAME=VALUE, not 'BASE'"),
+    ],
+)
+def test_errors_are_one_line(tmp_path: Path, words: list[str], code: int, said: str) -> None:
+    """They say what was wrong, and the exit code tells usage from failure."""
+    write_task(tmp_path / "one")
+    done = gem_terminal(*words, cwd=tmp_path)
+    assert done.returncode == code
+    assert done.stderr.startswith(said)
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_missing_engine_is_one_line(tmp_path: Path) -> None:
+    """With what to do."""
+    write_task(tmp_path / "one")
+    address = f"unix://{tmp_path}/no.sock"
+    done = gem_terminal("build", "one", "--backend", "docker", cwd=tmp_path, DOCKER_HOST=address)
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert "no.sock" in done.stderr
+
+
+@each_backend
+def test_build_shows_the_end_of_the_log_of_what_fails(backend: str, tmp_path: Path) -> None:
+    """And builds the others; the exit code is 1."""
+    write_task(tmp_path / "tasks" / "good")
+    write_task(tmp_path / "tasks" / "bad", dockerfile="RUN echo nearly there && exit 7\n")
+    done = gem_terminal("build", "tasks", cwd=tmp_path, **environment(backend, "test-build"))
+    assert done.returncode == 1
+    assert done.stdout.startswith("1 of 2 images are there")
+    assert done.stderr.startswith("bad: ")
+    assert "nearly there" in done.stderr
+    done = gem_terminal("build", "tasks", "--task", "good", cwd=tmp_path, **environment(backend, "test-build"))
+    assert done.returncode == 0
+
+
+@each_backend
+def test_check_tells_sound_tasks_from_others(backend: str, tmp_path: Path) -> None:
+    """A task that passes untouched, and one whose solution fails, are named."""
+    write_task(tmp_path / "tasks" / "easy", test="true")
+    write_task(tmp_path / "tasks" / "good")
+    write_task(tmp_path / "tasks" / "wrong", test="grep -q other /app/note")
+    done = gem_terminal("check", "tasks", cwd=tmp_path, **environment(backend, "test-check"))
+    assert done.returncode == 1
+    rows = {line.split()[0]: line for line in done.stdout.splitlines()[1:]}
+    assert rows["easy"].endswith("doing nothing passes")
+    assert rows["good"].endswith("sound")
+    assert "the reference solution fails" in rows["wrong"]
+    done = gem_terminal("check", "tasks/good", "--json", cwd=tmp_path, **environment(backend, "test-check"))
+    assert (done.returncode, json.loads(done.stdout)[0]["sound"]) == (0, True)
+
+
+@each_backend
+def test_clean_says_that_there_was_nothing(backend: str, tmp_path: Path) -> None:
+    """Twice, since what others have left may be there at first."""
+    variables = environment(backend, "test-clean")
+    assert gem_terminal("clean", "--backend", backend, cwd=tmp_path, **variables).returncode == 0
+    assert gem_terminal("clean", "--backend", backend, cwd=tmp_path, **variables).returncode == 0
+
+
+@each_backend
+def test_shell_is_a_terminal_with_an_exit_code(backend: str, tmp_path: Path) -> None:
+    """A person types into it; its size is the window's."""
+    import pty
+
+    write_task(tmp_path / "one")
+    words = [sys.executable, "-m", "gem_core", "terminal", "shell", "one"]
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.chdir(tmp_path)
+        os.execvpe(words[0], words, environment(backend, "test-shell"))
+    seen = b""
+    typed = [(b"Write 'done'", b""), (b"# ", b"echo $((6*7))-`stty size`; cat /proc/1/comm; exit 5\r")]
+    try:
+        while True:
+            part = os.read(terminal, 65_536)
+            seen += part
+            if typed and typed[0][0] in seen:
+                os.write(terminal, typed.pop(0)[1])
+    except OSError:  # its end
+        pass
+    status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    os.close(terminal)
+    assert status == 5, seen
+    assert b"42-" in seen

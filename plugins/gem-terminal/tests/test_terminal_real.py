@@ -1,0 +1,195 @@
+"""``TerminalEnv`` on real machines: an episode from end to end, many at once, and nothing left however it ends."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from docker_machines import left as left_on_engine
+from machines import backend_names, environment, why_not
+
+import gem_core as gem
+
+SAMPLE = Path(__file__).parent.parent / "gem_terminal" / "data" / "sample" / "harbor"
+TASK = "count-errors"
+SOLUTION = (SAMPLE / TASK / "solution" / "solve.sh").read_text("utf-8")
+
+each_backend = pytest.mark.parametrize("backend", backend_names())
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, backend: str) -> Iterator[str]:
+    """The label of all that a test makes."""
+    name = f"test-{secrets.token_hex(6)}"
+    for key, value in environment(backend, name).items():
+        monkeypatch.setenv(key, value)
+    yield name
+    assert left(backend, name) == []
+
+
+def left(backend: str, run: str) -> list[str]:
+    """Return what of a run is there: on the engine but for built images, and as processes."""
+    found = [] if backend != "docker" else [what for what in left_on_engine(run) if "'gem-terminal:" not in what]
+    return found + processes(run)
+
+
+def processes(run: str) -> list[str]:
+    """Return the processes of a run but this one."""
+    mark = f"GEM_TERMINAL_RUN={run}".encode()
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if int(folder.name) != os.getpid() and mark in (folder / "environ").read_bytes().split(b"\0"):
+                found.append((folder / "cmdline").read_text("utf-8", "replace").replace("\0", " ")[:100])
+        except OSError:
+            continue
+    return found
+
+
+def soon_nothing(backend: str, run: str) -> list[str]:
+    """Return what is left after a while; processes of containers end a moment after the containers."""
+    until = time.monotonic() + 60
+    while (found := left(backend, run)) and time.monotonic() < until:
+        time.sleep(0.2)
+    return found
+
+
+@each_backend
+def test_reference_solution_is_rewarded_and_doing_nothing_is_not(backend: str, run: str) -> None:
+    """From the instruction to the verdict, with the tests by name."""
+    env = gem.make("terminal:Sample", backend=backend)
+    observation, info = env.reset(seed=1, options={"task": TASK})
+    assert "service.log" in observation
+    assert info["terminal"]["backend"] == backend
+    assert bool(info["terminal"]["weaker"]) == (backend == "local")
+    _, reward, terminated, truncated, info = env.step("<finish/>")
+    assert (reward, terminated, truncated, info["correct"]) == (0.0, True, False, False)
+    env.reset(seed=1, options={"task": TASK})
+    env.step(f"```bash\n{SOLUTION}\n```")
+    _, reward, terminated, truncated, info = env.step("<finish/>")
+    assert (reward, terminated, truncated, info["correct"]) == (1.0, True, False, True)
+    assert all(test["passed"] for test in info["verifier"]["tests"])
+    env.close()
+
+
+@each_backend
+def test_shell_lives_on_and_its_processes_are_judged_apart(backend: str, run: str) -> None:
+    """Directory, variables and jobs from turn to turn; with a process left, the tests run out of its reach."""
+    env = gem.make("terminal:Sample", backend=backend)
+    env.reset(seed=1, options={"task": TASK})
+    env.step("<bash>cd /tmp; NAME=value; sleep 1000 & disown</bash>")
+    assert env.step("<bash>echo $NAME in $PWD</bash>")[0].startswith("value in /tmp\n")
+    _observation, _, _, _, info = env.step('<bash timeout="0.5">sleep 1000</bash>')
+    assert info["terminal"]["timed_out"]
+    assert env.step("<bash>echo $NAME; exit 3</bash>")[4]["terminal"]["exit_code"] == 3
+    info = env.step("<finish/>")[4]
+    assert info["verifier"]["where"] == "judge"
+    assert "error" not in info
+    env.close()
+
+
+@each_backend
+def test_many_environments_at_once(backend: str, run: str) -> None:
+    """Thirty-two in threads, each with a machine and a shell of its own."""
+    many = 32
+    vec = gem.make_vec("terminal:Sample", many, seed=1, memory_mb=128, max_turns=3, pool_size=0, autoreset="disabled")
+    vec.reset()
+    for turn in range(2):
+        step = vec.step([f"<bash>echo $(( {index} + {turn} ))</bash>" for index in range(many)])
+        for index, observation in enumerate(step.observations):
+            assert observation.startswith(f"{index + turn}\n"), observation
+    vec.close()
+
+
+_FORGETFUL = """
+import gem_core as gem
+env = gem.make("terminal:Sample", pool_size=2, prestart=False)
+env.reset(seed=1)
+env.step("<bash>sleep 1000 &</bash>")
+print("ready", flush=True)
+{end}
+"""
+
+
+@each_backend
+@pytest.mark.parametrize("end", ["pass", "raise ValueError('a bug')", "import time; time.sleep(1000)"])
+def test_program_that_never_closes_leaves_nothing(backend: str, run: str, end: str) -> None:
+    """At its end, after an exception, and after Ctrl-C."""
+    words = [sys.executable, "-c", _FORGETFUL.format(end=end)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "ready\n"
+        if "sleep(1000)" in end:
+            program.send_signal(signal.SIGINT)
+        _, errors = program.communicate(timeout=120)
+    assert ("ValueError" in errors) == ("ValueError" in end), errors
+    assert soon_nothing(backend, run) == []
+
+
+@each_backend
+def test_killed_program_leaves_nothing_after_clean(backend: str, run: str) -> None:
+    """``gem terminal clean`` removes what a ``kill -9`` has left."""
+    words = [sys.executable, "-c", _FORGETFUL.format(end="import time; time.sleep(1000)")]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "ready\n"
+        program.kill()
+    clean = [sys.executable, "-m", "gem_core", "terminal", "clean", "--backend", backend]
+    done = subprocess.run(clean, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert soon_nothing(backend, run) == []
+
+
+@each_backend
+def test_interrupted_run_leaves_nothing(backend: str, run: str, tmp_path: Path) -> None:
+    """Ctrl-C in ``gem run terminal:Sample``: exit code 130, one line, and no container."""
+    words = [sys.executable, "-m", "gem_core", "run", "terminal:Sample", "--agent", "random", "--episodes", "1000"]
+    words += ["--num-envs", "3", "--out", str(tmp_path / "run.jsonl")]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as program:
+        until = time.monotonic() + 240
+        while not _has_lines(tmp_path / "run.jsonl") and program.poll() is None and time.monotonic() < until:
+            time.sleep(0.1)
+        program.send_signal(signal.SIGINT)
+        _, errors = program.communicate(timeout=180)
+    assert program.returncode == 130, errors
+    assert "Traceback" not in errors
+    assert soon_nothing(backend, run) == []
+
+
+def _has_lines(path: Path) -> bool:
+    return path.exists() and path.stat().st_size > 0
+
+
+@pytest.mark.skipif(bool(why_not("docker")), reason=why_not("docker") or "there")
+@pytest.mark.parametrize("backend", ["docker"])
+def test_container_that_somebody_else_removed_is_an_error_and_the_next_episode_goes_on(backend: str, run: str) -> None:
+    """It is nobody's failure that training should learn from."""
+    env = gem.make("terminal:Sample", backend=backend, pool_size=0)
+    env.reset(seed=1)
+    names = [
+        what.split()[-1].lstrip("['/").rstrip("']") for what in left_on_engine(run) if what.startswith("container")
+    ]
+    subprocess.run(["docker", "rm", "--force", *names], check=True, capture_output=True, timeout=60)
+    _, reward, terminated, truncated, info = env.step("<bash>ls</bash>")
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert info["error"]["kind"] in ("machine", "engine")
+    env.reset(seed=1)
+    assert env.step("<bash>echo again</bash>")[0].startswith("again\n")
+    env.close()
+
+
+@pytest.mark.thorough
+@each_backend
+def test_soak(backend: str, run: str) -> None:
+    """Episodes while workers and containers are killed at random; nothing is left."""
+    script = Path(__file__).parents[3] / "scripts" / "terminal_soak.py"
+    words = [sys.executable, str(script), "--backend", backend, "--episodes", "24", "--num-envs", "2", "--every", "2"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
