@@ -89,9 +89,9 @@ def test_links_of_the_image_are_followed(machine: DockerMachine) -> None:
 
 def test_owners_of_folders_on_the_way_stay(machine: DockerMachine) -> None:
     """A file is put into a user's folder without taking that away."""
-    say(machine, "mkdir -m 700 /home/kim && chown nobody /home/kim")
-    machine.put({"/home/kim/file": b"x"})
-    assert say(machine, "stat -c '%a %U' /home/kim") == "700 nobody\n"
+    say(machine, "mkdir -m 700 /srv/kim && chown nobody /srv/kim")
+    machine.put({"/srv/kim/file": b"x"})
+    assert say(machine, "stat -c '%a %U' /srv/kim") == "700 nobody\n"
 
 
 def test_getting_follows_no_links(machine: DockerMachine) -> None:

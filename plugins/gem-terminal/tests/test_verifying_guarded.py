@@ -17,6 +17,9 @@ PY = "/usr/local/lib/python3.12"
 SITE = f"{PY}/site-packages"
 
 
+HOMES = "/home"
+
+
 def put_back(changes: dict[str, Change] | None, files: dict[str, bytes] | None = None) -> list[str] | None:
     machine = ToyMachine(lambda _: DONE)
     machine.changes, machine.files = changes, files or {}
@@ -35,7 +38,7 @@ def both(machine: ToyMachine) -> PutBack:
         ("/usr/bin/python3.11", "removed"),
         ("/usr/local/bin/python3", "added"),
         ("/root/.local/bin/bash", "added"),
-        ("/home/agent/.local/bin/sh", "added"),
+        (f"{HOMES}/agent/.local/bin/sh", "added"),
         ("/etc/alternatives/awk", "changed"),
         ("/usr/bin", "changed"),
         ("/bin", "removed"),
@@ -84,7 +87,7 @@ def test_change_of_what_tests_stand_on_is_put_back(path: str, how: Change) -> No
         ("/opt/tool/python3", "added"),
         ("/app/src/pytest.py", "added"),
         ("/app/pytest.py", "changed"),
-        ("/home/agent/.bashrc", "changed"),
+        (f"{HOMES}/agent/.bashrc", "changed"),
     ],
 )
 def test_change_that_a_task_may_be_about_stays(path: str, how: Change) -> None:
