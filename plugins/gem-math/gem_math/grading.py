@@ -10,14 +10,15 @@ from fractions import Fraction
 from typing import Any
 
 from gem_core.errors import GradingError
-from gem_core.parsing import extract_last_boxed_answer, extract_last_tagged_answer
+from gem_core.parsing import extract_last_boxed_answer
 from gem_math.grading_compare import Comparison
+from gem_math.grading_extraction import boxes_of, extract_answer
 from gem_math.grading_forms import Form, Leaf, Many, Opaque, Words
 from gem_math.grading_formulas import read_formula
 from gem_math.grading_numbers import compare_formulas
 from gem_math.grading_pool import shared_pool
 from gem_math.grading_reading import read
-from gem_math.grading_text import clean, close_of
+from gem_math.grading_text import clean
 
 MAX_ANSWER_CHARS = 4000
 _AMBIGUOUS_THOUSANDS = re.compile(r"(?<![\d,])[1-9]\d{0,2}(?:,[1-9]\d\d)+(?![\d,])")
@@ -30,16 +31,6 @@ _MANY_PLACES = re.compile(r"\.\d{6}")
 _ALIKE, _EQUALS = "it is written like the reference", "it equals the reference"
 _DIFFERS = "it is not the reference"
 _DECIMAL_COMMA = re.compile(r"^\s*-?\d+,\d+\s*$")
-_TAIL_CHARS = 20_000
-# No mathematics begins within mathematics; without that, many opening marks would take the square of their number.
-_SPAN = re.compile(r"\$\$[^$]+\$\$|(?<!\\)\$[^$\n]+\$|\\\[(?:[^\\]|\\(?![\[\]]))+\\\]|\\\((?:[^\\\n]|\\(?![()]))+\\\)")
-_DENIAL = re.compile(
-    r"(?i)\b(?:not|never|wrong|incorrect|neither|nor|isn|cannot|no|or|either|maybe|perhaps|possibly)\b|n['\u2019]t\b"
-)
-_BOX = re.compile(r"\\boxed\s*\{")
-_SEPARATION = re.compile(r"\\text\s*\{\s*(?:,?\s*(?:and|or)|,)\s*\}|\\q?quad|\b(?:and|or)\b|[,;\s$&]|\\[\[\](), ;]")
-_JOINING = re.compile(r"\b(?:and|or)\b|[,;]")
-_PHRASE = re.compile(r"(?i)\b(?:final\s+)?answer\s*(?:is|:)\s*:?\s*")
 
 
 @dataclass(frozen=True)
@@ -90,8 +81,8 @@ def grade(
     Source: the boxed-answer convention of MATH, arXiv:2103.03874; math-verify 0.9.0 for what evaluation does not tell.
     """
     golds = _golds(gold)
-    beside, joined = _boxes_side_by_side(answer)
-    extracted = beside if joined else extract_answer(answer, strict=strict)
+    boxes = boxes_of(answer)
+    extracted = boxes.beside if boxes.joined else extract_answer(answer, strict=strict)
     if (refused := _refused(extracted, strict)) is not None or extracted is None:
         return refused or Grade(0.0, False, None, "there is no answer")
     best = Grade(0.0, False, extracted, _DIFFERS)
@@ -99,8 +90,9 @@ def grade(
     for one in golds:
         try:
             found = _grade_one(extracted, one, timeout_s, partial_credit)
-            if not (found.correct or joined or beside is None):
-                found = max(found, _grade_one(beside, one, timeout_s, partial_credit), key=_reward_of)
+            for other in dict.fromkeys((boxes.beside, boxes.sentence)):
+                if not (found.correct or other in {None, extracted}):
+                    found = max(found, _grade_one(str(other), one, timeout_s, partial_credit), key=_reward_of)
         except GradingError as error:
             failure = error
             continue
@@ -129,58 +121,6 @@ def _refused(extracted: str | None, strict: bool) -> Grade | None:
     return None
 
 
-def extract_answer(text: str, *, strict: bool = False) -> str | None:
-    r"""Return the final answer in a text: the last ``\boxed{}``, the last ``<answer>``, or all of it.
-
-    Args:
-        text: Model text.
-        strict: Return None where there is neither a box nor a tag.
-    """
-    answer = extract_last_boxed_answer(text)
-    if answer is None:
-        answer = extract_last_tagged_answer(text)
-        if answer is not None and "\\boxed" in answer:
-            answer = extract_last_boxed_answer(answer) or answer
-    if answer is not None or strict:
-        return answer
-    text = text[-_TAIL_CHARS:].strip()
-    *_, last = [None, *_PHRASE.finditer(text)]
-    if last is not None:
-        text = re.split(r"\n|\.\s", text[last.end() :], maxsplit=1)[0].strip()
-    *_, span = [None, *_SPAN.finditer(text)]
-    # In a sentence the last formula is the answer, unless the sentence denies it or leaves a choice.
-    words = _SPAN.sub(" ", text)
-    if span is not None and re.search(r"[A-Za-z]{3}", words.replace(" and ", " ")) and not _DENIAL.search(words):
-        return span[0]
-    return text or None
-
-
-def _boxes_side_by_side(text: str) -> tuple[str | None, bool]:
-    """Return the contents of the last boxes of a text where only commas and 'and' stand between them.
-
-    Boxes that such a sign or word joins, which the second value tells, are one answer together; others may be the same
-    answer twice.
-    """
-    text = text[-_TAIL_CHARS:]
-    contents: list[str] = []
-    position = 0
-    joined = True
-    for match in _BOX.finditer(text):
-        if match.start() < position:
-            continue
-        end = close_of(text, match.end() - 1)
-        if end < 0:
-            break
-        between = text[position : match.start()]
-        if contents and _SEPARATION.sub("", between):
-            contents, joined = [], True
-        elif contents:
-            joined = joined and _JOINING.search(between) is not None
-        contents.append(text[match.end() : end])
-        position = end + 1
-    return (", ".join(contents), joined) if 1 < len(contents) < 40 else (None, False)
-
-
 def _reward_of(verdict: Grade) -> float:
     return verdict.reward
 
@@ -199,7 +139,12 @@ def _golds(gold: Any) -> list[str]:
         raise GradingError(
             f"the gold answer must be a text, a number or a list of these, and not empty: it is {gold!r}"
         )
-    return [_boxes_side_by_side(text)[0] or extract_last_boxed_answer(text) or text for text in texts]
+    return [_boxed(text) or text for text in texts]
+
+
+def _boxed(gold: str) -> str | None:
+    boxes = boxes_of(gold)
+    return boxes.sentence or boxes.beside or extract_last_boxed_answer(gold)
 
 
 class _Asking:
