@@ -15,7 +15,9 @@ from gem_math.grading_compare import Comparison
 from gem_math.grading_extraction import boxes_of, extract_answer
 from gem_math.grading_forms import Form, Leaf, Many, Opaque, Words
 from gem_math.grading_formulas import read_formula
+from gem_math.grading_leaves import exact_of
 from gem_math.grading_numbers import compare_formulas
+from gem_math.grading_parameters import parameter_of, same_progression
 from gem_math.grading_pool import shared_pool
 from gem_math.grading_reading import read
 from gem_math.grading_text import clean
@@ -23,7 +25,7 @@ from gem_math.grading_text import clean
 MAX_ANSWER_CHARS = 4000
 _AMBIGUOUS_THOUSANDS = re.compile(r"(?<![\d,])[1-9]\d{0,2}(?:,[1-9]\d\d)+(?![\d,])")
 _PLAIN_NUMBER = re.compile(
-    r"\s*(?:(-?(?:\d{1,3}(?:,\d{3})+|\d{1,40})(?:\.\d{1,40})?)"
+    r"\s*(?:(-?(?:[1-9]\d{0,2}(?:,\d{3})+|\d{1,40})(?:\.\d{1,40})?)"
     r"|(-?\d{1,40})\s*/\s*(\d{1,40})|\\[dt]?frac\{(-?\d{1,40})\}\{(\d{1,40})\})\s*",
     re.ASCII,
 )
@@ -31,6 +33,7 @@ _MANY_PLACES = re.compile(r"\.\d{6}")
 _ALIKE, _EQUALS = "it is written like the reference", "it equals the reference"
 _DIFFERS = "it is not the reference"
 _DECIMAL_COMMA = re.compile(r"^\s*-?\d+,\d+\s*$")
+_DECIMAL_POINT = re.compile(r"^\s*-?\d+\.\d\d+\s*$")
 
 
 @dataclass(frozen=True)
@@ -208,6 +211,8 @@ def _grade_one(answer: str, gold: str, timeout_s: float, partial_credit: bool) -
     try:
         if any(comparison.same(one, other) for one in golds for other in answers):
             return Grade(1.0, True, answer, _EQUALS)
+        if _same_for_any_whole(comparison, *cleaned):
+            return Grade(1.0, True, answer, _EQUALS)
         reward = _part_right(comparison, golds[0], answers[0]) if partial_credit else 0.0
     except _TimeIsUpError:
         return Grade(0.0, False, answer, f"the answer cannot be compared: it takes more than {timeout_s:g} s")
@@ -216,6 +221,16 @@ def _grade_one(answer: str, gold: str, timeout_s: float, partial_credit: bool) -
             f"the gold answer {gold[:200]!r} cannot be read: its brackets do not match, or it has too many parts"
         )
     return Grade(reward, False, answer, asking.note or _DIFFERS)
+
+
+def _same_for_any_whole(comparison: Comparison, gold: str, answer: str) -> bool:
+    """Whether both are the same up to the name of a whole number that may be any."""
+    parameter = parameter_of(gold, answer)
+    if parameter is None:
+        return False
+    if parameter.declared and comparison.same(read(parameter.gold), read(parameter.answer)):
+        return True
+    return same_progression(parameter.gold, parameter.answer, parameter.letter)
 
 
 def _plain_number(text: str) -> Fraction | None:
@@ -244,9 +259,23 @@ def _readings(gold: str, answer: str) -> tuple[list[Form], list[Form]]:
         golds.append(read(gold, join_thousands=False))
     elif _AMBIGUOUS_THOUSANDS.search(answer) and not isinstance(gold_form, Leaf):
         answers.append(read(answer, join_thousands=False))
-    if loose and "." in gold and "," not in gold and _DECIMAL_COMMA.match(answer) and isinstance(answers[0], Many):
+    if _is_decimal_comma(answer, answers[0]) and loose and _is_no_list(gold, gold_form):
         answers.append(read(answer.replace(",", ".")))
+    elif _is_decimal_comma(gold, gold_form) and (_DECIMAL_POINT.match(answer) or gold.lstrip("-").startswith("0,")):
+        # 1,25 may be a decimal, and 0,5 is one; 1,5 is 1 and 5.
+        golds.append(read(gold.replace(",", ".")))
     return golds, answers
+
+
+def _is_decimal_comma(text: str, form: Form) -> bool:
+    """Whether a text that was read as two numbers may be one with a decimal comma."""
+    return isinstance(form, Many) and _DECIMAL_COMMA.match(text) is not None
+
+
+def _is_no_list(gold: str, form: Form) -> bool:
+    """Whether a gold answer is one number that is not whole, which 1,5 may stand for."""
+    value = exact_of(form)
+    return "," not in gold and value is not None and value.denominator > 1
 
 
 def _part_right(comparison: Comparison, gold: Form, answer: Form) -> float:

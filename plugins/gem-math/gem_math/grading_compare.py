@@ -8,6 +8,7 @@ from typing import ClassVar
 
 from gem_math.grading_forms import (
     Assignment,
+    Cases,
     Choice,
     Equation,
     Form,
@@ -22,12 +23,17 @@ from gem_math.grading_forms import (
     Words,
 )
 from gem_math.grading_formulas import read_formula
-from gem_math.grading_leaves import LeafComparison, bare, exact_of, is_product, letter_of, text_of
+from gem_math.grading_leaves import LeafComparison, bare, exact_of, is_product, letter_of, product_of, text_of
 from gem_math.grading_names import renamed, same_name
 from gem_math.grading_numbers import compare_formulas, proportional
+from gem_math.grading_regions import same_region
 
 _MAX_PARTS = 60
 _CLOCK = re.compile(r"^\d{1,2}:\d\d$")
+
+
+_OTHERWISE = ("otherwise",)
+_FILLERS = {"is", "are", "a", "an", "be", "number", "integer", "if", "for", "when", "where"}
 
 
 class Comparison(LeafComparison):
@@ -196,6 +202,31 @@ class Comparison(LeafComparison):
         """Compare cell by cell."""
         return len(gold.rows) == len(answer.rows) and all(map(self.in_order, gold.rows, answer.rows))
 
+    def cases(self, gold: Cases, answer: Cases) -> bool:
+        """Compare values with conditions, in any order; one condition of either side may say 'otherwise'."""
+        if len(gold.rows) != len(answer.rows):
+            return False
+        left = list(answer.rows)
+        lone: list[tuple[Form, Form | None]] = []
+        for row in gold.rows:
+            found = next((index for index, other in enumerate(left) if self.rows(row, other)), None)
+            if found is None:
+                lone.append(row)
+            else:
+                del left[found]
+        if len(lone) == len(left) == 1 and _OTHERWISE in {_words(lone[0][1]), _words(left[0][1])}:
+            return self.same(lone[0][0], left[0][0])
+        return not lone
+
+    def rows(self, gold: tuple[Form, Form | None], answer: tuple[Form, Form | None]) -> bool:
+        """Compare two values with their conditions."""
+        (value, condition), (other_value, other_condition) = gold, answer
+        if condition is None or other_condition is None:
+            return condition is other_condition and self.same(value, other_value)
+        words = _words(condition)
+        alike = words is not None and words == _words(other_condition)
+        return (alike or self.same(condition, other_condition)) and self.same(value, other_value)
+
     def ratios(self, gold: Ratio, answer: Ratio) -> bool:
         """Compare ratios, 2:4 being 1:2, but no times of the clock."""
         if len(gold.parts) != len(answer.parts):
@@ -214,11 +245,14 @@ class Comparison(LeafComparison):
             return bool(gold.words) or gold.text == answer.text
         # Letters side by side may be a product as well as a word: RC is CR.
         runs = [word.text.strip() for word in (gold, answer)]
-        return all(map(is_product, runs)) and sorted(runs[0]) == sorted(runs[1])
+        if all(map(is_product, runs)):
+            return sorted(runs[0]) == sorted(runs[1])
+        products = [product_of(word) for word in (gold, answer)]
+        return products[0] is not None and products[1] is not None and self.leaves(products[0], products[1])
 
     def opaques(self, gold: Opaque, answer: Opaque) -> bool:
         """Compare what math-verify alone can read."""
-        return self.unlike(gold, answer)
+        return bare(gold.text) == bare(answer.text) or self.unlike(gold, answer)
 
     def unlike(self, gold: Form, answer: Form) -> bool:
         """Compare two different forms."""
@@ -232,9 +266,11 @@ class Comparison(LeafComparison):
             if letter_of(gold) is not None:
                 return letter_of(gold) == letter_of(answer)
             word, leaf = (gold, answer) if isinstance(gold, Words) else (answer, gold)
-            product = isinstance(word, Words) and is_product(word.text.strip())
-            return product and isinstance(leaf, Leaf) and self.leaves(Leaf(text_of(word) or ""), leaf)
+            product = product_of(word) if isinstance(word, Words) else None
+            return product is not None and isinstance(leaf, Leaf) and self.leaves(product, leaf)
         if isinstance(gold, Opaque) or isinstance(answer, Opaque):
+            if (verdict := same_region(gold, answer)) is not None:
+                return verdict
             texts = [text_of(form) for form in (gold, answer)]
             if None in texts or any(isinstance(form, Opaque) and form.has_words for form in (gold, answer)):
                 return False
@@ -246,7 +282,7 @@ class Comparison(LeafComparison):
         if len(matrix.rows) == 1 or len(matrix.rows[0]) == 1:
             cells = matrix.rows[0] if len(matrix.rows) == 1 else tuple(row[0] for row in matrix.rows)
             if not any(isinstance(item, Group) for item in group.items):
-                return group.opening == "(" and group.closing == ")" and self.in_order(cells, group.items)
+                return group.opening + group.closing in {"()", "[]"} and self.in_order(cells, group.items)
         rows = [item.items for item in group.items if isinstance(item, Group) and item.opening == "["]
         return (
             len(rows) == len(group.items) == len(matrix.rows)
@@ -269,10 +305,18 @@ class Comparison(LeafComparison):
         Group: groups,
         Union: unions,
         Matrix: matrices,
+        Cases: cases,
         Ratio: ratios,
         Words: texts,
         Opaque: opaques,
     }
+
+
+def _words(condition: Form | None) -> tuple[str, ...] | None:
+    """Return what a condition says in words, without those that say nothing, as in 'n even' and 'n is even'."""
+    if not isinstance(condition, Words):
+        return None
+    return tuple(word for word in condition.words.split() if word not in _FILLERS)
 
 
 def _in_named_order(golds: Sequence[Form], answers: Sequence[Form]) -> Sequence[Form] | None:

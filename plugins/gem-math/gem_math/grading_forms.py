@@ -118,6 +118,13 @@ class Matrix:
 
 
 @dataclass(frozen=True)
+class Cases:
+    """Values, each with the condition under which it holds, or None."""
+
+    rows: tuple[tuple[Form, Form | None], ...]
+
+
+@dataclass(frozen=True)
 class Opaque:
     """What is none of these.
 
@@ -132,4 +139,6 @@ class Opaque:
     unreadable: bool = False
 
 
-Form = Words | Choice | Leaf | Group | Many | Union | Ratio | Assignment | Equation | Inequality | Matrix | Opaque
+Form = (
+    Words | Choice | Leaf | Group | Many | Union | Ratio | Assignment | Equation | Inequality | Matrix | Cases | Opaque
+)

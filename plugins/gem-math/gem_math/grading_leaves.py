@@ -9,7 +9,7 @@ from typing import Any
 
 from gem_math.grading_forms import Form, Inequality, Leaf, Matrix, Opaque, Words
 from gem_math.grading_numbers import compare_formulas, value_of
-from gem_math.grading_units import DEGREE, go_together
+from gem_math.grading_units import DEGREE, RADIAN, go_together
 
 # Six decimals are as many as math-verify compares; fewer are a rounded number, which is another one.
 _MIN_DECIMALS = 6
@@ -59,6 +59,9 @@ class LeafComparison:
             return not (answer.percent and _is_part(gold)) and self.formulas(Leaf(gold.text), Leaf(answer.text))
         if gold.unit is not None and answer.unit is not None and gold.unit.factor != answer.unit.factor:
             return self.formulas(_scaled(gold, gold.unit.factor), _scaled(answer, answer.unit.factor))
+        if RADIAN in {gold.unit, answer.unit}:
+            angles = [Leaf(leaf.text) if leaf.unit == RADIAN else _in_radians(leaf) for leaf in (gold, answer)]
+            return self.formulas(*angles)
         if (gold.unit == DEGREE) != (answer.unit == DEGREE) and self.formulas(_in_radians(gold), _in_radians(answer)):
             return r"\pi" in gold.text + answer.text
         return self.formulas(gold, answer)
@@ -107,6 +110,21 @@ def exact_of(form: Form) -> Fraction | None:
 def is_product(run: str) -> bool:
     """Return whether a run of letters may be a product as well as a word."""
     return re.fullmatch(r"[A-Za-z]{2,4}", run) is not None and run.lower() not in _SHORT_WORDS
+
+
+def product_of(word: Words) -> Leaf | None:
+    """Return the formula that words with letters side by side may be as well, as in abc/4R; None of true words."""
+    text = word.text.strip()
+    runs = re.findall(r"(?<![\\A-Za-z])[A-Za-z]{2,}", text)
+    if (
+        not re.search("[A-Za-z]", text)
+        or "\\text" in text
+        or word.words.startswith("date ")
+        or not all(is_product(run) and len(set(run)) == len(run) for run in runs)
+    ):
+        return None
+    leaf = Leaf(text)
+    return leaf if leaf.formula is not None else None
 
 
 def text_of(form: Form) -> str | None:

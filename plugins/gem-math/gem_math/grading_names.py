@@ -6,11 +6,12 @@ import re
 from typing import TYPE_CHECKING
 
 from gem_math.grading_reading import read
-from gem_math.grading_text import words_of
 
 if TYPE_CHECKING:
     from gem_math.grading_forms import Assignment, Form
 
+_WORD = re.compile(r"[A-Za-z][a-z]{3,}")
+_ANY_NAME = {"answer", "ans", "result", "value", "total", "solution", "final", "output"}
 _FUNCTION_NAME = re.compile(r"^([A-Za-z])\(([A-Za-z])\)$")
 
 
@@ -19,7 +20,17 @@ def same_name(first: str, second: str) -> bool:
     if first == second:
         return True
     # Words name nothing that a formula needs: "Area = 5" and "A = 5".
-    return len(words_of(first)) > 3 or len(words_of(second)) > 3
+    words = [_word_of(name) for name in (first, second)]
+    if None not in words:
+        first, second = sorted(map(str, words), key=len)
+        return bool({first, second} & _ANY_NAME) or second.startswith(first)
+    return words != [None, None]
+
+
+def _word_of(name: str) -> str | None:
+    """Return the first word of a name; None of a name of letters, such as a_1, AB and f(x, y)."""
+    match = _WORD.match(re.sub(r"\\(?:angle|triangle|measuredangle)", "", name))
+    return match[0].lower() if match else None
 
 
 def renamed(name: str, answer: Assignment) -> Form | None:

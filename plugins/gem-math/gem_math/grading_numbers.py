@@ -24,6 +24,8 @@ from gem_math.grading_formulas import Formula, Tree, UnsupportedError, read_form
 
 # Absolute values and roots may agree with something else nearby, floors with something else at some whole numbers.
 _POINTS_FAR, _POINTS_WHOLE = range(POINTS, POINTS + 6), range(POINTS, POINTS + 60)
+# The letters are negative at the point 1, and at every other one of the far ones.
+_POINTS_POSITIVE = [range(0, 1), *(range(point, point + 1) for point in range(2, POINTS)), range(POINTS, POINTS + 1)]
 _BROKEN = {"abs", "root", "^", "floor", "ceil", "arcsin", "arccos", "arctan", "log", "ln"}
 
 
@@ -34,6 +36,21 @@ def compare_formulas(first: Formula, second: Formula) -> bool | None:
     if True in verdicts:
         return True
     return None if None in verdicts else False
+
+
+def positive_multiples(first: Formula, second: Formula) -> bool | None:
+    """Return whether one formula is the other times a positive constant; None where that is not told."""
+    verdict = proportional(first, second)
+    if not verdict:
+        return verdict
+    whole = first.whole or second.whole
+    for point in range(POINTS):
+        try:
+            ratio = divide(evaluate(first, point, "e", whole), evaluate(second, point, "e", whole))
+        except UndefinedError:
+            continue
+        return None if ratio.imag else bool(ratio > 0)
+    return None
 
 
 def proportional(first: Formula, second: Formula) -> bool | None:
@@ -83,7 +100,16 @@ def _compare(first: Formula, second: Formula, base: str) -> bool | None:
         return None
     if letters and False not in verdicts:
         verdicts += _verdicts_elsewhere(first, second, base, whole)
+    if len(set(verdicts)) != 1 and _are_logarithms(first, second):
+        verdicts = [verdict for point in _POINTS_POSITIVE for verdict in _verdicts(first, second, base, whole, point)]
+        return True if verdicts and set(verdicts) == {True} else None
     return verdicts[0] if len(set(verdicts)) == 1 else None
+
+
+def _are_logarithms(first: Formula, second: Formula) -> bool:
+    """Whether both have logarithms, and neither an absolute value, so that their letters are meant to be positive."""
+    kinds = [_kinds(formula.tree) for formula in (first, second)]
+    return all(one & {"log", "ln"} and not one & {"abs", "floor", "ceil"} for one in kinds)
 
 
 def _verdicts(first: Formula, second: Formula, base: str, whole: bool, points: range) -> list[Any]:

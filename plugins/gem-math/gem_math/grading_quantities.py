@@ -9,7 +9,7 @@ from gem_math.grading_forms import Form, Leaf, Words
 from gem_math.grading_formulas import read_formula
 from gem_math.grading_numbers import exact_value
 from gem_math.grading_text import words_of
-from gem_math.grading_tokens import has_words
+from gem_math.grading_tokens import has_words, text_inside
 from gem_math.grading_units import DEGREE, DOLLAR, Unit, is_measure, is_single_measure, read_unit
 
 _MULTIPLES = {"hundred": 10**2, "thousand": 10**3, "million": 10**6, "billion": 10**9, "trillion": 10**12}
@@ -67,6 +67,9 @@ NUMBER_WORDS = dict(
         strict=True,
     )
 )
+# 3xyz is a product, and so is 3 xyz; but 3 men are none.
+_TIGHT = re.compile(r"[A-Za-z]{3}\s*")
+_PRODUCT = re.compile(r"(?:[w-z]{3,4}|[a-d]{3,4}|[p-r]{3})\s*")
 _BARE_WORD = re.compile(r"(?<![\\A-Za-z])[A-Za-z]{3,}(?![A-Za-z])")
 
 
@@ -85,7 +88,7 @@ def read_quantity(text: str, *, loose_units: bool = False) -> Form:
         text = _GOING_ON.sub(_fraction_of, text)
     if match := _MIXED.match(text):
         text = f"{match[1]}({match[2]}+{match[3]}/{match[4]})"
-    if match := _ORDINAL.match(text):
+    if match := _ORDINAL.match(text_inside(text) if text.startswith(r"\text") else text):
         return Leaf(match[1])
     percent = _PERCENT.search(text)
     if percent and percent.start():
@@ -144,6 +147,8 @@ def _trailing_unit(text: str) -> tuple[str, Unit | None]:
         if bare and not numeric:
             continue
         if bare and not all(is_measure(word) or len(word) > 2 for word in tail_words[:1]):
+            continue
+        if bare and not is_measure(tail) and (_PRODUCT if text[match.start() - 1] == " " else _TIGHT).fullmatch(tail):
             continue
         unit = read_unit(tail)
         if unit is not None:

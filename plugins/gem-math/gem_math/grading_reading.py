@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from itertools import pairwise
-from typing import Any
+from itertools import groupby, pairwise
 
+from gem_math.grading_dates import date_of
 from gem_math.grading_forms import (
     Assignment,
     Choice,
@@ -16,14 +16,23 @@ from gem_math.grading_forms import (
     Inequality,
     Leaf,
     Many,
-    Matrix,
     Opaque,
     Ratio,
     Union,
     Words,
 )
-from gem_math.grading_numbers import exact_value
+from gem_math.grading_intervals import (
+    MINUS_INFINITY,
+    PLUS_INFINITY,
+    REAL_LINE,
+    between,
+    distance,
+    exact_of_leaf,
+    half_line,
+    union_of,
+)
 from gem_math.grading_quantities import NUMBER_WORDS, read_compound, read_quantity
+from gem_math.grading_tables import read_table
 from gem_math.grading_text import words_of
 from gem_math.grading_tokens import (
     UnreadableError,
@@ -31,6 +40,7 @@ from gem_math.grading_tokens import (
     has_words,
     is_name,
     outer_brackets,
+    plain_brackets,
     plain_name,
     sides_of,
     split,
@@ -52,26 +62,29 @@ _STRANGE = {
 }  # fmt: skip
 _OR = re.compile(r"(?<![A-Za-z])or(?![A-Za-z])|\\vee")
 _SEPARATORS = {",", ";", "and", "or", r"\vee"}
+_BRACKETS = set("()[]{}")
 _NO_VALUE = {"dne", "does not exist", "the limit does not exist", "it does not exist"}
 _NOTHING = {
     "no solution", "no solutions", "none", "empty set", "the empty set", "no real solution", "no real solutions",
     "there is no solution", "there are no solutions", "no such solution",
 }  # fmt: skip
+_ENDLESS = {
+    "infinitely many", "infinitely many solutions", "infinite", "infinite solutions", "infinite number of solutions",
+    "an infinite number of solutions", "there are infinitely many", "there are infinitely many solutions",
+}  # fmt: skip
 _REALS = {r"\mathbb{R}", "all real numbers", "all reals", "the real numbers", "all real x", "real numbers"}
-_PLUS_INFINITY, _MINUS_INFINITY = Leaf(r"\infty"), Leaf(r"-\infty")
-_REAL_LINE = Group("(", (_MINUS_INFINITY, _PLUS_INFINITY), ")")
 _DIFFERENCE = re.compile(r"(?<![A-Za-z])[A-Za-z]\s*-\s*[A-Za-z](?![A-Za-z])|^\s*-\s*[A-Za-z](?![A-Za-z])")
 _ARTICLE = re.compile(r"^(?:an|the) (?=\w{2})|^a (?=\w{3})")
 _TIME = re.compile(r"(\d{1,2}:\d\d)\s*([ap])\.?\s*m\.?", re.IGNORECASE)
 _TO = re.compile(r"(\d+)\s*(?:to|\\text\s*\{\s*to\s*\})\s*(\d+)")
 _BUILDER = re.compile(r"^\s*([A-Za-z])\s*(?:\\in\s*\\mathbb\s*\{R\}\s*)?(?:\\mid|\||:)(.*)$", re.DOTALL)
-_TIGHT_THOUSANDS = re.compile(r"(?<![\d.,])(\d{1,3}(?:,\d{3})+)(?![\d,])")
+_TIGHT_THOUSANDS = re.compile(r"(?<![\d.,])([1-9]\d{0,2}(?:,\d{3})+)(?![\d,])")
+_NUMBER_WITH_COMMA = re.compile(r"^\s*-?\d+(?:,\d+)?\s*$")
 _SPACED_THOUSANDS = re.compile(r"(?<![\d.,])(\d{1,3}(?: \d{3})+)(?![\d,])")
 _CHOICE = re.compile(
     r"^(?:(?i:option|choice|answer)\s*)?(?:\(\s*([A-Za-z])\s*\)|([A-Z])\s*[.):](?=\s|$|\())\s*(.*)$", re.DOTALL
 )
 _CHOICE_WORD = re.compile(r"^(?i:option|choice)\s*\(?([A-Za-z])\)?$")
-_MATRIX = re.compile(r"^\\begin\s*\{([pbB]?matrix|smallmatrix|array)\}(?:\s*\{[^{}]*\})?(.*)\\end\s*\{\1\}$", re.DOTALL)
 
 
 def read(text: str, *, join_thousands: bool = True, loose_units: bool = False) -> Form:
@@ -83,7 +96,7 @@ def read(text: str, *, join_thousands: bool = True, loose_units: bool = False) -
         loose_units: Take a single letter behind a number for a unit where it can be one, as in 5 m.
     """
     try:
-        return _Reading(join_thousands, loose_units).read(text, 0)
+        return _Reading(join_thousands, loose_units).read(plain_brackets(text), 0)
     except (UnreadableError, RecursionError):
         return Opaque(text, has_words=True, unreadable=True)
 
@@ -108,10 +121,8 @@ class _Reading:
     def words(self, text: str, depth: int) -> Form | None:
         """What has no mathematics in it."""
         words = words_of(text)
-        if text in {r"\emptyset", r"\{\}", r"\{ \}"} or words in _NOTHING:
-            return Many((), is_set=True)
-        if text.strip() in _REALS or words in _REALS:
-            return _REAL_LINE
+        if (meant := _meant_by(text, words)) is not None:
+            return meant
         rest = re.sub(r"\\text\s*\{[^{}]*\}", " ", text)
         if (
             rest != text
@@ -124,7 +135,7 @@ class _Reading:
         if words in _NO_VALUE:
             return Words("does not exist", text)
         if words in {"infinity", "positive infinity", "negative infinity"}:
-            return _MINUS_INFINITY if "negative" in words else _PLUS_INFINITY
+            return MINUS_INFINITY if "negative" in words else PLUS_INFINITY
         if words in NUMBER_WORDS:
             return Leaf(str(NUMBER_WORDS[words]))
         letters = rest.strip(" .,:;!?'\"-()[]{}")
@@ -139,6 +150,7 @@ class _Reading:
         """A letter of a multiple choice."""
         flat = re.sub(r"\\text\s*\{\s*(\(?[A-Za-z][).:]*\)?)\s*\}", r"\1 ", text).strip()
         flat = re.sub(r"^\\text\s*\{\s*((?:[Oo]ption|[Cc]hoice)\s*\(?[A-Za-z]\)?)\s*\}$", r"\1", flat)
+        flat = re.sub(r"^\\text\s*\{\s*(\(?[A-Z][).:])\s+([^{}]+)\}$", r"\1 \\text{\2}", flat)
         if match := _CHOICE_WORD.match(flat):
             return Choice(match[1].upper(), None)
         match = _CHOICE.match(flat)
@@ -152,12 +164,12 @@ class _Reading:
     def several(self, text: str, depth: int) -> Form | None:
         """Answers side by side."""
         if self.join_thousands:
-            text = (
-                _TIGHT_THOUSANDS.sub(lambda match: match[1].replace(",", ""), text) if has_no_brackets(text) else text
-            )
+            text = _without_commas(text)
             text = _SPACED_THOUSANDS.sub(lambda match: match[1].replace(" ", ""), text)
         if (compound := read_compound(text)) is not None:
             return compound
+        if (points := self.points(text, depth)) is not None:
+            return points
         pieces = split(text, _SEPARATORS)
         pieces = [piece for piece in pieces if piece.strip()]
         if len(pieces) < 2:
@@ -170,28 +182,41 @@ class _Reading:
         for piece in pieces:
             item = self.read(piece, depth + 1)
             items.extend(item.items if isinstance(item, Many) and not item.is_set else [item])
-        if (between := _between(items)) is not None and not _OR.search(text):
-            return between
-        ranges = _inequalities(items) if " and " not in text and r"\text{ and }" not in text else None
+        if (interval := between(items)) is not None and not _OR.search(text):
+            return interval
+        ranges = union_of(items) if " and " not in text and r"\text{ and }" not in text else None
         return ranges or Many(tuple(items))
+
+    def points(self, text: str, depth: int) -> Form | None:
+        """Points whose coordinates are named, as in x = 1, y = 2 or x = 3, y = 4."""
+        pieces = [piece for piece in split(text, {";", "or", r"\vee"}) if piece.strip()]
+        if len(pieces) < 2 or not all("=" in piece and split(piece, {",", "and"}) != [piece] for piece in pieces):
+            return None
+        points: list[Form] = []
+        for piece in pieces:
+            form = self.read(piece, depth + 1)
+            items = form.items if isinstance(form, Many) and not form.is_set else ()
+            named = {item.name: item.value for item in items if isinstance(item, Assignment)}
+            if not 1 < len(named) == len(items):
+                return None
+            points.append(Group("(", tuple(named[name] for name in sorted(named)), ")"))
+        return Many(tuple(points))
 
     def single(self, text: str, depth: int) -> Form:
         if self.join_thousands:
             text = _SPACED_THOUSANDS.sub(lambda match: match[1].replace(" ", ""), text)
-            text = (
-                _TIGHT_THOUSANDS.sub(lambda match: match[1].replace(",", ""), text) if has_no_brackets(text) else text
-            )
+            text = _without_commas(text)
         if time := _TIME.fullmatch(text_inside(text)):
             return Words(f"{time[1]} {time[2].lower()}m", text)
         if text.startswith(r"\{") and (form := self.bracketed(text, depth)) is not None:
             return form
         if r"\pm" in text or r"\mp" in text:
             if re.match(r"^\s*\\pm\s*\\infty\s*$", text):
-                return Many((_PLUS_INFINITY, _MINUS_INFINITY))
+                return Many((PLUS_INFINITY, MINUS_INFINITY))
             above = text.replace(r"\pm", "+").replace(r"\mp", "-")
             below = text.replace(r"\pm", "-").replace(r"\mp", "+")
             return Many(tuple(self.flat([_signs(above), _signs(below)], depth)))
-        for attempt in (self.relation, self.union, self.bracketed, self.matrix, self.ratio):
+        for attempt in (self.relation, self.union, self.bracketed, self.table, self.ratio):
             form = attempt(text, depth)
             if form is not None:
                 return form
@@ -245,12 +270,14 @@ class _Reading:
         turned = {"<": ">", ">": "<", "<=": ">=", ">=": "<=", "!=": "!="}
         if any(sign not in turned for sign in signs):
             return None
+        if len(sides) == 2 and (form := distance(sides, signs[0], lambda side: self.read(side, depth + 1))) is not None:
+            return form
         if len(sides) == 2:
             if is_name(sides[1]) and not is_name(sides[0]):
                 sides, signs = sides[::-1], [turned[signs[0]]]
             if not is_name(sides[0]) or is_name(sides[1]):
                 return None
-            return Inequality(plain_name(sides[0]), self.half_line(signs[0], self.read(sides[1], depth + 1)))
+            return Inequality(plain_name(sides[0]), half_line(signs[0], self.read(sides[1], depth + 1)))
         if len(sides) == 3 and is_name(sides[1]):
             if set(signs) <= {">", ">="}:
                 sides, signs = sides[::-1], [turned[sign] for sign in signs[::-1]]
@@ -260,13 +287,6 @@ class _Reading:
                 return Inequality(plain_name(sides[1]), Group(brackets[0], (low, high), brackets[1]))
         return None
 
-    def half_line(self, sign: str, bound: Form) -> Form:
-        below = Group("(", (_MINUS_INFINITY, bound), ")" if sign != "<=" else "]")
-        above = Group("(" if sign != ">=" else "[", (bound, _PLUS_INFINITY), ")")
-        if sign == "!=":
-            return Union((below, above))
-        return below if sign in {"<", "<="} else above
-
     def union(self, text: str, depth: int) -> Form | None:
         parts = split(text, {r"\cup"})
         if len(parts) > 1:
@@ -274,10 +294,10 @@ class _Reading:
         parts = split(text, {r"\setminus", r"\backslash"})
         if len(parts) == 2 and parts[0].strip() in {r"\mathbb{R}", r"(-\infty,\infty)", r"(-\infty, \infty)"}:
             holes = self.read(parts[1], depth + 1)
-            values = [_exact(hole) for hole in holes.items] if isinstance(holes, Many) else [None]
+            values = [exact_of_leaf(hole) for hole in holes.items] if isinstance(holes, Many) else [None]
             if values and None not in values:
                 points = [Leaf(str(value)) for value in sorted(value for value in values if value is not None)]
-                bounds = [_MINUS_INFINITY, *points, _PLUS_INFINITY]
+                bounds = [MINUS_INFINITY, *points, PLUS_INFINITY]
                 return Union(tuple(Group("(", pair, ")") for pair in pairwise(bounds)))
         return Opaque(text) if len(parts) > 1 else None
 
@@ -309,28 +329,19 @@ class _Reading:
 
     def joined(self, inner: str) -> str:
         """Join thousands between brackets only where the commas with a space show which are separators."""
+        pieces = split(inner, {";"})
+        # (0,5; 2) has decimal commas: its separator is another one.
+        if len(pieces) > 1 and any("," in piece for piece in pieces) and all(map(_NUMBER_WITH_COMMA.match, pieces)):
+            return inner.replace(",", ".")
         if not self.join_thousands or not re.search(r"[,;]\s", inner):
             return inner
         return _TIGHT_THOUSANDS.sub(lambda match: match[1].replace(",", ""), inner)
 
-    def matrix(self, text: str, depth: int) -> Form | None:
-        found = outer_brackets(text)
-        inner = found[1].strip() if found is not None and found[0] in {"(", "["} else text
-        match = _MATRIX.match(inner)
-        if match is None or r"\begin" in match[2]:
-            return Opaque(text, has_words(text)) if r"\begin" in text else None
-        rows = [
-            row
-            for row in re.split(r"\\\\(?:\s*\[[^\]]*\])?|\\cr(?![a-zA-Z])", match[2].replace(r"\hline", ""))
-            if row.strip()
-        ]
-        cells = tuple(tuple(self.read(cell, depth + 1) for cell in row.split("&")) for row in rows)
-        if not cells or len({len(row) for row in cells}) != 1:
-            raise UnreadableError
-        return Matrix(cells, text)
+    def table(self, text: str, depth: int) -> Form | None:
+        return read_table(text, lambda cell: self.read(cell, depth + 1))
 
     def ratio(self, text: str, depth: int) -> Form | None:
-        if match := _TO.fullmatch(text):
+        if match := _TO.fullmatch(text_inside(text)):
             text = f"{match[1]}:{match[2]}"
         parts = split(text, {":"})
         if len(parts) < 2:
@@ -338,6 +349,30 @@ class _Reading:
         if not all(part.strip() for part in parts):
             raise UnreadableError
         return Ratio(tuple(self.read(part, depth + 1) for part in parts), text.replace(" ", ""))
+
+
+def _meant_by(text: str, words: str) -> Form | None:
+    """Return what some answers in words mean: nothing, every number, infinity, a day."""
+    if text in {r"\emptyset", r"\{\}", r"\{ \}"} or words in _NOTHING:
+        return Many((), is_set=True)
+    if text.strip() in _REALS or words in _REALS:
+        return REAL_LINE
+    if words in _ENDLESS:
+        return PLUS_INFINITY
+    date = date_of(text_inside(text))
+    return None if date is None else Words(date, text)
+
+
+def _without_commas(text: str) -> str:
+    """Join thousands that stand outside brackets; between these commas separate."""
+    if has_no_brackets(text):
+        return _TIGHT_THOUSANDS.sub(lambda match: match[1].replace(",", ""), text)
+    return "".join(
+        _TIGHT_THOUSANDS.sub(lambda match: match[1].replace(",", ""), "".join(token for token, _ in tokens))
+        if outside
+        else "".join(token for token, _ in tokens)
+        for outside, tokens in groupby(walk(text), key=lambda token: token[1] == 0 and token[0] not in _BRACKETS)
+    )
 
 
 def _without_lead(text: str) -> str:
@@ -352,41 +387,3 @@ def _without_lead(text: str) -> str:
 
 def _signs(text: str) -> str:
     return re.sub(r"^\s*\+", "", re.sub(r"([=(,<>]\s*)\+", r"\1", text))
-
-
-def _exact(form: Form) -> Any:
-    return exact_value(form.text) if isinstance(form, Leaf) and form.base is None else None
-
-
-def _between(items: list[Form]) -> Form | None:
-    """Return the interval that x > 1 and x < 2 describe; of x < 1 and x > 2 there is none."""
-    if len(items) != 2:
-        return None
-    first, second = items
-    if not (isinstance(first, Inequality) and isinstance(second, Inequality) and first.name == second.name):
-        return None
-    if not (isinstance(first.values, Group) and isinstance(second.values, Group)):
-        return None
-    lower, upper = first.values, second.values
-    if lower.items[0] == _MINUS_INFINITY:
-        lower, upper = upper, lower
-    if lower.items[1] != _PLUS_INFINITY or upper.items[0] != _MINUS_INFINITY:
-        return None
-    low, high = _exact(lower.items[0]), _exact(upper.items[1])
-    if low is None or high is None or low >= high:
-        return None
-    return Inequality(first.name, Group(lower.opening, (lower.items[0], upper.items[1]), upper.closing))
-
-
-def _inequalities(items: list[Form]) -> Form | None:
-    """Return the union that several inequalities of one variable describe."""
-    if not items or not all(isinstance(item, Inequality) for item in items):
-        return None
-    names = {item.name for item in items if isinstance(item, Inequality)}
-    if len(names) != 1:
-        return None
-    parts: list[Form] = []
-    for item in items:
-        if isinstance(item, Inequality):
-            parts.extend(item.values.parts if isinstance(item.values, Union) else [item.values])
-    return Inequality(names.pop(), Union(tuple(parts)))

@@ -28,12 +28,12 @@ _SYMBOLS = {
 }  # fmt: skip
 _TRANSLATION = str.maketrans(_SYMBOLS)
 _SCRIPTS = re.compile(f"[{''.join(_SUPERSCRIPTS)}]+|[{''.join(_SUBSCRIPTS)}]+")
-_ROOT = re.compile(r"√\s*(\(|\d+(?:\.\d+)?|[a-zA-Z])?")
+_ROOT = re.compile(r"([√∛])\s*(\(|\d+(?:\.\d+)?|[a-zA-Z])?")
 
 _SIZES = re.compile(r"\\(?:left|right|middle|[bB]igg?[lrm]?)(?![a-zA-Z])[ ]?\.?")
 _MATH_MARKS = re.compile(r"(?<!\\)\\[()\[\]]")
 _SPACES = re.compile(
-    r"\\(?:quad|qquad|displaystyle|textstyle|scriptstyle|limits|nolimits|thinspace|enspace|medspace|nobreak)"
+    r"\\q?quad|\\(?:displaystyle|textstyle|scriptstyle|limits|nolimits|thinspace|enspace|medspace|nobreak)"
     r"(?![a-zA-Z])|\\[hv]space\*?\{[^{}]*\}|\\phantom\{[^{}]*\}|(?<!\\)\\[,;: >]|~|(?<!\\)\\(?=\s|$)|\s+"
 )
 _TEXT = re.compile(
@@ -48,7 +48,7 @@ _COMMANDS = {
     "thickapprox": "approx", "simeq": "approx", "geqq": "ge", "leqq": "le", "R": "mathbb{R}", "arctg": "arctan",
     "tg": "tan", "ctg": "cot", "varphi": "phi", "varepsilon": "epsilon", "infin": "infty", "and": "text{ and }",
     "or": "text{ or }", "percent": "%", "textpercent": "%", "textdollar": "$", "dollar": "$",
-    "bmod": "mod",
+    "bmod": "mod", "asin": "arcsin", "acos": "arccos", "atan": "arctan",
 }  # fmt: skip
 _PLAIN = {"{", "}", "$", "%"}  # these keep their backslash: they are LaTeX's visible signs
 _COMMAND = re.compile(r"\\([a-zA-Z]+)")
@@ -58,6 +58,14 @@ _BARE_FUNCTION = re.compile(
 )
 _SHORT_FRACTION = re.compile(r"\\frac\s*(\d)\s*(\d)")
 _NOT = re.compile(r"\\not\s*=")
+# A brace on the left alone, and rows behind it.
+_ONE_BRACE = re.compile(
+    r"\\left\s*\\\{\s*\\begin\s*\{(array|aligned|align\*?|gathered|matrix)\}(\s*\{[^{}]*\})?(.*?)\\end\s*\{\1\}\s*\\right\s*\.",
+    re.DOTALL,
+)
+# 1{,}000 is a thousand, and 2{,}5 two and a half.
+_BRACED_COMMA = re.compile(r"(?<![\d}.])(\d+)\{,\}(\d+)(?![\d{])")
+_UNIT_VECTOR = re.compile(r"\\hat\s*\{\s*(?:\\mathbf\s*\{\s*)?\\?([ijk])(?:math)?\s*(?:\}\s*)?\}")
 _TAG = re.compile(r"</?(?:b|i|em|strong|u|span|p|code|math|mark)>")
 _WORD = re.compile(r"[^\W_]+", re.UNICODE)
 
@@ -70,7 +78,16 @@ def clean(text: str) -> str:
         text = unicodedata.normalize("NFKC", text)
     text = text.replace("**", " ^ " if re.search(r"\w\s*\*\*\s*[\w({-]", text) and not text.startswith("**") else " ")
     text = _without_markup(text)
-    text = re.sub(r"\\!\s*", "", text).replace("{,}", ",").replace("{:}", ":").replace("``", '"').replace("''", '"')
+    if r"\left" in text:
+        text = _ONE_BRACE.sub(r"\\begin{cases}\3\\end{cases}", text)
+    text = re.sub(r"\\!\s*", "", text)
+    text = (
+        (_BRACED_COMMA.sub(_braced_comma, text) if "{,}" in text else text)
+        .replace("{,}", ",")
+        .replace("{:}", ":")
+        .replace("``", '"')
+        .replace("''", '"')
+    )
     if "\\\\" in text and "matrix" not in text and "array" not in text and "cases" not in text:
         text = re.sub(r"\\\\(?=[a-zA-Z({\[%$])", r"\\", text)  # models escape twice: \\frac is \frac
     text = _NOT.sub(r"\\ne ", text) if "\\not" in text else text
@@ -81,6 +98,7 @@ def clean(text: str) -> str:
     text = _COMMAND.sub(_command, text)
     text = _text_groups(text)
     text = _BARE_FUNCTION.sub(lambda match: "\\" + {"infinity": "infty", "inf": "infty"}.get(match[1], match[1]), text)
+    text = _UNIT_VECTOR.sub(r"\1", text) if r"\hat" in text else text
     text = text.replace(r"\text{\infty}", r"\infty ")
     return _strip(_SHORT_FRACTION.sub(r"\\frac{\1}{\2}", text) if r"\frac" in text else text)
 
@@ -115,6 +133,11 @@ def close_of(text: str, start: int) -> int:
 _BRACES = re.compile(r"\\[\\{}]|[{}]")
 
 
+def _braced_comma(match: re.Match[str]) -> str:
+    thousands = len(match[2]) == 3 and match[1] != "0" and len(match[1]) <= 3
+    return f"{match[1]}{',' if thousands else '.'}{match[2]}"
+
+
 def _scripts(match: re.Match[str]) -> str:
     if match[0][0] in _SUBSCRIPTS:
         return "_{" + "".join(_SUBSCRIPTS[sign] for sign in match[0]) + "}"
@@ -122,9 +145,10 @@ def _scripts(match: re.Match[str]) -> str:
 
 
 def _root(match: re.Match[str]) -> str:
-    if match[1] is None or match[1] == "(":
-        return r"\sqrt" + (match[1] or "")
-    return rf"\sqrt{{{match[1]}}}"
+    root = r"\sqrt" if match[1] == "√" else r"\sqrt[3]"
+    if match[2] is None:
+        return root
+    return root + (match[2] if match[2] == "(" else f"{{{match[2]}}}")
 
 
 def _dollars(text: str) -> str:

@@ -31,6 +31,8 @@ _NAME_EXTRAS = re.compile(
 )
 _NAME = re.compile(r"(?:[A-Za-z{}'|,:/\s]|(?<=[A-Za-z}])\s*\([-\w,\s.]*\)|\([A-Za-z,\s]+\))+")
 _WORD_RUN = re.compile(r"(?<![\\A-Za-z])[A-Za-z]{3,}(?![A-Za-z])")
+# Two ends, and no bracket between them.
+_INTERVAL = re.compile(r"([\[\]])([^\[\](),;]*[,;][^\[\](),;]*)([\[\]])")
 _NO_INDEX = re.compile(r"_\s*\{[^{}]*\}")
 
 
@@ -103,6 +105,16 @@ def outer_brackets(text: str) -> tuple[str, str, str] | None:
         return None
     opening, closing = tokens[0][0], tokens[-1][0]
     return opening, text[len(opening) : len(text) - len(closing)], closing
+
+
+def plain_brackets(text: str) -> str:
+    """Return a text with the open ends of intervals as round brackets, where it has them turned, as in ]0, 1[."""
+    found = list(_INTERVAL.finditer(text)) if "]" in text or "[" in text else []
+    if not any(match[1] == "]" or match[3] == "[" for match in found) or "(" in _INTERVAL.sub("", text):
+        return text
+    return _INTERVAL.sub(
+        lambda match: f"{'[' if match[1] == '[' else '('}{match[2]}{']' if match[3] == ']' else ')'}", text
+    )
 
 
 def has_no_brackets(text: str) -> bool:

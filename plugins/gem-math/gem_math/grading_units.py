@@ -22,6 +22,7 @@ class Unit(NamedTuple):
 
 
 DEGREE = Unit(frozenset({("angle", 1)}))
+RADIAN = Unit(frozenset({("radian", 1)}))
 DOLLAR = Unit(frozenset({("dollar", 1)}))
 
 _TABLE: dict[str, tuple[str, Fraction]] = {}
@@ -143,6 +144,8 @@ def is_single_measure(letter: str) -> bool:
 def go_together(first: Unit | None, second: Unit | None) -> bool:
     """Return whether two numbers with these units may be the same quantity; a missing unit goes with any."""
     if first is None or second is None:
+        return True
+    if {first, second} == {DEGREE, RADIAN}:
         return True
     if first.measures or second.measures:
         return first.measures == second.measures
