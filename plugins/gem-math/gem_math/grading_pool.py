@@ -90,6 +90,8 @@ class _Worker:
             stderr=subprocess.DEVNULL,
             env=environment | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             bufsize=0,
+            # Ctrl-C at a terminal goes to its whole process group; these end with their input.
+            process_group=0 if os.name == "posix" else None,
         )
         self.buffer = b""
         self.uses = 0
@@ -179,6 +181,7 @@ class Pool:
         self.size = size or _cores()
         self.free: list[_Worker] = []
         self.all: set[_Worker] = set()
+        self.taken: dict[int, _Worker] = {}
         self.changed = threading.Condition()
 
     def compare(self, gold: str, answer: str, timeout_s: float) -> Verdict:
@@ -192,13 +195,13 @@ class Pool:
         Raises:
             GradingError: The process cannot be started.
         """
-        worker = self._take()
         try:
+            worker = self._take()
             worker.await_start()
             started = time.monotonic()
             verdict = worker.compare(gold, answer, timeout_s)
         finally:
-            self._give_back(worker)
+            self._give_back()
         return verdict._replace(took_s=time.monotonic() - started)
 
     def close(self) -> None:
@@ -214,18 +217,23 @@ class Pool:
             while not self.free and len(self.all) >= self.size:
                 self.changed.wait()
             if self.free:
-                worker = self.free.pop()
+                # Noted as taken before it is taken away: an interrupted caller gives back what it has.
+                worker = self.taken[threading.get_ident()] = self.free[-1]
+                self.free.pop()
                 if worker.process.poll() is None:
                     return worker
                 # Something else ended it: that is no verdict on the next pair.
                 self.all.discard(worker)
                 worker.release()
             # Started under the lock, which takes a millisecond, so that closing the pool misses none.
-            worker = _Worker()
+            worker = self.taken[threading.get_ident()] = _Worker()
             self.all.add(worker)
             return worker
 
-    def _give_back(self, worker: _Worker) -> None:
+    def _give_back(self) -> None:
+        worker = self.taken.pop(threading.get_ident(), None)
+        if worker is None or worker in self.free:
+            return
         alive = worker.process.poll() is None
         if alive and worker.uses >= _MAX_USES:
             worker.end()
@@ -238,6 +246,8 @@ class Pool:
                     worker = _Worker()
                     self.all.add(worker)
                 self.free.append(worker)
+            else:
+                worker.end()
             self.changed.notify()
 
 

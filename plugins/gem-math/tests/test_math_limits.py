@@ -194,8 +194,10 @@ def test_waiting_for_a_process_does_not_count():
 
 
 def test_processes_are_bounded_and_threads_none():
-    """Twenty hostile answers leave no more processes than there are cores, and no thread."""
+    """Hostile answers leave as many processes and descriptors as there were, and no thread."""
     threads = threading.active_count()
+    assert grade(boxed(ASKED[0]), ASKED[1], timeout_s=60).correct
+    before = children(), len(os.listdir("/proc/self/fd"))
     for _ in range(6):
         grade(boxed("9^{9^{9^{9}}}"), "6", timeout_s=0.05)
     pool = shared_pool()
@@ -203,6 +205,7 @@ def test_processes_are_bounded_and_threads_none():
     assert threading.active_count() == threads
     gc.collect()
     assert children() <= pool.size
+    assert (children(), len(os.listdir("/proc/self/fd"))) == before
 
 
 def children() -> int:
@@ -283,6 +286,40 @@ print("right")
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=240)
     assert done.stdout == "right\n", done.stderr
+
+
+def test_ctrl_c_ends_a_grading_and_the_next_verdict_is_right():
+    """Ctrl-C at a terminal goes to all of its programs at once: it reaches the caller alone, and no process is lost."""
+    script = """
+import os, signal, threading
+from gem_math.grading import grade
+from gem_math.grading_pool import shared_pool
+pair = (r"\\boxed{\\sum_{k=1}^{10} k}", "55")
+pool = shared_pool()
+pool.size = 1
+
+def interrupt():
+    while pool.free:
+        os.sched_yield()
+    os.killpg(0, signal.SIGINT)
+
+for _ in range(4):
+    assert grade(*pair, timeout_s=60).correct
+    (worker,) = pool.all
+    assert os.getpgid(worker.process.pid) != os.getpgid(0)
+    thread = threading.Thread(target=interrupt)
+    try:
+        thread.start()
+        grade(r"\\boxed{9^{9^{9^{9}}}}", "6", timeout_s=600)
+    except KeyboardInterrupt:
+        print("interrupted", len(pool.all), len(pool.free), pool.taken)
+    thread.join()
+print(grade(*pair, timeout_s=60).correct)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=240, start_new_session=True
+    )
+    assert done.stdout.splitlines() == ["interrupted 1 1 {}"] * 4 + ["True"], done.stderr
 
 
 @settings(max_examples=150, deadline=None)
