@@ -9,7 +9,7 @@ import json
 import os
 import zlib
 from array import array
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -77,10 +77,10 @@ class JsonLines(Rows):
         with open(self._descriptor, "rb", closefd=False) as lines:
             self._find_lines(lines)
 
-    def __del__(self) -> None:
-        """Close the file."""
+    def __del__(self, close: Callable[[int], None] = os.close) -> None:
+        """Close the file; with what is kept here, since modules are gone when the interpreter ends."""
         if getattr(self, "_descriptor", -1) >= 0:
-            os.close(self._descriptor)
+            close(self._descriptor)
             self._descriptor = -1
 
     def __len__(self) -> int:

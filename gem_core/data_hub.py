@@ -204,7 +204,15 @@ def _explained(library: Any, source: str | Path, config: str | None) -> Iterator
     # Each of a dozen file readers fails with exceptions of its own.
     except Exception as error:
         cause = error.__cause__ or error
-        raise DatasetError(f"the data set {name!r}{subset} cannot be loaded: {_line(cause)}") from error
+        raise DatasetError(
+            f"the data set {name!r}{subset} cannot be loaded: {_line(cause)}{_files_in(source)}"
+        ) from error
+
+
+def _files_in(source: str | Path) -> str:
+    """Return a hint for a folder, whose files may be data sets of their own with other columns."""
+    files = sorted(path.name for path in Path(source).iterdir() if path.is_file()) if os.path.isdir(source) else []
+    return f". If its files are data sets of their own, give one of them: {', '.join(files[:10])}" if files else ""
 
 
 def _line(error: BaseException) -> str:

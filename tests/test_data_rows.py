@@ -21,7 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gem_core as gem
-from gem_core import data_rows
+from gem_core import data_files, data_rows
 from gem_core.data_rows import load_rows
 from gem_core.errors import ArgumentError, DatasetError, EntryPointError
 from gem_core.registry import Registry
@@ -368,6 +368,26 @@ def test_file_replaced_while_in_use_changes_nothing(lines: Path) -> None:
     lines.write_text("", encoding="utf-8")
     with pytest.raises(DatasetError, match=r"sums\.jsonl was overwritten while it was in use: row 3 is gone"):
         again[3]
+
+
+def test_file_is_closed_when_modules_are_gone_already(lines: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows that live as long as the interpreter close their file without a complaint."""
+    rows = data_files.JsonLines(lines)
+    descriptor = rows._descriptor
+    monkeypatch.setattr(data_files, "os", None)  # what the interpreter does to modules at its end
+    rows.__del__()
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(descriptor)
+
+
+def test_folder_of_several_data_sets_says_to_give_one_of_its_files(tmp_path: Path) -> None:
+    """Files with other columns are no one data set."""
+    (tmp_path / "a.jsonl").write_text('{"x": 1}\n', encoding="utf-8")
+    (tmp_path / "b.jsonl").write_text('{"y": {"z": [1]}}\n', encoding="utf-8")
+    with pytest.raises(
+        DatasetError, match=r"If its files are data sets of their own, give one of them: a\.jsonl, b\.js"
+    ):
+        load_rows(tmp_path)
 
 
 def test_registered_file_is_made_and_planned(lines: Path, own_registry: Registry) -> None:
