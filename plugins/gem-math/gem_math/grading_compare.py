@@ -132,6 +132,9 @@ class Comparison(LeafComparison):
             return self.named_parts(ordered, several)
         if isinstance(gold, Words) or isinstance(answer, Words):
             return False
+        # Intervals side by side are their union, but two points are none.
+        if isinstance(gold, Union) or (isinstance(answer, Union) and _has_interval(gold)):
+            return self.matched(*(form.parts if isinstance(form, Union) else _groups(form) for form in (gold, answer)))
         golds = gold.items if isinstance(gold, Many) else (gold,)
         answers = answer.items if isinstance(answer, Many) else (answer,)
         if len(golds) > _MAX_PARTS or len(answers) > _MAX_PARTS:
@@ -312,6 +315,20 @@ class Comparison(LeafComparison):
     }
 
 
+def _groups(form: Form) -> tuple[Form, ...]:
+    items = form.items if isinstance(form, Many) and not form.is_set else ()
+    return items if all(isinstance(item, Group) for item in items) else ()
+
+
+def _has_interval(form: Form) -> bool:
+    """Whether one of several pairs in brackets can only be an interval."""
+    return any(
+        isinstance(item, Group)
+        and (item.opening + item.closing != "()" or any("infty" in (text_of(end) or "") for end in item.items))
+        for item in _groups(form)
+    )
+
+
 def _words(condition: Form | None) -> tuple[str, ...] | None:
     """Return what a condition says in words, without those that say nothing, as in 'n even' and 'n is even'."""
     if not isinstance(condition, Words):
@@ -327,11 +344,11 @@ def _in_named_order(golds: Sequence[Form], answers: Sequence[Form]) -> Sequence[
 
 
 def _spread(form: Form) -> Form:
-    """Return (x, y) = (1, 2) as x = 1, y = 2, and x in {1, 2} as its values."""
+    """Return (x, y) = (1, 2) as x = 1, y = 2, and x in {1, 2} as x = 1, x = 2."""
     if not isinstance(form, Assignment):
         return form
     if isinstance(form.value, Many):
-        return form.value
+        return Many(tuple(Assignment(form.name, item) for item in form.value.items), form.value.is_set)
     names = form.name.strip("()").split(",")
     if isinstance(form.value, Group) and len(names) == len(form.value.items) > 1:
         return Many(tuple(Assignment(name, value) for name, value in zip(names, form.value.items, strict=True)))

@@ -78,6 +78,9 @@ def _only(letters: set[str]) -> str | None:
 
 def same_progression(gold: str, answer: str, letter: str) -> bool:
     r"""Return whether two formulas a + pk have the same values for whole k, as \pi k and \pi(k + 1)."""
+    names = {match[0].strip(" =") for match in map(_NAME.match, (gold, answer)) if match is not None}
+    if len(names) > 1:
+        return False
     ours, theirs = (_at_whole(_NAME.sub("", text), letter) for text in (gold, answer))
     if ours is None or theirs is None or is_zero(ours[1]):
         return False

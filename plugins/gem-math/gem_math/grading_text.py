@@ -24,7 +24,7 @@ _SYMBOLS = {
     "¾": r"\frac{3}{4}", "⅓": r"\frac{1}{3}", "⅔": r"\frac{2}{3}", "⅕": r"\frac{1}{5}", "⅛": r"\frac{1}{8}",
     "⅜": r"\frac{3}{8}", "⅝": r"\frac{5}{8}", "⅞": r"\frac{7}{8}", "⅙": r"\frac{1}{6}", "⅚": r"\frac{5}{6}",
     "’": "'", "‘": "'", "′": "'", "“": '"', "”": '"', "…": r"\ldots ", "⋯": r"\ldots ", "\u00a0": " ",
-    "\u2009": " ", "\u202f": " ", "\u200b": "", "\ufeff": "",
+    "或": r"\text{ or }", "和": r"\text{ and }", "、": ",", "\u2009": " ", "\u202f": " ", "\u200b": "", "\ufeff": "",
 }  # fmt: skip
 _TRANSLATION = str.maketrans(_SYMBOLS)
 _SCRIPTS = re.compile(f"[{''.join(_SUPERSCRIPTS)}]+|[{''.join(_SUBSCRIPTS)}]+")
@@ -56,6 +56,7 @@ _BARE_FUNCTION = re.compile(
     r"(?<![\\a-zA-Z])(sqrt|pi|infinity|infty|inf|sin|cos|tan|cot|sec|csc|arcsin|arccos|arctan|sinh|cosh|tanh|ln|log"
     r"|exp|theta|alpha|beta|gamma|lambda|cup|frac|times|cdot)(?![a-zA-Z])"
 )
+_JOINED_FUNCTION = re.compile(r"(?<![\\a-zA-Z])(sin|cos|tan|cot|sec|csc|ln|log)(?=[xy](?![a-zA-Z]))")
 _SHORT_FRACTION = re.compile(r"\\frac\s*(\d)\s*(\d)")
 _NOT = re.compile(r"\\not\s*=")
 # A brace on the left alone, and rows behind it.
@@ -98,6 +99,7 @@ def clean(text: str) -> str:
     text = _COMMAND.sub(_command, text)
     text = _text_groups(text)
     text = _BARE_FUNCTION.sub(lambda match: "\\" + {"infinity": "infty", "inf": "infty"}.get(match[1], match[1]), text)
+    text = _JOINED_FUNCTION.sub(r"\\\1 ", text)
     text = _UNIT_VECTOR.sub(r"\1", text) if r"\hat" in text else text
     text = text.replace(r"\text{\infty}", r"\infty ")
     return _strip(_SHORT_FRACTION.sub(r"\\frac{\1}{\2}", text) if r"\frac" in text else text)
