@@ -275,7 +275,7 @@ class Comparison(LeafComparison):
             if (verdict := same_region(gold, answer)) is not None:
                 return verdict
             texts = [text_of(form) for form in (gold, answer)]
-            if None in texts or any(isinstance(form, Opaque) and form.has_words for form in (gold, answer)):
+            if not all(texts) or any(isinstance(form, Opaque) and form.has_words for form in (gold, answer)):
                 return False
             return self.decide(str(texts[0]), str(texts[1]))
         return False

@@ -209,16 +209,19 @@ _FUNCTIONS = {"sin", "cos", "tan", "cot", "sec", "csc", "ln", "log", "exp", "arc
               "cosh", "tanh", "min", "max", "gcd", "lcm"}  # fmt: skip
 
 
-# One mark ends a sentence; three dots say that something is left out.
-_LAST_MARK = re.compile(r"(?<![.\\])[.,;:]$")
+_MARKS = {".", ",", ";", ":"}
+_MAX_GROUPS = 50
 
 
 def _strip(text: str) -> str:
     """Take away white space, marks at the end and empty groups around."""
-    previous = None
-    while text != previous:
-        previous = text
-        text = _LAST_MARK.sub("", text.strip()).strip()
-        if text.startswith("{") and close_of(text, 0) == len(text) - 1:
-            text = text[1:-1]
-    return text
+    groups = 0
+    while True:
+        text = text.strip()
+        # One mark ends a sentence; three dots say that something is left out.
+        if text[-1:] in _MARKS and text[-2:-1] not in {".", "\\"}:
+            text = text[:-1]
+        elif text.startswith("{") and groups < _MAX_GROUPS and close_of(text, 0) == len(text) - 1:
+            text, groups = text[1:-1], groups + 1
+        else:
+            return text
