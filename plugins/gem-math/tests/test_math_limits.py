@@ -334,7 +334,8 @@ def test_any_text_gets_a_verdict(answer: str, gold: str):
 _PIECES = st.sampled_from(
     ["1", "2", "x", r"\frac", "{", "}", "(", ")", "[", "]", ",", "=", "<", r"\sqrt", "^", "_", r"\text{", "cm", r"\pm",
      "-", "+", r"\cup", r"\{", r"\}", r"\le", ":", "!", "|", "%",
-     r"\begin{pmatrix}", r"\end{pmatrix}", "&", r"\\", " ", r"\infty"]
+     r"\begin{pmatrix}", r"\end{pmatrix}", "&", r"\\", " ", r"\infty",
+     r"\begin{cases}", r"\end{cases}", r"\text{ if }", "x=1", "y=2", ";", "or", "k", r"\pi", r"\in\mathbb{Z}", "0,"]
 )  # fmt: skip
 
 
