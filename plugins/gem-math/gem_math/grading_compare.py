@@ -25,7 +25,7 @@ from gem_math.grading_forms import (
 from gem_math.grading_formulas import read_formula
 from gem_math.grading_leaves import LeafComparison, bare, exact_of, is_product, letter_of, product_of, text_of
 from gem_math.grading_names import renamed, same_name
-from gem_math.grading_numbers import compare_formulas, proportional
+from gem_math.grading_numbers import compare_formulas, proportional, value_of
 from gem_math.grading_regions import same_region
 
 _MAX_PARTS = 60
@@ -238,9 +238,14 @@ class Comparison(LeafComparison):
             return True
         if _CLOCK.match(gold.text) or _CLOCK.match(answer.text):
             return False
-        pairs = [(exact_of(one), exact_of(other)) for one, other in zip(gold.parts, answer.parts, strict=True)]
-        factors = {one / other if one is not None and other else None for one, other in pairs}
-        return len(factors) == 1 and None not in factors and 0 not in factors
+        texts = [[_value_text(part) for part in ratio.parts] for ratio in (gold, answer)]
+        if any(text is None for side in texts for text in side):
+            return False
+        (first, *others), (first_answer, *other_answers) = texts
+        return all(
+            self.formulas(Leaf(f"({one})({first_answer})"), Leaf(f"({other})({first})"))
+            for one, other in zip(others, other_answers, strict=True)
+        )
 
     def texts(self, gold: Words, answer: Words) -> bool:
         """Compare words."""
@@ -313,6 +318,14 @@ class Comparison(LeafComparison):
         Words: texts,
         Opaque: opaques,
     }
+
+
+def _value_text(form: Form) -> str | None:
+    """Return the formula of a number that is not zero; None of anything else."""
+    if not isinstance(form, Leaf) or form.formula is None or form.base is not None or form.percent:
+        return None
+    value = value_of(form.formula)
+    return None if value is None or value == 0 else form.text
 
 
 def _groups(form: Form) -> tuple[Form, ...]:

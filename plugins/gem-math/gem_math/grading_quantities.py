@@ -35,7 +35,7 @@ _TRAILING_UNIT = re.compile(
     rf"(?:\\cdot\s*)?{_UNIT_WORD}(?:\s*(?:/|\\cdot|-)?\s*(?:{_UNIT_WORD}|(?<=/)\s*[a-zA-Z]\b))*\s*$"
 )
 _SINGLE_UNIT = re.compile(
-    r"^([-\d.,\s/]*\d)\s+([a-zA-Z])((?:\^\s*\{?\s*[23]\s*\}?)?(?:\s*/\s*[a-zA-Z](?:\^\s*\{?\s*[23]\s*\}?)?)?)$"
+    r"^([-\d.,\s/]*\d(?:[eE][-+]?\d{1,3})?)\s+([a-zA-Z])((?:\^\s*\{?\s*[23]\s*\}?)?(?:\s*/\s*[a-zA-Z](?:\^\s*\{?\s*[23]\s*\}?)?)?)$"
 )
 _COMPOUND = re.compile(r"(\d+(?:\.\d+)?)\s*((?:\\text\s*\{[^{}]*\}|[A-Za-z]+))\s*(?:,|and|\\text\s*\{\s*and\s*\})?\s*")
 NUMBER_WORDS = dict(
@@ -80,8 +80,6 @@ def read_quantity(text: str, *, loose_units: bool = False) -> Form:
         base = NUMBER_WORDS.get((match[2] or "").lower(), int(match[3]) if match[3] else 0)
         if 2 <= base <= 36 and (match[1].isdigit() or base > 10):
             return Leaf(match[1].lstrip("0") or "0", base=base)
-    if (match := _EXPONENT.match(text)) and abs(int(match[2])) <= _MAX_EXPONENT:
-        text = rf"{match[1]} \cdot 10^{{{match[2]}}}"
     if "overline" in text or "bar" in text or "dot" in text:
         text = _REPEATING.sub(_fraction_of, text)
     if r"\ldots" in text or "..." in text:
@@ -99,6 +97,8 @@ def read_quantity(text: str, *, loose_units: bool = False) -> Form:
 
 def _formula(text: str, unit: Unit | None, percent: bool = False) -> Form:
     text = text.strip()
+    if (match := _EXPONENT.match(text)) and abs(int(match[2])) <= _MAX_EXPONENT:
+        text = rf"{match[1]} \cdot 10^{{{match[2]}}}"
     if has_words(text):
         return Words(words_of(text), text)
     return Leaf(text, unit, percent)

@@ -56,6 +56,8 @@ _BARE_FUNCTION = re.compile(
     r"(?<![\\a-zA-Z])(sqrt|pi|infinity|infty|inf|sin|cos|tan|cot|sec|csc|arcsin|arccos|arctan|sinh|cosh|tanh|ln|log"
     r"|exp|theta|alpha|beta|gamma|lambda|cup|frac|times|cdot)(?![a-zA-Z])"
 )
+_CHOOSE = re.compile(r"\{([^{}]{1,40})\\choose(?![a-zA-Z])([^{}]{1,40})\}")
+_UNIT_FRACTION = re.compile(r"\\frac\s*\{\s*\\text\s*\{([^{}]*)\}\s*\}\s*\{\s*\\text\s*\{([^{}]*)\}\s*\}")
 _JOINED_FUNCTION = re.compile(r"(?<![\\a-zA-Z])(sin|cos|tan|cot|sec|csc|ln|log)(?=[xy](?![a-zA-Z]))")
 _SHORT_FRACTION = re.compile(r"\\frac\s*(\d)\s*(\d)")
 _NOT = re.compile(r"\\not\s*=")
@@ -99,6 +101,8 @@ def clean(text: str) -> str:
     text = _COMMAND.sub(_command, text)
     text = _text_groups(text)
     text = _BARE_FUNCTION.sub(lambda match: "\\" + {"infinity": "infty", "inf": "infty"}.get(match[1], match[1]), text)
+    text = _CHOOSE.sub(r"\\binom{\1}{\2}", text) if r"\choose" in text else text
+    text = _UNIT_FRACTION.sub(r"\\text{\1/\2}", text) if r"\text" in text else text
     text = _JOINED_FUNCTION.sub(r"\\\1 ", text)
     text = _UNIT_VECTOR.sub(r"\1", text) if r"\hat" in text else text
     text = text.replace(r"\text{\infty}", r"\infty ")
