@@ -1,8 +1,10 @@
-"""Reads days of the calendar."""
+"""Reads days of the calendar and times of the clock."""
 
 from __future__ import annotations
 
 import re
+
+from gem_math.grading_tokens import text_inside
 
 _MONTHS = ["january", "february", "march", "april", "may", "june", "july", "august", "september", "october", "november",
            "december"]  # fmt: skip
@@ -12,6 +14,20 @@ _WEEKDAY = r"(?:(?:mon|tues|wednes|thurs|fri|satur|sun)day\s*,?\s*)?"
 _MONTH_FIRST = re.compile(rf"^(?:on\s+)?{_WEEKDAY}{_MONTH}\s+{_DAY}(?:\s*,?\s*(\d{{4}}))?$", re.IGNORECASE)
 _DAY_FIRST = re.compile(rf"^(?:on\s+)?{_WEEKDAY}{_DAY}\s+(?:of\s+)?{_MONTH}(?:\s*,?\s*(\d{{4}}))?$", re.IGNORECASE)
 _DIGITS = re.compile(r"^(\d{4})-(\d\d)-(\d\d)$")
+_TIME = re.compile(r"(\d{1,2})(:\d\d)?\s*([ap])\.?\s?m\.?", re.IGNORECASE)
+
+
+def time_of(text: str) -> str | None:
+    r"""Return a time before or after noon in one spelling, as in ``3:00 pm``; None where the text is no time.
+
+    Args:
+        text: The answer, after ``clean``, with ``\text{}`` or without.
+    """
+    match = _TIME.fullmatch(text_inside(text))
+    # 3am without any mark is a product.
+    if match is None or not (match[2] or re.search(r"[\s.A-Z]|\\text", text)):
+        return None
+    return f"{match[1]}{match[2] or ':00'} {match[3].lower()}m"
 
 
 def date_of(text: str) -> str | None:

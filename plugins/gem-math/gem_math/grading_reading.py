@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from itertools import groupby, pairwise
 
-from gem_math.grading_dates import date_of
+from gem_math.grading_dates import date_of, time_of
 from gem_math.grading_forms import (
     Assignment,
     Choice,
@@ -47,6 +47,7 @@ from gem_math.grading_tokens import (
     text_inside,
     walk,
 )
+from gem_math.grading_units import read_unit
 
 _MAX_ITEMS = 200
 _MAX_NESTING = 12
@@ -75,7 +76,7 @@ _ENDLESS = {
 _REALS = {r"\mathbb{R}", "all real numbers", "all reals", "the real numbers", "all real x", "real numbers"}
 _DIFFERENCE = re.compile(r"(?<![A-Za-z])[A-Za-z]\s*-\s*[A-Za-z](?![A-Za-z])|^\s*-\s*[A-Za-z](?![A-Za-z])")
 _ARTICLE = re.compile(r"^(?:an|the) (?=\w{2})|^a (?=\w{3})")
-_TIME = re.compile(r"(\d{1,2}:\d\d)\s*([ap])\.?\s*m\.?", re.IGNORECASE)
+_QUANTITY_IN_TEXT = re.compile(r"^\\text\s*\{\s*(-?\d+(?:\.\d+|/\d+)?)\s+([A-Za-z][A-Za-z /.^\d]*)\}$")
 _TO = re.compile(r"(\d+)\s*(?:to|\\text\s*\{\s*to\s*\})\s*(\d+)")
 _BUILDER = re.compile(r"^\s*([A-Za-z])\s*(?:\\in\s*\\mathbb\s*\{R\}\s*)?(?:\\mid|\||:)(.*)$", re.DOTALL)
 _TIGHT_THOUSANDS = re.compile(r"(?<![\d.,])([1-9]\d{0,2}(?:,\d{3})+)(?![\d,])")
@@ -206,8 +207,10 @@ class _Reading:
         if self.join_thousands:
             text = _SPACED_THOUSANDS.sub(lambda match: match[1].replace(" ", ""), text)
             text = _without_commas(text)
-        if time := _TIME.fullmatch(text_inside(text)):
-            return Words(f"{time[1]} {time[2].lower()}m", text)
+        if (time := time_of(text)) is not None:
+            return Words(time, text)
+        if (quantity := _QUANTITY_IN_TEXT.match(text)) and read_unit(quantity[2]) is not None:
+            return read_quantity(rf"{quantity[1]} \text{{{quantity[2]}}}")
         if text.startswith(r"\{") and (form := self.bracketed(text, depth)) is not None:
             return form
         if r"\pm" in text or r"\mp" in text:
