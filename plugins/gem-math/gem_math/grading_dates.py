@@ -14,6 +14,7 @@ _WEEKDAY = r"(?:(?:mon|tues|wednes|thurs|fri|satur|sun)day\s*,?\s*)?"
 _MONTH_FIRST = re.compile(rf"^(?:on\s+)?{_WEEKDAY}{_MONTH}\s+{_DAY}(?:\s*,?\s*(\d{{4}}))?$", re.IGNORECASE)
 _DAY_FIRST = re.compile(rf"^(?:on\s+)?{_WEEKDAY}{_DAY}\s+(?:of\s+)?{_MONTH}(?:\s*,?\s*(\d{{4}}))?$", re.IGNORECASE)
 _DIGITS = re.compile(r"^(\d{4})-(\d\d)-(\d\d)$")
+_MAY_BE_DAY = re.compile(r"(?:.{0,10}[A-Za-z]{3}|\d{4}-)")
 _TIME = re.compile(r"(\d{1,2})(:\d\d)?\s*([ap])\.?\s?m\.?", re.IGNORECASE)
 
 
@@ -23,6 +24,8 @@ def time_of(text: str) -> str | None:
     Args:
         text: The answer, after ``clean``, with ``\text{}`` or without.
     """
+    if text[-1:] not in {"m", "M", ".", "}"}:
+        return None
     match = _TIME.fullmatch(text_inside(text))
     # 3am without any mark is a product.
     if match is None or not (match[2] or re.search(r"[\s.A-Z]|\\text", text)):
@@ -33,6 +36,8 @@ def time_of(text: str) -> str | None:
 def date_of(text: str) -> str | None:
     """Return a day in one spelling, as in ``date 7 4 2020`` or ``date 7 4``; None where the text is no day."""
     text = text.strip()
+    if not _MAY_BE_DAY.match(text):
+        return None
     if match := _DIGITS.match(text):
         return _date(int(match[2]), int(match[3]), match[1])
     if match := _MONTH_FIRST.match(text):

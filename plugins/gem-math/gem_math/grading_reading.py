@@ -190,6 +190,8 @@ class _Reading:
 
     def points(self, text: str, depth: int) -> Form | None:
         """Points whose coordinates are named, as in x = 1, y = 2 or x = 3, y = 4."""
+        if text.count("=") < 4:
+            return None
         pieces = [piece for piece in split(text, {";", "or", r"\vee"}) if piece.strip()]
         if len(pieces) < 2 or not all("=" in piece and split(piece, {",", "and"}) != [piece] for piece in pieces):
             return None
@@ -362,7 +364,7 @@ def _meant_by(text: str, words: str) -> Form | None:
         return REAL_LINE
     if words in _ENDLESS:
         return PLUS_INFINITY
-    date = date_of(text_inside(text))
+    date = date_of(text_inside(text)) if words[:1].isalnum() else None
     return None if date is None else Words(date, text)
 
 
