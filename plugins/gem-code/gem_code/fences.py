@@ -11,8 +11,9 @@ _FENCE = "```"
 
 
 def last_program(response: str, languages: Sequence[str]) -> str | None:
-    """Return the last fenced block in one of some languages; None without one.
+    """Return the last fenced block that is marked with one of some languages, or else the last one; None without one.
 
+    What a response shows behind its program, as an example's output, is rarely marked as a program.
     What follows the thinking of a model is looked at first. Fences stand at the beginnings of lines, as in Markdown; if
     there are none of that kind, those are taken that models glue to a tag or to text, as in ``<answer>```python``.
 
@@ -25,7 +26,7 @@ def last_program(response: str, languages: Sequence[str]) -> str | None:
     for text in texts:
         blocks = extract_code_blocks(text, *languages)
         if blocks:
-            return blocks[-1].code
+            return next((block for block in reversed(blocks) if block.language), blocks[-1]).code
         glued = _last_glued(text, languages)
         if glued is not None:
             return glued
@@ -36,9 +37,11 @@ def _last_glued(text: str, languages: Sequence[str]) -> str | None:
     """Return the last block between two fences that stand anywhere; time in proportion to the length."""
     # Between the first fence and the second is a block, between the second and the third is text, and so on.
     pieces = text.split(_FENCE)
-    found = None
+    marked = unmarked = None
     for block in pieces[1:-1:2]:
         language, line_end, code = block.partition("\n")
-        if line_end and language.strip().casefold() in languages:
-            found = code.removesuffix("\n").removesuffix("\r")
-    return found
+        name = language.strip().casefold()
+        if line_end and name in languages:
+            code = code.removesuffix("\n").removesuffix("\r")
+            marked, unmarked = (code, unmarked) if name else (marked, code)
+    return unmarked if marked is None else marked

@@ -85,9 +85,11 @@ async def grade_calls(code: str, tests: CallTests, runner: Runner, grading: Grad
     except NotDataError as error:
         raise GradingError(f"the tests have {error} among the arguments") from error
     answers = await _answers(code, None, None, calls, runner, grading.limits)
+    # Some rows of APPS and TACO wrap what is expected in a list of one, then in all of their tests.
+    wrapped = all(isinstance(expected, list) and len(expected) == 1 for expected in tests.outputs)
     results = []
     for index, line in enumerate(answers.lines):
-        status, returned, reason = _judged(line, tests.outputs[index], grading.float_tolerance)
+        status, returned, reason = _judged(line, tests.outputs[index], grading.float_tolerance, wrapped=wrapped)
         if answers.failed is not None:
             status, reason = answers.failed if index == 0 else "not_run", answers.error
         results.append(CaseResult(index, status, reason, repr(tests.inputs[index])[:10_000], returned))
@@ -237,7 +239,9 @@ def _checked(run: Run) -> Checked:
 # Verdicts.
 
 
-def _judged(line: str, expected: Any, tolerance: float | None) -> tuple[Status, str | None, str | None]:
+def _judged(
+    line: str, expected: Any, tolerance: float | None, *, wrapped: bool
+) -> tuple[Status, str | None, str | None]:
     """Return the status of a call, what it returned, and its error."""
     if line.startswith("!"):
         return _as_status(line[1:]), None, None
@@ -249,8 +253,6 @@ def _judged(line: str, expected: Any, tolerance: float | None) -> tuple[Status, 
         returned = loads(json.dumps(answer["r"]))
     except (ValueError, TypeError, LookupError, RecursionError):
         return "runtime_error", None, "the program's answer cannot be read"
-    # Some rows of APPS and TACO wrap what is expected in a list of one.
-    wrapped = isinstance(expected, list) and len(expected) == 1
     right = same_value(returned, expected, tolerance) or (wrapped and same_value(returned, expected[0], tolerance))
     return "passed" if right else "wrong_answer", _shown(returned), None
 

@@ -22,6 +22,21 @@ from gem_core.errors import GradingError
         ({"inputs": [5], "outputs": [6]}, StdinTests(("5",), ("6",))),
         ([{"input": "1", "output": "2", "type": "stdin_stdout"}], StdinTests(("1",), ("2",))),
         ({"fn_name": "f", "inputs": [[1, 2]], "outputs": [3]}, CallTests("f", ([1, 2],), (3,))),
+        ({"func_name": "f", "inputs": ["1\n[2]"], "outputs": ["[3]"]}, CallTests("f", ([1, [2]],), ([3],))),
+        ({"fn_name": "f", "inputs": [["1"]], "outputs": ["2"]}, CallTests("f", (["1"],), ("2",))),
+        ({"input": ["1"], "output": ["2"]}, StdinTests(("1",), ("2",))),
+        ({"language": "python", "test_cases": [{"input": "1", "output": "2"}]}, StdinTests(("1",), ("2",))),
+        (
+            [{"type": "function_call", "fn_name": "g", "input": [1, 2], "output": [3]}],
+            CallTests("g", ([1, 2],), ([3],)),
+        ),
+        ([{"type": "stdin_stdout", "fn_name": None, "input": "1", "output": "2"}], StdinTests(("1",), ("2",))),
+        ([{"testtype": "functional", "input": '"a"\n1', "output": "true"}], CallTests("f", (["a", 1],), (True,))),
+        ([{"testtype": "stdin", "input": "1\n", "output": "2"}], StdinTests(("1\n",), ("2",))),
+        (
+            [{"testtype": "functional", "input": "1", "output": "2", "metadata": {"func_name": "g"}}],
+            CallTests("g", ([1],), (2,)),
+        ),
         ("assert f(1) == 2", AssertionTests("assert f(1) == 2", "f", "p")),
         (["assert f(1) == 2", "assert f(2) == 3"], AssertionTests("assert f(1) == 2\nassert f(2) == 3", "f", "p")),
         ("[f(x) for x in [1]]; assert f(1)", AssertionTests("[f(x) for x in [1]]; assert f(1)", "f", "p")),
@@ -44,7 +59,25 @@ def test_forms_are_told_apart(tests: Any, read: Any) -> None:
         ([], "there are no tests"),
         ({"inputs": "1", "outputs": ["1"]}, "the inputs of the tests must be a list, not str ('1')"),
         ({"inputs": [None], "outputs": ["1"]}, "an input or output must be text or a list of lines, not nothing"),
-        ({"fn_name": "f", "inputs": [1], "outputs": [1]}, "must be the list of its arguments, not int ('1')"),
+        (
+            {"fn_name": "f", "inputs": [1], "outputs": [1]},
+            "the list of its arguments, or a line of JSON for each, not int ('1')",
+        ),
+        ({"fn_name": "f", "inputs": ["1 2"], "outputs": [1]}, "or a line of JSON for each, not str ('1 2')"),
+        ([{"stdin": "1", "output": "2"}], "test 0 has no 'input'. Keys: 'stdin', 'output'"),
+        ([{"input": "1", "output": "2"}, {}], "test 1 has no 'input'. Keys: none"),
+        (
+            [{"input": "1", "output": "2"}, {"input": [1], "output": 2, "fn_name": "f"}],
+            "some of the tests call a function, and some run a program",
+        ),
+        (
+            [{"input": [1], "output": 2, "fn_name": "g"}, {"input": [1], "output": 2, "fn_name": "f"}],
+            "the tests call several functions: 'f', 'g'",
+        ),
+        (
+            [{"input": [1], "output": 2, "type": "function_call"}],
+            "the tests call a function, and name it neither in 'fn_name' nor in the row's 'entry_point'",
+        ),
         ('{"inputs": ["1"', "the tests are no JSON, and no code with assertions"),
         ([1, 2], "or code with assertions, not list ('[1, 2]')"),
     ],
@@ -66,9 +99,10 @@ def test_longest_inputs_are_kept_in_their_order() -> None:
     assert longest(calls, 1) == (CallTests("f", ([1, 2, 3],), (2,)), [1])
 
 
+_KEYS = ["inputs", "outputs", "fn_name", "input", "output", "type", "testtype", "metadata", "func_name", "test_cases"]
 _JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.text(),
-    lambda inner: st.lists(inner) | st.dictionaries(st.sampled_from(["inputs", "outputs", "fn_name", "input"]), inner),
+    lambda inner: st.lists(inner) | st.dictionaries(st.sampled_from(_KEYS), inner),
     max_leaves=10,
 )
 

@@ -61,14 +61,48 @@ def test_pytest_form(judge: Judge) -> None:
 
 
 def test_calls_with_given_arguments(judge: Judge) -> None:
-    """The form of TACO and APPS; a method of ``Solution`` counts too, and a result wrapped in a list."""
-    tests = {"fn_name": "add", "inputs": [[1, 2], [3, 4], [[5], [6]]], "outputs": [3, [7], [[5, 6]]]}
+    """The form of TACO and APPS; a method of ``Solution`` counts too."""
+    tests = {"fn_name": "add", "inputs": [[1, 2], [3, 4], [[5], [6]]], "outputs": [3, 7, [5, 6]]}
     assert judge("def add(a, b): return a + b", tests).correct
     assert judge("class Solution:\n    def add(self, a, b): return a + b", tests).correct
     verdict = judge("def add(a, b): return a + b if a != 3 else 0", tests, every=True)
     assert [test.status for test in verdict.tests] == ["passed", "wrong_answer", "passed"]
     verdict = judge("def sub(a, b): return a - b", tests)
     assert [test.status for test in verdict.tests] == ["runtime_error", "not_run", "not_run"]
+
+
+def test_results_that_a_row_wraps_in_lists(judge: Judge) -> None:
+    """A list of one stands for what is in it only where all of a row's results are such lists."""
+    code = "def add(a, b): return a + b"
+    wrapped = {"fn_name": "add", "inputs": [[1, 2], [[5], [6]]], "outputs": [[3], [[5, 6]]]}
+    assert judge(code, wrapped).correct
+    once = {"fn_name": "add", "inputs": [[1, 2], [3, 4]], "outputs": [3, [7]]}
+    verdict = judge(code, once, every=True)
+    assert [test.status for test in verdict.tests] == ["passed", "wrong_answer"]
+
+
+def test_tests_one_by_one_that_call_a_function(judge: Judge) -> None:
+    """The forms of Prime Intellect and of LiveCodeBench, whose arguments are lines of JSON."""
+    code = "def add(a, b): return a + b"
+    listed = [{"type": "function_call", "fn_name": "add", "input": [1, 2], "output": [3]}]
+    lines = [{"testtype": "functional", "input": '"1"\n"2"', "output": '"12"'}]
+    for tests in (listed, lines):
+        assert judge(code, tests, "add").correct
+        assert judge(code.replace("+", "*"), tests, "add").status in ("wrong_answer", "runtime_error")
+
+
+def test_a_class_solution_finds_what_its_sites_import(judge: Judge) -> None:
+    """Answers to their problems leave the imports out; other programs have to import what they use."""
+    tests = {"fn_name": "most", "inputs": [[[1, 2, 2]]], "outputs": [2]}
+    method = (
+        "def most({self}numbers: List[int]) -> Optional[int]:\n{indent}return Counter(numbers).most_common(1)[0][0]"
+    )
+    asked = f"class Solution:\n    {method.format(self='self, ', indent='        ')}"
+    assert judge(asked, tests).correct
+    assert judge(asked, "def check(candidate):\n    assert candidate([1, 2, 2]) == 2", "Solution().most").correct
+    failed = judge(method.format(self="", indent="    "), tests).first_failure
+    assert failed is not None
+    assert failed.error == "NameError: name 'List' is not defined"
 
 
 @pytest.mark.parametrize(

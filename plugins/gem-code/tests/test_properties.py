@@ -35,6 +35,16 @@ def test_a_program_comes_out_as_it_was_written(before: str, code: str, language:
     assert last_program(f"{before}\n```{language}\n{code}\n```\n", LANGUAGES) == code
 
 
+def test_a_marked_program_goes_before_an_unmarked_block() -> None:
+    """An output shown behind it is no program; without a marked one the last block counts."""
+    program, shown, other = "```python\nprint(1)\n```", "```\n1\n```", "```cpp\nint x;\n```"
+    for response in (f"{program}\nIt prints:\n{shown}\n{other}", f"{shown}\n{program}", f"<answer>{program} {shown}"):
+        assert last_program(response, LANGUAGES) == "print(1)"
+    assert last_program(f"{program.replace('1', '2')}\n{program}\n{shown}", LANGUAGES) == "print(1)"
+    assert last_program(f"{shown}\n{shown.replace('1', '2')}\n{other}", LANGUAGES) == "2"
+    assert last_program(f"<think>{program}</think>{shown.replace('1', '2')}", LANGUAGES) == "2"
+
+
 @given(
     st.lists(st.sampled_from(["```", "```python", "\n", "a", " ", "~~~", "</think>", "<think>", "````"])).map("".join)
 )

@@ -18,6 +18,18 @@ from typing import Any
 
 from gem_code.inside.codec import NotDataError, decode, dumps, encode
 
+_USUAL = """
+import bisect, collections, functools, heapq, itertools, math, operator, random, re, string
+from bisect import bisect_left, bisect_right
+from collections import Counter, OrderedDict, defaultdict, deque
+from functools import cache, cmp_to_key, lru_cache, reduce
+from heapq import heapify, heappop, heappush
+from itertools import accumulate, combinations, permutations, product
+from math import ceil, comb, floor, gcd, inf, sqrt
+from typing import *
+"""
+"""What sites import that ask for a class ``Solution``: answers to their problems leave it out."""
+
 
 def main() -> None:
     """Read the work, do it, and end the process, whatever threads the program has left."""
@@ -50,6 +62,8 @@ def _loaded(work: dict[str, Any], say: _Line) -> types.ModuleType | None:
     """Return the module that the program makes; None, and say why, where it fails."""
     module = types.ModuleType("solution")
     sys.modules["solution"] = module
+    if "class Solution" in work["code"]:
+        exec(_USUAL, module.__dict__)
     try:
         pieces = _pieces(work["code"], work["prompt"], work["entry"])
     except (SyntaxError, ValueError, RecursionError, MemoryError, OverflowError) as error:
@@ -116,6 +130,7 @@ def _bound(tree: ast.Module) -> set[str]:
 
 def _function(module: types.ModuleType, name: str) -> Any:
     """Return a function of the program, or a method of its class ``Solution``, as some sites ask for."""
+    name = name.removeprefix("Solution().")
     found = module.__dict__.get(name)
     if found is None and isinstance(module.__dict__.get("Solution"), type):
         found = getattr(module.__dict__["Solution"](), name, None)
