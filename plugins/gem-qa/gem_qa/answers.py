@@ -15,14 +15,19 @@ import re
 import string
 import tokenize
 import unicodedata
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from gem_core.errors import GradingError
 
 _ARTICLES = re.compile(r"\b(a|an|the)\b")
+_ARTICLE_WORDS = frozenset(("a", "an", "the"))
 _MINUS = 0x2212
+_WRAPPED = re.compile(
+    r"\\(?:boxed|text|textbf|textit|textrm|mathrm|mathbf|emph)[ \t]*+\{(.*)\}|\${1,2}([^$]*)\${1,2}|\\\((.*)\\\)",
+    re.DOTALL,
+)
+_MOST_WRAPS = 8
 _LISTED = ("text", "value", "aliases", "normalized_aliases")
 """Where SQuAD (text) and TriviaQA (the others) keep accepted answers, in a mapping."""
 
@@ -32,13 +37,17 @@ class _Deletions(dict[int, int | None]):
 
     def __missing__(self, code: int) -> int | None:
         character = chr(code)
-        dropped = character in string.punctuation or unicodedata.category(character).startswith("P") or code == _MINUS
+        category = unicodedata.category(character)
+        # Cf: what is not seen, as marks of direction and spaces without width, which copied texts are full of.
+        dropped = character in string.punctuation or category[0] == "P" or category == "Cf" or code == _MINUS
         self[code] = None if dropped else code
         return self[code]
 
 
 _deletions = _Deletions()
-_ascii = str.maketrans("", "", string.punctuation)
+_PUNCTUATION = string.punctuation.encode()
+_ascii = bytes(32 if chr(code).isspace() else ord(chr(code).lower()) if code < 128 else code for code in range(256))
+"""For ``bytes.translate``: small letters, and every white space a space."""
 
 
 def normalized(text: str) -> str:
@@ -48,7 +57,11 @@ def normalized(text: str) -> str:
     right to itself and to no other.
     """
     if text.isascii():
-        bare = text.translate(_ascii).lower()
+        bare = text.encode().translate(_ascii, _PUNCTUATION).decode()
+        if bare.isprintable():  # then words end at white space alone
+            words = bare.split()
+            kept = " ".join([word for word in words if word not in _ARTICLE_WORDS])
+            return kept or " ".join(words) or " ".join(_folded(text).split())
     else:
         text = unicodedata.normalize("NFKC", text)
         bare = _folded(text.translate(_deletions))
@@ -87,6 +100,18 @@ def token_f1(answer: str, accepted: Sequence[str]) -> float:
     return scores(answer, accepted).f1
 
 
+def unwrapped(answer: str) -> str:
+    r"""Return an answer without the LaTeX around the whole of it, as ``\boxed{\text{Paris}}`` or ``$Paris$``."""
+    for _ in range(_MOST_WRAPS):
+        if answer[:1] not in ("\\", "$") or (match := _WRAPPED.fullmatch(answer)) is None:
+            break
+        inner = next(part for part in match.groups() if part is not None)
+        if not _balanced(inner):  # two of them side by side
+            break
+        answer = inner.strip()
+    return answer
+
+
 def accepted_answers(value: Any) -> list[str]:
     """Return the accepted answers that a row gives.
 
@@ -97,6 +122,8 @@ def accepted_answers(value: Any) -> list[str]:
     Raises:
         GradingError: There is none, so that no verdict is possible.
     """
+    if isinstance(value, str) and value[:1].isalnum():
+        return [value]  # the usual case: no list, and not empty
     try:
         found = [text for text in dict.fromkeys(_flat(value)) if text.strip()]
     except RecursionError:
@@ -107,10 +134,24 @@ def accepted_answers(value: Any) -> list[str]:
 
 
 def _f1(own: list[str], gold: list[str]) -> float:
-    if set(own).isdisjoint(gold):
-        return 0.0
-    common = (Counter(own) & Counter(gold)).total()
-    return 2 * common / (len(own) + len(gold))
+    left: dict[str, int] = {}
+    for word in gold:
+        left[word] = left.get(word, 0) + 1
+    common = 0
+    for word in own:
+        if left.get(word):
+            left[word] -= 1
+            common += 1
+    return 2 * common / (len(own) + len(gold)) if common else 0.0
+
+
+def _balanced(text: str) -> bool:
+    depth = 0
+    for mark in re.findall(r"[{}]", text):
+        depth += 1 if mark == "{" else -1
+        if depth < 0:
+            return False
+    return depth == 0
 
 
 def _folded(text: str) -> str:

@@ -10,9 +10,10 @@ from gem_core.data_views import Row
 from gem_core.dataset import DatasetEnv, DatasetOptions, Grade
 from gem_core.errors import ArgumentError
 from gem_core.parsing import extract_last_boxed_answer, extract_last_tagged_answer
-from gem_qa.answers import accepted_answers, scores
+from gem_qa.answers import accepted_answers, scores, unwrapped
 from gem_qa.judging import Judge, find_judge, verdict_of
 
+_THOUGHT_END = "</think>"
 TAGGED = "{question}\n\nGive the answer alone, in as few words as it takes, between <answer> and </answer>."
 BOXED = "{question}\n\nGive the answer alone, in as few words as it takes, inside \\boxed{}."
 
@@ -21,8 +22,9 @@ class QAEnv(DatasetEnv):
     r"""Asks a question and compares a short answer with the accepted ones.
 
     The answer is read from the last ``<answer>…</answer>``, or else the last ``\boxed{}``; in a task that asks for a
-    box, the other way round. The reward is 1 for an answer that is one of those accepted after normalisation, and
-    else 0 (see ``gem_qa.answers``). ``info`` tells ``exact_match``, ``f1`` and the ``reason`` of the verdict. Any data
+    box, the other way round. LaTeX around the whole of it, as ``\text{}``, does not count. The reward is 1 for an
+    answer that is one of those accepted after normalisation, and else 0 (see ``gem_qa.answers``). ``info`` tells
+    ``exact_match``, ``f1`` and the ``reason`` of the verdict. Any data
     set will do::
 
         register("qa:Mine", "gem_qa:QAEnv", dataset_name="mine.jsonl", question_key="query", answer_key="answers")
@@ -87,11 +89,17 @@ class QAEnv(DatasetEnv):
         return Grade(value, correct, answer, {**info, "reason": reason})
 
     def answer_in(self, action: str) -> str | None:
-        """Return the answer that a response gives, or None."""
+        """Return the answer that a response gives, or None; one behind a model's thinking goes before one in it."""
+        _, thought_ends, final = action.rpartition(_THOUGHT_END)
+        answer = self._answer_in(final) if thought_ends else None
+        return self._answer_in(action) if answer is None else answer
+
+    def _answer_in(self, action: str) -> str | None:
         tagged, boxed = extract_last_tagged_answer, extract_last_boxed_answer
         first, second = (boxed, tagged) if self.extract_boxed else (tagged, boxed)
         answer = first(action)
-        return second(action) if answer is None else answer
+        answer = second(action) if answer is None else answer
+        return None if answer is None else unwrapped(answer)
 
     def sample_random_action(self) -> str:
         """Return an accepted answer of a row drawn at random: well-formed, and rarely right."""

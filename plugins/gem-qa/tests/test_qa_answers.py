@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gem_core.errors import GradingError
-from gem_qa.answers import accepted_answers, exact_match, normalized, token_f1
+from gem_qa.answers import accepted_answers, exact_match, normalized, token_f1, unwrapped
 
 
 def by_the_paper(text: str) -> str:
@@ -58,6 +58,9 @@ def test_every_text_equals_itself_in_another_dress(text: str) -> None:
         ("4,478", "4478"),
         ("東京。", "東京"),
         ("a\u00a0\u2003b c", "b c"),
+        ("Par\u200bis", "Paris"),
+        ("\u200eCairo\u200f", "Cairo"),
+        ("a\x1cb", "b"),
         ("The The", "the the"),
         ("!!!", "!!!"),
     ],
@@ -171,6 +174,38 @@ def test_hostile_lists_are_texts() -> None:
         nested = [nested]
     with pytest.raises(GradingError, match="nested too deeply"):
         accepted_answers(nested)
+
+
+@pytest.mark.parametrize(
+    ("answer", "bare"),
+    [
+        ("\\boxed{\\text{ Paris }}", "Paris"),
+        ("$\\mathrm{Paris}$", "Paris"),
+        ("$$1971$$", "1971"),
+        ("\\(\\textbf{a} and \\textbf{b}\\)", "\\textbf{a} and \\textbf{b}"),
+        ("\\text{a{b}c}", "a{b}c"),
+        ("$5 and $", "5 and"),
+        ("$5", "$5"),
+        ("\\text{a", "\\text{a"),
+        ("\\text", "\\text"),
+        ("\\text{}", ""),
+        ("Paris", "Paris"),
+    ],
+)
+def test_latex_around_the_whole_answer_is_taken_off(answer: str, bare: str) -> None:
+    """And none that is part of it."""
+    assert unwrapped(answer) == bare
+
+
+def test_hostile_latex_takes_time_in_proportion() -> None:
+    """Megabytes of openings, closings and spaces."""
+    for text in (
+        "$" * 1_000_000 + "x",
+        "\\text{" * 200_000,
+        "\\text{" * 200_000 + "}" * 200_000,
+        "\\text" + " " * 1_000_000,
+    ):
+        assert len(unwrapped(text)) <= len(text)
 
 
 def test_long_answers_take_time_in_proportion() -> None:
