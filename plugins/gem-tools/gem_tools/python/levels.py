@@ -16,6 +16,7 @@ from typing import Any
 from gem_tools.python import docker, inside
 from gem_tools.python.errors import Unavailable
 from gem_tools.python.hidden import hidden_folders
+from gem_tools.python.inside.runner import NAMED_INPUT
 
 LEVELS = ("bubblewrap", "docker", "process")
 """From the strongest to the weakest."""
@@ -171,6 +172,9 @@ def _bubblewrap() -> list[str]:
     for path in hidden_folders(mounts):
         words += ["--perms", "0555", "--tmpfs", path, "--remount-ro", path]
     words += ["--symlink", "/tmp", "/dev/shm", "--symlink", "/tmp", "/var/tmp"]
+    # There is no /proc to lead to it; the file is there for code that asks for it.
+    words += ["--symlink", f"/tmp/{NAMED_INPUT}", "/dev/stdin"]
+    words += ["--dir", "/dev/fd", "--symlink", "../stdin", "/dev/fd/0"]
     return [*words, "--proc", "/proc", "--dir", "/tmp", "--remount-ro", "/", "--chdir", "/"]
 
 

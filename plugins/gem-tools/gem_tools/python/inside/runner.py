@@ -26,6 +26,8 @@ from typing import Any
 
 FILENAME = "<python>"
 _MAX_FRAMES = 30
+NAMED_INPUT = ".stdin"
+"""File in the folder of a call to which ``/dev/stdin`` leads where there is no ``/proc``."""
 
 
 def make_streams() -> None:
@@ -46,15 +48,25 @@ def make_streams() -> None:
     os.close(writing)
 
 
-def prepare(stdin: str, files: dict[str, str]) -> None:
-    """Set up what a program finds at its start: its folder with its files, and its standard input."""
+def prepare(stdin: str, files: dict[str, str], *, named: bool) -> None:
+    """Set up what a program finds at its start: its folder with its files, and its standard input.
+
+    Args:
+        stdin: What it holds.
+        files: Content by path, in base 64.
+        named: Whether it lies in the folder too.
+    """
     write_files(files)
     read_from(stdin)
+    if named:
+        name_input(stdin)
 
 
-def prepare_again(stdin: str, files: dict[str, str]) -> None:
+def prepare_again(stdin: str, files: dict[str, str], *, named: bool) -> None:
     """Put files and standard input in place for a later call of a session, whose variables and streams stay."""
     write_files(files)
+    if named:
+        name_input(stdin)
     if stdin:
         memory = open(os.open("stdin", os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o600), "w+b")  # noqa: SIM115 - becomes stdin
         os.unlink("stdin")
@@ -85,6 +97,19 @@ def read_from(stdin: str) -> None:
         memory = os.open(os.devnull, os.O_RDONLY)
     os.dup2(memory, 0)
     os.close(memory)
+
+
+def name_input(stdin: str) -> None:
+    """Write standard input into the folder, for code that opens it by name; what does not fit there has no name."""
+    try:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(NAMED_INPUT)
+        with open(NAMED_INPUT, "xb") as stream:
+            stream.write(stdin.encode("utf-8", "surrogateescape"))
+    except OSError:
+        # Half an input would be worse than none.
+        with contextlib.suppress(OSError):
+            os.unlink(NAMED_INPUT)
 
 
 def _output(descriptor: int, *, line_buffering: bool) -> io.TextIOWrapper:

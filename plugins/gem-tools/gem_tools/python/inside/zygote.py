@@ -20,6 +20,7 @@ from gem_tools.python.inside import confine, folders, kernel, runner, syscalls, 
 _JOB = 3
 _SHARED = "/dev/shm"
 _GIVE_UP_S = 10.0
+_INPUT_NAMES = ("/dev/stdin", "/dev/fd/")
 
 
 class Zygote:
@@ -56,6 +57,8 @@ class Zygote:
         runner.make_streams()
         # No signal comes to this process, which is in a session of its own; and its children need not set them.
         runner.usual_signals()
+        if self.namespaces:
+            kernel.end_on(signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF)
         if self.folders is None:
             at_home(confine.FOLDER)
         # Code that imports these finds what is installed, if anything.
@@ -340,7 +343,7 @@ class Child:
         os.chdir(self.folder)
         if not self.settings["namespaces"]:
             at_home(self.folder)
-        runner.prepare(job["stdin"], job["files"])
+        runner.prepare(job["stdin"], job["files"], named=self.names_input(job))
         confine.limit(limits, self.settings, self.base_bytes)
         if self.fault is not None:
             raise self.fault
@@ -351,7 +354,11 @@ class Child:
     def next_input(self, job: dict[str, Any]) -> None:
         """Put a later call's standard input and files in place; code that broke these streams has broken them."""
         with contextlib.suppress(Exception):
-            runner.prepare_again(job["stdin"], job["files"])
+            runner.prepare_again(job["stdin"], job["files"], named=self.names_input(job))
+
+    def names_input(self, job: dict[str, Any]) -> bool:
+        """Tell whether code asks for its input by a name; a file that most never look at would cost them time."""
+        return bool(self.settings["namespaces"]) and any(name in job["code"] for name in _INPUT_NAMES)
 
     def report(self, outcome: dict[str, Any]) -> None:
         """Send what became of the code; a socket that the code has closed tells nothing."""
