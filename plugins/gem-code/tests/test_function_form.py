@@ -71,6 +71,12 @@ def test_calls_with_given_arguments(judge: Judge) -> None:
     assert [test.status for test in verdict.tests] == ["runtime_error", "not_run", "not_run"]
 
 
+def test_a_problem_in_words_that_python_can_read_is_no_code(judge: Judge) -> None:
+    """One word is an expression."""
+    verdict = judge("def twice(x):\n    return 2 * x", CHECK, "twice", "Double")
+    assert (verdict.correct, len(verdict.tests)) == (True, 3)
+
+
 def test_results_that_a_row_wraps_in_lists(judge: Judge) -> None:
     """A list of one stands for what is in it only where all of a row's results are such lists."""
     code = "def add(a, b): return a + b"

@@ -52,6 +52,12 @@ def test_a_right_program_passes_every_test(judge: Judge) -> None:
     assert [test.status for test in verdict.tests] == ["passed"] * 3
 
 
+@pytest.mark.parametrize("name", ["'/dev/stdin'", "0", "'/dev/fd/0'"])
+def test_input_is_there_under_its_usual_names(judge: Judge, name: str) -> None:
+    """Each test has its own."""
+    assert judge(f"print(2 * int(open({name}).read()))", DOUBLE).correct
+
+
 @pytest.mark.parametrize(
     ("code", "status", "error"),
     [

@@ -289,7 +289,8 @@ def _prelude(prompt: str | None, entry: str | None, space: dict[str, Any]) -> se
         tree = ast.parse(prompt)
     except (SyntaxError, ValueError):
         return set()
-    tree.body = [node for node in tree.body if getattr(node, "name", None) != entry]
+    # A word of prose, as "Sort", is an expression of Python too.
+    tree.body = [node for node in tree.body if getattr(node, "name", None) != entry and not isinstance(node, ast.Expr)]
     exec(compile(tree, "<prompt>", "exec"), space)
     return set(space)
 

@@ -90,7 +90,8 @@ def _pieces(code: str, prompt: str | None, entry: str | None) -> list[types.Code
     prelude = _parsed(prompt)
     if prelude is None or entry is None:
         return [compile(code, "<solution>", "exec", dont_inherit=True)]
-    prelude.body = [node for node in prelude.body if getattr(node, "name", None) != entry]
+    kept = (node for node in prelude.body if getattr(node, "name", None) != entry)
+    prelude.body = [node for node in kept if not isinstance(node, ast.Expr)]  # prose may be an expression
     try:
         tree = ast.parse(code)
     except SyntaxError:
