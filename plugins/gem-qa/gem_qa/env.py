@@ -40,6 +40,8 @@ class QAEnv(DatasetEnv):
             judge that fails ends the episode as an error, never as a reward of 0.
         judge_url: Address of that server; by default ``OPENAI_BASE_URL``, or else OpenAI's own.
         judge_options: More for it, as ``{"api_key_env": "JUDGE_KEY"}``; see ``gem_qa.judging.ModelJudge``.
+        judge_timeout_s: Seconds that a function may take to judge; what takes longer is an error too. None for no
+            limit. A model has a limit of its own, ``timeout_s`` among its options.
         **options: See ``DatasetEnv``. The column of the answer holds a text, or a list of accepted ones.
 
     Raises:
@@ -56,6 +58,7 @@ class QAEnv(DatasetEnv):
         judge: str | Judge | None = None,
         judge_url: str | None = None,
         judge_options: Mapping[str, Any] | None = None,
+        judge_timeout_s: float | None = 300.0,
         **options: Unpack[DatasetOptions],
     ) -> None:
         if reward not in ("exact", "f1"):
@@ -64,6 +67,10 @@ class QAEnv(DatasetEnv):
         super().__init__(rows, **options)
         self.reward = reward
         self.extract_boxed = extract_boxed
+        is_number = isinstance(judge_timeout_s, int | float) and not isinstance(judge_timeout_s, bool)
+        if judge_timeout_s is not None and not (is_number and judge_timeout_s > 0):
+            raise ArgumentError(f"judge_timeout_s must be seconds above 0, or None, not {judge_timeout_s!r}")
+        self.judge_timeout_s = judge_timeout_s
         self._judge = find_judge(judge, judge_url, judge_options)
         if self._judge is not None:
             vars(self)["concurrency"] = "thread"  # it waits for somebody
@@ -83,7 +90,8 @@ class QAEnv(DatasetEnv):
         value = float(correct) if self.reward == "exact" else f1
         reason = "it is an accepted answer" if correct else "it is none of the accepted answers"
         if self._judge is not None and not correct and answer:
-            value = verdict_of(self._judge, str(row[self.question_key]), accepted, answer)
+            question = str(row[self.question_key])
+            value = verdict_of(self._judge, question, accepted, answer, timeout_s=self.judge_timeout_s)
             correct = value == 1.0
             reason = f"the judge says {value:g}"
         return Grade(value, correct, answer, {**info, "reason": reason})

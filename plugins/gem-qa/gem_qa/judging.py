@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import inspect
 import json
@@ -13,7 +14,7 @@ from typing import Any
 from gem_core.agents.base import Context
 from gem_core.agents.openai import OpenAIAgent
 from gem_core.arguments import check_arguments
-from gem_core.background import run_sync
+from gem_core.background import in_thread, on_background_loop, run_sync
 from gem_core.entry_points import load_entry_point
 from gem_core.errors import ArgumentError, GemError, GradingError
 
@@ -62,16 +63,40 @@ def find_judge(judge: str | Judge | None, url: str | None, options: Mapping[str,
     return _shared_model(judge.removeprefix(_MODEL_PREFIX), url, written)
 
 
-def verdict_of(judge: Judge, question: str, accepted: Sequence[str], answer: str) -> float:
+def verdict_of(
+    judge: Judge, question: str, accepted: Sequence[str], answer: str, *, timeout_s: float | None = None
+) -> float:
     """Return a judge's verdict, from 0 to 1.
 
+    Args:
+        judge: Whom to ask.
+        question: Of the row.
+        accepted: Answers that the row accepts.
+        answer: Of the response.
+        timeout_s: Limit in seconds; None for none. A model keeps the one that it was made with.
+
     Raises:
-        GradingError: It failed, or returned something else.
+        GradingError: It failed, took too long, or returned something else.
     """
+
+    async def limited() -> Verdict:
+        limit = asyncio.timeout(timeout_s)
+        try:
+            async with limit:
+                # A function that hangs is left to itself, in a thread that holds up nothing.
+                given = await in_thread(judge, question, accepted, answer)
+                return await given if inspect.isawaitable(given) else given
+        except TimeoutError:
+            if limit.expired():
+                raise GradingError(f"the judge gave no verdict within {timeout_s:g} s") from None
+            raise
+
     try:
-        verdict = judge(question, accepted, answer)
-        if inspect.isawaitable(verdict):
-            verdict = run_sync(verdict)
+        if timeout_s is None or isinstance(judge, ModelJudge) or on_background_loop():
+            verdict = judge(question, accepted, answer)
+            verdict = run_sync(verdict) if inspect.isawaitable(verdict) else verdict
+        else:
+            verdict = run_sync(limited())
     except GradingError:
         raise
     except Exception as error:  # a judge of somebody else's may fail in any way

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -10,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gem_core as gem
-from gem_core.errors import GradingError
+from gem_core.errors import ArgumentError, GradingError
 from gem_qa import QAEnv, judging
 from gem_qa.judging import asked, parsed_verdict
 
@@ -58,6 +60,46 @@ def test_coroutine_may_give_a_part() -> None:
     """Which is a reward, and not correct."""
     reward, _, info = last_step("<answer>Vermeer</answer>", half, reward="f1")
     assert (reward, info["correct"], info["f1"]) == (0.5, False, 0.0)
+
+
+@pytest.mark.parametrize("kind", ["function", "coroutine"])
+def test_a_judge_that_hangs_is_given_up(kind: str) -> None:
+    """Its episode is an error, and the environment goes on."""
+    released = threading.Event()
+
+    def hangs(question: str, accepted: Sequence[str], answer: str) -> bool:
+        return released.wait()
+
+    async def waits(question: str, accepted: Sequence[str], answer: str) -> bool:
+        return await asyncio.Event().wait()
+
+    env = QAEnv(ROWS, judge=hangs if kind == "function" else waits, judge_timeout_s=0.05)
+    env.reset(seed=0)
+    try:
+        _, reward, terminated, truncated, info = env.step("<answer>Vermeer</answer>")
+    finally:
+        released.set()
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert info["error"] == {"kind": "grading", "message": "the judge gave no verdict within 0.05 s"}
+    env.reset(seed=0)
+    assert env.step("<answer>Rembrandt</answer>")[1] == 1.0
+
+
+def test_a_judge_that_reports_a_timeout_of_its_own_is_quoted() -> None:
+    """It is told apart from ours."""
+
+    def times_out(question: str, accepted: Sequence[str], answer: str) -> bool:
+        raise TimeoutError("the line is busy")
+
+    message = last_step("<answer>Vermeer</answer>", times_out)[2]["error"]["message"]
+    assert message == "the judge failed: TimeoutError: the line is busy"
+
+
+@pytest.mark.parametrize("seconds", [0, -1, True, "1"])
+def test_a_limit_for_judges_must_be_seconds(seconds: Any) -> None:
+    """Above 0."""
+    with pytest.raises(ArgumentError, match="judge_timeout_s must be seconds above 0, or None"):
+        QAEnv(ROWS, judge_timeout_s=seconds)
 
 
 @pytest.mark.parametrize("backend", ["sync", "async"])
