@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from gem_code.comparing import Comparison, same_output
@@ -47,7 +47,7 @@ async def grade_program(code: str, tests: StdinTests, runner: Runner, grading: G
     levels: set[str] = set()
 
     async def one(index: int) -> CaseResult:
-        run = await runner.run(code, tests.inputs[index], grading.limits)
+        run = await runner.run(code, tests.inputs[index], _allowing(tests.outputs[index], grading.limits))
         if run.sandbox:
             levels.add(run.sandbox)
         if not run.finished:
@@ -57,6 +57,13 @@ async def grade_program(code: str, tests: StdinTests, runner: Runner, grading: G
 
     results = await in_parallel(one, len(tests.inputs), grading.parallel, every=grading.every)
     return Verdict(results, min(levels, default=None))
+
+
+def _allowing(expected: str, limits: ProgramLimits) -> ProgramLimits:
+    """Return limits under which a program may print what is expected of it, and some white space."""
+    if 4 * len(expected) < limits.output_bytes:
+        return limits
+    return replace(limits, output_bytes=max(limits.output_bytes, 2 * len(expected.encode("utf-8", "replace"))))
 
 
 async def in_parallel(

@@ -71,6 +71,32 @@ def test_calls_with_given_arguments(judge: Judge) -> None:
     assert [test.status for test in verdict.tests] == ["runtime_error", "not_run", "not_run"]
 
 
+@pytest.mark.parametrize(
+    ("tests", "message"),
+    [
+        ("s = Stack()\ns.push(1)\nassert s.pop() == 1", "they use 'push' of what the program returns"),
+        ("assert f(1).x == 1", "they use 'x' of what the program returns, and no plain data has that"),
+        (
+            "import unittest\nclass T(unittest.TestCase):\n    def test_f(self):\n        self.assertEqual(f(1), 1)\n"
+            "unittest.main(argv=['x'])",
+            "they end their process",
+        ),
+    ],
+)
+def test_tests_that_no_program_could_pass_are_no_failure_of_a_program(judge: Judge, tests: str, message: str) -> None:
+    """Objects do not get out of the program's process."""
+    with pytest.raises(GradingError, match=message):
+        judge("class Stack: pass\ndef f(x): return x", tests)
+
+
+def test_attributes_of_plain_data_may_be_used(judge: Judge) -> None:
+    """As those of texts, mappings and dates; libraries may look for others."""
+    tests = (
+        "import numpy\nassert f('A').lower() == 'a'\nassert list(g().items()) == [(1, 2)]\nassert numpy.sum(h()) == 3"
+    )
+    assert judge("def f(x): return x\ndef g(): return {1: 2}\ndef h(): return [1, 2]", tests).correct
+
+
 def test_a_problem_in_words_that_python_can_read_is_no_code(judge: Judge) -> None:
     """One word is an expression."""
     verdict = judge("def twice(x):\n    return 2 * x", CHECK, "twice", "Double")

@@ -52,6 +52,14 @@ def test_a_right_program_passes_every_test(judge: Judge) -> None:
     assert [test.status for test in verdict.tests] == ["passed"] * 3
 
 
+def test_what_is_expected_may_always_be_printed(judge: Judge) -> None:
+    """Whatever the limit of output; a program that prints far more meets it."""
+    tests = {"inputs": ["3000"], "outputs": ["1\n" * 3000]}
+    limits = ProgramLimits(wall_s=20.0, cpu_s=20.0, output_bytes=1000)
+    assert judge("print('1\\n' * int(input()))", tests, limits=limits).correct
+    assert judge("print('1\\n' * 10 * int(input()))", tests, limits=limits).status == "output_limit"
+
+
 @pytest.mark.parametrize("name", ["'/dev/stdin'", "0", "'/dev/fd/0'"])
 def test_input_is_there_under_its_usual_names(judge: Judge, name: str) -> None:
     """Each test has its own."""

@@ -20,9 +20,9 @@ import json
 import os
 import random
 import sys
-from typing import Any
+from typing import Any, ClassVar
 
-from gem_code.inside.codec import NotDataError, dumps, loads
+from gem_code.inside.codec import PLAIN, NotDataError, dumps, loads
 
 
 def main() -> None:
@@ -41,7 +41,11 @@ def main() -> None:
         problem = f"they are no Python: {_told(error)}"
     except BaseException as error:  # noqa: BLE001 - tests are data, and may raise anything
         problem = f"they fail outside of any test: {_told(error)}"
-    found = {"units": units.results(), "calls": answers.calls, "problem": problem or answers.problem}
+    problem = answers.problem or problem
+    if StandIn.asked_for and problem is None:
+        names = ", ".join(map(repr, sorted(StandIn.asked_for)))
+        problem = f"they use {names} of what the program returns, and no plain data has that"
+    found = {"units": units.results(), "calls": answers.calls, "problem": problem}
     text = memoryview(json.dumps(found).encode("ascii"))
     while text:
         text = text[os.write(output, text) :]
@@ -50,6 +54,10 @@ def main() -> None:
 
 MAX_AGREED = 5_000
 """How often a stand-in agrees: a test that waits for it to become something else would wait for ever."""
+
+
+_FILENAME = "<tests>"
+_PLAIN_ATTRIBUTES = frozenset(name for kind in PLAIN for name in dir(kind))
 
 
 class OpenError(BaseException):
@@ -148,6 +156,8 @@ class StandIn:
         return self
 
     agreed = 0
+    asked_for: ClassVar[set[str]] = set()
+    """Attributes that no answer can have, since none is more than plain data."""
 
     def _yes(self, *_: Any, **__: Any) -> bool:
         StandIn.agreed += 1
@@ -161,6 +171,9 @@ class StandIn:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
+        # Libraries may look for anything.
+        if name not in _PLAIN_ATTRIBUTES and sys._getframe(1).f_code.co_filename == _FILENAME:
+            self.asked_for.add(name)
         return self
 
     def __iter__(self) -> Any:
@@ -224,6 +237,10 @@ class Units:
             status, told = "open", None
         elif error is None:
             status, told = "passed", None
+        elif isinstance(error, SystemExit):
+            # As unittest.main() does, which finds no tests here; the program's own exit comes as another error.
+            self._answers.problem = "they end their process, and are to assert something"
+            return
         else:
             status = "wrong_answer" if isinstance(error, AssertionError) else "runtime_error"
             told = _told(error)
@@ -251,7 +268,7 @@ class _Unit:
 def _run(work: dict[str, Any], answers: Answers, units: Units) -> str | None:
     """Run the tests; return what is wrong with them, or None."""
     random.seed(0)  # noqa: TID251 - the process is theirs alone, and they are to make the same calls in each run
-    tree = ast.parse(work["test"], "<tests>")
+    tree = ast.parse(work["test"], _FILENAME)
     space: dict[str, Any] = {"__name__": "tests"}
     bound = _prelude(work["prompt"], work["entry"], space)
     names = _asked_of_the_program(tree, bound)
@@ -268,7 +285,7 @@ def _run(work: dict[str, Any], answers: Answers, units: Units) -> str | None:
         tree = Agreeing().visit(tree)
     space["__gem_unit__"] = units.unit
     space["__gem_open__"] = lambda: answers.open
-    exec(compile(ast.fix_missing_locations(tree), "<tests>", "exec"), space)
+    exec(compile(ast.fix_missing_locations(tree), _FILENAME, "exec"), space)
     for node in functions:
         arguments = [space[work["entry"]]] if node.name == "check" else []
         space[node.name](*arguments)

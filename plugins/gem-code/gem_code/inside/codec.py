@@ -142,6 +142,13 @@ def _from_temporal(content: Any) -> Any:
     return getattr(datetime, name).fromisoformat(value)
 
 
+PLAIN: tuple[type, ...] = (
+    *(int, float, complex, str, bytes, bytearray, list, tuple, dict, set, frozenset, range),
+    *(collections.deque, collections.Counter, decimal.Decimal, fractions.Fraction),
+    *(datetime.datetime, datetime.date, datetime.time, datetime.timedelta),
+)
+"""The types of what comes out of ``decode``, iterators apart."""
+
 _SEQUENCES: dict[str, Any] = {
     "t": tuple,
     "s": set,
