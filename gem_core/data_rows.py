@@ -127,6 +127,8 @@ def _refuse(what: str, **choices: str | None) -> None:
 def _local_path(source: str | os.PathLike[str]) -> Path | None:
     """Return where a source lies on this machine, or None for a name on the hub."""
     known = (*TEXT_KINDS, ".parquet", ".arrow")
+    if not str(source):
+        raise DatasetError("the name of the data set is empty; give a path or a name on the hub")
     if isinstance(source, str) and (shipped := _SHIPPED.fullmatch(source)):
         source = str(_shipped_path(shipped["package"], shipped["inside"]))
     try:
@@ -173,6 +175,9 @@ def _split_and_part(split: str | None) -> tuple[str | None, tuple[str | None, st
     if not isinstance(split, str) or not split:
         raise ArgumentError(f"split must be the name of a split, as in 'train', or None, not {split!r}")
     match = _PART.fullmatch(split)
+    # The hub's library can add splits up, and reads the parts of these itself.
+    if match is None and "+" not in split and ("[" in split or "]" in split):
+        raise ArgumentError(f"a part of a split is written as in 'train[:100]' or 'train[10%:20%]', not {split!r}")
     return (split, None) if match is None else (match["split"] or None, (match["start"], match["stop"]))
 
 

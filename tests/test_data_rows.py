@@ -253,6 +253,18 @@ def test_unknown_path_names_what_lies_there(tmp_path: Path) -> None:
     )
     with pytest.raises(DatasetError, match="is no path"):
         load_rows("a" * 5000)
+    with pytest.raises(DatasetError, match="the name of the data set is empty; give a path or a name on the hub"):
+        load_rows("")
+
+
+@pytest.mark.parametrize("split", ["train[a:9]", "train[5]", "train[1:2:3]", "train[", "]"])
+def test_part_of_a_split_that_cannot_be_read_is_named(split: str, tmp_path: Path) -> None:
+    """With the form that it has."""
+    path = tmp_path / "rows.jsonl"
+    path.write_text(LINES, encoding="utf-8")
+    with pytest.raises(ArgumentError) as caught:
+        load_rows(path, split=split)
+    assert str(caught.value) == (f"a part of a split is written as in 'train[:100]' or 'train[10%:20%]', not {split!r}")
 
 
 OFFLINE = """
