@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -13,7 +14,7 @@ from typing import Any, NamedTuple
 
 from gem_core.parsing import CodeBlock, extract_code_blocks, unclosed_code_block
 from gem_core.tool_calls import json_call, native_calls
-from gem_core.tools import ToolCall
+from gem_core.tools import CALL_CLOSE, CALL_OPEN, ToolCall
 from gem_terminal.acting import TOOLS, how_to_act, tool_schemas
 from gem_terminal.yaml_commands import looks_like_yaml, read_yaml_command
 
@@ -35,6 +36,13 @@ _FINISH = re.compile(r"<finish\s*+(?:/\s*+>|>(?:\s*+</finish\s*+>)?+)")
 _QUOTED_TAG = re.compile(r"""([`'"])</?(?:bash|keys|finish|tool_call)\s*+/?+>\1""")
 _NUMBER = re.compile(r"\+?(?:\d{1,9}(?:\.\d{0,9})?|\.\d{1,9})\s*(?:s|sec|secs|seconds)?", re.ASCII)
 _OTHER_TAG = re.compile(r"<(sh|shell|cmd|command|execute|terminal|key|done|submit|exit|Bash|BASH|Keys|Finish)\s*+/?+>")
+# An object that begins a line, and is a call beyond doubt.
+_BARE_CALL = re.compile(
+    r"""^[ \t]*+(?=\{\s*+"(?:name|tool_name)"\s*+:\s*+"(?:bash|keys|finish)"\s*+"""
+    r"""(?:\}|,\s*+"(?:arguments|parameters)"\s*+:))\{""",
+    re.MULTILINE,
+)
+_OBJECT = json.JSONDecoder(strict=False)  # a command of several lines may have its line breaks as they are
 _TIMEOUTS = ("timeout", "timeout_s", "timeout_sec", "timeout_secs", "timeout_seconds")
 _WAITS = ("wait", "wait_s", "wait_sec", "wait_secs", "wait_seconds")
 
@@ -130,7 +138,8 @@ def _first(text: str, thinking: Sequence[tuple[int, int]]) -> _Found | None:
     """Return the complete action that begins first; without one, the incomplete one that does."""
     seen = _blanked(text, [*thinking])
     seen = _QUOTED_TAG.sub(lambda quoted: " " * len(quoted[0]), seen)
-    every = [*_tagged(text, seen), _fenced(text, seen), _called(text, seen), _finished(text, seen)]
+    called = _called(text, seen) or _called_bare(text, seen)
+    every = [*_tagged(text, seen), _fenced(text, seen), called, _finished(text, seen)]
     found = [each for each in every if each is not None]
     complete = [each for each in found if not isinstance(each.action, Malformed)]
     first = min(complete or found, key=lambda each: each.start, default=None)
@@ -278,6 +287,21 @@ def _called(text: str, seen: str) -> _Found | None:
             call = replace(call, arguments=original.arguments, end=call.start + original.end)
     end = call.end if call.end > call.start else -1
     return _Found(call.start, end, _of_call(call))
+
+
+def _called_bare(text: str, seen: str) -> _Found | None:
+    """Read a call without its tags, as many models write it: an object that begins a line, fenced as JSON or not."""
+    found = _BARE_CALL.search(seen)
+    if found is None:
+        return None
+    start = found.end() - 1
+    try:
+        _, end = _OBJECT.raw_decode(text, start)
+    except (ValueError, RecursionError):
+        reason = "The call is no valid JSON, or is not complete."
+        return _Found(start, -1, Malformed(f"{reason} {_WRITE}"))
+    call = json_call(f"{CALL_OPEN}{text[start:end]}{CALL_CLOSE}", TOOLS)
+    return None if call is None else _Found(start, end, _of_call(call))
 
 
 def _of_call(call: ToolCall) -> Action:

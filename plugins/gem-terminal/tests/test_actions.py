@@ -41,6 +41,20 @@ def native(*calls: tuple[str, Any]) -> Response:
         ("<bash>\ncmd: |\n  cat <<E\n  a\n  E\n</bash>", "cat <<E\na\nE", None),
         ('<tool_call>{"name": "bash", "arguments": {"command": "ls", "timeout": 9}}</tool_call>', "ls", 9.0),
         ('<tool_call>{"name": "bash", "arguments": {"cmd": "echo </bash>"}}</tool_call>', "echo </bash>", None),
+        ('{"name": "bash", "arguments": {"command": "ls", "timeout": 9}}', "ls", 9.0),
+        (
+            'I look.\n```json\n{\n  "name": "bash",\n  "parameters": {"command": "ls\n-l"}\n}\n```\nThen?',
+            "ls\n-l",
+            None,
+        ),
+        (
+            '<think>{"name": "finish"}</think>\n {"name": "bash", "arguments": "{\\"command\\": \\"ls\\"}"} <finish/>',
+            "ls",
+            None,
+        ),
+        ('{"name": "bash", "arguments": {"command": "echo \'<bash>x</bash>\'"}}', "echo '<bash>x</bash>'", None),
+        ('The file has\n{"name": "bash", "version": 5}\n<bash>ls</bash>', "ls", None),
+        ('<bash>cat >x <<E\n{"name": "finish"}\nE</bash>', 'cat >x <<E\n{"name": "finish"}\nE', None),
         ("<think><bash>rm x</bash></think><bash>ls</bash>", "ls", None),
         ("thought <bash>rm x</bash></think><bash>ls</bash>", "ls", None),
         ("<think>never closed <bash>ls</bash>", "ls", None),
@@ -83,7 +97,14 @@ def test_read_action_finds_keys(response: str, keys: str, wait_s: float | None) 
 
 @pytest.mark.parametrize(
     "response",
-    ["<finish/>", "<finish />", "<finish>", "<finish></finish>", '<tool_call>{"name": "finish"}</tool_call>'],
+    [
+        "<finish/>",
+        "<finish />",
+        "<finish>",
+        "<finish></finish>",
+        '<tool_call>{"name": "finish"}</tool_call>',
+        '\n{"name": "finish"}',
+    ],
 )
 def test_read_action_finds_the_end(response: str) -> None:
     """All ways to write the end are read."""
@@ -109,6 +130,7 @@ def test_read_action_takes_native_calls_before_text() -> None:
             f"What stands in a thinking block is not executed. Write the action behind </think>. {HOW}",
         ),
         ("<bash>ls", "<bash> is never closed. Write </bash> at the end of it."),
+        ('{"name": "bash", "arguments": {"command": "ls', f"The call is no valid JSON, or is not complete. {HOW}"),
         ("```bash\nls", "The fenced block is never closed. Write ``` on a line at its end."),
         ("<bash> \n</bash>", "The command is empty. Write what the shell should run, as in <bash>ls -l</bash>."),
         (
