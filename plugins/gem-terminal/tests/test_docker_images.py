@@ -144,3 +144,19 @@ def test_a_missing_image_says_how_to_get_it(backend: DockerBackend, tmp_path: Pa
         backend.build(task)
     with backend.start(make_task(tmp_path, main=Container(image=BASE)), SMALL) as machine:
         assert say(machine, "echo fine") == "fine\n"
+
+
+@needs_engine
+def test_a_dockerfile_takes_the_place_of_an_image_that_is_missing(backend: DockerBackend, tmp_path: Path) -> None:
+    """Which would come first: where it is there, nothing is built."""
+    lines: list[str] = []
+    dockerfile = f"{DOCKERFILE}ENV BUILT=yes\n"
+    missing = Container(image="127.0.0.1:1/gem/none:latest", context=tmp_path)
+    task = make_task(tmp_path, dockerfile=dockerfile, main=missing)
+    backend.build(task, on_line=lines.append)
+    assert any(line.startswith(f"building from {tmp_path / 'Dockerfile'} instead: the image") for line in lines)
+    with backend.start(task, SMALL) as machine:
+        assert say(machine, "echo $BUILT") == "yes\n"
+    there = make_task(tmp_path, dockerfile=dockerfile, main=Container(image=BASE, context=tmp_path))
+    with backend.start(there, SMALL) as machine:
+        assert say(machine, "echo $BUILT") == "\n"

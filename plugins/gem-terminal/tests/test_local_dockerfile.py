@@ -125,6 +125,13 @@ def test_general_bases_are_taken(image: str) -> None:
     assert recipe.of(Container(image=image), {}) == Recipe()
 
 
+def test_a_dockerfile_takes_the_place_of_an_image_of_its_own(tmp_path: Path) -> None:
+    """A general image, which a sandbox stands for, comes before it."""
+    (tmp_path / "Dockerfile").write_text("FROM debian:12\nENV BUILT=yes\n")
+    assert recipe.of(Container(image="some/image:1", context=tmp_path), {}).env == {"BUILT": "yes"}
+    assert recipe.of(Container(image="debian:12", context=tmp_path), {}) == Recipe()
+
+
 @pytest.mark.parametrize(
     "image", ["alpine", "python:3.12-alpine", "evil.example/debian", "postgres:16", "scratch", "me/python"]
 )

@@ -153,11 +153,12 @@ def test_the_agents_network_comes_before_the_environments(tmp_path: Path) -> Non
     assert (task.environment.network, task.steps[0].verifier.network) == ("none", "public")
 
 
-def test_an_image_that_is_there_is_not_built(tmp_path: Path) -> None:
-    """``docker_image`` comes before a Dockerfile, with a note."""
+def test_an_image_comes_before_a_dockerfile(tmp_path: Path) -> None:
+    """Which is kept for where ``docker_image`` cannot be had, with a note."""
     task = toml(tmp_path, '[environment]\ndocker_image = "some/image:1"\n')
-    assert task.environment.main == Container(image="some/image:1")
-    assert task.notes == ("environment/Dockerfile: is not built, since task.toml names an image ('docker_image').",)
+    assert task.environment.main == Container(image="some/image:1", context=task.folder / "environment")
+    why = "is built only where the image that task.toml names ('docker_image') is not to be had."
+    assert task.notes == (f"environment/Dockerfile: {why}",)
 
 
 def test_what_no_backend_has_is_said_in_words(tmp_path: Path) -> None:

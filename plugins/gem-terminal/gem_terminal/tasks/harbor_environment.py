@@ -140,7 +140,9 @@ class EnvironmentReader:
         if section.docker_image is not None:
             own = Container(image=section.docker_image)
             if self.folder.has_file(f"{files}/Dockerfile"):
-                self.folder.note(f"{files}/Dockerfile: is not built, since {_FILE} names an image ('docker_image').")
+                own = replace(own, context=self.folder.path / files)
+                image = f"the image that {_FILE} names ('docker_image')"
+                self.folder.note(f"{files}/Dockerfile: is built only where {image} is not to be had.")
         elif self.folder.has_file(f"{files}/Dockerfile"):
             own = Container(context=self.folder.path / files)
         if not self.folder.has_file(f"{files}/{COMPOSE}"):

@@ -35,9 +35,10 @@ class Container:
     """One container that a task asks for: where its image comes from, and how it is run.
 
     Args:
-        context: Folder that its image is built from; None where ``image`` names one.
+        context: Folder that its image is built from; None where ``image`` names one. With both, it is built where the
+            image that is named is not to be had.
         dockerfile: Path of the Dockerfile inside ``context``.
-        image: Name of an image that is there, or that the engine pulls; None where it is built.
+        image: Name of an image that is there, or that the engine pulls; None where it is always built.
         build_args: Arguments of the build.
         target: Stage of the Dockerfile to build; empty for the last.
         entrypoint: Replaces the image's; None keeps it.

@@ -83,6 +83,12 @@ class Images:
         known = (key, container.context, container.dockerfile, args, container.target)
         if not fresh and known in self._known:
             return self._known[known]
+        if container.image is not None:
+            try:
+                return self._pulled(container.image, timeout_s, on_line, fresh=fresh)
+            except EngineError as error:
+                if on_line is not None:
+                    on_line(f"building from {container.context / container.dockerfile} instead: {error}")
         context = read_context(container, self._build_args)
         name = f"{REPOSITORY}:{context.digest[:32]}"
         with self._one_builder(name):

@@ -93,8 +93,13 @@ def of(container: Container, build_args: Mapping[str, str]) -> Recipe:
         TaskError: It cannot be read, or needs an image of its own.
     """
     if container.image is not None:
-        _check_base(container.image, 0)
-        return Recipe()
+        try:
+            _check_base(container.image, 0)
+        except TaskError:
+            if container.context is None:
+                raise
+        else:
+            return Recipe()
     if container.context is None:
         raise TaskError("the task names neither an image nor a Dockerfile")
     path = container.context / container.dockerfile
