@@ -91,6 +91,16 @@ class Episode:
         self._step_began = time.monotonic()
         self._open_shell()
 
+    def see_it_is_there(self) -> None:
+        """See that the machine is there before the agent's first action: an end until then is none of its doing.
+
+        Raises:
+            MachineLostError: It is gone, as where the command of its image ended by itself.
+        """
+        lost = self.machine.why_lost()
+        if lost is not None:
+            raise MachineLostError(f"{lost}, before the agent did anything", by_agent=False)
+
     def run(self, command: str, timeout_s: float | None) -> CommandResult:
         """Run a command in the agent's shell.
 

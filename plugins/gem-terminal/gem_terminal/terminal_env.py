@@ -202,6 +202,8 @@ class TerminalEnv(Env):
         read = read_action(action)
         info = self._info({"parsed_action": None if isinstance(read, Malformed) else read.text})
         try:
+            if episode.turns == 1:
+                episode.see_it_is_there()
             result = self._answered(episode, read, info)
         except MachineError as error:
             result = self._without_machine(episode, error, info)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from memory_backend import plain_task
+from memory_backend import MemoryMachine, plain_task
 from scripted import HALF, PASSED, Script, result
 
 import gem_core as gem
@@ -260,6 +260,20 @@ def test_lost_machine(env: TerminalEnv, script: Script, by_agent: bool | None) -
         assert info["error"] == {"kind": "machine", "message": "its memory was full"}
     with pytest.raises(ResetNeededError, match="call reset"):
         env.step("<bash>ls</bash>")
+
+
+def test_machine_that_ended_before_the_first_action_is_an_error(
+    env: TerminalEnv, script: Script, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The agent has done nothing, whatever it looks like; later, it may have."""
+    lost = MachineLostError("its first process was ended", by_agent=True)
+    env.reset(seed=1)
+    monkeypatch.setattr(MemoryMachine, "why_lost", lambda machine: lost)
+    _, reward, terminated, truncated, info = env.step("<finish/>")
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    said = "its first process was ended, before the agent did anything"
+    assert info["error"] == {"kind": "machine", "message": said}
+    assert script.verified == []
 
 
 def test_engine_that_fails_in_a_step_is_an_error(env: TerminalEnv, script: Script) -> None:

@@ -245,11 +245,12 @@ class DockerMachine:
         if self._removed:
             return MachineLostError("the machine was removed", by_agent=False)
         try:
-            state = self._engine.client.inspect_container(self.id)["State"]
+            found = self._engine.client.inspect_container(self.id)
         except docker.errors.NotFound:
             return MachineLostError("the machine's container was removed by someone else", by_agent=False)
         except (MachineError, *FAILURES) as error:
             return MachineLostError(f"the container engine does not answer: {error}", by_agent=False)
+        state = found["State"]
         if state.get("Running"):
             return None
         if state.get("OOMKilled"):
@@ -258,7 +259,9 @@ class DockerMachine:
         code = state.get("ExitCode")
         if state.get("Error"):
             return MachineLostError(f"the machine's container failed: {state['Error']}", by_agent=None)
-        return MachineLostError(f"the machine's first process was ended (exit code {code})", by_agent=self._blame())
+        began = " ".join([str(found.get("Path")), *map(str, found.get("Args") or ())])[:200]
+        message = f"the machine's first process was ended (exit code {code}; it began as {began!r})"
+        return MachineLostError(message, by_agent=self._blame())
 
     def end(self, error: MachineLostError) -> None:
         """End it at once because of what its agent did, which :meth:`why_lost` says from then on."""
