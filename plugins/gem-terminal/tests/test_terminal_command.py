@@ -31,7 +31,8 @@ def write_task(folder: Path, *, test: str = "grep -q done /app/note", dockerfile
     (folder / "instruction.md").write_text("Write 'done' into /app/note.\n")
     base = "ARG BASE=python:3.12-slim-bookworm\nFROM ${BASE}\n"
     (folder / "environment" / "Dockerfile").write_text(base + dockerfile)
-    (folder / "tests" / "test.sh").write_text(f"if {test}; then echo 1; else echo 0; fi >/logs/verifier/reward.txt\n")
+    judge = "if {test}; then reward=1; else reward=0; fi\necho $reward >/logs/verifier/reward.txt\n"
+    (folder / "tests" / "test.sh").write_text(judge.replace("{test}", test))
     (folder / "solution" / "solve.sh").write_text("#!/bin/bash\necho done >/app/note\n")
     return folder
 
@@ -51,6 +52,20 @@ def test_list_shows_tasks_limits_and_what_is_broken(tmp_path: Path) -> None:
     assert [row["name"] for row in rows] == ["one", "two"]
     assert rows[0]["memory_mb"] == 256
     assert "task.toml" in rows[1]["broken"]
+
+
+def test_list_shows_the_notes_of_tasks(tmp_path: Path) -> None:
+    """What has no effect, and what a task will miss: once, where several have the same."""
+    for name in ("one", "two"):
+        folder = write_task(tmp_path / "tasks" / name, test="curl -LsSf https://example.org/install.sh | sh")
+        (folder / "task.toml").write_text("[environment]\nskills_dir = 'x'\n")
+    done = gem_terminal("list", "tasks", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-2:] == [
+        "one and 1 more: note: task.toml: 'environment.skills_dir' has no effect: agents here have one terminal.",
+        "one and 1 more: note: tests/test.sh: needs a network for 'curl -LsSf https://', it seems, and the task "
+        "asks for none: network='public' gives it one, the agent included.",
+    ]
 
 
 def test_list_says_that_nothing_can_run_here(tmp_path: Path) -> None:
@@ -112,13 +127,13 @@ def test_check_tells_sound_tasks_from_others(backend: str, tmp_path: Path) -> No
     """A task that passes untouched, and one whose solution fails, are named."""
     write_task(tmp_path / "tasks" / "easy", test="true")
     write_task(tmp_path / "tasks" / "good")
-    write_task(tmp_path / "tasks" / "wrong", test="grep -q other /app/note")
+    write_task(tmp_path / "tasks" / "wrong", test="echo seen $(cat /app/note); false")
     done = gem_terminal("check", "tasks", cwd=tmp_path, **environment(backend, "test-check"))
     assert done.returncode == 1
     rows = {line.split()[0]: line for line in done.stdout.splitlines()[1:]}
     assert rows["easy"].endswith("doing nothing passes")
     assert rows["good"].endswith("sound")
-    assert "the reference solution fails" in rows["wrong"]
+    assert "the reference solution fails: the score is 0; the tests ended with: seen done" in rows["wrong"]
     done = gem_terminal("check", "tasks/good", "--json", cwd=tmp_path, **environment(backend, "test-check"))
     assert (done.returncode, json.loads(done.stdout)[0]["sound"]) == (0, True)
 

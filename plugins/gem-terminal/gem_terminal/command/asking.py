@@ -10,7 +10,6 @@ import click
 
 from gem_core.registry import registry
 from gem_terminal.backends.choosing import NAMES, shared_backend
-from gem_terminal.backends.interface import Limits
 from gem_terminal.errors import MachineError, TaskError
 from gem_terminal.selecting import read_tasks, select_tasks
 
@@ -34,6 +33,16 @@ def backend_options(function: F) -> F:
         help="Argument for the build of images; may be given several times.",
     )(function)
     return click.option("--backend", type=click.Choice(NAMES), default="auto", show_default=True)(function)
+
+
+network_option = click.option(
+    "--network",
+    type=click.Choice(["task", "none", "public"]),
+    default="task",
+    show_default=True,
+    help="Network of the machine; 'task' is what the task asks for.",
+)
+"""Adds the option that overrules a task's network."""
 
 
 def chosen_backend(name: str, build_args: tuple[str, ...]) -> Backend:
@@ -93,9 +102,6 @@ def limits_of(task: Task) -> dict[str, object]:
         "agent_s": first.agent_timeout_s,
         "tests_s": first.verifier.timeout_s,
     }
-
-
-DEFAULT_LIMITS = Limits()
 
 
 def _paths_of(where: str) -> list[str | Path]:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gem_core.progress import Progress
-from gem_terminal.command.asking import DEFAULT_LIMITS, backend_options, chosen_backend, some_tasks, why_not
+from gem_terminal.backends.interface import Limits
+from gem_terminal.command.asking import backend_options, chosen_backend, network_option, some_tasks, why_not
 from gem_terminal.errors import MachineError, TaskError
 from gem_terminal.verifying.solutions import solve
 from gem_terminal.verifying.verify import verify
@@ -36,6 +37,7 @@ Examples:
 @click.option("--task", "names", multiple=True, metavar="NAME", help="Only this task, or those of this pattern.")
 @click.option("--jobs", type=click.IntRange(1, 64), default=2, show_default=True, help="Tasks at once.")
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON list, with the tests of each.")
+@network_option
 @backend_options
 @click.pass_context
 def command(
@@ -44,6 +46,7 @@ def command(
     names: tuple[str, ...],
     jobs: int,
     as_json: bool,
+    network: str,
     backend: str,
     build_args: tuple[str, ...],
 ) -> None:
@@ -53,9 +56,10 @@ def command(
     is 0 when all tasks are sound.
     """
     tasks, chosen = some_tasks(where, names), chosen_backend(backend, build_args)
+    limits = Limits(network=network)
     with Progress(len(tasks), "tasks", unit="tasks") as progress, ThreadPoolExecutor(jobs) as threads:
         rows = []
-        for row in threads.map(lambda task: _checked(chosen, task), tasks):
+        for row in threads.map(lambda task: _checked(chosen, task, limits), tasks):
             rows.append(row)
             progress.advance(len(rows))
     if as_json:
@@ -66,31 +70,33 @@ def command(
         ctx.exit(1)
 
 
-def _checked(backend: Backend, task: Task) -> dict[str, Any]:
+def _checked(backend: Backend, task: Task, limits: Limits) -> dict[str, Any]:
     began = time.monotonic()
     row: dict[str, Any] = {"task": task.name, "solution": "-", "nothing": "-", "sound": False, "why": "", "tests": []}
     if reason := why_not(backend, task):
         return row | {"why": f"cannot run here: {reason}", "seconds": 0.0}
     try:
-        nothing, _ = _tried(backend, task, solved=False)
+        nothing, _ = _tried(backend, task, limits, solved=False)
         row["nothing"] = _word(nothing)
         row["tests"] = [{"name": test.name, "passed_untouched": test.passed} for test in nothing.tests]
         why = "doing nothing passes" if nothing.passed else ""
         if all(step.solution is None for step in task.steps):
             why = why or "it has no reference solution"
         else:
-            solution, said = _tried(backend, task, solved=True)
+            solution, said = _tried(backend, task, limits, solved=True)
             row["solution"] = _word(solution)
             if not solution.passed:
-                why = f"the reference solution fails: {solution.detail or _failed(solution) or said}"
+                reason = solution.detail or _failed(solution) or said or f"the score is {solution.score:g}"
+                notes = "".join(f" ({note})" for note in task.notes)
+                why = f"the reference solution fails: {reason}{_said_by_tests(solution)}{notes}"
     except (MachineError, TaskError) as error:
         why = str(error)
     return row | {"sound": not why, "why": why, "seconds": round(time.monotonic() - began, 1)}
 
 
-def _tried(backend: Backend, task: Task, *, solved: bool) -> tuple[Verdict, str]:
+def _tried(backend: Backend, task: Task, limits: Limits, *, solved: bool) -> tuple[Verdict, str]:
     """Return the verdict of the last step, or of the first that does not pass, and the end of the solution's output."""
-    with backend.start(task, DEFAULT_LIMITS) as machine:
+    with backend.start(task, limits) as machine:
         said = ""
         for number, step in enumerate(task.steps):
             if solved:
@@ -102,7 +108,7 @@ def _tried(backend: Backend, task: Task, *, solved: bool) -> tuple[Verdict, str]
                 task,
                 step,
                 backend=backend,
-                limits=DEFAULT_LIMITS,
+                limits=limits,
                 where="auto" if last else "judge",
                 control=False,
             )
@@ -121,10 +127,16 @@ def _failed(verdict: Verdict) -> str:
     return ", ".join(test.name for test in verdict.tests if not test.passed)[:200]
 
 
+def _said_by_tests(verdict: Verdict) -> str:
+    """Return the end of what the tests said, where they name none that failed."""
+    said = " ".join(verdict.output.split())[-200:]
+    return f"; the tests ended with: {said}" if said and not verdict.tests else ""
+
+
 def _print(rows: list[dict[str, Any]]) -> None:
     lines = [_HEADERS]
     for row in rows:
-        verdict = "sound" if row["sound"] else " ".join(row["why"].split())[:300]
+        verdict = "sound" if row["sound"] else " ".join(row["why"].split())[:600]
         lines.append((row["task"], row["solution"], row["nothing"], f"{row['seconds']:.1f}", verdict))
     widths = [max(len(line[column]) for line in lines) for column in range(len(_HEADERS))]
     for line in lines:

@@ -26,7 +26,7 @@ Examples:
 @backend_options
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON list, with all that is known of each.")
 def command(where: tuple[str, ...], backend: str, build_args: tuple[str, ...], as_json: bool) -> None:
-    """Show tasks: format, difficulty, limits, and what cannot run here and why.
+    """Show tasks: format, difficulty, limits, what cannot run here and why, and what has no effect.
 
     WHERE is a task's folder, a folder of tasks, or an id such as terminal:Sample, which is the default.
     """
@@ -72,6 +72,14 @@ def _print(rows: list[dict[str, object]], broken: dict[str, str]) -> None:
     for reason, names in reasons.items():
         which = names[0] if len(names) == 1 else f"{len(names)} tasks"
         click.echo(f"{which}: {' '.join(reason.split())}")
+    noted: dict[str, list[str]] = {}
+    for row in rows:
+        for note in _texts(row["notes"]):
+            noted.setdefault(note, []).append(str(row["name"]))
+    for note, names in noted.items():
+        click.echo(
+            f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: note: {' '.join(note.split())}"
+        )
     for name, why in broken.items():
         click.echo(f"{name}: cannot be read: {' '.join(why.split())}")
 
@@ -88,6 +96,10 @@ def _cells(row: dict[str, object]) -> tuple[str, ...]:
         str(row["network"]),
         "no" if row["cannot_run"] else "yes",
     )
+
+
+def _texts(value: object) -> list[str]:
+    return [str(each) for each in value] if isinstance(value, list) else []
 
 
 def _seconds(value: object) -> str:

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 import click
 
 from gem_core.errors import UsageError
-from gem_terminal.command.asking import DEFAULT_LIMITS, backend_options, chosen_backend, one_task
+from gem_terminal.backends.interface import Limits
+from gem_terminal.command.asking import backend_options, chosen_backend, network_option, one_task
 from gem_terminal.errors import MachineError, MachineLostError
 
 if TYPE_CHECKING:
@@ -40,10 +41,17 @@ Examples:
 @click.argument("task")
 @click.option("--in", "where", metavar="PATH|ID", help="Where the task is; without it, terminal:Sample or TASK itself.")
 @click.option("--user", default="", help="Whom the shell runs as; without it, the agent's user.")
+@network_option
 @backend_options
 @click.pass_context
 def command(
-    ctx: click.Context, task: str, where: str | None, user: str, backend: str, build_args: tuple[str, ...]
+    ctx: click.Context,
+    task: str,
+    where: str | None,
+    user: str,
+    network: str,
+    backend: str,
+    build_args: tuple[str, ...],
 ) -> None:
     """Start the machine of a task and work in it yourself; it is removed when the shell ends.
 
@@ -55,7 +63,7 @@ def command(
     chosen.check(found)
     first = found.steps[0]
     click.echo(f"{found.name}: {first.instruction.strip()}\n", err=True)
-    with chosen.start(found, DEFAULT_LIMITS) as machine:
+    with chosen.start(found, Limits(network=network)) as machine:
         ctx.exit(_worked_in(machine, user or first.agent_user, found.environment.main.workdir))
 
 
