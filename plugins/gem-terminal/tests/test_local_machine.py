@@ -178,9 +178,10 @@ def test_a_machine_that_writes_too_much_is_ended_and_it_is_the_agents_doing(
     backend: LocalBackend, tmp_path: Path
 ) -> None:
     with backend.start(write_task(tmp_path), Limits(storage_mb=20)) as machine:
-        # No file may be larger than that, so it takes two.
+        # No file may be larger than that, so it takes two. To make them takes no time that the kernel would count.
+        script = "fallocate -l 15M a; sleep 4; fallocate -l 15M b; sleep 300"
         with pytest.raises(MachineLostError) as caught:
-            machine.run(["sh", "-c", "head -c 15M /dev/zero > a; head -c 15M /dev/zero > b; sleep 60"], timeout_s=60)
+            machine.run(["sh", "-c", script], timeout_s=300)
         assert caught.value.by_agent is True
         assert "grew beyond the 20 MB" in str(caught.value)
         assert "grew beyond the 20 MB" in str(machine.why_lost())

@@ -21,6 +21,7 @@ from gem_terminal.backends.local.inside import compare, files, kernel, processes
 
 _TICK_S = 0.25
 _SIZES_S = 2.0
+_SIZES_IDLE_S = 5.0
 _COPY_S = 120.0
 _AGENT = "root"
 _PAGE = os.sysconf("SC_PAGE_SIZE")
@@ -59,6 +60,7 @@ class Keeper:
         self.waited: dict[int, int] = {}
         self.helpers: dict[int, Helper] = {}
         self.sizes_due = time.monotonic() + _SIZES_S
+        self.measured = time.monotonic()
         self.measuring = False
         self.ticks = 0.0
         self.watched = 0.0
@@ -353,18 +355,20 @@ class Keeper:
             return
         self.watched = now
         theirs = [stat for stat in processes.everyone() if stat.pid not in self.infrastructure and stat.pid != 1]
-        self.quiet = not theirs and not self.helpers
+        # What has just been forked may not have come so far as to be one of theirs.
+        self.quiet = not (theirs or self.infrastructure or self.waited)
         self.watch_memory([stat.pid for stat in theirs])
         if now > self.sizes_due and not self.measuring:
-            # Who takes no time writes nothing; most machines wait for a model most of the time.
+            # Most machines wait for a model most of the time. Whoever takes less than a tick can write nevertheless, as
+            # with fallocate: so it is looked for then too, if less often.
             ticks = sum(stat.ticks for stat in theirs) + sum(os.times()[2:4])
-            if ticks != self.ticks:
+            if ticks != self.ticks or now > self.measured + _SIZES_IDLE_S:
                 self.ticks = ticks
                 self.measure(now)
 
     def measure(self, now: float) -> None:
         """Find out how much the agent has written, and end the machine where it is too much."""
-        self.measuring = True
+        self.measuring, self.measured = True, now
 
         def then(told: int) -> None:
             self.measuring = False
