@@ -281,6 +281,19 @@ def test_a_terminal_says_when_its_program_has_ended(machine: LocalMachine) -> No
     terminal.close()
 
 
+def test_a_terminal_that_has_ended_is_not_typed_into() -> None:
+    """Also in the moment in which its program is still waited for."""
+    controlling, program = os.openpty()
+    ended, ends = os.pipe()
+    terminal = LocalTerminal(1, controlling, ended, lambda: None)
+    os.close(program)
+    for use in (lambda: terminal.read(10), lambda: terminal.write(b"x")):
+        with pytest.raises(MachineLostError, match=r"the program in the terminal has ended"):
+            use()
+    terminal.close()
+    os.close(ends)
+
+
 def test_typing_ends_though_nobody_reads(machine: LocalMachine) -> None:
     terminal = machine.open_terminal(["sleep", "1000"])
     terminal.write(b"x" * 1_000_000)

@@ -26,7 +26,7 @@ class LocalTerminal:
     def __init__(self, pid: int, controlling: int, ended: int, why_lost: Callable[[], MachineLostError | None]) -> None:
         self.pid = pid
         self._controlling, self._ended, self._why_lost = controlling, ended, why_lost
-        self._closed = False
+        self._closed = self._over = False
         os.set_blocking(controlling, False)
 
     def read(self, timeout_s: float) -> bytes:
@@ -64,7 +64,7 @@ class LocalTerminal:
         gone.register(self._ended, select.POLLIN)
         while view:
             left = deadline - time.monotonic()
-            if gone.poll(0):
+            if self._over or gone.poll(0):
                 raise self._gone()
             if left <= 0 or not poller.poll(left * 1000):
                 return
@@ -97,6 +97,8 @@ class LocalTerminal:
             raise MachineLostError("the terminal is closed", by_agent=None)
 
     def _gone(self) -> MachineLostError:
+        # The terminal ends with its program, a moment before it is known that the program has.
+        self._over = True
         return self._why_lost() or MachineLostError("the program in the terminal has ended", by_agent=True)
 
 
