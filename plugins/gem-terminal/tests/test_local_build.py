@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import tarfile
 import threading
@@ -88,6 +89,25 @@ def test_two_threads_make_a_template_once(backend: LocalBackend, tmp_path: Path)
     for thread in threads:
         thread.join()
     assert lines == ["[line 2] RUN sleep 0.3"]
+
+
+def test_machines_of_one_template_are_started_at_once(backend: LocalBackend, tmp_path: Path) -> None:
+    """None waits until another has copied it: who copies it holds its lock, together with others."""
+    task = write_task(tmp_path)
+    backend.build(task)
+    (lock,) = (tmp_path / "scratch" / "templates").glob("*.lock")
+    started = threading.Event()
+
+    def start() -> None:
+        with backend.start(task, Limits()):
+            started.set()
+
+    with lock.open("rb") as copying:
+        fcntl.flock(copying, fcntl.LOCK_SH)
+        thread = threading.Thread(target=start, daemon=True)
+        thread.start()
+        assert started.wait(60)
+        thread.join(60)
 
 
 def test_templates_are_removed_when_asked_for(backend: LocalBackend, tmp_path: Path) -> None:

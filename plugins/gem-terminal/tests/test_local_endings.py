@@ -8,6 +8,7 @@ import random
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ import pytest
 from local_sandboxes import backend, machine, needs_sandboxes, shell, write_task
 
 from gem_terminal.backends.interface import Limits
+from gem_terminal.backends.local import launch, scratch
 from gem_terminal.backends.local.backend import LocalBackend
 from gem_terminal.errors import EngineError, MachineLostError
 
@@ -166,6 +168,41 @@ def test_folders_of_any_depth_are_removed(machine: LocalMachine) -> None:
     assert machine.run(["python3", "-c", deep], workdir="/app", timeout_s=60).exit_code == 0
     assert machine.get("/app") == {}
     shell(machine, "chmod 000 /app")
+
+
+def test_no_start_waits_for_the_removal_of_what_others_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    needs_sandboxes()
+    machines = tmp_path / "scratch" / "machines"
+    (machines / "dead").mkdir(parents=True)
+    (machines / "dead.lock").touch()
+    own_scratch, removed, taken = scratch.Scratch(tmp_path / "scratch"), list[Path](), list[scratch.Place]()
+
+    def slow(folder: Path) -> None:
+        thread = threading.Thread(target=lambda: taken.append(own_scratch.take()), daemon=True)
+        thread.start()
+        thread.join(60)
+        removed.append(folder)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(scratch, "remove", slow)
+        assert own_scratch.clean(images=False) == ["machine dead"]
+    assert removed == [machines / "dead"]
+    assert len(taken) == 1
+    own_scratch.give_back(taken[0])
+
+
+def test_a_machine_that_does_not_start_leaves_nothing_open(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise EngineError("bubblewrap cannot be started")
+
+    own_backend = LocalBackend(folder / "scratch")
+    own_backend.build(write_task(folder))
+    monkeypatch.setattr(launch, "launch", fail)
+    before = os.listdir("/proc/self/fd")
+    with pytest.raises(EngineError, match="bubblewrap cannot be started"):
+        own_backend.start(write_task(folder), Limits())
+    assert os.listdir("/proc/self/fd") == before
+    assert machines_in(folder) == []
 
 
 def test_a_folder_of_another_user_is_refused(tmp_path: Path) -> None:

@@ -169,3 +169,12 @@ def test_put_back_replaces_links_on_the_way_and_brings_folders_back_whole(machin
 def test_a_judge_with_a_network_is_refused(machine: LocalMachine) -> None:
     with pytest.raises(TaskError, match=r"the network 'public', which a sandbox lacks: use 'docker'"):
         machine.judge("public")
+
+
+def test_a_judge_that_is_dismissed_meanwhile_takes_no_machine_with_it(machine: LocalMachine) -> None:
+    """As when the end of an episode comes while its verifier runs in another thread."""
+    judge = machine.judge()
+    judge._release()
+    with pytest.raises(EngineError, match=r"there is no view 'judges/1' \(any more\)"):
+        judge.processes()
+    assert shell(machine, "echo there") == "there\n"

@@ -168,10 +168,14 @@ class LocalBackend:
         self._scratch.open()
         key = self._key(task, environment.main)
         place = self._scratch.templates / key
+        size = place / "size"
+        # Those that copy it hold the lock together: whoever finds it made does not wait until they are done.
+        with self._scratch.locked(place.with_suffix(".lock"), shared=True, wait=False) as free:
+            if free and not fresh and size.is_file():
+                return place / "root", int(size.read_text("ascii"))
         with self._scratch.locked(place.with_suffix(".lock")):
             if fresh:
                 remove(place)
-            size = place / "size"
             if not size.is_file():
                 self._make_template(task, environment, place, on_line)
             return place / "root", int(size.read_text("ascii"))

@@ -100,6 +100,8 @@ class Channel:
         self._lost = self._lost or (why, by_agent)
         with contextlib.suppress(OSError):  # which says that it is closed already
             self._link.shutdown(socket.SHUT_RDWR)
+        if not self._reader.is_alive():  # which closes it otherwise
+            self._link.close()
         for answer in self._waiting.values():
             answer.ready.set()
         self._waiting.clear()

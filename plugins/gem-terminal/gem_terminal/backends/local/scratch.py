@@ -9,7 +9,7 @@ import stat
 import subprocess
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,7 +74,7 @@ class Scratch:
                 user = launch.uid()
                 if user is not None:
                     os.chown(path, user, user)
-        except OSError:
+        except BaseException:
             self.give_back(Place(name, folder, lock))
             raise
         return Place(name, folder, lock)
@@ -106,9 +106,8 @@ class Scratch:
         """Remove folders of machines whose process is dead, and, with ``images``, templates nobody is using."""
         self.open()
         removed = []
-        with self.locked(self.folder / "lock"):
-            for lock in sorted(self.machines.glob("*.lock")):
-                removed += self._clean_machine(lock)
+        for lock in sorted(self.machines.glob("*.lock")):
+            removed += self._clean_machine(lock)
         names = {path.name.split(".")[0] for path in self.templates.iterdir()}
         for name in sorted(names):
             removed += self._clean_template(name, images=images)
@@ -116,9 +115,12 @@ class Scratch:
 
     def _clean_machine(self, lock: Path) -> list[str]:
         folder = lock.with_suffix("")
-        with self.locked(lock, wait=False) as dead:
-            if not dead:
-                return []
+        with ExitStack() as held:
+            # Between its making and its locking, a lock file of a machine that is being made looks like a dead one's.
+            # Nobody waits for what takes longer, the removal.
+            with self.locked(self.folder / "lock"):
+                if not lock.exists() or not held.enter_context(self.locked(lock, wait=False)):
+                    return []
             remove(folder)
             with suppress(OSError):
                 lock.unlink()

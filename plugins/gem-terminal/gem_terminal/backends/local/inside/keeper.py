@@ -124,6 +124,8 @@ class Keeper:
             answer = getattr(self, f"do_{message['op']}")(message, descriptors, made)
         except (OSError, ValueError) as error:
             answer = failed(error)
+        except KeyError as error:
+            answer = {"error": f"there is no view {error} (any more)", "full": False}
         finally:
             for descriptor in descriptors:
                 os.close(descriptor)
