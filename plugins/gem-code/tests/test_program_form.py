@@ -52,6 +52,35 @@ def test_a_right_program_passes_every_test(judge: Judge) -> None:
     assert [test.status for test in verdict.tests] == ["passed"] * 3
 
 
+FAST = """
+import os, sys
+from io import BytesIO, IOBase
+
+class Fast(IOBase):
+    def __init__(self, file):
+        self.descriptor, self.buffer = file.fileno(), BytesIO()
+        self.write = self.buffer.write if "r" not in file.mode else None
+
+    def readline(self):
+        if not self.buffer.getvalue():
+            self.buffer = BytesIO(os.read(self.descriptor, os.fstat(self.descriptor).st_size))
+        return self.buffer.readline()
+
+    def flush(self):
+        if self.write:
+            os.write(self.descriptor, self.buffer.getvalue())
+            self.buffer.truncate(0), self.buffer.seek(0)
+
+reads, sys.stdout = Fast(sys.stdin), Fast(sys.stdout)
+sys.stdout.write(b"%d" % (2 * int(reads.readline())))
+"""
+
+
+def test_input_and_output_of_contestants_own_making(judge: Judge) -> None:
+    """In the way of many solutions on Codeforces, which ask the streams for their modes and the input for its size."""
+    assert judge(FAST, DOUBLE).correct
+
+
 def test_what_is_expected_may_always_be_printed(judge: Judge) -> None:
     """Whatever the limit of output; a program that prints far more meets it."""
     tests = {"inputs": ["3000"], "outputs": ["1\n" * 3000]}

@@ -100,6 +100,23 @@ def test_input_by_name_in_a_session(pool: Pool) -> None:
     session.close()
 
 
+def test_streams_are_those_of_an_interpreter(pool: Pool) -> None:
+    """Their names and modes, for which libraries and the fast input of contestants ask."""
+    code = """
+import os, sys
+for stream in (sys.stdin, sys.stdout, sys.stderr):
+    print(stream.name, stream.mode, stream.buffer.name, stream.buffer.mode, stream.fileno(), stream.isatty())
+print(os.read(sys.stdin.fileno(), max(os.fstat(sys.stdin.fileno()).st_size, 8192)))
+"""
+    expected = "<stdin> r <stdin> rb 0 False\n<stdout> w <stdout> wb 1 False\n<stderr> w <stderr> wb 2 False\n"
+    assert pool.run(code, stdin="1 2\n").stdout == f"{expected}b'1 2\\n'\n"
+    session = pool.session()
+    for text in ("one", "two"):
+        outcome = session.run("import sys; print(sys.stdin.name, sys.stdin.mode, sys.stdin.read())", stdin=text)
+        assert outcome.stdout == f"<stdin> r {text}\n"
+    session.close()
+
+
 def test_an_alarm_ends_the_code(pool: Pool) -> None:
     """A timer that nothing handles, which the kernel keeps from the first process of a namespace."""
     outcome = pool.run("import signal\nsignal.setitimer(signal.ITIMER_REAL, 0.01)\nsignal.pause()\nprint('later')")
