@@ -11,7 +11,7 @@ from gem_core.arguments import signature_of
 from gem_core.cli.completion import complete_ids_and_tools
 from gem_core.cli.list_command import described
 from gem_core.cli.tool_info import find_tool, print_tool
-from gem_core.errors import DatasetError
+from gem_core.errors import GemError
 from gem_core.registry import registry
 from gem_core.requirements import unmet
 from gem_core.specs import EnvSpec
@@ -76,12 +76,12 @@ def _print_class(record: EnvSpec) -> None:
         click.echo("\n" + documented)
     try:
         env = make(record)
-    except DatasetError as error:  # what there is to know of it is worth reading offline too
+        try:
+            observation, _ = env.reset(seed=0)
+        finally:
+            env.close()
+    except GemError as error:  # what there is to know of it is worth reading without its data or its engine too
         click.echo(f"\nThere is no observation to show: {error}")
         return
-    try:
-        observation, _ = env.reset(seed=0)
-    finally:
-        env.close()
     click.echo(click.style("\nThe first observation, with seed 0:", bold=True))
     click.echo(observation if isinstance(observation, str) else json.dumps(observation, default=repr, indent=1))

@@ -8,6 +8,7 @@ from gem_core.hookspecs import hookimpl
 from gem_core.specs import CommandSpec, EnvSpec
 
 _ENTRY = "gem_terminal:TerminalEnv"
+_TURNS = 50
 
 
 @hookimpl
@@ -20,13 +21,14 @@ def gem_register_envs() -> Iterable[EnvSpec]:
         id="terminal:Folder",
         entry_point=_ENTRY,
         summary="Work in a terminal; tasks of Terminal-Bench or Harbor in a folder of yours (path=…).",
+        kwargs={"max_turns": _TURNS},
         tags=("terminal", "text", "tools"),
         deterministic=False,
     )
 
 
 def _sample(name: str, folder: str, summary: str) -> EnvSpec:
-    kwargs = {"path": f"gem_terminal:data/sample/{folder}"}
+    kwargs = {"path": f"gem_terminal:data/sample/{folder}", "max_turns": _TURNS}
     tags = ("terminal", "text", "tools")
     return EnvSpec(id=name, entry_point=_ENTRY, kwargs=kwargs, summary=summary, tags=tags, deterministic=False)
 

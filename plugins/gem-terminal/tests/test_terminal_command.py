@@ -108,6 +108,16 @@ def test_missing_engine_is_one_line(tmp_path: Path) -> None:
     assert "no.sock" in done.stderr
 
 
+def test_info_tells_of_an_environment_that_cannot_run_here(tmp_path: Path) -> None:
+    """With its options, its turns, and why there is no observation."""
+    command = [sys.executable, "-m", "gem_core", "info", "terminal:Sample"]
+    variables = {**os.environ, "GEM_TERMINAL_BACKEND": "docker", "DOCKER_HOST": f"unix://{tmp_path}/no.sock"}
+    done = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=100, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "  turn limit:   50\n" in done.stdout
+    assert "There is no observation to show: no container engine answers at unix://" in done.stdout
+
+
 @each_backend
 def test_build_shows_the_end_of_the_log_of_what_fails(backend: str, tmp_path: Path) -> None:
     """And builds the others; the exit code is 1."""
