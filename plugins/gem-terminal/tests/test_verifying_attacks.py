@@ -218,6 +218,15 @@ def test_server_that_was_left_running_is_reached_by_the_tests(engine: DockerBack
     assert not judged(engine, task, "server").passed
 
 
+def test_killing_whatever_comes_up_never_passes_and_is_the_agents_fault(engine: DockerBackend, task: Task) -> None:
+    script = """trap '' TERM; while :; do
+  for p in /proc/[0-9]*; do p=${p#/proc/}; [ "$p" -gt $$ ] && kill -9 "$p"; done
+done"""
+    verdict = judged(engine, task, "python", "echo 42 > /app/answer", left(script))
+    assert not verdict.passed
+    assert verdict.problem is None or verdict.blame == "agent", verdict
+
+
 def test_stopping_the_tests_is_the_agents_fault(engine: DockerBackend, task: Task) -> None:
     """Only the tests themselves are stopped: an engine whose own processes are is a matter of the backend's tests."""
     script = """while :; do for p in /proc/[0-9]*; do
@@ -227,6 +236,12 @@ done; done 2> /dev/null"""
     verdict = judged(engine, task, "python", "echo 42 > /app/answer", left(script), timeout_s=5.0)
     assert verdict.problem is None or verdict.blame == "agent", verdict
     assert verdict.passed == (verdict.problem is None)
+
+
+def test_fork_bomb_that_was_left_running_does_not_hinder_the_tests(engine: DockerBackend, task: Task) -> None:
+    for answer in (41, 42):
+        verdict = judged(engine, task, "cat", f"echo {answer} > /app/answer", left("b() { b | b & }; b; wait"))
+        assert (verdict.passed, verdict.problem) == (answer == 42, None), verdict
 
 
 def test_program_under_test_cannot_write_the_reward_file_that_takes_precedence(

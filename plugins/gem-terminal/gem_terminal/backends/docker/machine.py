@@ -7,17 +7,17 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import docker.errors
 
 from gem_terminal.backends.docker import files as moving
 from gem_terminal.backends.docker.engine import FAILURES, Client, Engine, is_full
 from gem_terminal.backends.docker.putting_back import changes, in_batches, program, put_back
-from gem_terminal.backends.docker.terminal import DockerTerminal, Running, Wish, begin, execute
+from gem_terminal.backends.docker.terminal import DockerTerminal, Running, StuckError, Wish, begin, execute
 from gem_terminal.backends.docker.warden import Seen, Warden, frozen
 from gem_terminal.backends.interface import Change, Completed, Limits, Machine, Process
 from gem_terminal.errors import EngineError, MachineError, MachineLostError
@@ -27,9 +27,10 @@ if TYPE_CHECKING:
     from gem_terminal.backends.docker.things import Things
     from gem_terminal.tasks.task import Network
 
-_PAUSE_S = 30.0
+_PAUSE_S = 60.0
 _HANG_UP_S = 5.0
 _REMOVE_S = 30.0
+_THERE = ("running", "paused")
 
 Prepare = Callable[[Machine], object]
 
@@ -50,6 +51,9 @@ class Parts:
         judge: Makes a judge of it.
         changed: What was changed in a judge's files, from before they were its own; None asks the engine.
         is_begun: Whether programs run in it yet.
+        beside: Name of the container of what a judge judges; empty for any other.
+        lock: Held while a program is started and while all is frozen, of a judge and of what it judges: a start that is
+            frozen holds up the engine, see :class:`StuckError`.
     """
 
     engine: Engine
@@ -63,6 +67,8 @@ class Parts:
     judge: Callable[[DockerMachine, Network | None, Prepare | None], DockerMachine] | None = None
     changed: Mapping[str, Change] | None = None
     is_begun: bool = True
+    beside: str = ""
+    lock: threading.RLock = field(default_factory=threading.RLock)
 
 
 class DockerMachine:
@@ -78,7 +84,7 @@ class DockerMachine:
         self._engine = parts.engine
         self._warden = parts.warden
         self._roots: set[int] = set()
-        self._lock = threading.Lock()
+        self._lock = parts.lock
         self._removed = False
         self._emptied: list[str] = []
         self._rm = "rm"
@@ -97,14 +103,13 @@ class DockerMachine:
     ) -> DockerTerminal:
         """Start a program in a pseudo-terminal, with the environment of the container and ``env``."""
         wish = Wish(command, user, workdir, env)
-        with self._asking("open a terminal") as client:
+        with self._asking("open a terminal") as client, self._starting():
             exec_id = execute(client, self.id, wish, tty=True, size=(columns, lines))
             try:
                 stream = begin(client, exec_id, tty=True)
             except docker.errors.APIError as error:
                 raise self._refused(error) from error
             terminal = DockerTerminal(client, exec_id, stream, columns, lines, self.why_lost, self._hang_up)
-        with self._lock:
             self._roots.add(terminal.pid)
         return terminal
 
@@ -121,15 +126,17 @@ class DockerMachine:
         """Run a command without a terminal and without input, and wait for it to end, or kill it."""
         wish = Wish(command, user, workdir, env)
         with self._asking("run a command") as client:
-            exec_id = execute(client, self.id, wish, tty=False, size=(0, 0))
-            try:
-                stream = begin(client, exec_id, tty=False)
-            except docker.errors.APIError as error:
-                raised = self._refused(error)
-                if raised.by_agent is None and not isinstance(error, docker.errors.NotFound):
-                    return Completed(126, str(error.explanation or error).encode())
-                raise raised from error
-            done = Running(client, exec_id, stream, most_output).wait(timeout_s, self._kill_tree)
+            with self._starting():
+                exec_id = execute(client, self.id, wish, tty=False, size=(0, 0))
+                try:
+                    running = Running(client, exec_id, begin(client, exec_id, tty=False), most_output)
+                except docker.errors.APIError as error:
+                    raised = self._refused(error)
+                    if raised.by_agent is None and not isinstance(error, docker.errors.NotFound):
+                        return Completed(126, str(error.explanation or error).encode())
+                    raise raised from error
+                running.begin()
+            done = running.wait(timeout_s, self._kill_tree)
         if done.exit_code is not None and done.exit_code >= 126 and (lost := self.why_lost()) is not None:
             raise lost
         return done
@@ -212,7 +219,7 @@ class DockerMachine:
 
     def processes(self) -> list[Process]:
         """Return all processes but those that the backend itself needs to keep the machine."""
-        with self._asking("look for processes"):
+        with self._asking("look for processes"), self._lock:
             if self._is_idle():
                 return []
             return [seen.process for seen in self._own(self._warden.processes())]
@@ -235,8 +242,11 @@ class DockerMachine:
     def written_mb(self) -> float | None:
         """Return how many megabytes its files have grown by."""
         with self._asking("measure what was written") as client:
-            size = client.ask("GET", f"/containers/{self.id}/json", params={"size": "1"}).json().get("SizeRw")
-        return None if size is None else size / 2**20
+            row = row_of(client, self.id, size=True)
+        if row is None:
+            raise self.why_lost() or EngineError(f"the engine does not know {self.id}")
+        size = row.get("SizeRw")  # where nothing was written, it is left out
+        return None if self._engine.is_podman and size is None else (size or 0) / 2**20
 
     def why_lost(self) -> MachineLostError | None:
         """Return what happened to a machine that is gone; None while it is there."""
@@ -245,7 +255,11 @@ class DockerMachine:
         if self._removed:
             return MachineLostError("the machine was removed", by_agent=False)
         try:
-            found = self._engine.client.inspect_container(self.id)
+            client = self._engine.client
+            row = row_of(client, self.id)
+            if row is not None and row.get("State") in _THERE:
+                return None
+            found = client.inspect_container(self.id)
         except docker.errors.NotFound:
             return MachineLostError("the machine's container was removed by someone else", by_agent=False)
         except (MachineError, *FAILURES) as error:
@@ -266,8 +280,10 @@ class DockerMachine:
     def end(self, error: MachineLostError) -> None:
         """End it at once because of what its agent did, which :meth:`why_lost` says from then on."""
         self._end = error
-        with contextlib.suppress(MachineError, *FAILURES):
-            self._engine.client.kill(self.id)
+        # With the first of all processes that share their numbers, the others end.
+        for name in filter(None, [self.parts.beside, self.id]):
+            with contextlib.suppress(MachineError, *FAILURES):
+                self._engine.client.kill(name)
 
     def remove(self) -> None:
         """End all of it: processes, containers, network, volumes. May be called again; never raises."""
@@ -287,7 +303,6 @@ class DockerMachine:
         """Give the client; a failure is the machine's where that is gone, and else the engine's."""
         if self._removed or self._end is not None:
             raise self.why_lost() or MachineLostError("the machine is gone")
-        self._wait_for_thaw()
         try:
             with self._engine.asking(what) as client:
                 yield client
@@ -299,9 +314,23 @@ class DockerMachine:
                 raise lost from error
             raise
 
-    def _wait_for_thaw(self) -> None:
-        """Wait while another thread has frozen the container to kill what is in it, since nothing starts then."""
-        if self._lock.acquire(timeout=_PAUSE_S):
+    @contextlib.contextmanager
+    def _starting(self) -> Iterator[None]:
+        """Start a program in it, while nobody freezes it; in a judge, while what the agent left can do nothing.
+
+        Raises:
+            MachineLostError: The program did not start; what holds it up is ended, and the machine with it.
+        """
+        if not self._lock.acquire(timeout=_PAUSE_S):
+            raise EngineError(f"{self.id} is busy starting another program")
+        try:
+            with frozen(self._engine, self.parts.beside) if self.parts.beside else contextlib.nullcontext():
+                yield
+        except StuckError as error:
+            lost = MachineLostError("no program starts in the machine any more: one in it stops them", by_agent=True)
+            self.end(lost)
+            raise lost from error
+        finally:
             self._lock.release()
 
     def _refused(self, error: docker.errors.APIError) -> MachineLostError:
@@ -376,12 +405,22 @@ class DockerMachine:
 
     def _hang_up(self, pid: int) -> None:
         """Tell a program that its terminal is closed; the engine does not when a connection ends."""
-        with self._lock:
-            self._roots.discard(pid)
+        self._roots.discard(pid)
         if self._removed or self._end is not None:
             return
         with contextlib.suppress(MachineError):
             self.run(["/bin/sh", "-c", f"kill -HUP {int(pid)}"], user="0", workdir="/", timeout_s=_HANG_UP_S)
+
+
+def row_of(client: Client, name: str, *, size: bool = False) -> dict[str, Any] | None:
+    """Return what the engine's list says of a container; None where it is not on it.
+
+    The engine answers for its list while it does not for a container in which a start hangs (:class:`StuckError`).
+    """
+    for row in client.containers(all=True, size=size, filters={"name": name}):
+        if name in (known.lstrip("/") for known in row.get("Names") or ()):
+            return cast("dict[str, Any]", row)
+    return None
 
 
 def _line(process: Process, processes: Mapping[int, Process]) -> Iterator[Process]:

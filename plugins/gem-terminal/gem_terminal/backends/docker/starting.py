@@ -17,7 +17,7 @@ from gem_terminal.backends.docker.labels import labels
 from gem_terminal.backends.docker.machine import DockerMachine, Parts, Prepare
 from gem_terminal.backends.docker.networks import attached, make_network
 from gem_terminal.backends.docker.putting_back import changes, program
-from gem_terminal.backends.docker.terminal import Running, Wish, begin, execute
+from gem_terminal.backends.docker.terminal import Running, StuckError, Wish, begin, execute
 from gem_terminal.backends.docker.things import Things
 from gem_terminal.backends.docker.warden import Warden, frozen
 from gem_terminal.errors import EngineError, MachineLostError
@@ -150,7 +150,7 @@ class Starter:
                 marks = labels("judge")
                 # The label of the build is the committed container's as well: this is no image of the cache.
                 said_labels = [f'LABEL {key}="{value}"' for key, value in marks.items()]
-                with frozen(engine, machine.id):  # so that both are of one moment
+                with machine.parts.lock, frozen(engine, machine.id):  # so that both are of one moment
                     changed = changes(client, machine.id)
                     client.commit(machine.id, repository, tag, changes="\n".join(said_labels))
                 host = host_config(container, plan.limits, powers=JUDGES)
@@ -172,10 +172,15 @@ class Starter:
                     sleeps=" ".join(sleeps),
                 )
                 parts.changed, parts.is_begun = changed, False
+                parts.beside, parts.lock = machine.id, machine.parts.lock
                 judge = DockerMachine(parts)
                 if prepare is not None:
                     prepare(judge)
-                client.start(name)
+                with (
+                    machine.parts.lock,
+                    frozen(engine, machine.id),
+                ):  # or a program that stops it would hold up the engine
+                    client.start(name)
                 parts.is_begun = True
                 judge.remove_emptied()
         except BaseException:
@@ -233,7 +238,12 @@ def wait_healthy(client: Client, name: str, check: Healthcheck, lost: Callable[[
     failures = 0
     while True:
         exec_id = execute(client, name, Wish(check.command), tty=False, size=(0, 0))
-        done = Running(client, exec_id, begin(client, exec_id, tty=False), 2000).wait(check.timeout_s, lambda _: None)
+        running = Running(client, exec_id, begin(client, exec_id, tty=False), 2000)
+        try:
+            running.begin()
+        except StuckError:
+            raise EngineError(f"the healthcheck {' '.join(check.command)!r} was not started by the engine") from None
+        done = running.wait(check.timeout_s, lambda _: None)
         if done.exit_code == 0:
             return
         ended = lost()

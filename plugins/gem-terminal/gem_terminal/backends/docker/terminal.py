@@ -17,7 +17,8 @@ from gem_terminal.backends.docker.stream import Stream
 from gem_terminal.backends.interface import Completed
 from gem_terminal.errors import MachineLostError
 
-_START_S = 30.0
+START_S = 45.0
+"""Seconds in which an engine under load starts a program; one that does not start in them is held by the agent."""
 _WRITE_S = 3.0
 _LOOK_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 _MARK = "gem-terminal:"
@@ -80,6 +81,15 @@ def begin(client: Client, exec_id: str, *, tty: bool) -> Stream:
     return Stream(client, f"/exec/{exec_id}/start", framed=not tty, body={"Detach": False, "Tty": tty})
 
 
+class StuckError(Exception):
+    """A program has not started, though the engine was told to start it long ago.
+
+    So it is when the agent stops the engine's own process in its container before that turns into the program. The
+    engine (20.10) then holds what it knows of the container for itself: to ask for the exit code, the state or the
+    processes, or to freeze it, waits for ever, and makes all else wait that is asked after it. To kill it works.
+    """
+
+
 class DockerTerminal:
     """A program in a pseudo-terminal of a container.
 
@@ -91,6 +101,10 @@ class DockerTerminal:
         lines: Height of the terminal.
         lost: What happened to the machine; None while it is there.
         hang_up: Sends the hang-up to the program, which the engine does not do.
+
+    Raises:
+        MachineLostError: The program could not be started.
+        StuckError: It did not start.
     """
 
     pid = 0
@@ -146,12 +160,15 @@ class DockerTerminal:
             self._hang_up(self.pid)
 
     def _hear_pid(self) -> int:
-        deadline = time.monotonic() + _START_S
+        deadline = time.monotonic() + START_S
         heard = b""
-        while len(heard) < 4096 and time.monotonic() < deadline:
-            data = self._stream.read(deadline - time.monotonic())
+        while len(heard) < 4096:
+            data = self._stream.read(max(0.01, deadline - time.monotonic()))
             if data is None:
                 break
+            if time.monotonic() > deadline and not data:
+                self.close()
+                raise StuckError
             heard += data
             match = _FIRST.search(heard)
             if match and match.group(1) != b"none":
@@ -186,8 +203,24 @@ class Running:
         self._named = False
         self.pid: int | None = None
 
+    def begin(self) -> None:
+        """Wait until it has started; until then nothing else may be asked about the container.
+
+        Raises:
+            StuckError: It did not start.
+        """
+        deadline = time.monotonic() + START_S
+        while not self._named:
+            data = self._stream.read(max(0.01, deadline - time.monotonic()))
+            if data is None:
+                return
+            self._take(data)
+            if not data and time.monotonic() > deadline:
+                self._stream.close()
+                raise StuckError
+
     def wait(self, timeout_s: float, kill: Callable[[int | None], None]) -> Completed:
-        """Wait for it to end, or kill it.
+        """Wait for it to end, or kill it; :meth:`begin` comes before.
 
         Args:
             timeout_s: Seconds that it may take.

@@ -32,11 +32,15 @@ if TYPE_CHECKING:
     from gem_terminal.backends.docker.engine import Engine
     from gem_terminal.backends.docker.things import Things
 
-_ANSWER_S = 20.0
+_ANSWER_S = 30.0
+_FIRST_WORD_S = 3.0
+"""Seconds until it says that it has heard; one that does not in them is taken for stopped, and started again."""
 _MOST_ANSWER = 16_000_000
 _COMMAND = 200
+_FREEZES = 30
 _PROGRAM = r"""
 while read -r order rest; do
+  printf '\n'
   if [ "$order" = list ]; then
     printf '\n%s places\n' "$N"
     stat -L -c '%n %i' /proc/[0-9]*/ns/mnt 2>/dev/null
@@ -114,14 +118,15 @@ class Warden:
     def _ask(self, order: str) -> tuple[list[bytes], int]:
         if self._stream is not None:
             with contextlib.suppress(EngineError):
-                return self._answer(order)
-        # It is not there, or not any more: killed by the agent, who can do nothing for as long as it is frozen.
+                return self._answer(order, _FIRST_WORD_S)
+        # It is not there, or not any more: killed or stopped by the agent, who can do nothing for as long as it is
+        # frozen.
         with frozen(self._engine, self._target):
             self._start()
             return self._answer(order)
 
-    def _answer(self, order: str) -> tuple[list[bytes], int]:
-        deadline = time.monotonic() + _ANSWER_S
+    def _answer(self, order: str, first_word_s: float = _ANSWER_S) -> tuple[list[bytes], int]:
+        deadline = time.monotonic() + first_word_s
         heard = bytearray()
         mark = f"\n{self._nonce} ".encode()
         stream = self._stream
@@ -133,6 +138,8 @@ class Warden:
                 data = stream.read(deadline - time.monotonic()) if time.monotonic() < deadline else None
                 if data is None or len(heard) > _MOST_ANSWER:
                     break
+                if data and not heard:
+                    deadline = time.monotonic() + _ANSWER_S
                 heard += data
                 at = heard.rfind(mark + b"end ", max(0, len(heard) - len(data) - 200))
                 if at >= 0 and heard.endswith(b"\n"):
@@ -194,18 +201,48 @@ def frozen(engine: Engine, name: str) -> Iterator[None]:
 
     An engine that cannot do this goes without: then what is done inside may miss what came up meanwhile.
     """
-    is_frozen = False
+    is_frozen, most = False, None
     try:
         try:
             engine.client.pause(name)
             is_frozen = True
-        except docker.errors.APIError:
-            pass
+        except docker.errors.APIError as error:
+            if "unable to freeze" in str(error):
+                most = _processes_of(engine, name)
+                is_frozen = _freeze_bomb(engine, name)
         yield
     finally:
+        if most is not None:
+            _allow(engine, name, most)
         if is_frozen:
             with contextlib.suppress(*FAILURES):
                 engine.client.unpause(name)
+
+
+def _freeze_bomb(engine: Engine, name: str) -> bool:
+    """Stop a container whose processes multiply too fast for the kernel to stop them all: first that ends."""
+    _allow(engine, name, 1)
+    for _ in range(_FREEZES):
+        try:
+            engine.client.pause(name)
+        except docker.errors.APIError as error:
+            if "unable to freeze" not in str(error):
+                return False
+        else:
+            return True
+    return False
+
+
+def _processes_of(engine: Engine, name: str) -> int | None:
+    """Return how many processes a container may have; None where there is no limit."""
+    limit = engine.client.inspect_container(name)["HostConfig"].get("PidsLimit")
+    return int(limit) if limit and limit > 0 else None
+
+
+def _allow(engine: Engine, name: str, processes: int) -> None:
+    """Change how many processes a container may have; an engine that cannot do this goes without."""
+    with contextlib.suppress(*FAILURES):
+        engine.client.ask("POST", f"/containers/{name}/update", json={"PidsLimit": processes})
 
 
 def _read(pieces: list[bytes], own: int) -> list[Seen]:
