@@ -82,6 +82,28 @@ def test_the_attack_succeeds_where_nothing_prevents_it(machine: DockerMachine) -
     terminal.close()
 
 
+def test_the_agents_root_cannot_become_a_user_and_look_into_that_users_verifier(machine: DockerMachine) -> None:
+    """Whoever judges as another user than root has no capability that would keep those of the same user out."""
+    become = "import os\nos.setgid(65534); os.setuid(65534)\n"
+    with machine.judge(user="nobody") as judge:
+        judge.put({"/verdict": b"0"})
+        say(judge, "chmod 666 /verdict")
+        say(judge, "sleep 2003 > /dev/null 2>&1 &", user="nobody")
+        terminal = judge.open_terminal(["sleep", "2000"], user="nobody", env={"SECRET": "42"})
+        done = machine.run(["python3", "-c", become + ATTACK, "others"], timeout_s=60)
+        assert (done.exit_code, done.output) == (0, b"tried\n")
+        assert sorted(process.command for process in judge.processes()) == ["sleep 2000", "sleep 2003"]
+        judge.kill(judge.processes())
+        assert judge.processes() == []
+        terminal.close()
+
+
+def test_a_judges_root_is_root_whatever_the_list_of_users_says(machine: DockerMachine) -> None:
+    say(machine, "sed -i 's/^root:x:0:0/root:x:65534:65534/' /etc/passwd")
+    with machine.judge(user="root") as judge:
+        assert say(judge, "id -u", user="root") == "0\n"
+
+
 def test_the_verifiers_files_are_the_judges_alone(machine: DockerMachine) -> None:
     """What is put into a judge is not in the agent's container, and what the agent writes by then not in the judge."""
     with machine.judge() as judge:

@@ -79,6 +79,13 @@ def test_what_the_agent_left_running_moves_the_tests_to_a_copy(tmp_path: Path) -
     ]
 
 
+def test_copy_is_told_who_runs_the_tests_in_it(tmp_path: Path) -> None:
+    machine = ToyMachine(SOLVED)
+    machine.left = [SERVER]
+    assert judged(tmp_path, None, machine=machine, user="tester").passed
+    assert machine.log[0] == "agent: judge None as tester"
+
+
 @pytest.mark.parametrize(("where", "left"), [("machine", [SERVER]), ("judge", [])])
 def test_caller_may_force_where_the_tests_run(tmp_path: Path, where: str, left: list[Process]) -> None:
     machine = ToyMachine(SOLVED)

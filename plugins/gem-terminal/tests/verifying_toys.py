@@ -94,8 +94,10 @@ class ToyMachine:
     def kill(self, processes: Sequence[Process]) -> None:
         self.killed += processes
 
-    def judge(self, network: str | None = None, *, prepare: Callable[[Machine], object] | None = None) -> Machine:
-        self.log.append(f"{self.id}: judge {network}")
+    def judge(
+        self, network: str | None = None, *, user: str = "", prepare: Callable[[Machine], object] | None = None
+    ) -> Machine:
+        self.log.append(f"{self.id}: judge {network}{f' as {user}' if user else ''}")
         copy = ToyMachine(self.tests, "judge", self.log)
         copy.files, copy.changes, copy.left, copy.lost = dict(self.files), self.changes, list(self.left), self.lost
         if prepare is not None:

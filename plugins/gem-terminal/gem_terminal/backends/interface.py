@@ -202,14 +202,23 @@ class Machine(Protocol):
     def kill(self, processes: Sequence[Process]) -> None:
         """Kill processes with SIGKILL; one that has ended, or whose number is another's by now, is left alone."""
 
-    def judge(self, network: Network | None = None, *, prepare: Callable[[Machine], object] | None = None) -> Machine:
+    def judge(
+        self,
+        network: Network | None = None,
+        *,
+        user: str = "",
+        prepare: Callable[[Machine], object] | None = None,
+    ) -> Machine:
         """Return a machine with the same files as this one has now, in which the agent's processes have no part.
 
         Those go on in this one. Services that listen on the loopback are reached from the other, and its processes are
         seen; its files, environment and memory are out of reach for the agent's, even for root. The caller removes it.
+        Where its programs run as another user than root, a backend may leave the processes out of sight, since those of
+        one user can look into one another.
 
         Args:
             network: What its network is; None for this one's.
+            user: Who its programs run as; empty for the container's user.
             prepare: Called with the other before any program of its files runs, so that what the agent made of them can
                 be put back first. It may use ``changed``, ``put_back``, ``put`` and ``get``.
         """

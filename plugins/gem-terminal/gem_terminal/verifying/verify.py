@@ -185,7 +185,8 @@ def _place(
         return _Place(machine, "shell", left)
     network = verifier.network if verifier.network != task.environment.network else None
     if where == "judge" or (where == "auto" and (left or network is not None)):
-        return _Place(stack.enter_context(machine.judge(network, prepare=guard)), "judge", left)
+        judge = machine.judge(network, user=verifier.user, prepare=guard)
+        return _Place(stack.enter_context(judge), "judge", left)
     if guard is not None:
         guard(machine)
     return _Place(machine, "machine", left)

@@ -64,7 +64,7 @@ class Parts:
     limits: Limits
     has_init: bool = True
     sleeps: str = ""
-    judge: Callable[[DockerMachine, Network | None, Prepare | None], DockerMachine] | None = None
+    judge: Callable[[DockerMachine, Network | None, str, Prepare | None], DockerMachine] | None = None
     changed: Mapping[str, Change] | None = None
     is_begun: bool = True
     beside: str = ""
@@ -232,12 +232,12 @@ class DockerMachine:
                 lambda all_seen: [s.process.pid for s in all_seen if (s.process.pid, s.process.started) in wanted]
             )
 
-    def judge(self, network: Network | None = None, *, prepare: Prepare | None = None) -> DockerMachine:
+    def judge(self, network: Network | None = None, *, user: str = "", prepare: Prepare | None = None) -> DockerMachine:
         """Return a machine with the same files as this one has now, in which the agent's processes have no part."""
         if self.parts.judge is None:
             raise EngineError("a judge cannot be judged itself: ask the machine of the agent")
         with self._asking("make a machine for the verifier"):
-            return self.parts.judge(self, network, prepare)
+            return self.parts.judge(self, network, user, prepare)
 
     def written_mb(self) -> float | None:
         """Return how many megabytes its files have grown by."""

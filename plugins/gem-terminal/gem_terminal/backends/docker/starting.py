@@ -132,8 +132,14 @@ class Starter:
         if service and container.healthcheck is not None:
             wait_healthy(client, name, container.healthcheck, lambda: _ended(client, name, service))
 
-    def _judge(self, machine: DockerMachine, network: Network | None, prepare: Prepare | None) -> DockerMachine:
-        """Commit a machine's files, and start a container with them that shares its network and process numbers."""
+    def _judge(
+        self, machine: DockerMachine, network: Network | None, user: str, prepare: Prepare | None
+    ) -> DockerMachine:
+        """Commit a machine's files, and start a container with them that shares its network and process numbers.
+
+        The numbers are not shared with programs of another user than root: those have none of the capabilities that
+        keep the agent's processes, which can become any user, from looking into them.
+        """
         plan, engine = self._plan, self._engine
         things = Things(engine)
         name = f"{machine.id}-judge-{secrets.token_hex(4)}"
@@ -154,7 +160,11 @@ class Starter:
                     changed = changes(client, machine.id)
                     client.commit(machine.id, repository, tag, changes="\n".join(said_labels))
                 host = host_config(container, plan.limits, powers=JUDGES)
-                host["PidMode"] = f"container:{machine.id}"
+                is_apart = not _is_root(user or str(client.inspect_container(machine.id)["Config"].get("User") or ""))
+                if is_apart:
+                    host["Init"] = plan.has_init
+                else:
+                    host["PidMode"] = f"container:{machine.id}"
                 host["VolumesFrom"] = [machine.id]
                 if plan.has_quota:
                     host["StorageOpt"] = {"size": f"{plan.limits.storage_mb}m"}
@@ -166,13 +176,15 @@ class Starter:
                     engine,
                     name,
                     things,
-                    machine.parts.warden,
+                    Warden(engine, things, plan.images[""], name) if is_apart else machine.parts.warden,
                     self._links,
                     machine.parts.limits,
-                    sleeps=" ".join(sleeps),
+                    has_init=plan.has_init,
+                    sleeps="" if is_apart else " ".join(sleeps),
                 )
                 parts.changed, parts.is_begun = changed, False
-                parts.beside, parts.lock = machine.id, machine.parts.lock
+                if not is_apart:
+                    parts.beside, parts.lock = machine.id, machine.parts.lock
                 judge = DockerMachine(parts)
                 if prepare is not None:
                     prepare(judge)
@@ -181,6 +193,8 @@ class Starter:
                     frozen(engine, machine.id),
                 ):  # or a program that stops it would hold up the engine
                     client.start(name)
+                if is_apart and plan.has_init and not engine.is_podman:
+                    _wait_for_first(client, name)
                 parts.is_begun = True
                 judge.remove_emptied()
         except BaseException:
@@ -211,6 +225,10 @@ class Starter:
             raise EngineError(
                 "a verifier with a network of some hosts alone cannot be run: a container engine has no such network"
             )
+
+
+def _is_root(user: str) -> bool:
+    return user.partition(":")[0] in ("", "0", "root")
 
 
 def _wait_for_first(client: Client, name: str) -> None:

@@ -62,7 +62,8 @@ def execute(client: Client, container: str, wish: Wish, *, tty: bool, size: tupl
     if not tty or client.api_version in ("1.40", "1.41"):
         del said["ConsoleSize"]
     if wish.user:
-        said["User"] = wish.user
+        # By its number: the agent may have given the name another one, in the container's list of users.
+        said["User"] = "0" if wish.user == "root" else wish.user
     if wish.workdir:
         said["WorkingDir"] = wish.workdir
     deadline = time.monotonic() + _THAW_S

@@ -224,7 +224,11 @@ class LocalMachine:
         self._ask("kill", processes=[[process.pid, process.started] for process in processes])
 
     def judge(
-        self, network: Network | None = None, *, prepare: Callable[[LocalMachine], object] | None = None
+        self,
+        network: Network | None = None,
+        *,
+        user: str = "",
+        prepare: Callable[[LocalMachine], object] | None = None,
     ) -> LocalMachine:
         """Return a machine with a copy of this one's files, whose files and memory this one's processes cannot reach.
 
@@ -232,12 +236,14 @@ class LocalMachine:
 
         Args:
             network: None, or ``"none"``.
+            user: Of no account: all run as the sandbox's root.
             prepare: Called with the other before any program runs in it.
 
         Raises:
             MachineLostError: The machine is gone, or the copy cannot be made.
             TaskError: It should have a network.
         """
+        del user
         if network not in (None, *_OFFLINE):
             raise TaskError(f"the verifier asks for the network {network!r}, which a sandbox lacks: use 'docker'")
         name = f"judges/{next(self._judges)}"
