@@ -18,13 +18,18 @@ from gem_terminal.errors import EngineError
 
 
 @contextmanager
-def engine_that_says(path: Path, answers: dict[str, tuple[int, Any]]) -> Iterator[str]:
-    """Give the address of a server that answers to paths by their ends."""
+def engine_that_says(path: Path, answers: dict[str, tuple[int, Any]], asked: list[str] | None = None) -> Iterator[str]:
+    """Give the address of a server that answers to paths by their ends; an event is waited for before the answer."""
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             found = [said for end, said in answers.items() if self.path.partition("?")[0].endswith(end)]
+            if asked is not None:
+                asked.append(self.path.rpartition("/")[2])
             status, body = found[0] if found else (404, {"message": "page not found"})
+            if isinstance(body, threading.Event):
+                body.wait(60.0)
+                body = {}
             data = body if isinstance(body, bytes) else json.dumps(body).encode()
             self.send_response(status)
             self.send_header("Content-Type", "application/json")
@@ -118,4 +123,27 @@ def test_podman_is_known_by_its_parts(tmp_path: Path) -> None:
         engine = Engine(url)
         assert engine.client.api_version == "1.41"
         assert engine.is_podman
+        engine.close()
+
+
+def test_an_engine_that_hangs_is_asked_whether_it_answers_before_anything_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that many questions to it do not wait for their whole time each."""
+    monkeypatch.setattr("gem_terminal.backends.docker.engine._PING_S", 0.2)
+    wakes = threading.Event()
+    asked: list[str] = []
+    answers = {"/version": (200, {"ApiVersion": "1.41"}), "/json": (200, wakes), "/_ping": (200, wakes)}
+    with engine_that_says(tmp_path / "e.sock", answers, asked) as url:
+        engine = Engine(url)
+        monkeypatch.setattr(engine.client, "timeout", 0.2)
+        for _ in range(3):
+            with pytest.raises(EngineError, match="did not answer in time"), engine.asking("look") as client:
+                client.inspect_container("x")
+        assert asked == ["version", "json", "_ping", "_ping"]
+        wakes.set()
+        monkeypatch.setattr(engine.client, "timeout", 60)
+        monkeypatch.setattr("gem_terminal.backends.docker.engine._PING_S", 60.0)
+        assert engine.client.inspect_container("x") == {}
+        assert asked[4:] == ["_ping", "json"]
         engine.close()

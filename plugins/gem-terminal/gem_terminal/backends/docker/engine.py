@@ -28,6 +28,7 @@ NEWEST_API = "1.47"
 ANSWER_S = 120.0
 """Seconds in which the engine answers any question; with 32 starts at once on two cores it takes a while."""
 
+_PING_S = 5.0
 _CONNECTIONS = 64
 _REFUSALS = (
     (
@@ -93,7 +94,20 @@ def _context() -> Address | None:
 
 
 class Client(docker.APIClient):
-    """Docker's own client, with the questions that it has no words for."""
+    """Docker's own client, with the questions that it has no words for, and less patience with an engine that hangs."""
+
+    _is_silent = False
+
+    def request(self, method: str, url: str, *args: Any, **options: Any) -> requests.Response:  # type: ignore[override]
+        """Ask the engine; once it did not answer in time, first whether it answers at all, for a few seconds."""
+        if self._is_silent:
+            super().request("GET", f"{self.base_url}/_ping", timeout=_PING_S)
+            self._is_silent = False
+        try:
+            return super().request(method, url, *args, **options)
+        except requests.Timeout:
+            self._is_silent = True
+            raise
 
     def ask(self, method: str, path: str, **options: Any) -> requests.Response:
         """Ask the engine for something by its path, as ``/containers/NAME/archive``.
