@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from gem_terminal.backends.docker.engine import Engine, addresses
+from gem_terminal.backends.docker.reaper import Reaping
 from gem_terminal.errors import EngineError
 
 
@@ -146,4 +147,21 @@ def test_an_engine_that_hangs_is_asked_whether_it_answers_before_anything_else(
         monkeypatch.setattr("gem_terminal.backends.docker.engine._PING_S", 60.0)
         assert engine.client.inspect_container("x") == {}
         assert asked[4:] == ["_ping", "json"]
+        engine.close()
+
+
+def test_removing_what_was_left_behind_holds_up_nobody_for_long(tmp_path: Path) -> None:
+    """It goes on meanwhile, and what goes wrong in time is said."""
+    wakes = threading.Event()
+    asked: list[str] = []
+    answers = {"/version": (200, {"ApiVersion": "1.41"}), "/containers/json": (200, wakes)}
+    others = {"/images/json": (200, []), "/volumes": (200, {}), "/networks": (500, {"message": "broken"})}
+    with engine_that_says(tmp_path / "e.sock", answers | others, asked) as url:
+        engine = Engine(url)
+        reaping = Reaping(engine)
+        reaping.wait(0.2)
+        wakes.set()
+        with pytest.raises(EngineError, match="could not look for what was left behind: broken"):
+            reaping.wait(60.0)
+        assert [path.partition("?")[0] for path in asked] == ["version", "json", "json", "volumes", "networks"]
         engine.close()

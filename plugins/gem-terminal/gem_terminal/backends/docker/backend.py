@@ -20,7 +20,7 @@ from gem_terminal.backends.docker.images import Images
 from gem_terminal.backends.docker.labels import labels
 from gem_terminal.backends.docker.machine import DockerMachine, discard_left
 from gem_terminal.backends.docker.networks import network_of
-from gem_terminal.backends.docker.reaper import reap
+from gem_terminal.backends.docker.reaper import Reaping, reap
 from gem_terminal.backends.docker.starting import Plan, Starter
 from gem_terminal.backends.docker.things import Things
 from gem_terminal.errors import EngineError, TaskError
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from gem_terminal.backends.interface import Limits
     from gem_terminal.tasks.task import Container, Environment, Task
 
+_REAP_S = 20.0
 _BASE = "GEM_TERMINAL_BASE_IMAGE"
 
 
@@ -124,7 +125,7 @@ class DockerBackend:
                 self._machines = weakref.WeakSet()
             self._reaped_in = os.getpid()
         del client
-        reap(self.engine)
+        Reaping(self.engine).wait(_REAP_S)
 
     def _build(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 from typing import TYPE_CHECKING, Any
 
 import docker.errors
@@ -37,12 +38,40 @@ def reap(engine: Engine, *, images: bool = False, run: str = "") -> list[str]:
     for kind, name, about in found:
         if _remove(engine, kind, name):
             removed.append(f"{kind} {about}")
-    with lock_alone("building") as nobody_builds:
-        if nobody_builds:
-            removed += _layers(engine)
-            if images:
-                removed += _images(engine)
+    removed += _layers(engine)
+    if images:
+        removed += _images(engine)
     return removed
+
+
+class Reaping:
+    """One :func:`reap` in a thread of its own: a thing that the engine does not get removed holds up nobody for long.
+
+    Args:
+        engine: The engine.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._error: EngineError | None = None
+        self._thread = threading.Thread(target=self._run, name="gem-terminal-reaper", daemon=True)
+        self._thread.start()
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait until all is removed, or for so long; what is left then is still worked on.
+
+        Raises:
+            EngineError: The engine does not answer.
+        """
+        self._thread.join(timeout_s)
+        if self._error is not None:
+            raise self._error
+
+    def _run(self) -> None:
+        try:
+            reap(self._engine)
+        except EngineError as error:
+            self._error = error
 
 
 def _left(client: Client, kind: str, run: str) -> list[tuple[str, str]]:
@@ -85,15 +114,11 @@ def _remove(engine: Engine, kind: str, name: str) -> bool:
 
 def _layers(engine: Engine) -> list[str]:
     """Remove the layers of builds that were broken off; those that an image is made of are no such layers."""
-    removed: list[str] = []
     with engine.asking("look for layers") as client:
         rows = client.images(filters={"label": [f"{LABEL}"], "dangling": True})
-    for row in rows:
-        with contextlib.suppress(EngineError, docker.errors.NotFound), engine.asking("remove a layer") as client:
-            if (row.get("Labels") or {}).get(LABEL) in ("layer", "image"):
-                client.remove_image(row["Id"])  # and what it was made of, as far as nothing else is
-                removed.append(f"layer {row['Id']}")
-    return removed
+    layers = [row["Id"] for row in rows if (row.get("Labels") or {}).get(LABEL) in ("layer", "image")]
+    # With each goes what it was made of, as far as nothing else is.
+    return [f"layer {layer}" for layer in layers if _remove_unbuilt(engine, layer)]
 
 
 def _images(engine: Engine) -> list[str]:
@@ -101,9 +126,19 @@ def _images(engine: Engine) -> list[str]:
     with engine.asking("look for images") as client:
         rows = client.images(name=REPOSITORY, filters={"label": [f"{LABEL}=image"]})
     for row in rows:
-        for tag in row.get("RepoTags") or []:
-            # Without force: one that a container uses stays, and is named by nobody as removed.
-            with contextlib.suppress(EngineError, docker.errors.NotFound), engine.asking("remove an image") as client:
-                client.remove_image(tag)
-                removed.append(f"image {tag}")
+        removed += [f"image {tag}" for tag in row.get("RepoTags") or [] if _remove_unbuilt(engine, tag)]
     return removed
+
+
+def _remove_unbuilt(engine: Engine, name: str) -> bool:
+    """Remove an image unless something is being built, which may be made of it; builds wait for this one alone.
+
+    Without force: one that a container or another image uses stays, and is named by nobody as removed.
+    """
+    with lock_alone("building") as nobody_builds:
+        if not nobody_builds:
+            return False
+        with contextlib.suppress(EngineError, docker.errors.NotFound), engine.asking("remove an image") as client:
+            client.remove_image(name)
+            return True
+    return False
