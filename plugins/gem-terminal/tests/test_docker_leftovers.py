@@ -12,10 +12,26 @@ import time
 from typing import TYPE_CHECKING
 
 import pytest
-from docker_machines import BASE, DOCKERFILE, SMALL, backend, left, needs_engine, run_label, task
+import requests
+from docker_machines import (
+    BASE,
+    DOCKERFILE,
+    SMALL,
+    backend,
+    left,
+    make_task,
+    needs_engine,
+    remove_images,
+    run_label,
+    say,
+    task,
+)
 
 from gem_terminal.backends.docker.backend import DockerBackend
+from gem_terminal.backends.docker.engine import Client
+from gem_terminal.backends.docker.images import shared_lock
 from gem_terminal.backends.docker.labels import is_dead, owner
+from gem_terminal.backends.docker.reaper import unused
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -57,10 +73,73 @@ def test_an_interpreter_that_ends_leaves_nothing(task: Task, tmp_path: Path, run
 
 
 def test_a_machine_that_nobody_holds_any_more_is_removed(backend: DockerBackend, task: Task, run_label: str) -> None:
-    """As soon as Python forgets it."""
+    """As soon as Python forgets it; in a thread, for that may be at any moment, with any lock held."""
     machine = backend.start(task, SMALL)
     assert len(left(run_label)) == 1
-    del machine
+    with backend.engine._lock:
+        del machine
+    deadline = time.monotonic() + 60
+    while left(run_label):
+        assert time.monotonic() < deadline, left(run_label)
+
+
+def test_a_machine_outlives_the_name_of_its_image(tmp_path: Path, backend: DockerBackend) -> None:
+    """As when another process builds the task anew: what watches it, and what is put back, is of what it began as."""
+    named = make_task(tmp_path / "named", dockerfile=DOCKERFILE + "RUN echo first > /app/which\n")
+    with backend.start(named, SMALL) as machine:
+        (name,) = (name for name in backend.images.names() if backend.images.identity(name) == machine.parts.base)
+        client = backend.engine.client
+        client.remove_image(name, force=True)
+        try:
+            client.tag(BASE, *name.split(":"))
+            machine.run(["sh", "-c", "sleep 1003 >/dev/null 2>&1 & echo agent > /app/which"], timeout_s=30)
+            assert [process.command for process in machine.processes()] == ["sleep 1003"]
+            assert machine.put_back(["/app/which"]) == ["/app/which"]
+            assert say(machine, "cat /app/which") == "first\n"
+        finally:
+            machine.remove()
+            remove_images([name, machine.parts.base])
+            backend.images.forget()
+
+
+def test_an_engine_that_hangs_is_not_asked_to_remove_more(
+    backend: DockerBackend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And nothing is removed while somebody builds."""
+    asked = []
+
+    def hang(_: Client, name: str) -> None:
+        asked.append(name)
+        raise requests.ReadTimeout("timed out")
+
+    monkeypatch.setattr(Client, "image", lambda *_: {})
+    monkeypatch.setattr(Client, "discard_image", hang)
+    with shared_lock("building"):
+        assert unused(backend.engine, ["a", "b"], lambda _: True) == []
+    assert asked == []
+    # Another process of this machine may build just now, and let nothing be removed.
+    deadline = time.monotonic() + 60
+    while not asked:
+        assert time.monotonic() < deadline
+        assert unused(backend.engine, ["a", "b"], lambda _: True) == []
+    assert asked == ["a"]
+
+
+def test_what_could_not_be_removed_is_removed_with_the_next(
+    backend: DockerBackend, task: Task, run_label: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As when the engine was busy for a while; nobody has to close anything."""
+
+    def hang(*_: object, **__: object) -> None:
+        raise requests.ReadTimeout("timed out")
+
+    with backend.start(task, SMALL) as machine:
+        with monkeypatch.context() as patch:
+            patch.setattr(Client, "discard_image", hang)
+            machine.judge().remove()
+        assert [line.split()[0] for line in left(run_label)] == ["container", "image"]
+    with backend.start(task, SMALL):
+        pass
     assert left(run_label) == []
 
 

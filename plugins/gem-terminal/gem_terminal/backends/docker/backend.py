@@ -27,7 +27,7 @@ from gem_terminal.errors import EngineError, TaskError
 
 if TYPE_CHECKING:
     from gem_terminal.backends.interface import Limits
-    from gem_terminal.tasks.task import Container, Environment, Task
+    from gem_terminal.tasks.task import Container, Environment, Network, Task
 
 _REAP_S = 20.0
 _BASE = "GEM_TERMINAL_BASE_IMAGE"
@@ -81,17 +81,16 @@ class DockerBackend:
         self._ready()
         wanted = environment or task.environment
         network = network_of(task, wanted, limits)
-        images = self._build(task, wanted)
-        plan = Plan(wanted, images, limits, network, has_quota=self._quota(images[""]), has_init=True)
         try:
-            machine = Starter(self.engine, plan, self._links_of(images[""])).start()
-        except EngineError as error:
+            plan = self._plan(task, wanted, limits, network)
+            machine = Starter(self.engine, plan, self._links_of(plan.base)).start()
+        except (EngineError, docker.errors.NotFound) as error:
             if "no such image" not in str(error).lower():
                 raise
             # Someone has removed it since it was last looked for.
             self.images.forget()
-            plan = Plan(wanted, self._build(task, wanted), limits, network, plan.has_quota, has_init=True)
-            machine = Starter(self.engine, plan, self._links_of(images[""])).start()
+            plan = self._plan(task, wanted, limits, network)
+            machine = Starter(self.engine, plan, self._links_of(plan.base)).start()
         self._machines.add(machine)
         if not plan.has_quota:
             self._disk.add(machine, less(wanted.main.storage_mb, limits.storage_mb))
@@ -141,6 +140,11 @@ class DockerBackend:
 
         images = {name: image(container) for name, container in environment.services.items()}
         return {**images, "": image(environment.main)}
+
+    def _plan(self, task: Task, environment: Environment, limits: Limits, network: Network) -> Plan:
+        images = self._build(task, environment)
+        base = self.images.identity(images[""])
+        return Plan(environment, images, base, limits, network, has_quota=self._quota(base), has_init=True)
 
     def _links_of(self, image: str) -> Links:
         with self._lock:

@@ -114,6 +114,15 @@ class Images:
             return False
         return True
 
+    def identity(self, name: str) -> str:
+        """Return what names an image for good, though its tag be removed or given to another.
+
+        Raises:
+            docker.errors.NotFound: It is not there.
+        """
+        with self._engine.asking(f"look for the image {name!r}") as client:
+            return str(client.image(name)["Id"])
+
     def _pulled(self, name: str, timeout_s: float, on_line: Callable[[str], None] | None, *, fresh: bool) -> str:
         if not fresh and (name in self._known or self.has(name)):
             self._known[name] = name

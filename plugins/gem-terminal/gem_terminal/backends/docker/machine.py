@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import threading
 import time
@@ -45,6 +46,7 @@ class Parts:
         things: All that was made for it.
         warden: Sees its processes.
         links: The links that are its image's own.
+        base: What names the image it began with for good.
         limits: What it may take.
         has_init: Whether the engine's own first process is in it.
         sleeps: The command line of its first process, where that is not number 1; empty where it is.
@@ -61,6 +63,7 @@ class Parts:
     things: Things
     warden: Warden
     links: Links
+    base: str
     limits: Limits
     has_init: bool = True
     sleeps: str = ""
@@ -89,7 +92,7 @@ class DockerMachine:
         self._emptied: list[str] = []
         self._rm = "rm"
         self._end: MachineLostError | None = None
-        self._finalizer = weakref.finalize(self, _discard, parts)
+        self._forgotten = weakref.finalize(self, _discard_forgotten, parts)
 
     def open_terminal(
         self,
@@ -288,7 +291,8 @@ class DockerMachine:
     def remove(self) -> None:
         """End all of it: processes, containers, network, volumes. May be called again; never raises."""
         self._removed = True
-        self._finalizer()
+        if self._forgotten.detach() is not None:
+            _discard(self.parts)
 
     def __enter__(self) -> Self:
         return self
@@ -435,6 +439,32 @@ def _line(process: Process, processes: Mapping[int, Process]) -> Iterator[Proces
         process = above
 
 
+def _discard_forgotten(parts: Parts) -> None:
+    """Remove what belonged to a machine that was collected, or is still there when the interpreter ends."""
+    if not threading.main_thread().is_alive():  # as Python has it when it ends, when nothing else runs any more
+        _discard(parts)
+        return
+    # The garbage collector may run in any thread, with any lock held, also one that a removal needs.
+    _forgotten[id(parts)] = parts
+    with contextlib.suppress(RuntimeError):
+        threading.Thread(target=_discard_one, args=(parts,), name="gem-terminal-forgotten", daemon=True).start()
+
+
+def _discard_one(parts: Parts) -> None:
+    _discard(parts)
+    _forgotten.pop(id(parts), None)
+
+
+@atexit.register
+def _discard_all() -> None:
+    for parts in list(_forgotten.values()):
+        _discard(parts)
+
+
+_forgotten: dict[int, Parts] = {}
+"""What is being removed in threads, which do not outlive the interpreter."""
+
+
 def _discard(parts: Parts) -> None:
     if parts.things.is_foreign:
         return  # a child that was forked: all this is its parent's
@@ -443,12 +473,19 @@ def _discard(parts: Parts) -> None:
     if not parts.things.remove():
         with _left_lock:
             _left.append(parts.things)
+    elif _left:
+        discard_left(most=1)  # the engine does its work again
 
 
-def discard_left() -> None:
-    """Try again to remove what could not be removed before."""
+def discard_left(*, most: int | None = None) -> None:
+    """Try again to remove what could not be removed before, the oldest first.
+
+    Args:
+        most: Of how many machines; None for all.
+    """
     with _left_lock:
-        tried, _left[:] = list(_left), []
+        tried = _left[:most]
+        del _left[:most]
     for things in tried:
         if not things.remove():
             with _left_lock:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import threading
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import docker.errors
@@ -116,29 +116,37 @@ def _layers(engine: Engine) -> list[str]:
     """Remove the layers of builds that were broken off; those that an image is made of are no such layers."""
     with engine.asking("look for layers") as client:
         rows = client.images(filters={"label": [f"{LABEL}"], "dangling": True})
-    layers = [row["Id"] for row in rows if (row.get("Labels") or {}).get(LABEL) in ("layer", "image")]
-    # With each goes what it was made of, as far as nothing else is.
-    return [f"layer {layer}" for layer in layers if _remove_unbuilt(engine, layer)]
+    found = [str(row["Id"]) for row in rows if (row.get("Labels") or {}).get(LABEL) in ("layer", "image")]
+    # And what each was made of, as far as nothing else is.
+    return [f"layer {name}" for name in unused(engine, found, lambda image: not image.get("RepoTags"))]
 
 
 def _images(engine: Engine) -> list[str]:
-    removed: list[str] = []
     with engine.asking("look for images") as client:
         rows = client.images(name=REPOSITORY, filters={"label": [f"{LABEL}=image"]})
-    for row in rows:
-        removed += [f"image {tag}" for tag in row.get("RepoTags") or [] if _remove_unbuilt(engine, tag)]
-    return removed
+    found = [str(tag) for row in rows for tag in row.get("RepoTags") or []]
+    return [f"image {name}" for name in unused(engine, found, lambda _: True)]
 
 
-def _remove_unbuilt(engine: Engine, name: str) -> bool:
-    """Remove an image unless something is being built, which may be made of it; builds wait for this one alone.
+def unused(engine: Engine, names: Sequence[str], is_meant: Callable[[dict[str, Any]], bool]) -> list[str]:
+    """Remove images while nobody builds, and return which were; without force, so that one that is used stays.
 
-    Without force: one that a container or another image uses stays, and is named by nobody as removed.
+    Who wants to build waits for one removal at most, and an engine that hangs is not asked again.
     """
-    with lock_alone("building") as nobody_builds:
-        if not nobody_builds:
-            return False
-        with contextlib.suppress(EngineError, docker.errors.NotFound), engine.asking("remove an image") as client:
-            client.remove_image(name)
-            return True
-    return False
+    removed = []
+    for name in names:
+        with lock_alone("building") as nobody_builds:
+            if not nobody_builds:
+                break
+            try:
+                with engine.asking("remove an image") as client:
+                    if is_meant(client.image(name)):  # since it was looked for, a build may have made something of it
+                        client.discard_image(name)
+                        removed.append(name)
+            except docker.errors.NotFound:
+                continue
+            except EngineError as error:
+                if isinstance(error.__cause__, docker.errors.APIError):
+                    continue  # it is used
+                break
+    return removed

@@ -40,6 +40,7 @@ class Plan:
     Args:
         environment: What the task asks for.
         images: Of the services by their names, and of the main container under ``""``.
+        base: What names the main container's for good.
         limits: What each container may take.
         network: The network it gets.
         has_quota: Whether the engine can limit what a container writes.
@@ -48,6 +49,7 @@ class Plan:
 
     environment: Environment
     images: Mapping[str, str]
+    base: str
     limits: Limits
     network: Network
     has_quota: bool
@@ -100,8 +102,10 @@ class Starter:
         self._run(client, self._name, environment.main, "")
         if plan.has_init and not self._engine.is_podman:
             _wait_for_first(client, self._name)
-        warden = Warden(self._engine, self._things, plan.images[""], self._name)
-        parts = Parts(self._engine, self._name, self._things, warden, self._links, plan.limits, has_init=plan.has_init)
+        warden = Warden(self._engine, self._things, plan.base, self._name)
+        parts = Parts(
+            self._engine, self._name, self._things, warden, self._links, plan.base, plan.limits, has_init=plan.has_init
+        )
         parts.judge = self._judge
         machine = DockerMachine(parts)
         if environment.main.healthcheck is not None:
@@ -178,6 +182,7 @@ class Starter:
                     things,
                     Warden(engine, things, plan.images[""], name) if is_apart else machine.parts.warden,
                     self._links,
+                    plan.base,
                     machine.parts.limits,
                     has_init=plan.has_init,
                     sleeps="" if is_apart else " ".join(sleeps),

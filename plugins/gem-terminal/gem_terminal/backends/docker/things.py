@@ -46,7 +46,7 @@ class Things:
         with self._lock:
             client = self._engine
             self.containers = _each(reversed(self.containers), lambda name: _remove_container(client, name))
-            self.images = _each(self.images, lambda name: client.client.remove_image(name, force=True))
+            self.images = _each(self.images, lambda name: client.client.discard_image(name, force=True))
             self.volumes = _each(self.volumes, lambda name: client.client.remove_volume(name, force=True))
             self.networks = _each(self.networks, lambda name: client.client.remove_network(name))
             return not (self.containers or self.images or self.volumes or self.networks)
