@@ -12,6 +12,7 @@ from gem_terminal.backends.interface import Completed
 from gem_terminal.deadlines import shared_deadlines
 from gem_terminal.errors import MachineError, MachineLostError
 from gem_terminal.shell import CommandResult, ScreenResult, Shell
+from gem_terminal.tasks.staging import stage
 from gem_terminal.verifying.rewards import reward_of_steps
 from gem_terminal.verifying.verify import verify
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from gem_terminal.verifying.verdict import Verdict
 
 _LEAST_S = 0.5
-_SETUP_S = 300.0
 _KEYS_S = 1.0
 """Seconds for a screen to become quiet, unless the agent asks for others."""
 _UNLIMITED_AGENT_S = 3600.0
@@ -85,7 +85,7 @@ class Episode:
         Raises:
             MachineError: It is not.
         """
-        self._set_up()
+        stage(self.machine, self.step)
         if self.step.healthcheck is not None:
             self._wait_until_healthy(self.step.healthcheck)
         self._step_began = time.monotonic()
@@ -212,19 +212,6 @@ class Episode:
             )
             self._shell.open()
         return self._shell
-
-    def _set_up(self) -> None:
-        """Bring the files of the step, and run what prepares it."""
-        step = self.step
-        if step.files:
-            there = self.machine.run(["pwd"], timeout_s=_SETUP_S).output.decode("utf-8", "replace").strip() or "/"
-            self.machine.put({f"{there.rstrip('/')}/{name}": path for name, path in step.files.items()})
-        if step.setup:
-            done = self.machine.run(step.setup, timeout_s=_SETUP_S)
-            if done.exit_code != 0:
-                said = done.output.decode("utf-8", "replace")[-500:]
-                how = "ran too long" if done.exit_code is None else f"exit code {done.exit_code}"
-                raise MachineLostError(f"the setup of the step {step.name!r} of {self.task.name} fails ({how}): {said}")
 
     def _run_tests(self, command: Sequence[str], timeout_s: float) -> Completed:
         result = self._open_shell().run(shlex.join(command), timeout_s)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,11 +17,11 @@ from scripted import HALF, PASSED, Script, result
 import gem_core as gem
 from gem_core.errors import ArgumentError, ResetNeededError, StateNotSupported
 from gem_terminal import TerminalEnv, episode, terminal_env
-from gem_terminal.errors import EngineError, MachineLostError
+from gem_terminal.errors import EngineError, MachineError, MachineLostError
 from gem_terminal.verifying.verdict import Verdict
 
 if TYPE_CHECKING:
-    from gem_terminal.tasks.task import Task
+    from gem_terminal.tasks.task import Step, Task
 
 
 @pytest.fixture
@@ -317,6 +318,26 @@ def test_shell_that_fails_in_a_reset_leaves_no_machine(
     assert script.backend.live == {}
 
 
+def test_each_step_is_made_ready_before_its_shell_is_opened(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
+    """With the files and the command of the step; one that fails is no failure of the agent's."""
+    staged: list[tuple[str, int]] = []
+
+    def stage(_: Any, step: Step) -> None:
+        staged.append((step.name, len(script.shells)))
+        if step.name == "third":
+            raise MachineError("the command 'make' before the step 'third' took too long")
+
+    monkeypatch.setattr(episode, "stage", stage)
+    env = make(monkeypatch, script, [steps_task()])
+    env.reset(seed=1)
+    env.step("<finish/>")
+    *_, reward, terminated, truncated, info = env.step("<finish/>")
+    assert staged == [("first", 0), ("second", 1), ("third", 2)]
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert info["error"]["message"] == "the command 'make' before the step 'third' took too long"
+    env.close()
+
+
 def test_steps_of_a_task_follow_each_other(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
     """Each is judged when the agent finishes it; the return is the mean."""
     script.verdicts = [PASSED, HALF, PASSED]
@@ -457,8 +478,10 @@ def test_pool_makes_the_next_machine_ready(monkeypatch: pytest.MonkeyPatch, scri
     env = make(monkeypatch, script, [plain_task("only")], pool_size=2, prestart=True)
     for _ in range(3):
         env.reset()
+    deadline = time.monotonic() + 60
+    while len(script.backend.made) < 5:
+        assert time.monotonic() < deadline
     env.close()
-    assert len(script.backend.made) >= 4
     assert script.backend.live == {}
 
 

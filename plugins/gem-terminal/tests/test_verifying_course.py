@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from verifying_toys import DONE, ToyBackend, ToyMachine, as_backend, as_machine,
 from gem_core.errors import UsageError
 from gem_terminal.backends.interface import Completed, Limits, Process
 from gem_terminal.errors import EngineError, MachineLostError, TaskError
-from gem_terminal.tasks.task import Container, Environment, Solution
+from gem_terminal.tasks.task import Collect, Container, Environment, Solution
 from gem_terminal.verifying.controls import CONTROLS, Controls
 from gem_terminal.verifying.solutions import solve
 from gem_terminal.verifying.verdict import Verdict
@@ -313,3 +314,30 @@ def test_solution_runs_as_a_command_or_line_by_line_and_leaves_no_file(tmp_path:
     assert machine.commands[-1] == ("bash", "-c", "eval 'cd /tmp'\neval 'echo '\"'\"'a b'\"'\"''")
     with pytest.raises(TaskError, match="has no reference solution"):
         solve(as_machine(machine), task(tmp_path, verifier(tmp_path)).steps[0])
+
+
+def test_what_only_runs_is_noted_in_files_before_artifacts_are_taken(tmp_path: Path) -> None:
+    """One that fails is told of; the tests judge what is there."""
+
+    def dumps(machine: ToyMachine) -> Completed:
+        machine.files["/out/dump"] = b"state"
+        return Completed(3, b"")
+
+    def looks(machine: ToyMachine) -> Completed:
+        machine.files["/logs/verifier/reward.txt"] = b"1" if machine.files.get("/out/dump") == b"state" else b"0"
+        return DONE
+
+    said = {"environment": Environment(Container()), "artifacts": ("/out",), "collect": (Collect(("dump",)),)}
+    verdict = judged(tmp_path, dumps, looks, **said)
+    assert verdict.passed
+    assert verdict.info["collected"] == [{"command": "dump", "exit_code": 3}]
+
+
+def test_untouched_machine_of_the_trial_is_made_ready_for_the_step(tmp_path: Path) -> None:
+    CONTROLS.forget()
+    made = task(tmp_path, verifier(tmp_path))
+    step = replace(made.steps[0], setup=("prepare", "it"))
+    backend = ToyBackend(SOLVED)
+    machine = as_machine(ToyMachine(NOTHING))
+    assert verify(machine, made, step, backend=as_backend(backend), limits=Limits()).blame == "agent"
+    assert ("prepare", "it") in backend.started[0].commands

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 from gem_core.errors import UsageError
 from gem_terminal.backends.interface import Backend, Completed, Limits, Machine, Process
 from gem_terminal.errors import MachineLostError
+from gem_terminal.tasks.staging import collect, stage
 from gem_terminal.verifying.controls import CONTROLS
 from gem_terminal.verifying.guarded import Inventories, PutBack, names_of, put_back_rest, put_back_tools
 from gem_terminal.verifying.output_parsers import parser_named
@@ -111,6 +112,7 @@ def verify(
 
     def attempt_untouched() -> Verdict:
         with backend.start(task, limits) as untouched:
+            stage(untouched, step)
             return _attempt(untouched, task, step, backend, limits, "machine", "agent", None)
 
     tried = CONTROLS.get((task.digest, step.name, backend.name), attempt_untouched)
@@ -136,6 +138,8 @@ def _attempt(
     with ExitStack() as stack:
         at = machine
         try:
+            if step.verifier.collect:
+                info["collected"] = collect(machine, step.verifier)
             guard = _Guard(task, backend, limits) if tools == "image" else None
             place = _place(machine, task, step, backend, limits, where, same_shell, stack, guard)
             at = place.machine
