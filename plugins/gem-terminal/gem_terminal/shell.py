@@ -314,8 +314,19 @@ class Shell:
             ready = running.is_ready(_INTERRUPTED_S)
             self._kill(session, running.beginning)
             if ready or running.is_ready(_INTERRUPTED_S * 2):
-                return True
+                return self._is_settled(session)
         return takes_over(session) and session.set_up(READY_S)
+
+    def _is_settled(self, session: Session) -> bool:
+        """Hear what a shell still says of what was killed, which else would be the next command's; tell if it is ready.
+
+        One that is no bash says that it is ready in a process of its own, which may have been killed right after.
+        """
+        if session.dialect is BASH:
+            return True
+        word = new_word()
+        session.type(session.dialect.again(word))
+        return session.wait_for(word, READY_S)[0] is not None
 
     def _kill(self, session: Session, beginning: Beginning | None, *, also_shell: bool = False) -> None:
         """Kill what a command has started, again and again while there is more, until all of it is gone."""

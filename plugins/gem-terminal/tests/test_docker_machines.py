@@ -225,7 +225,7 @@ def test_writing_more_than_allowed_ends_the_machine(backend: DockerBackend, task
         written = machine.written_mb()
         assert written is None or written > 50
         with pytest.raises(MachineLostError, match=r"wrote \d+ MB, more than its 20") as caught:
-            machine.run(["sleep", "60"], timeout_s=60)
+            machine.run(["sleep", "300"], timeout_s=300)
         assert caught.value.by_agent is True
         with pytest.raises(MachineLostError, match="more than its 20"):
             machine.run(["true"], timeout_s=30)

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from gem_terminal.backends.docker.machine import DockerMachine
 
 _PAUSE_S = 2.0
-_SHARE = 20.0
+_MOST_PAUSE_S = 15.0
+_SHARE = 5.0
 
 
 class DiskWatch:
@@ -62,7 +63,8 @@ class DiskWatch:
                     with self._lock:
                         self._machines.pop(machine, None)
                 del machine
-            pause = max(_PAUSE_S, _SHARE * (time.monotonic() - started))
+            # Not for ever, however long looking takes: an agent can write a gigabyte in a few seconds.
+            pause = min(max(_PAUSE_S, _SHARE * (time.monotonic() - started)), _MOST_PAUSE_S)
 
 
 def look(machine: DockerMachine, limit_mb: float) -> bool:
