@@ -108,10 +108,6 @@ def main() -> None:
     print(f"  budget: a reset under 1 s: {harness.verdict(ready, 1.0)}")
 
 
-def _cell(case: harness.Case, name: str) -> str:
-    return f"{case.median(name) * 1e3:.1f} ms" if name in case.figures else "-"
-
-
 def _ends(results: dict[str, harness.Case], cases: dict[str, list[str]]) -> list[str]:
     names = ["remove_s" if case == "by hand" else "finish_s" for case in cases]
     return [f"{results[case].median(name) * 1e3:.0f} ms" for case, name in zip(cases, names, strict=True)]

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
-from machines import backend_names, environment
+from docker_machines import left
+from machines import backend_names, environment, why_not
 
 TASK = "[agent]\ntimeout_sec = 30\n[verifier]\ntimeout_sec = 20\n[environment]\nmemory_mb = 256\n"
 
@@ -146,6 +149,25 @@ def test_check_tells_sound_tasks_from_others(backend: str, tmp_path: Path) -> No
     assert "the reference solution fails: the score is 0; the tests ended with: seen done" in rows["wrong"]
     done = gem_terminal("check", "tasks/good", "--json", cwd=tmp_path, **environment(backend, "test-check"))
     assert (done.returncode, json.loads(done.stdout)[0]["sound"]) == (0, True)
+
+
+@pytest.mark.skipif(bool(why_not("docker")), reason=why_not("docker") or "there")
+def test_interrupted_check_ends_without_waiting_for_tests(tmp_path: Path) -> None:
+    """Ctrl-C removes the machines, so that what runs in them comes to its end."""
+    run = f"test-interrupt-{os.getpid()}"
+    folder = write_task(tmp_path / "slow", test="sleep 1000")
+    (folder / "task.toml").write_text("[verifier]\ntimeout_sec = 900\n")
+    words = [sys.executable, "-m", "gem_core", "terminal", "check", "slow"]
+    variables = environment("docker", run)
+    with subprocess.Popen(words, cwd=tmp_path, env=variables, stderr=subprocess.PIPE, text=True) as program:
+        until = time.monotonic() + 200
+        while not any(what.startswith("container") for what in left(run)) and time.monotonic() < until:
+            assert program.poll() is None
+            time.sleep(0.1)
+        program.send_signal(signal.SIGINT)
+        _, errors = program.communicate(timeout=200)
+    assert (program.returncode, errors.split()) == (130, ["gem:", "interrupted"])
+    assert [what for what in left(run) if not what.startswith("image")] == []
 
 
 @each_backend

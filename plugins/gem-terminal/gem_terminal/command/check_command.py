@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
@@ -56,12 +57,18 @@ def command(
     is 0 when all tasks are sound.
     """
     tasks, chosen = some_tasks(where, names), chosen_backend(backend, build_args)
-    limits = Limits(network=network)
+    limits, stopped = Limits(network=network), threading.Event()
     with Progress(len(tasks), "tasks", unit="tasks") as progress, ThreadPoolExecutor(jobs) as threads:
         rows = []
-        for row in threads.map(lambda task: _checked(chosen, task, limits), tasks):
-            rows.append(row)
-            progress.advance(len(rows))
+        try:
+            for row in threads.map(lambda task: _checked(chosen, task, limits, stopped), tasks):
+                rows.append(row)
+                progress.advance(len(rows))
+        except KeyboardInterrupt:
+            stopped.set()
+            threads.shutdown(wait=False, cancel_futures=True)
+            chosen.close()  # without their machines, those that run come to their end at once
+            raise
     if as_json:
         click.echo(json.dumps(rows, indent=1))
     else:
@@ -70,20 +77,20 @@ def command(
         ctx.exit(1)
 
 
-def _checked(backend: Backend, task: Task, limits: Limits) -> dict[str, Any]:
+def _checked(backend: Backend, task: Task, limits: Limits, stopped: threading.Event) -> dict[str, Any]:
     began = time.monotonic()
     row: dict[str, Any] = {"task": task.name, "solution": "-", "nothing": "-", "sound": False, "why": "", "tests": []}
     if reason := why_not(backend, task):
         return row | {"why": f"cannot run here: {reason}", "seconds": 0.0}
     try:
-        nothing, _ = _tried(backend, task, limits, solved=False)
+        nothing, _ = _tried(backend, task, limits, stopped, solved=False)
         row["nothing"] = _word(nothing)
         row["tests"] = [{"name": test.name, "passed_untouched": test.passed} for test in nothing.tests]
         why = "doing nothing passes" if nothing.passed else ""
         if all(step.solution is None for step in task.steps):
             why = why or "it has no reference solution"
         else:
-            solution, said = _tried(backend, task, limits, solved=True)
+            solution, said = _tried(backend, task, limits, stopped, solved=True)
             row["solution"] = _word(solution)
             if not solution.passed:
                 reason = solution.detail or _failed(solution) or said or f"the score is {solution.score:g}"
@@ -94,9 +101,13 @@ def _checked(backend: Backend, task: Task, limits: Limits) -> dict[str, Any]:
     return row | {"sound": not why, "why": why, "seconds": round(time.monotonic() - began, 1)}
 
 
-def _tried(backend: Backend, task: Task, limits: Limits, *, solved: bool) -> tuple[Verdict, str]:
+def _tried(
+    backend: Backend, task: Task, limits: Limits, stopped: threading.Event, *, solved: bool
+) -> tuple[Verdict, str]:
     """Return the verdict of the last step, or of the first that does not pass, and the end of the solution's output."""
     with backend.start(task, limits) as machine:
+        if stopped.is_set():
+            raise MachineError("interrupted")
         said = ""
         for number, step in enumerate(task.steps):
             if solved:
