@@ -144,6 +144,7 @@ class Episode:
             where=self.settings.verify_in,
             # Whom a lack of time that is the episode's is to blame for needs no trial.
             control=limit <= left,
+            tools="image" if self.settings.put_back_tools else "agent",
             same_shell=same_shell,
         )
 

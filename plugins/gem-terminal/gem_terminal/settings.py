@@ -38,6 +38,7 @@ class Settings:
     lines: int
     verify_in: Literal["auto", "machine", "judge"]
     tests_in_shell: bool
+    put_back_tools: bool
     pool_size: int
     limits: Limits
 

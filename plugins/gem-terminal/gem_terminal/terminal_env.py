@@ -84,6 +84,9 @@ class TerminalEnv(Env):
         tests_in_shell: Whether tests run in the agent's own shell where a task asks for it
             (``run_tests_in_same_shell``); the agent decides what a command means there, so such a verdict is worth what
             the agent is.
+        put_back_tools: Whether programs that tests are run with (shells, core utilities, Python, pytest) are put back
+            from the image where the agent changed them; False for tasks that are about one of them, where a verdict is
+            then worth what the agent is.
         pool_size: Machines of each task that are kept ready; 0 for none.
         prestart: Whether to begin at once to make machines ready.
         build_args: Arguments for the build of images.
@@ -125,6 +128,7 @@ class TerminalEnv(Env):
         network: str = "task",
         verify_in: Literal["auto", "machine", "judge"] = "auto",
         tests_in_shell: bool = False,
+        put_back_tools: bool = True,
         pool_size: int = 1,
         prestart: bool = False,
         build_args: Mapping[str, str] | None = None,
@@ -145,6 +149,7 @@ class TerminalEnv(Env):
             lines=lines,
             verify_in=verify_in,
             tests_in_shell=tests_in_shell,
+            put_back_tools=put_back_tools,
             pool_size=pool_size,
             limits=Limits(cpus, memory_mb, processes, storage_mb, network),
         )

@@ -113,6 +113,17 @@ def test_finish_runs_the_tests(env: TerminalEnv, script: Script) -> None:
     assert script.backend.live == {}
 
 
+@pytest.mark.parametrize(("put_back_tools", "tools"), [(True, "image"), (False, "agent")])
+def test_tools_of_the_tests_can_be_left_as_the_agent_has_them(
+    monkeypatch: pytest.MonkeyPatch, script: Script, put_back_tools: bool, tools: str
+) -> None:
+    """For tasks that are about one of them."""
+    env = make(monkeypatch, script, put_back_tools=put_back_tools)
+    env.reset(seed=1)
+    env.step("<finish/>")
+    assert script.verified[0]["tools"] == tools
+
+
 @pytest.mark.parametrize(("rule", "expected"), [("all", 0.0), ("fraction", 0.5), ("weighted", 0.75), ("score", 0.5)])
 def test_reward_rules(monkeypatch: pytest.MonkeyPatch, script: Script, rule: Any, expected: float) -> None:
     """One of two tests has passed, of weight 3 to 1."""
