@@ -13,6 +13,7 @@ import pytest
 from local_sandboxes import backend, left_running, machine, shell, wait_for, write_task
 
 from gem_terminal.backends.interface import Limits
+from gem_terminal.backends.local.inside import files
 from gem_terminal.backends.local.terminal import LocalTerminal, Middle
 from gem_terminal.errors import EngineError, MachineLostError, TaskError
 
@@ -234,6 +235,17 @@ def test_get_follows_no_link_and_reads_no_pipe(machine: LocalMachine) -> None:
 def test_get_leaves_out_what_is_too_much(machine: LocalMachine) -> None:
     shell(machine, "mkdir /out; head -c 600 /dev/zero > /out/a; head -c 600 /dev/zero > /out/b; echo c > /out/c")
     assert sorted(machine.get("/out", most_bytes=1000)) == ["a", "c"]
+
+
+def test_looking_for_files_ends_though_folders_do_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The keeper of a machine does nothing else meanwhile."""
+    for number in range(50):
+        (tmp_path / "root" / "many" / f"{number:02}" / "in").mkdir(parents=True)
+    (tmp_path / "root" / "many" / "last").touch()
+    with open(tmp_path / "found", "wb") as found:
+        assert files.collect(str(tmp_path / "root"), "/many", 1000, found.fileno()) == [("last", 0)]
+        monkeypatch.setattr(files, "_MOST_LOOKED_AT", 90)
+        assert files.collect(str(tmp_path / "root"), "/many", 1000, found.fileno()) == []
 
 
 def test_files_are_removed_whatever_they_are(machine: LocalMachine) -> None:

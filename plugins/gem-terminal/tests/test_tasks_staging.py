@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
 import pytest
+from click.testing import CliRunner
+from memory_backend import plain_task
 
 from gem_terminal.backends.interface import Completed, Machine
+from gem_terminal.command import check_command
 from gem_terminal.errors import MachineError
 from gem_terminal.tasks.staging import collect, stage
-from gem_terminal.tasks.task import Collect, Step, Verifier
+from gem_terminal.tasks.task import Collect, Solution, Step, Task, Verifier
+from gem_terminal.verifying.verdict import Verdict
 
 
 class Recorder:
@@ -81,4 +87,41 @@ def test_commands_before_the_verifier_are_run_and_told_of() -> None:
     assert recorder.asked == [
         (("dump",), {"user": "root", "timeout_s": 5.0}),
         (("more", "x"), {"user": "", "timeout_s": 60.0}),
+    ]
+
+
+class Room:
+    """Starts machines that nothing is done with."""
+
+    def check(self, _: Task) -> None:
+        """Take any task."""
+
+    def start(self, *_: object) -> contextlib.nullcontext[None]:
+        """Start one."""
+        return contextlib.nullcontext()
+
+
+def test_check_makes_each_step_ready_before_it_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without and with the reference solution."""
+    done: list[str] = []
+
+    def solves(_: Machine, one: Step) -> Completed:
+        done.append(f"solve {one.name}")
+        return Completed(0, b"")
+
+    def verifies(_: Machine, __: Task, one: Step, **___: object) -> Verdict:
+        done.append(f"verify {one.name}")
+        return Verdict(True, 1.0)
+
+    solved = step(solution=Solution(command=("true",)))
+    task = replace(plain_task(), steps=(replace(solved, name="one"), solved))
+    monkeypatch.setattr(check_command, "some_tasks", lambda *_: [task])
+    monkeypatch.setattr(check_command, "chosen_backend", lambda *_: Room())
+    monkeypatch.setattr(check_command, "stage", lambda _, one: done.append(f"stage {one.name}"))
+    monkeypatch.setattr(check_command, "solve", solves)
+    monkeypatch.setattr(check_command, "verify", verifies)
+    CliRunner().invoke(check_command.command, [])
+    assert done == [
+        *("stage one", "verify one", "stage two", "verify two"),
+        *("stage one", "solve one", "verify one", "stage two", "solve two", "verify two"),
     ]

@@ -14,6 +14,7 @@ from gem_core.progress import Progress
 from gem_terminal.backends.interface import Limits
 from gem_terminal.command.asking import backend_options, chosen_backend, network_option, some_tasks, why_not
 from gem_terminal.errors import MachineError, TaskError
+from gem_terminal.tasks.staging import stage
 from gem_terminal.verifying.solutions import solve
 from gem_terminal.verifying.verify import verify
 
@@ -110,6 +111,7 @@ def _tried(
             raise MachineError("interrupted")
         said = ""
         for number, step in enumerate(task.steps):
+            stage(machine, step)
             if solved:
                 done = solve(machine, step)
                 said = done.output.decode(errors="replace")[-300:]

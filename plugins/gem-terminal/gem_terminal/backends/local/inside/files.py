@@ -10,6 +10,7 @@ from typing import Any
 
 FOLDER_FLAGS = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 _MOST_FILES = 20_000
+_MOST_LOOKED_AT = 200_000
 _MOST_DEPTH = 100
 _PIECE = 1 << 20
 
@@ -157,7 +158,7 @@ def collect(root: str, path: str, most_bytes: int, into: int) -> list[tuple[str,
         name = parts[-1] if parts else "."
         left = _collect(parent, name, "", most_bytes, into, index)
         if left is None:
-            _walk(parent, name, "", [most_bytes], into, index, 0)
+            _walk(parent, name, "", [most_bytes, _MOST_LOOKED_AT], into, index, 0)
     finally:
         os.close(parent)
     return index
@@ -208,7 +209,9 @@ def _walk(
         return
     try:
         for entry in sorted(os.listdir(folder))[:_MOST_FILES]:
-            if len(index) >= _MOST_FILES:
+            # The keeper does nothing else meanwhile, and folders without files have no end.
+            left[1] -= 1
+            if len(index) >= _MOST_FILES or left[1] < 0:
                 return
             path = f"{shown}/{entry}" if shown else entry
             rest = _collect(folder, entry, path, left[0], into, index)
