@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from gem_terminal.verifying.verdict import Verdict
 
 DATA = Path(__file__).resolve().parent.parent / "gem_terminal" / "data" / "sample"
-BASE = "gem-python:base"
+BASE = os.environ.get("GEM_TERMINAL_BASE_IMAGE", "gem-python:base")
 LIMITS = Limits(memory_mb=512, processes=128, storage_mb=256)
 SOURCES = build.sources()
 FORMATS = tuple(build.FORMATS)

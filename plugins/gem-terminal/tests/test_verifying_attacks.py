@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from gem_terminal.verifying.verdict import Verdict
 
 __all__ = ["context", "engine"]  # fixtures
+pytestmark = pytest.mark.thorough
 
 DIST = "/usr/local/lib/python3.11/dist-packages"
 LIE = "import os; os._exit(0)"
