@@ -36,6 +36,9 @@ deeds = [
     "<bash>ls -la</bash>", "<bash>echo word > word.txt</bash>", "<bash>sleep 1000 & disown</bash>",
     "<bash>kill -9 $$</bash>", "<bash>(while :; do date > /tmp/now; done) &</bash>", "<bash>exit 3</bash>",
     "<keys>python3<Enter></keys>", "<bash timeout='1'>sleep 30</bash>", "no action at all",
+    "<bash timeout='2'>b() { b | b & }; b</bash>", "<bash>ln -s /etc /tests; head -c 1G /dev/zero > /big</bash>",
+    "<bash>(trap '' TERM HUP; while :; do for p in /proc/[0-9]*; do p=${p#/proc/}; [ $p -gt $BASHPID ] && "
+    "kill -9 $p; done; done) &</bash>",
 ]
 
 def agent(observation, context):

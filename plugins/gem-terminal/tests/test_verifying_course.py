@@ -80,6 +80,12 @@ def test_what_the_agent_left_running_moves_the_tests_to_a_copy(tmp_path: Path) -
     ]
 
 
+def test_what_could_be_left_without_being_seen_moves_the_tests_to_a_copy(tmp_path: Path) -> None:
+    machine = ToyMachine(SOLVED)
+    machine.can_hide = True
+    assert judged(tmp_path, None, machine=machine).info["where"] == "judge"
+
+
 def test_copy_is_told_who_runs_the_tests_in_it(tmp_path: Path) -> None:
     machine = ToyMachine(SOLVED)
     machine.left = [SERVER]

@@ -41,6 +41,7 @@ class ToyMachine:
         self.env: Mapping[str, str] = {}
         self.lost: MachineLostError | None = None
         self.removed = False
+        self.can_hide = False
 
     def run(self, command: Sequence[str], *, timeout_s: float, **more: Any) -> Completed:
         self.commands.append(tuple(command))

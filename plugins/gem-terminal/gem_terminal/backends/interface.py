@@ -106,6 +106,10 @@ class Machine(Protocol):
     id: str
     """Names it in messages and to the engine."""
 
+    can_hide: bool
+    """Whether the agent can turn a process that keeps the machine, which ``processes`` leaves out, into one of its own:
+    as where it is the same user and may write into its memory."""
+
     def open_terminal(
         self,
         command: Sequence[str],

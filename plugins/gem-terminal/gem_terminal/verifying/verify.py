@@ -85,8 +85,8 @@ def verify(
             out who is to blame.
         limits: What those may take.
         where: ``"machine"`` runs the tests in the agent's machine; ``"judge"`` in a copy that what the agent left
-            running cannot reach; ``"auto"`` chooses the copy if something was left. A verifier with an environment of
-            its own runs there in any case.
+            running cannot reach; ``"auto"`` chooses the copy if something was left, or could be without being seen. A
+            verifier with an environment of its own runs there in any case.
         control: Whether, when there is no verdict, the same tests are tried on an untouched machine, once for each
             version of a task: if they give a verdict there, the agent is to blame, and else the task.
         tools: ``"image"`` puts back the programs that tests are run with (``protected.py`` lists them) where the agent
@@ -188,7 +188,7 @@ def _place(
             guard(machine)
         return _Place(machine, "shell", left)
     network = verifier.network if verifier.network != task.environment.network else None
-    if where == "judge" or (where == "auto" and (left or network is not None)):
+    if where == "judge" or (where == "auto" and (left or machine.can_hide or network is not None)):
         judge = machine.judge(network, user=verifier.user, prepare=guard)
         return _Place(stack.enter_context(judge), "judge", left)
     if guard is not None:

@@ -81,6 +81,8 @@ class DockerMachine:
         parts: What it is made of.
     """
 
+    can_hide = True
+
     def __init__(self, parts: Parts) -> None:
         self.id = parts.name
         self.parts = parts

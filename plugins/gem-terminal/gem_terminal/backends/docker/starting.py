@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 _draw = random.SystemRandom()
 _MAIN_NAMES = ["main", "client"]
 _FIRST_S = 60.0
+_COMMIT_S = 600.0
+"""Seconds for a copy of all that an agent wrote, which may be gigabytes."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +164,8 @@ class Starter:
                 said_labels = [f'LABEL {key}="{value}"' for key, value in marks.items()]
                 with machine.parts.lock, frozen(engine, machine.id):  # so that both are of one moment
                     changed = changes(client, machine.id)
-                    client.commit(machine.id, repository, tag, changes="\n".join(said_labels))
+                    said_of = {"container": machine.id, "repo": repository, "tag": tag, "changes": said_labels}
+                    client.ask("POST", "/commit", params=said_of, json={}, timeout=_COMMIT_S)
                 host = host_config(container, plan.limits, powers=JUDGES)
                 is_apart = not _is_root(user or str(client.inspect_container(machine.id)["Config"].get("User") or ""))
                 if is_apart:

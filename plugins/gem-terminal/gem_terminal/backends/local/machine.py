@@ -53,6 +53,8 @@ class LocalMachine:
         view: Which view it is.
     """
 
+    can_hide = False  # the keeper is not dumpable, and the first process of all
+
     def __init__(
         self, id: str, channel: Channel, surroundings: Surroundings, release: Callable[[], None], view: str = "root"
     ) -> None:
