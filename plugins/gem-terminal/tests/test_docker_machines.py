@@ -97,13 +97,21 @@ def test_what_goes_on_in_the_background_is_not_waited_for(machine: DockerMachine
     assert commands(machine) == ["sleep 1000"]
 
 
+def soon(machine: DockerMachine, wanted: list[str]) -> bool:
+    """Whether just that runs in a machine: a process that was killed may take a moment to end under load."""
+    deadline = time.monotonic() + 30
+    while commands(machine) != wanted and time.monotonic() < deadline:
+        pass
+    return commands(machine) == wanted
+
+
 def test_a_late_command_is_killed_with_all_that_came_up_below_it(machine: DockerMachine) -> None:
     """Also what left its session and its parent; what was there before lives on."""
     say(machine, "setsid sleep 1001 >/dev/null 2>&1 &")
     script = "echo here; (setsid sh -c 'sleep 1002; sleep 1003' &); sleep 1004 & trap '' TERM HUP; sleep 1005"
     done = machine.run(["sh", "-c", script], timeout_s=2)
     assert (done.exit_code, done.output) == (None, b"here\n")
-    assert commands(machine) == ["sleep 1001"]
+    assert soon(machine, ["sleep 1001"])
 
 
 def test_a_fork_bomb_is_ended_by_its_time_limit(machine: DockerMachine) -> None:
@@ -111,7 +119,7 @@ def test_a_fork_bomb_is_ended_by_its_time_limit(machine: DockerMachine) -> None:
     bomb = "import os\nwhile True:\n try: os.fork()\n except OSError: pass"
     done = machine.run(["python3", "-c", bomb], timeout_s=3)
     assert done.exit_code is None
-    assert commands(machine) == []
+    assert soon(machine, [])
     assert say(machine, "echo fine") == "fine\n"
 
 
