@@ -1,6 +1,7 @@
 """The tasks of terminal:Sample, tried: reference solutions pass, wrong ones fail by the checks that should catch them.
 
-Without the mark ``thorough`` each task is tried in one format with each backend; with it, all of them in both.
+Without the mark ``thorough`` each task is tried in one format with each backend; with it, all of them in both. Wrong
+solutions, and the other format, take minutes with Docker: they are tried there with ``GEM_EVERY_TERMINAL_TRIAL=1``.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 DATA = Path(__file__).resolve().parent.parent / "gem_terminal" / "data" / "sample"
 BASE = os.environ.get("GEM_TERMINAL_BASE_IMAGE", "gem-python:base")
 LIMITS = Limits(memory_mb=512, processes=128, storage_mb=256)
+EVERY = bool(os.environ.get("GEM_EVERY_TERMINAL_TRIAL"))
 SOURCES = build.sources()
 FORMATS = tuple(build.FORMATS)
 
@@ -57,8 +59,19 @@ def local_backend() -> Backend:
 @pytest.fixture(scope="module", params=[docker_backend, local_backend], ids=["docker", "local"])
 def backend(request: pytest.FixtureRequest) -> Iterator[Backend]:
     """Give each backend that can be had here."""
+    yield from had(request.param)
+
+
+@pytest.fixture(scope="module", params=[local_backend, *[docker_backend] * EVERY], ids=["local", *["docker"] * EVERY])
+def thorough_backend(request: pytest.FixtureRequest) -> Iterator[Backend]:
+    """Give the quick backend, and the other when all is to be tried."""
+    yield from had(request.param)
+
+
+def had(make: Callable[[], Backend]) -> Iterator[Backend]:
+    """Give a backend, or skip the tests where it cannot be had."""
     try:
-        found = request.param()
+        found = make()
     except (EngineError, docker.errors.DockerException) as error:
         pytest.skip(str(error))
     yield found
@@ -124,9 +137,11 @@ def test_only_the_reference_solution_passes(backend: Backend, source: build.Sour
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(("source", "form"), tried(thorough=True))
-def test_only_the_reference_solution_passes_in_the_other_format(backend: Backend, source: build.Source, form: str):
+def test_only_the_reference_solution_passes_in_the_other_format(
+    thorough_backend: Backend, source: build.Source, form: str
+):
     """The same holds in the other format."""
-    check_reference(backend, source, form)
+    check_reference(thorough_backend, source, form)
 
 
 @pytest.mark.thorough
@@ -138,10 +153,12 @@ def test_only_the_reference_solution_passes_in_the_other_format(backend: Backend
         for wrong in source.wrong()
     ],
 )
-def test_a_wrong_solution_fails_by_the_right_checks(backend: Backend, source: build.Source, wrong: str, form: str):
+def test_a_wrong_solution_fails_by_the_right_checks(
+    thorough_backend: Backend, source: build.Source, wrong: str, form: str
+):
     """A plausible mistake or a shortcut fails, by exactly the checks that it names."""
     path = source.wrong()[wrong]
-    verdict = judged(backend, task_of(source.name, form), path)
+    verdict = judged(thorough_backend, task_of(source.name, form), path)
     assert failed(verdict) == build.caught_by(path), verdict.output
     assert not verdict.passed
 
