@@ -291,7 +291,8 @@ class Shell:
         session = self._opened()
         note = (
             f"The command ran longer than {round(timeout_s, 1) or timeout_s:g} s and was killed, with all that it had "
-            "started. If it waits for input, start it with <keys>; if it needs longer, give it a longer timeout or run it in the background"
+            "started. If it waits for input, start it with <keys>; if it needs longer, give it a longer timeout or "
+            "run it in the background"
         )
         if restarted:
             note += (

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from memory_backend import MemoryBackend
+from memory_backend import MemoryBackend, plain_task
 
+from gem_terminal import TerminalEnv, terminal_env
 from gem_terminal.shell import CommandResult, ScreenResult
 from gem_terminal.verifying.verdict import TestResult, Verdict
+
+if TYPE_CHECKING:
+    import pytest
+
+    from gem_terminal.tasks.task import Task
 
 PASSED = Verdict(True, 1.0, (TestResult("test_one", True), TestResult("test_two", True)))
 HALF = Verdict(False, 0.5, (TestResult("test_one", True, 3.0), TestResult("test_two", False, message="no")))
@@ -74,3 +80,13 @@ class ScriptedShell:
     def close(self) -> None:
         """Count."""
         self.script.closed += 1
+
+
+def make(
+    monkeypatch: pytest.MonkeyPatch, script: Script, tasks: list[Task] | None = None, **options: Any
+) -> TerminalEnv:
+    """Return an environment on the memory backend."""
+    chosen = tasks or [plain_task("one"), plain_task("two"), plain_task("three")]
+    monkeypatch.setattr(terminal_env, "select_tasks", lambda path, names: chosen)
+    options.setdefault("pool_size", 0)
+    return TerminalEnv("anywhere", backend=script.backend, **options)

@@ -1,0 +1,51 @@
+"""What the tests of this plugin share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+from scripted import Script
+
+from gem_terminal import episode
+
+# How long an example takes is a matter of the machine, and of what else runs on it.
+settings.register_profile("gem", deadline=None)
+settings.load_profile("gem")
+
+REAL = (
+    "test_docker_held_up",
+    "test_docker_judge",
+    "test_docker_leftovers",
+    "test_docker_machines",
+    "test_docker_services",
+    "test_local_endings",
+    "test_local_judge",
+    "test_local_machine",
+    "test_local_user",
+    "test_sample_trials",
+    "test_shell",
+    "test_shell_keys",
+    "test_shell_limits",
+    "test_terminal_command",
+    "test_terminal_real",
+)
+"""Files of tests on real machines that take long; what is installed beside the plugin changes nothing in there."""
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch) -> Script:
+    """What happens in the machines of a test."""
+    script = Script()
+    monkeypatch.setattr(episode, "Shell", script.shell)
+    monkeypatch.setattr(episode, "verify", script.verify)
+    return script
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark them, so that they are not repeated in isolation."""
+    folder = Path(__file__).parent
+    for item in items:
+        if item.path.parent == folder and item.path.stem in REAL:
+            item.add_marker(pytest.mark.thorough)
