@@ -130,8 +130,13 @@ def test_a_thousand_calls_at_once(pool: Pool) -> None:
 
     outcomes = asyncio.run(all_of_them())
     assert [outcome.stdout for outcome in outcomes] == [f"{number}\n" for number in range(1000)]
-    # Two sandboxes finish neighbours in either order, and threads hand over between two loops.
-    assert all(abs(place - number) <= 20 for place, number in enumerate(finished))
+    # While one sandbox is at a long call, the other goes on; threads hand over between two loops. So there may be few
+    # that later ones have overtaken, but by how many of those is a matter of the machine.
+    latest, most_waiting = -1, 0
+    for done, number in enumerate(finished, start=1):
+        latest = max(latest, number)
+        most_waiting = max(most_waiting, latest + 1 - done)
+    assert most_waiting <= 20
 
 
 def test_from_many_threads_and_from_the_loops_of_others(pool: Pool) -> None:
