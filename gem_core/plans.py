@@ -6,12 +6,13 @@ proportions, a group of episodes shares one start, and a run gives the same epis
 
 from __future__ import annotations
 
+import copy
 import math
 import threading
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, overload
+from typing import Any, cast, overload
 
 from gem_core.errors import ArgumentError
 from gem_core.seeding import checked_seed, fresh_seed, seed_at, seed_family, stable_hash
@@ -86,7 +87,11 @@ class DrawSource:
         self._plan = plan
         self._begun = False
         self._lock = threading.Lock()
-        self._draws = iter(()) if plan is None else self._expanded(plan)
+        # Where it stands in the plan, as plain values: an interrupt at any place loses nothing but the draw it hits.
+        self._rest = None if plan is None or isinstance(plan, Sequence) else enumerate(plan)
+        self._next_index = 0
+        self._item: tuple[int, PlanItem] | None = None
+        self._next_repeat = 0
         self._counts: dict[int, int] = {}
         self._seeds = seed_family(self.seed, "episode")
         self._skipped: Collection[tuple[str, int]] = ()
@@ -141,19 +146,43 @@ class DrawSource:
         with self._lock:
             self._begun = True
             if self.planned:
-                return next(self._draws, None)
+                return self._next_of_plan()
             count = self._counts.get(slot, 0)
             self._counts[slot] = count + 1
             return Draw(_ANY, (slot, count), 0, seed_at(self._seeds, (slot, count)), self.seed)
 
-    def _expanded(self, plan: Iterable[PlanItem]) -> Iterator[Draw]:
-        for index, item in enumerate(plan):
-            item, key = _checked_item(index, item), str(index)
-            for repeat in range(item.repeat):
-                if not self._skipped or (key, repeat) not in self._skipped:
-                    yield self._made(item, index, repeat)
-                elif self._check is not None:
-                    self._check(key, repeat, self._made(item, index, repeat))
+    def continued(self) -> DrawSource:
+        """Return a source that goes on where this one is, and shares no lock with it."""
+        other = copy.copy(self)
+        other._lock = threading.Lock()
+        return other
+
+    def _next_of_plan(self) -> Draw | None:
+        while True:
+            if self._item is None:
+                found = self._next_item()
+                if found is None:
+                    return None
+                self._next_repeat = 0
+                self._item = found[0], _checked_item(*found)
+            (index, item), repeat = self._item, self._next_repeat
+            if repeat >= item.repeat:
+                self._item = None
+                continue
+            self._next_repeat = repeat + 1
+            if not self._skipped or (str(index), repeat) not in self._skipped:
+                return self._made(item, index, repeat)
+            if self._check is not None:
+                self._check(str(index), repeat, self._made(item, index, repeat))
+
+    def _next_item(self) -> tuple[int, PlanItem] | None:
+        if self._rest is not None:
+            return next(self._rest, None)
+        plan, index = cast("Sequence[PlanItem]", self._plan), self._next_index
+        if index >= len(plan):
+            return None
+        self._next_index = index + 1
+        return index, plan[index]
 
     def _made(self, item: PlanItem, index: int, repeat: int) -> Draw:
         seed = seed_at(self._seeds, (index,)) if item.seed is None else item.seed

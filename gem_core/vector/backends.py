@@ -74,11 +74,11 @@ def auto(setup: VectorSetup, *, workers: int | None = None, worker_memory_bytes:
         return VectorEnv(setup, remote)
     local: Host = _local(setup)
 
-    def host_of(env_id: str | None) -> Host:
+    def host_of(env_id: str | None) -> int:
         if env_id not in kinds:
             # An id that only the plan names: by its class, without making one.
-            return remote if _goes_away(setup, setup.task_kind(env_id) or "thread") else local
-        return remote if env_id in away else local
+            return int(_goes_away(setup, setup.task_kind(env_id) or "thread"))
+        return int(env_id in away)
 
     return VectorEnv(setup, local, remote, host_of=host_of)
 

@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any, cast
 
@@ -13,9 +14,9 @@ from gem_core.background import on_background_loop
 from gem_core.errors import ArgumentError, BridgeError, ResetNeededError
 from gem_core.vector.body import Body
 from gem_core.vector.commands import Command, Failure, Outcome, Reset
-from gem_core.vector.host import Host, Launch
+from gem_core.vector.host import Host, Launch, free
 from gem_core.vector.signal import Signal
-from gem_core.vector.slot import LIVE, NEW, WAIT, Rules, Slot
+from gem_core.vector.slot import LIVE, NEW, WAIT, FaultBudget, Rules, Slot
 
 Start = Callable[[], Command | None]
 """Asks a slot for its first command."""
@@ -32,7 +33,7 @@ class Engine:
         kwargs: Keyword arguments of each slot's own environment, over those of the run.
         rules: What the slots share.
         hosts: Where environments live.
-        host_of: Tells where those of an id live; None where there is but one host.
+        host_of: Tells which of the hosts those of an id live on; None where there is but one.
     """
 
     def __init__(
@@ -41,7 +42,7 @@ class Engine:
         kwargs: list[Mapping[str, Any]],
         rules: Rules,
         hosts: tuple[Host, ...],
-        host_of: Callable[[str | None], Host] | None,
+        host_of: Callable[[str | None], int] | None,
     ) -> None:
         self.rules = rules
         self.slots = [Slot(index, *own, rules) for index, own in enumerate(zip(ids, kwargs, strict=True))]
@@ -175,7 +176,7 @@ class Engine:
         present = self.at[slot.index]
         if self.host_of is None or not isinstance(command, Reset):
             return present
-        host = self.host_of(command.env_id)
+        host = self.hosts[self.host_of(command.env_id)]
         if host is not present:
             present.release(slot.index)
             self.at[slot.index] = host
@@ -313,7 +314,15 @@ class Engine:
             return order
 
     def close(self) -> None:
-        """Take no notice any more of what is under way, and close every host."""
+        """Cancel what is under way, and close every host."""
+        self._forget()
+        for slot in self.slots:
+            slot.phase = NEW
+        for host in self.hosts:
+            host.close()
+
+    def _forget(self) -> None:
+        """Cancel what is under way: no answer to it is taken any more, and whoever waits for one is told."""
         with self._lock:
             self._tickets = [ticket + 1 for ticket in self._tickets]
             self._flying = [False] * len(self.slots)
@@ -323,15 +332,15 @@ class Engine:
             self.closings += 1
         for signal in waiting:
             signal.set()
-        for slot in self.slots:
-            slot.phase = NEW
-        for host in self.hosts:
-            host.close()
 
-    def drain(self) -> None:
-        """Wait for what is under way, and drop it."""
-        for seconds in self.draining():
-            self.signal.wait(seconds)
+    def renewed(self) -> Engine:
+        """Leave this engine; return one in its place, whose slots wait for a reset and whose plan goes on."""
+        free(self._lock)
+        self._forget()
+        budget = FaultBudget(self.rules.budget.limit, self.rules.budget.total)
+        rules = replace(self.rules, source=self.rules.source.continued(), budget=budget)
+        ids, kwargs = [slot.own_id for slot in self.slots], [slot.own_kwargs for slot in self.slots]
+        return Engine(ids, kwargs, rules, tuple(host.renewed() for host in self.hosts), self.host_of)
 
     def draining(self, *, blocking: bool = True) -> Iterator[float]:
         """Yield in how many seconds to look again, until nothing is under way; then drop what came of it."""

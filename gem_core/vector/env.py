@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 from typing import Any, Self, cast
@@ -15,12 +16,13 @@ from gem_core.plans import Draw, DrawSource
 from gem_core.registry import registry
 from gem_core.types import Info, Observation
 from gem_core.vector.actions import Actions, Received, VectorStep, checked_slot, indices_and_actions, masked_slots
+from gem_core.vector.call import Call
 from gem_core.vector.commands import Failure
 from gem_core.vector.engine import Batch, Engine, Start
 from gem_core.vector.host import Host
 from gem_core.vector.setup import VectorSetup
 from gem_core.vector.signal import Signal
-from gem_core.vector.slot import LIVE, Autoreset, OnError, Rules
+from gem_core.vector.slot import LIVE, Autoreset, OnError, Rules, Slot
 from gem_core.wrapper import AnyEnv
 
 
@@ -39,7 +41,7 @@ class VectorEnv:
 
     Args:
         setup: What it is made from; see ``make_vec``.
-        hosts: Where environments live: one place, or several with a function that tells it for an id.
+        hosts: Where environments live: one place, or several with a function that tells which of them an id lives on.
         rules: What all slots share; by default as ``setup`` says.
     """
 
@@ -53,17 +55,15 @@ class VectorEnv:
         self,
         setup: VectorSetup,
         *hosts: Host,
-        host_of: Callable[[str | None], Host] | None = None,
+        host_of: Callable[[str | None], int] | None = None,
         rules: Rules | None = None,
     ) -> None:
         self.ids, self.entries = list(setup.ids), list(setup.entries)
         rules = rules or setup.rules()
         if any(host.replays for host in hosts):
             rules.replayable = lambda env_id: env_id is not None and registry().env(env_id).deterministic
-        self._rules = rules
         self._own_source = rules.source
         self._engine = Engine(self.ids, setup.slot_kwargs, rules, hosts, host_of)
-        self._slots = self._engine.slots
 
     @classmethod
     def around(
@@ -82,6 +82,14 @@ class VectorEnv:
         from gem_core.vector.backends import around
 
         return around(env, seed=seed, on_error=on_error, keep_open=keep_open)
+
+    @property
+    def _rules(self) -> Rules:
+        return self._engine.rules
+
+    @property
+    def _slots(self) -> list[Slot]:
+        return self._engine.slots
 
     # What it is.
 
@@ -127,7 +135,8 @@ class VectorEnv:
     def describe(self, slot: int) -> dict[str, Any]:
         """Return ``id``, ``kwargs`` (over the registered ones) and ``wrappers`` of the environment in a slot."""
         slot = checked_slot(slot, self.num_envs)
-        described: dict[str, Any] = self._engine.at[slot].ask(slot, "describe")
+        with self._call():
+            described: dict[str, Any] = self._engine.at[slot].ask(slot, "describe")
         if described["id"] is None:
             described["id"] = self.ids[slot] or "unknown"
         return described
@@ -147,9 +156,10 @@ class VectorEnv:
         slot = self.ids.index(env_id) if env_id in self.ids else 0
         wanted = env_id or self.ids[slot]
         engine = self._engine
-        host = engine.at[slot] if engine.host_of is None else engine.host_of(wanted)
-        engine.at[slot] = host
-        return host.ask(slot, question, wanted, dict(kwargs))
+        with self._call():
+            host = engine.at[slot] if engine.host_of is None else engine.hosts[engine.host_of(wanted)]
+            engine.at[slot] = host
+            return host.ask(slot, question, wanted, dict(kwargs))
 
     def sample_random_action(self, slot: int) -> str:
         """Return a valid action for the present state of a slot; an empty one where there is no environment yet.
@@ -163,7 +173,8 @@ class VectorEnv:
         current = self._slots[slot]
         seed = None if current.draw is None else current.draw.action_seed
         try:
-            return cast("str", self._engine.at[slot].ask(slot, "sample", seed, current.rebuilding))
+            with self._call():
+                return cast("str", self._engine.at[slot].ask(slot, "sample", seed, current.rebuilding))
         except (NotSupportedError, BridgeError):
             raise
         except Exception as error:
@@ -191,23 +202,25 @@ class VectorEnv:
             EnvFaultError: An environment failed, and ``on_error`` is ``"raise"``.
             FaultBudgetError: Environments fail again and again.
         """
-        order, options = self._chosen(seed, options)
-        if len(order) == self.num_envs:
-            self._engine.drain()
-        batch = self._begin(self._own_source, options, order)
-        self._wait_for(batch, order)
-        return self._observed(order)
+        with self._call() as call:
+            order, options = self._chosen(seed, options)
+            if len(order) == self.num_envs:
+                call.wait(self._engine.draining(), self.signal)
+            batch = self._begin(self._own_source, options, order)
+            call.wait_for(batch, order)
+            return self._observed(order)
 
     async def reset_async(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[list[Observation], list[Info]]:
         """``reset`` for code that runs in an event loop, without blocking it."""
-        order, options = self._chosen(seed, options)
-        if len(order) == self.num_envs:
-            await self.drain_async()
-        batch = self._begin(self._own_source, options, order)
-        await self._wait_for_async(batch, order)
-        return self._observed(order)
+        with self._call() as call:
+            order, options = self._chosen(seed, options)
+            if len(order) == self.num_envs:
+                await call.wait_async(self._engine.draining(blocking=False), self.signal)
+            batch = self._begin(self._own_source, options, order)
+            await call.wait_for_async(batch, order)
+            return self._observed(order)
 
     def step(self, actions: Actions) -> VectorStep:
         """Step all slots, or those that a mapping names, and wait for them.
@@ -227,19 +240,21 @@ class VectorEnv:
             EnvFaultError: An environment failed, and ``on_error`` is ``"raise"``.
             FaultBudgetError: Environments fail again and again.
         """
-        batch, order = self._start_step(actions)
-        if batch.left:
-            self._wait_for(batch, order)
-        return self._results(order)
+        with self._call() as call:
+            batch, order = self._start_step(actions)
+            if batch.left:
+                call.wait_for(batch, order)
+            return self._results(order)
 
     async def step_async(self, actions: Actions) -> VectorStep:
         """``step`` for code that runs in an event loop, without blocking it.
 
         Where it is cancelled, as by a time limit, the slots go on, and ``recv`` returns what comes of it.
         """
-        batch, order = self._start_step(actions)
-        await self._wait_for_async(batch, order)
-        return self._results(order)
+        with self._call() as call:
+            batch, order = self._start_step(actions)
+            await call.wait_for_async(batch, order)
+            return self._results(order)
 
     # Waiting for nobody.
 
@@ -250,17 +265,19 @@ class VectorEnv:
             ArgumentError: The number of actions is not the number of slots, or a slot does not exist or is under way.
             ResetNeededError: A slot has no episode, and none begins by itself.
         """
-        pairs = self._checked(actions)
-        self._engine.sent.update(index for index, _ in pairs)
-        self._engine.act(pairs, None)
+        with self._call():
+            pairs = self._checked(actions)
+            self._engine.sent.update(index for index, _ in pairs)
+            self._engine.act(pairs, None)
 
     def send_reset(self, source: DrawSource | None = None, options: dict[str, Any] | None = None) -> None:
         """Begin an episode in every slot; ``recv`` returns their observations, with reward 0 and flags false."""
-        self._engine.drain()
-        self._rules.source = source or self._own_source
-        self._rules.budget.finished()
-        self._engine.sent.update(range(self.num_envs))
-        self._engine.run_all((slot, partial(slot.begin, options)) for slot in self._slots)
+        with self._call() as call:
+            call.wait(self._engine.draining(), self.signal)
+            self._rules.source = source or self._own_source
+            self._rules.budget.finished()
+            self._engine.sent.update(range(self.num_envs))
+            self._engine.run_all((slot, partial(slot.begin, options)) for slot in self._slots)
 
     def begin_next(self, slot: int) -> None:
         """Begin the next episode of a slot; ``recv`` returns its first observation, with reward 0 and flags false."""
@@ -277,9 +294,10 @@ class VectorEnv:
         self._begin_one(slot, partial(self._slots[slot].give_up, error))
 
     def _begin_one(self, slot: int, start: Start) -> None:
-        self._engine.refuse_busy([slot])
-        self._engine.sent.add(slot)
-        self._engine.run_all([(self._slots[slot], start)])
+        with self._call():
+            self._engine.refuse_busy([slot])
+            self._engine.sent.add(slot)
+            self._engine.run_all([(self._slots[slot], start)])
 
     def recv(self, min_envs: int = 1, timeout: float | None = None) -> Received:
         """Return what came of ``send``: all that is there, in order of completion.
@@ -293,35 +311,36 @@ class VectorEnv:
             EnvFaultError: An environment failed, and ``on_error`` is ``"raise"``.
             FaultBudgetError: Environments fail again and again.
         """
-        enough, deadline = self._awaited(min_envs, timeout)
-        for seconds in self._engine.until(enough, deadline):
-            self.signal.wait(seconds)
-        return self._received()
+        with self._call() as call:
+            enough, deadline = self._awaited(min_envs, timeout)
+            call.wait(self._engine.until(enough, deadline), self.signal)
+            return self._received()
 
     async def recv_async(self, min_envs: int = 1, timeout: float | None = None) -> Received:
         """``recv`` for code that runs in an event loop, without blocking it."""
-        enough, deadline = self._awaited(min_envs, timeout)
-        for seconds in self._engine.until(enough, deadline, blocking=False):
-            await self.signal.wait_async(seconds)
-        return self._received()
+        with self._call() as call:
+            enough, deadline = self._awaited(min_envs, timeout)
+            await call.wait_async(self._engine.until(enough, deadline, blocking=False), self.signal)
+            return self._received()
 
     def wait(self, other: Callable[[], bool] = lambda: False) -> None:
         """Wait until ``recv`` would return something, or until something else is so, as ``signal`` says it may be."""
-        for seconds in self._engine.until(lambda: self._has_news() or other()):
-            self.signal.wait(seconds)
+        with self._call() as call:
+            call.wait(self._engine.until(lambda: self._has_news() or other()), self.signal)
 
     async def wait_async(self, other: Callable[[], bool] = lambda: False) -> None:
         """``wait`` for code that runs in an event loop, without blocking it."""
-        for seconds in self._engine.until(lambda: self._has_news() or other(), blocking=False):
-            await self.signal.wait_async(seconds)
+        with self._call() as call:
+            until = self._engine.until(lambda: self._has_news() or other(), blocking=False)
+            await call.wait_async(until, self.signal)
 
     def _has_news(self) -> bool:
         return bool(self._engine.done)
 
     async def drain_async(self) -> None:
         """Wait for what is under way, and drop it, without blocking the event loop."""
-        for seconds in self._engine.draining(blocking=False):
-            await self.signal.wait_async(seconds)
+        with self._call() as call:
+            await call.wait_async(self._engine.draining(blocking=False), self.signal)
 
     @property
     def under_way(self) -> int:
@@ -330,7 +349,8 @@ class VectorEnv:
 
     def close(self) -> None:
         """Close every environment; ``reset`` would make them again."""
-        self._engine.close()
+        with self._call():
+            self._engine.close()
 
     def __enter__(self) -> Self:
         return self
@@ -400,21 +420,17 @@ class VectorEnv:
         engine.target = max(1, wanted)
         return lambda: len(engine.done) >= wanted, None if timeout is None else time.monotonic() + timeout
 
-    def _wait_for(self, batch: Batch, order: Iterable[int]) -> None:
-        try:
-            for seconds in self._engine.until(batch.is_over, closings=batch.closings):
-                batch.signal.wait(seconds)
-        except BaseException:
-            self._engine.leave(batch, order)
-            raise
+    def _call(self) -> Call:
+        return Call(self._engine, self._start_anew)
 
-    async def _wait_for_async(self, batch: Batch, order: Iterable[int]) -> None:
-        try:
-            for seconds in self._engine.until(batch.is_over, blocking=False, closings=batch.closings):
-                await batch.signal.wait_async(seconds)
-        except BaseException:
-            self._engine.leave(batch, order)
-            raise
+    def _start_anew(self) -> None:
+        """Leave the engine that an interrupt has left in the middle of something, and everything in it."""
+        old = self._engine
+        self._engine = old.renewed()
+        if self._own_source is old.rules.source:
+            self._own_source = self._engine.rules.source
+        # It may hold its own locks for ever.
+        threading.Thread(target=old.close, name="gem-close", daemon=True).start()
 
     # Results.
 

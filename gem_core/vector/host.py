@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from contextlib import suppress
 from typing import Any, Protocol
 
 from gem_core.vector.body import Body
@@ -38,6 +39,16 @@ class Listener(Protocol):
     def look_after(self, host: Host) -> float | None:
         """Give up what takes too long; return in how many seconds to look again, None for never."""
         ...
+
+
+def free(lock: Any) -> None:
+    """Release an ``RLock`` as often as this thread holds it.
+
+    For what an interrupt left: it may come between the last line of a ``with`` block and the release of its lock.
+    """
+    with suppress(RuntimeError):  # this thread does not hold it, or does no more
+        while True:
+            lock.release()
 
 
 class Host(ABC):
@@ -100,3 +111,7 @@ class Host(ABC):
     @abstractmethod
     def close(self) -> None:
         """Close every environment, and end what runs them; calling it again does nothing."""
+
+    @abstractmethod
+    def renewed(self) -> Host:
+        """Leave this host, which an interrupt may have left in the middle of something; return one in its place."""

@@ -20,7 +20,7 @@ from gem_core.errors import ArgumentError, FaultBudgetError
 from gem_core.types import Concurrency
 from gem_core.vector.body import Body, EnvFactory
 from gem_core.vector.commands import Command, Failure, Outcome, Reset
-from gem_core.vector.host import Host, Launch
+from gem_core.vector.host import Host, Launch, free
 
 MOST_ABANDONED = 64
 """Threads that hang at once before a run is stopped."""
@@ -54,7 +54,7 @@ class LocalHost(Host):
         started: MutableMapping[int, float] | None = None,
         in_place: Collection[Concurrency] = frozenset[Concurrency](["inline"]),
     ) -> None:
-        self._quick = in_place
+        self._quick = frozenset(in_place)
         self._factories = factories
         self._bodies = [Body(index, factory) for index, factory in enumerate(factories)]
         self._concurrent = concurrent
@@ -63,7 +63,7 @@ class LocalHost(Host):
         self._pool = DaemonPool("gem-env")
         self._tasks: dict[int, asyncio.Task[None]] = {}
         self._started: MutableMapping[int, float] = {} if started is None else started
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         # Under the lock, so that a thread knows whether what it ran is its own to close.
         self._left: set[Body] = set()
         """What was left to threads that have not come back."""
@@ -191,6 +191,17 @@ class LocalHost(Host):
         # An environment that failed in a task was closed there, and its tools' sessions may still be closing.
         wait_for_started(max(0.0, deadline - time.monotonic()))
         self._pool.close()
+
+    def renewed(self) -> LocalHost:
+        """Return a host without environments; see ``Host.renewed``."""
+        free(self._lock)
+        return LocalHost(
+            self._factories,
+            concurrent=self._concurrent,
+            kinds=self._kinds,
+            step_timeout=self._step_timeout,
+            in_place=self._quick,
+        )
 
     def _is_inline(self, env_id: str | None) -> bool:
         return self._kinds(env_id) in self._quick

@@ -17,7 +17,7 @@ from gem_core.making import makers_of
 from gem_core.registry import registry
 from gem_core.specs import EnvSpec
 from gem_core.vector.commands import Failure, Reset
-from gem_core.vector.host import Host, Launch
+from gem_core.vector.host import Host, Launch, free
 from gem_core.vector.local import timeout_of
 from gem_core.vector.setup import VectorSetup
 
@@ -184,6 +184,11 @@ class RemoteHost(Host):
             thread.start()
         for thread in threads:
             thread.join()
+
+    def renewed(self) -> RemoteHost:
+        """Return a host without workers; see ``Host.renewed``."""
+        free(self._lock)
+        return RemoteHost(self._setup, self._new_link, len(self._links))
 
     # What links tell, from threads of their own.
 

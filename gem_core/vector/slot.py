@@ -49,11 +49,12 @@ class FaultBudget:
 
     Args:
         limit: Number of faults in a row that is still borne.
+        total: Number of faults so far.
     """
 
-    def __init__(self, limit: int) -> None:
+    def __init__(self, limit: int, total: int = 0) -> None:
         self.limit = limit
-        self.total = 0
+        self.total = total
         self._in_a_row = 0
         self._lock = threading.Lock()
 

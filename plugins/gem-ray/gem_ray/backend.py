@@ -120,6 +120,11 @@ class RayHost(RemoteHost):
         far = any(isinstance(link, RayLink) and link.is_far for link in self._links)
         return min(seconds, max(0.02, limit / 8)) if far else seconds
 
+    def renewed(self) -> RayHost:
+        """Return a host without actors; see ``Host.renewed``."""
+        super().renewed()
+        return RayHost(self._setup, self._crew, len(self._links))
+
     def close(self) -> None:
         """End every actor, and a Ray that was started for them; their environments are closed first."""
         super().close()
