@@ -6,6 +6,7 @@ import asyncio
 import inspect
 import logging
 import weakref
+from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
@@ -21,9 +22,10 @@ T = TypeVar("T")
 logger = logging.getLogger("gem_core")
 
 MOST_LEFT_BEHIND = 64
-"""Calls of this process that ran out of time and still run; with so many, no more are begun."""
+"""Calls of one tool, in all of this process, that ran out of time and still run; with so many, no more are begun."""
 
-_left_behind: set[asyncio.Task[ToolResult]] = set()
+_left_behind: Counter[tuple[type[Tool], str]] = Counter()
+"""How many there are, by the tool's class and name: each holds a thread that cannot be ended."""
 
 
 @dataclass
@@ -59,10 +61,9 @@ class ToolSessions:
         """Call a tool; whatever goes wrong is a result that says so."""
         if self.timeout_s is None:
             return await self._attempt(tool, arguments, _Attempt())
-        if len(_left_behind) >= MOST_LEFT_BEHIND:
+        if (hanging := _left_behind[type(tool), tool.name]) >= MOST_LEFT_BEHIND:
             return ToolResult(
-                f"The tool failed: {len(_left_behind)} earlier calls ran out of time and have not ended, so no more "
-                "are begun.",
+                f"The tool failed: {hanging} earlier calls ran out of time and have not ended, so no more are begun.",
                 failed=True,
             )
         attempt = _Attempt()
@@ -99,10 +100,10 @@ class ToolSessions:
         """Give up a call. Its session goes with it, and is closed when the call ends, if it ever does."""
         attempt.left_behind = True
         self.open.pop(tool.session_key, None)
-        _left_behind.add(running)
+        _left_behind[type(tool), tool.name] += 1
 
-        def tidy(ended: asyncio.Task[ToolResult]) -> None:
-            _left_behind.discard(ended)
+        def tidy(_: asyncio.Task[ToolResult]) -> None:
+            _left_behind[type(tool), tool.name] -= 1
             if attempt.opened:
                 finish_or_start(_close_all({tool.name: tool}, {tool.name: attempt.session}, True, self.timeout_s))
 

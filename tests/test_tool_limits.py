@@ -137,21 +137,23 @@ def test_a_session_that_does_not_close_in_time_holds_up_nothing(caplog: pytest.L
 
 
 def test_only_so_many_calls_are_left_behind(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Then no more are begun, until some have ended; the agent is told each time."""
+    """Then no more of that tool are begun, until some have ended; the agent is told each time. Other tools go on."""
     monkeypatch.setattr(tool_sessions, "MOST_LEFT_BEHIND", 2)
     tools = [Stuck() for _ in range(3)]
     envs = [limited(tool) for tool in tools]
     told = [env.step("<note>wait</note>")[0] for env in envs]
     assert ["given up" in text for text in told] == [True, True, False]
     assert "2 earlier calls ran out of time and have not ended, so no more are begun." in told[2]
+    other = limited(Calculator(), limit_s=PATIENCE_S)
+    call = '<tool_call>{"name": "calculator", "arguments": {"left": 1, "right": 2, "operation": "add"}}</tool_call>'
+    assert "Output of calculator" in other.step(call)[0]
     for tool in tools[:2]:
         tool.go_on.set()
         assert tool.over.wait(PATIENCE_S)
     envs[2]._sessions.timeout_s = PATIENCE_S
     assert "Output of note" in envs[2].step("<note>b</note>")[0]
-    for env in envs:
+    for env in (*envs, other):
         env.close()
-    assert not tool_sessions._left_behind
 
 
 def test_calls_that_end_in_time_are_as_without_a_limit() -> None:
