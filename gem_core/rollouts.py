@@ -11,7 +11,7 @@ from typing import Any
 
 import gymnasium
 
-from gem_core.agents.asking import Asking
+from gem_core.agents.asking import Asking, is_asynchronous
 from gem_core.agents.base import Agent, as_agent, prepare_agent
 from gem_core.background import in_thread
 from gem_core.episode_loop import EpisodeLoop
@@ -26,6 +26,7 @@ from gem_core.vector.setup import IdOrIds, new_source
 from gem_core.wrapper import AnyEnv
 
 DEFAULT_EPISODES = 10
+DEFAULT_REQUESTS = 64
 
 Environments = VectorEnv | AnyEnv | IdOrIds
 """A vector environment, an environment, an id or several."""
@@ -44,6 +45,7 @@ def rollout(
     plan: Iterable[PlanItem] | None = None,
     episodes: int | None = None,
     seed: int | None = None,
+    num_envs: int | None = None,
     max_requests: int | None = None,
     resume: Resume = None,
     progress: bool | OnProgress = False,
@@ -66,6 +68,9 @@ def rollout(
             neither, the vector environment's own plan is taken from the beginning; where it has none, each row of a
             data set once, and ten episodes of an environment without rows.
         seed: Seed of the run; None takes the vector environment's, or draws one.
+        num_envs: Where ids are given, how many environments run at once; None for as many as the agent may be asked at
+            once: ``max_requests``, or else its ``max_concurrency``, or else 64 for an asynchronous one, and one for
+            each id where the agent is plain.
         max_requests: Questions to an asynchronous agent that are open at once; None for as many as there are slots.
         resume: Episodes of this run that are there already, or the file that holds them, to be written to with
             ``append=True``: they are left out, but for those that ended in an error, which are run again. The seed is
@@ -77,14 +82,15 @@ def rollout(
 
     Raises:
         AgentError: The agent cannot be called, or does not return text.
-        ArgumentError: Both a plan and a number of episodes are given; or what is to be resumed is another run.
+        ArgumentError: Both a plan and a number of episodes are given, or ``num_envs`` for environments that are there
+            already; or what is to be resumed is another run.
         EnvFaultError: An environment failed, and the vector environment has ``on_error="raise"``.
         FaultBudgetError: Environments fail again and again, or the agent does.
 
     What stops a run is raised behind the episodes that were over by then.
     """
     _check(plan, episodes, max_requests)
-    return _run(env, as_agent(agent), _Order(plan, episodes, seed, max_requests, resume, progress))
+    return _run(env, as_agent(agent), _Order(plan, episodes, seed, num_envs, max_requests, resume, progress))
 
 
 def arollout(
@@ -94,6 +100,7 @@ def arollout(
     plan: Iterable[PlanItem] | None = None,
     episodes: int | None = None,
     seed: int | None = None,
+    num_envs: int | None = None,
     max_requests: int | None = None,
     resume: Resume = None,
     progress: bool | OnProgress = False,
@@ -112,12 +119,13 @@ def arollout(
         plan: What episodes start from.
         episodes: Number of episodes for each environment.
         seed: Seed of the run.
+        num_envs: How many environments run at once.
         max_requests: Questions that are open at once.
         resume: Episodes of this run that are there already.
         progress: Show how far the run is.
     """
     _check(plan, episodes, max_requests)
-    return _arun(env, as_agent(agent), _Order(plan, episodes, seed, max_requests, resume, progress))
+    return _arun(env, as_agent(agent), _Order(plan, episodes, seed, num_envs, max_requests, resume, progress))
 
 
 def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[PlanItem]:
@@ -142,6 +150,7 @@ class _Order:
     plan: Iterable[PlanItem] | None
     episodes: int | None
     seed: int | None
+    num_envs: int | None
     max_requests: int | None
     resume: Resume
     progress: bool | OnProgress
@@ -160,7 +169,7 @@ class _Order:
 
 def _run(env: Environments, agent: Agent, order: _Order) -> Iterator[Episode]:
     done = done_in(order.resume)
-    vector, made_here = _as_vector(env, order.seed, plain=True)
+    vector, made_here = _as_vector(env, agent, order, plain=True)
     asking = Asking(agent, vector.signal.set, most=order.max_requests)
     end: Callable[[], None] | None = None
     try:
@@ -183,7 +192,7 @@ def _run(env: Environments, agent: Agent, order: _Order) -> Iterator[Episode]:
 
 async def _arun(env: Environments, agent: Agent, order: _Order) -> AsyncIterator[Episode]:
     done = await in_thread(done_in, order.resume)
-    vector, made_here = await in_thread(lambda: _as_vector(env, order.seed, plain=False))
+    vector, made_here = await in_thread(lambda: _as_vector(env, agent, order, plain=False))
     asking = Asking(agent, vector.signal.set, most=order.max_requests, loop=asyncio.get_running_loop())
     end: Callable[[], None] | None = None
     try:
@@ -216,14 +225,23 @@ def _check(plan: Iterable[PlanItem] | None, episodes: int | None, max_requests: 
         raise ArgumentError(f"max_requests must be a positive whole number, not {max_requests!r}")
 
 
-def _as_vector(env: Environments, seed: int | None, *, plain: bool) -> tuple[VectorEnv, bool]:
+def _as_vector(env: Environments, agent: Agent, order: _Order, *, plain: bool) -> tuple[VectorEnv, bool]:
+    if isinstance(env, Sequence):
+        num_envs = _asked_at_once(agent, order.max_requests) if order.num_envs is None else order.num_envs
+        return make_vec(env, num_envs, seed=order.seed), True
+    if order.num_envs is not None:
+        raise ArgumentError("num_envs goes with an id: what is made already has its number of environments")
     if isinstance(env, VectorEnv):
         return env, False
-    if isinstance(env, Sequence):
-        return make_vec(env, seed=seed), True
     if not isinstance(env, gymnasium.Env):
         raise ArgumentError(f"rollout takes a vector environment, an environment, an id or several, not {env!r:.200}")
-    return around(env, seed=seed, keep_open=True, plain=plain), True
+    return around(env, seed=order.seed, keep_open=True, plain=plain), True
+
+
+def _asked_at_once(agent: Agent, max_requests: int | None) -> int | None:
+    """Return how many episodes keep an agent busy; None for a plain one, which is asked one question at a time."""
+    most = max_requests or getattr(agent, "max_concurrency", None)
+    return most or (DEFAULT_REQUESTS if is_asynchronous(agent) else None)
 
 
 def _reporting(

@@ -496,3 +496,34 @@ def test_vector_environment_that_cannot_be_made_raises_in_the_caller() -> None:
     """By the first episode that is asked for."""
     with pytest.raises(gem.GemError, match="no environment 'toy:Nothing'"):
         run(collected(gem.arollout("toy:Nothing", answer_a)))
+
+
+def test_rollout_of_an_id_asks_an_asynchronous_agent_for_many_episodes_at_once() -> None:
+    """As many as it may be asked, or as ``num_envs`` says; a plain agent one at a time."""
+
+    class Counting:
+        def __init__(self) -> None:
+            self.open = self.most = 0
+
+        async def __call__(self, observation: gem.Observation) -> str:
+            self.open += 1
+            self.most = max(self.most, self.open)
+            for _ in range(100):
+                await asyncio.sleep(0)
+            self.open -= 1
+            return "a"
+
+    def most(**options: Any) -> int:
+        agent = Counting()
+        list(gem.rollout(COUNTDOWN, agent, episodes=70, seed=1, **options))
+        return agent.most
+
+    assert (most(), most(num_envs=3), most(max_requests=5)) == (64, 3, 5)
+    Counting.max_concurrency = 7  # type: ignore[attr-defined]
+    assert most() == 7
+
+
+def test_num_envs_is_for_ids() -> None:
+    """What is made already has its number."""
+    with pytest.raises(ArgumentError, match=r"num_envs goes with an id: what is made already has its number"):
+        list(gem.rollout(gem.make(COUNTDOWN), lambda observation: "a", episodes=1, num_envs=2))

@@ -22,6 +22,14 @@ _PATIENCE_S = 5.0
 _Question = tuple[int, Observation, Context]
 
 
+def is_asynchronous(agent: Agent) -> bool:
+    """Tell whether an agent is known to answer later, as a coroutine function does."""
+    call = getattr(agent, "function", agent)
+    return inspect.iscoroutinefunction(call) or inspect.iscoroutinefunction(
+        getattr(call, "__call__", None)  # noqa: B004 - it is looked at, not called
+    )
+
+
 class Asking:
     """The questions of a run that are open.
 
@@ -43,10 +51,7 @@ class Asking:
         most: int | None = None,
         loop: asyncio.AbstractEventLoop | None = None,
     ) -> None:
-        call = getattr(agent, "function", agent)
-        self.asynchronous = inspect.iscoroutinefunction(call) or inspect.iscoroutinefunction(
-            getattr(call, "__call__", None)  # noqa: B004 - it is looked at, not called
-        )
+        self.asynchronous = is_asynchronous(agent)
         """Whether it is known to answer later."""
         self._agent = agent
         self._notify = notify
