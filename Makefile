@@ -12,6 +12,7 @@ PLUGINS := $(patsubst %/pyproject.toml,%,$(PLUGIN_PROJECTS))
 PLUGIN_PACKAGES := $(patsubst %/__init__.py,%,$(wildcard plugins/*/gem_*/__init__.py))
 BENCHMARKS := $(filter-out benchmarks/harness.py,$(wildcard benchmarks/*.py))
 BIN := $(VENV)/bin
+PYTEST := $(BIN)/python -m pytest -q -n auto --maxprocesses $(WORKERS) --dist worksteal
 # No build isolation: hatchling comes pinned from constraints.txt, and a second install works offline. setuptools builds
 # the dependencies that come as source alone (chess).
 INSTALL := $(BIN)/python -m pip install --quiet --no-build-isolation -c constraints.txt
@@ -44,13 +45,19 @@ demo: $(VENV)/.demo ## watch built-in agents play three games, and write what th
 		--agent bisect --episodes 1000 --num-envs 8 --seed 1 --out runs/demo-bisect.jsonl --overwrite
 
 .PHONY: test
-test: $(VENV)/.dev ## run every test of the core and of each plugin
+test: $(VENV)/.dev ## run the tests of the core and of each plugin, each contract by its cheapest case
 	$(call say,running the tests)
-	@$(BIN)/python -m pytest -q -n auto --maxprocesses $(WORKERS) --dist worksteal $(ARGS) \
-		tests $(wildcard plugins/*/tests)
-ifeq ($(strip $(ARGS)),)
+	@$(PYTEST) $(ARGS) tests $(wildcard plugins/*/tests)
+
+.PHONY: test-thorough
+test-thorough: $(VENV)/.dev ## run all of them: whole matrices, soaks, real engines, and each plugin in isolation
+	$(call say,running all tests)
+	@$(PYTEST) --thorough $(ARGS) tests $(wildcard plugins/*/tests)
 	@$(MAKE) test-isolated
-endif
+
+.PHONY: test-root
+test-root: $(VENV)/.dev ## run, as root, the tests of what root's rights change
+	@$(PYTEST) -m root -p no:cacheprovider $(ARGS) $(wildcard plugins/*/tests)
 
 .PHONY: test-isolated
 test-isolated: $(VENV)/.dev ## run each plugin's tests with only the core and itself installed

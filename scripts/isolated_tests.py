@@ -2,8 +2,7 @@
 
 A dependency that a plugin forgot to declare shows here: in the development environment another plugin may bring it. The
 distributions are installed from wheels, so a file that a wheel lacks shows too. A plugin's tests may need more than
-pytest and hypothesis; its pyproject.toml then lists that in a dependency group ``test``. Tests that are marked
-``thorough`` try what other packages beside the plugin cannot change, and are not repeated here.
+pytest and hypothesis; its pyproject.toml then lists that in a dependency group ``test``.
 """
 
 from __future__ import annotations
@@ -65,8 +64,6 @@ def test(plugin: Path, venvs: Path) -> None:
         "4",
         "--dist",
         "worksteal",
-        "-m",
-        "not thorough",
         plugin.relative_to(ROOT) / "tests",
     ]
     if subprocess.run(command, cwd=ROOT).returncode:

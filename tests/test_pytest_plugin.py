@@ -115,6 +115,7 @@ def test_skip_without_a_reason_is_a_usage_error(folder: pytest.Pytester) -> None
     result.stderr.fnmatch_lines(["ERROR: --gem-skip takes SLUG=REASON, not 'hostile-actions'"])
 
 
+@pytest.mark.thorough
 def test_it_works_with_xdist(folder: pytest.Pytester) -> None:
     """Every worker collects the same items; an unknown pattern is a failure that says so."""
     pytest.importorskip("xdist")

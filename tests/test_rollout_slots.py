@@ -49,6 +49,7 @@ async def answer_a(observation: gem.Observation, context: Context) -> str:
 # Exact counts.
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("agent", [sampling_agent, answer_a], ids=["plain", "asynchronous"])
 @pytest.mark.parametrize("num_envs", [1, 2, 7, 16])
 @pytest.mark.parametrize("backend", ["sync", "async", "process"])

@@ -168,6 +168,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("end", ["interrupt", "error", "exit", "end"])
 @pytest.mark.parametrize("backend", [None, *BACKENDS], ids=["one", "sync", "async", "process"])
 @pytest.mark.parametrize("kind", ["inline", "async"])

@@ -85,12 +85,14 @@ def batches(ids: list[str], size: int) -> Iterable[list[str]]:
     return [ids[begin : begin + size] for begin in range(0, len(ids), size)]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("ids", batches(registered(), 40), ids=lambda ids: f"{ids[0]}…")
 def test_every_registered_environment_gives_the_same_in_every_backend(ids: list[str]) -> None:
     """Observations, rewards, flags and infos, slot by slot, in one batch of many ids."""
     assert_same_everywhere(ids, len(ids), 12)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("autoreset", ["same_step", "next_step"])
 def test_every_registered_environment_gives_the_same_under_a_plan(autoreset: str) -> None:
     """Also where a slot goes from one environment to the next, until it is idle."""
@@ -188,6 +190,7 @@ def test_send_and_recv_give_the_same_episodes(planned: bool) -> None:
     assert all(result == results[0] for result in results)
 
 
+@pytest.mark.thorough
 def test_rollouts_give_the_same_episodes() -> None:
     """With every registered environment, by key."""
     ids = registered()

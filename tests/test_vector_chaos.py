@@ -287,6 +287,7 @@ def is_gone(pid: int) -> bool:
         return True
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("driver", ["rollout", "rollout_async", "arollout", "send_and_recv"])
 @pytest.mark.parametrize("home", HOMES)
 def test_every_episode_is_accounted_for_exactly_once(home: str, driver: str) -> None:

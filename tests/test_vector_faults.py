@@ -127,6 +127,7 @@ def test_interrupt_of_the_user_is_not_contained() -> None:
     assert vector.reset(seed=1) == start
 
 
+@pytest.mark.few(9)
 @pytest.mark.parametrize(("env_id", "backend"), HOMES)
 @pytest.mark.parametrize(
     "item",
@@ -162,6 +163,7 @@ def test_fault_in_close_loses_nothing(env_id: str, backend: str, caplog: pytest.
 # What hangs.
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(("env_id", "backend"), TIMED)
 def test_hanging_step_is_given_up(env_id: str, backend: str) -> None:
     """After ``step_timeout`` seconds its slot is truncated; a deterministic neighbour goes on."""
@@ -170,6 +172,7 @@ def test_hanging_step_is_given_up(env_id: str, backend: str) -> None:
     assert error == {"kind": "timeout", "message": "a step or reset took longer than step_timeout, 1 s"}
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("env_id", "backend", "item"),
     [
@@ -259,6 +262,7 @@ def test_abandoned_task_is_cancelled() -> None:
 # Death.
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(("env_id", "backend"), AWAY)
 @pytest.mark.parametrize(
     ("word", "message"),
@@ -322,6 +326,7 @@ def test_neighbours_that_cannot_be_replayed_end_as_collateral() -> None:
 # Endless failures.
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize(("env_id", "backend"), HOMES)
 @pytest.mark.parametrize("options", [{"init": "raise"}, {"on_close": "raise", "init": "quit"}])
 def test_endless_failures_stop_with_one_error(env_id: str, backend: str, options: dict[str, Any]) -> None:
@@ -332,6 +337,7 @@ def test_endless_failures_stop_with_one_error(env_id: str, backend: str, options
     vector.close()
 
 
+@pytest.mark.thorough
 def test_endless_deaths_stop_with_one_error() -> None:
     """A worker that dies over and over is not started for ever."""
     vector = gem.make_vec(INLINE, 2, backend=("process", {"workers": 2}), seed=1, init="exit")

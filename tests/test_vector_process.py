@@ -266,6 +266,7 @@ def test_long_actions_arrive_intact() -> None:
         assert vector.step([action, "b"]).infos[0]["path"] == [action] * 2
 
 
+@pytest.mark.thorough
 def test_thousands_of_slots_work() -> None:
     """In processes and without."""
     for backend in ("sync", "async", "process"):
@@ -308,6 +309,7 @@ def first_pids(process: subprocess.Popen[str]) -> list[int]:
     return [int(pid) for pid in process.stdout.readline().split()]  # type: ignore[union-attr]  # it is a pipe
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("ending", "code", "error"),
     [
@@ -354,6 +356,7 @@ WAITS = {
 }
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("backend", ["async", "process"])
 @pytest.mark.parametrize("how", WAITS)
 def test_interrupt_ends_a_program_that_waits(how: str, backend: str) -> None:
@@ -446,6 +449,7 @@ def test_fork_of_a_program_leaves_its_workers_alone() -> None:
     assert out.splitlines()[1:] == ["[False, False] 0"], errors
 
 
+@pytest.mark.thorough
 def test_plan_is_covered_when_workers_take_turns_to_die() -> None:
     """Each item comes out exactly once, whether it failed or not."""
     plan = [PlanItem(options={"fault": "exit"} if key % 5 == 2 else None) for key in range(20)]

@@ -41,6 +41,7 @@ def test_good_environment_keeps_every_promise(target: Any) -> None:
     assert report.notes == ()
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("maker", BROKEN, ids=lambda maker: maker.__name__)
 def test_broken_promise_is_named(maker: Any) -> None:
     """Exactly the promises that an environment breaks are named, in one line each."""

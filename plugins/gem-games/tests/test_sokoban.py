@@ -51,12 +51,14 @@ def shortest_solution(cells: str, columns: int) -> int | None:
 
 
 @pytest.mark.parametrize(("room", "num_boxes", "max_turns"), [((6, 6), 2, 20), ((8, 8), 4, 50), ((8, 8), 5, 50)])
-def test_thousand_levels_are_won_by_their_own_solution(room: tuple[int, int], num_boxes: int, max_turns: int) -> None:
+def test_many_levels_are_won_by_their_own_solution(
+    room: tuple[int, int], num_boxes: int, max_turns: int, many: int
+) -> None:
     """Played move by move, with a quarter of the turns left; and the board is the level's."""
     env = SokobanEnv(room, max_turns, num_boxes)
     names = {-room[1]: "up", room[1]: "down", -1: "left", 1: "right"}
     boxes_on_goals = 0
-    for seed in range(1_000):
+    for seed in range(many):
         env.reset(seed=seed)
         level = make_level(*room, num_boxes, max_turns * 3 // 4, Draws(seed))
         assert env.cells == level.cells
@@ -73,9 +75,9 @@ def test_thousand_levels_are_won_by_their_own_solution(room: tuple[int, int], nu
     assert boxes_on_goals < 100
 
 
-def test_search_solves_a_thousand_levels() -> None:
+def test_search_solves_many_levels(many: int) -> None:
     """Independent of how levels are made: a search of all positions finds a way that fits into the turns."""
-    for seed in range(1_000):
+    for seed in range(many):
         level = make_level(6, 6, 2, 15, Draws(seed))
         shortest = shortest_solution(level.cells, 6)
         assert shortest is not None, f"seed {seed}"

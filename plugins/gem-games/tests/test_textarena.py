@@ -34,6 +34,7 @@ def test_the_table_matches_the_installed_library():
     assert list(GAMES) == [name for name in ENV_REGISTRY if not name.endswith(("-raw", "-train"))]
 
 
+@pytest.mark.thorough
 def test_each_runnable_game_is_the_same_in_another_process():
     """With another hash seed the same actions give the same observations and rewards; nothing is an error."""
     logs, asked = {}, []

@@ -185,6 +185,7 @@ def test_limit_holds_in_many_threads():
         assert list(threads.map(run, jobs)) == [True] * 12
 
 
+@pytest.mark.thorough
 def test_waiting_for_a_process_does_not_count():
     """Many threads and few processes: a good answer is right however long it waits for its turn."""
     blocked = [threading.Thread(target=grade, args=(boxed(HOSTILE["tower"]), "6")) for _ in range(6)]
@@ -195,6 +196,7 @@ def test_waiting_for_a_process_does_not_count():
         thread.join()
 
 
+@pytest.mark.thorough
 def test_processes_are_bounded_and_threads_none():
     """Hostile answers leave as many processes and descriptors as there were, and no thread."""
     threads = threading.active_count()

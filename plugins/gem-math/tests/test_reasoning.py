@@ -105,6 +105,7 @@ def test_listing_the_tasks_imports_no_library() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+@pytest.mark.thorough
 def test_rows_are_those_of_the_library(theirs: dict[str, Any]) -> None:
     """Of every task, in the first epoch and in the second."""
     for name in TASKS:
@@ -426,6 +427,7 @@ def test_options_and_states_are_checked() -> None:
     assert sibling._present_row()["question"] in observation
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", [*TASKS, "composite"] if EVERY else SAMPLE)
 def test_the_contract_is_kept(name: str) -> None:
     """``GEM_EVERY_REASONING_TASK=1`` tries every id with every promise."""

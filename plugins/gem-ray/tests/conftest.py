@@ -43,9 +43,17 @@ def ray_folder(toys: None) -> Iterator[str]:
         fcntl.flock(lock, fcntl.LOCK_EX)
         # Short, since Ray puts sockets there.
         folder = tempfile.mkdtemp(prefix="gr-")
+        # Where Ray notes the cluster of this machine, in a folder that is there only once a Ray of the user's has run.
+        Path(folder, "ray").mkdir()
+        before = os.environ.get("RAY_TMPDIR")
+        os.environ["RAY_TMPDIR"] = folder
         try:
             yield folder
         finally:
+            if before is None:
+                del os.environ["RAY_TMPDIR"]
+            else:
+                os.environ["RAY_TMPDIR"] = before
             shutil.rmtree(folder, ignore_errors=True)
 
 

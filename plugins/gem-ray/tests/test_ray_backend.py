@@ -70,6 +70,7 @@ def test_an_exception_ends_one_episode(vec: Callable[..., gem.VectorEnv]) -> Non
     assert vector.faults == 1
 
 
+@pytest.mark.thorough
 def test_only_the_slot_that_ends_the_process_is_truncated(vec: Callable[..., gem.VectorEnv]) -> None:
     """The others of its actor go on as if nothing had been."""
     turns = [["a"] * 3, ["a", "exit 3", "a"], ["a"] * 3]
@@ -82,6 +83,7 @@ def test_only_the_slot_that_ends_the_process_is_truncated(vec: Callable[..., gem
     assert info["final_info"]["error"]["message"].startswith("its worker process died on Ray: ")
 
 
+@pytest.mark.thorough
 def test_what_hangs_is_killed_past_step_timeout(vec: Callable[..., gem.VectorEnv]) -> None:
     """Also in code that lets no other thread run; a slot that waited behind it is not blamed."""
     turns = [["a"] * 3, ["a", "hang", "a"], ["a"] * 3]
@@ -92,6 +94,7 @@ def test_what_hangs_is_killed_past_step_timeout(vec: Callable[..., gem.VectorEnv
     assert error == {"kind": "timeout", "message": "a step or reset took longer than step_timeout, 3 s"}
 
 
+@pytest.mark.thorough
 def test_an_idle_actor_that_is_killed_costs_nothing(vec: Callable[..., gem.VectorEnv]) -> None:
     """Nothing ran: what was there is replayed in a new actor."""
     import ray
@@ -125,6 +128,7 @@ def test_an_actor_killed_in_a_step_is_a_truncated_slot(vec: Callable[..., gem.Ve
     assert by_slot[1] == {"turn": 1}
 
 
+@pytest.mark.thorough
 def test_what_cannot_be_replayed_is_collateral(vec: Callable[..., gem.VectorEnv]) -> None:
     vector = vec(2, "raytoy:Dice-v0")
     vector.reset()
@@ -148,6 +152,7 @@ def test_a_straggler_holds_up_nobody(vec: Callable[..., gem.VectorEnv], tmp_path
     assert (received.slots, received.observations) == ([0], ["at last"])
 
 
+@pytest.mark.thorough
 def test_observations_of_megabytes_arrive(vec: Callable[..., gem.VectorEnv]) -> None:
     """They take Ray's way for large things."""
     vector = vec(2)
@@ -156,12 +161,14 @@ def test_observations_of_megabytes_arrive(vec: Callable[..., gem.VectorEnv]) -> 
         assert [len(each) for each in vector.step(["big 3000000", "big 5"]).observations] == [3_000_000, 5]
 
 
+@pytest.mark.thorough
 def test_runtime_env_reaches_the_actor(vec: Callable[..., gem.VectorEnv]) -> None:
     vector = vec(1, options={"runtime_env": {"env_vars": {"GEM_RAY_TEST": "here"}}})
     vector.reset()
     assert vector.step(["variable GEM_RAY_TEST"]).observations == ["here"]
 
 
+@pytest.mark.thorough
 def test_a_runtime_env_that_cannot_be_made_is_said_once(vec: Callable[..., gem.VectorEnv], tmp_path: Path) -> None:
     """Trying again would not help."""
     vector = vec(2, options={"runtime_env": {"working_dir": (tmp_path / "missing.zip").as_uri()}})
@@ -183,6 +190,7 @@ def test_rollouts_sample_in_the_actors(vec: Callable[..., gem.VectorEnv]) -> Non
     assert {episode.id for episode in theirs} == {"raytoy:Tally-v0"}
 
 
+@pytest.mark.thorough
 def test_close_leaves_no_actor_and_keeps_the_connection(vec: Callable[..., gem.VectorEnv]) -> None:
     """The program's own connection is not ours to cut; a reset makes actors anew."""
     import ray

@@ -16,12 +16,10 @@ settings.load_profile("gem")
 
 REAL = (
     "test_docker_held_up",
-    "test_docker_judge",
     "test_docker_leftovers",
     "test_docker_machines",
     "test_docker_services",
     "test_local_endings",
-    "test_local_judge",
     "test_local_machine",
     "test_local_user",
     "test_sample_trials",
@@ -31,7 +29,7 @@ REAL = (
     "test_terminal_command",
     "test_terminal_real",
 )
-"""Files of tests on real machines that take long; what is installed beside the plugin changes nothing in there."""
+"""Files of tests on real machines that take long; ``test_docker_judge`` and ``test_local_judge`` are in every run."""
 
 
 @pytest.fixture
@@ -44,7 +42,7 @@ def script(monkeypatch: pytest.MonkeyPatch) -> Script:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark them, so that they are not repeated in isolation."""
+    """Leave them to ``make test-thorough``."""
     folder = Path(__file__).parent
     for item in items:
         if item.path.parent == folder and item.path.stem in REAL:

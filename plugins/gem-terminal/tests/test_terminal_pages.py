@@ -25,6 +25,7 @@ def test_pages_have_examples() -> None:
     assert len(COMMANDS) >= 6
 
 
+@pytest.mark.few(2)
 @needs_a_backend
 @pytest.mark.parametrize("code", PYTHON, ids=range(len(PYTHON)))
 def test_python_example_runs(code: str, tmp_path: Path) -> None:
@@ -40,6 +41,7 @@ def test_python_example_runs(code: str, tmp_path: Path) -> None:
             assert said in printed
 
 
+@pytest.mark.few(2)
 @needs_a_backend
 @pytest.mark.parametrize("command", sorted(set(COMMANDS)))
 def test_command_runs(command: str, tmp_path: Path) -> None:

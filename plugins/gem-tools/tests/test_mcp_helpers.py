@@ -76,6 +76,7 @@ def library(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
         process.wait()
 
 
+@pytest.mark.few(1)
 def test_tools_resources_and_prompts(library):
     env = around(("mcp", library))
     assert list(env.tools) == ["lend", "list_resources", "read_resource", "list_prompts", "get_prompt"]

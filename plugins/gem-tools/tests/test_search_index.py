@@ -300,6 +300,7 @@ print([p.id for p in open_index(sys.argv[1], sys.argv[2]).search("loire", 1)])
 """
 
 
+@pytest.mark.thorough
 def test_several_processes_may_build_at_once(corpus: Path, tmp_path: Path) -> None:
     """One index is left, and each finds what it should."""
     command = [sys.executable, "-c", PROCESS, str(corpus), str(tmp_path / "cache")]

@@ -261,6 +261,7 @@ def command(*arguments: str) -> list[str]:
     return [sys.executable, "-m", "gem_core", "serve-search", *arguments]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_command_serves_until_it_is_told_to_end(corpus: Path, tmp_path: Path, number: int) -> None:
     """Cleanly: exit code 0, and no traceback."""
