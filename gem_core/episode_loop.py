@@ -7,7 +7,8 @@ from typing import Any
 
 from gem_core import __version__
 from gem_core.agents.asking import Asking
-from gem_core.agents.base import Context
+from gem_core.agents.base import Context, Reading
+from gem_core.conversation import CONCAT_WITH_ACTION, Conversation
 from gem_core.episodes import Episode, Transition
 from gem_core.errors import ContextOverflowError, EnvFaultError, GemError
 from gem_core.plans import Draw, DrawSource, PlanItem
@@ -26,11 +27,13 @@ class EpisodeLoop:
     Args:
         vector: Where they run.
         asking: Puts the questions to the agent.
+        reading: What the agent wants to be sent.
     """
 
-    def __init__(self, vector: VectorEnv, asking: Asking) -> None:
+    def __init__(self, vector: VectorEnv, asking: Asking, reading: Reading) -> None:
         self._vector = vector
         self._asking = asking
+        self._reading = reading
         self._running: dict[int, _Running] = {}
         self._to_ask: list[int] = []
         self._stopped_by: BaseException | None = None
@@ -106,14 +109,14 @@ class EpisodeLoop:
             draw = self._vector.draw_of(slot)
             if draw is None:
                 return
-            current = self._running[slot] = _Running(self._vector, slot, draw, observation, info)
+            current = self._running[slot] = _Running(self._vector, slot, draw, observation, info, self._reading)
         self._to_ask.append(slot)
 
     def _ask_all(self) -> None:
         to_ask, self._to_ask = self._to_ask, []
         for slot in to_ask:
             current = self._running[slot]
-            self._asking.ask(slot, current.observation, current.context)
+            self._asking.ask(slot, current.conversation.sent(), current.context)
 
     def _give_up(self, slot: int, failure: GemError, finished: list[Episode]) -> None:
         """End an episode whose agent could not be asked, or whose history has grown too long."""
@@ -134,8 +137,14 @@ class EpisodeLoop:
 class _Running:
     """An episode that is under way in a slot."""
 
-    def __init__(self, vector: VectorEnv, slot: int, draw: Draw, observation: Observation, info: Info) -> None:
+    def __init__(
+        self, vector: VectorEnv, slot: int, draw: Draw, observation: Observation, info: Info, reading: Reading
+    ) -> None:
         self.episode = new_episode(vector.describe(slot), draw, observation, info)
+        self.episode.reads = _sent_as(reading, info)
+        self.episode.system = reading.system
+        self.episode.native_tools = reading.native_tools and bool(info.get("tools"))
+        self.conversation = Conversation(self.episode)
         self.observation = observation
         self.answer = Response()
         self.context = Context(
@@ -146,6 +155,8 @@ class _Running:
             info=info,
             tools=info.get("tools", []),
             transitions=self.episode.transitions,
+            system=info.get("system") if reading.system is None else reading.system,
+            _messages=self.conversation.messages,
             _sample=lambda: vector.sample_random_action(slot),
         )
 
@@ -165,6 +176,15 @@ class _Running:
         else:
             self.episode.info = {**self.episode.info, **reported}
         return self.episode
+
+
+def _sent_as(reading: Reading, info: Info) -> str:
+    """Return what an agent is sent in an episode that begins: what it reads, unless a view was named."""
+    if info.get("view") is not None:
+        return "observation"
+    if reading.reads is not None:
+        return reading.reads
+    return CONCAT_WITH_ACTION if info.get("tools") else "observation"
 
 
 def _failed(failed: Mapping[str, Any]) -> Episode:

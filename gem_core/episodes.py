@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sized
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self, cast
@@ -68,6 +68,10 @@ class Episode:
         group: Shared by episodes that started alike.
         key: The item's place in the plan.
         repeat: Which of the item's episodes it is, from 0.
+        reads: What the agent was sent: ``"messages"``, ``"observation"`` or ``"concat_with_action"``; see ``sent``.
+            None where that is not known, as in files of earlier versions.
+        system: System text of the agent's own, which goes before that of the task.
+        native_tools: Whether the agent was offered the tools beside what it was sent, which then explains them no more.
         run_seed: Seed of the run.
         versions: Version of each distribution that took part.
         schema_version: Version of this record's form.
@@ -86,6 +90,9 @@ class Episode:
     group: str | None = None
     key: str = "0"
     repeat: int = 0
+    reads: str | None = None
+    system: str | None = None
+    native_tools: bool = False
     run_seed: int | None = None
     versions: dict[str, str] = field(default_factory=dict)
     schema_version: int = SCHEMA_VERSION
@@ -104,6 +111,25 @@ class Episode:
     def episode_return(self) -> float:
         """Sum of the rewards, undiscounted."""
         return sum(transition.reward for transition in self.transitions)
+
+    @property
+    def messages(self) -> list[dict[str, Any]]:
+        """The conversation as chat messages, whatever the agent was sent: system text first, tool results under ids."""
+        from gem_core.conversation import Conversation  # imports Gymnasium, which a reader of files may do without
+
+        return Conversation(self).messages()
+
+    def sent(self, turn: int) -> Observation:
+        """Return what the agent was sent to answer in a turn, from 0: messages, or an observation.
+
+        Raises:
+            IndexError: There is no such turn.
+        """
+        from gem_core.conversation import Conversation
+
+        asked = self.transitions[turn].observation
+        before = self.transitions[: range(self.turns)[turn]]
+        return Conversation(replace(self, transitions=before, final_observation=asked)).sent()
 
     @property
     def success(self) -> bool | None:

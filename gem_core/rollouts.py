@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium
 
 from gem_core.agents.asking import Asking, is_asynchronous
-from gem_core.agents.base import Agent, as_agent, prepare_agent
+from gem_core.agents.base import Agent, Reading, as_agent, prepare_agent
 from gem_core.background import in_thread
 from gem_core.episode_loop import EpisodeLoop
 from gem_core.episodes import Episode
@@ -175,7 +175,7 @@ def _run(env: Environments, agent: Agent, order: _Order) -> Iterator[Episode]:
     try:
         prepare_agent(agent)
         source, note, end = order.begin(vector, done)
-        loop = EpisodeLoop(vector, asking)
+        loop = EpisodeLoop(vector, asking, Reading.of(agent))
         loop.begin(source)
         while not loop.over:
             for episode in loop.advance():
@@ -201,7 +201,7 @@ async def _arun(env: Environments, agent: Agent, order: _Order) -> AsyncIterator
             await prepared
         source, note, end = await in_thread(order.begin, vector, done)
         await vector.drain_async()
-        loop = EpisodeLoop(vector, asking)
+        loop = EpisodeLoop(vector, asking, Reading.of(agent))
         loop.begin(source)
         while not loop.over:
             for episode in loop.advance():

@@ -38,7 +38,8 @@ class ToolEnv(Wrapper):
 
     ``info["tool"]`` says what a tool step did: ``name``, ``arguments``, ``failed`` and ``error`` of the call, the last
     of several; ``calls``, the same for each; and the counters ``uses``, ``successes`` and ``failures`` of the episode.
-    ``info["tools"]`` holds the schemas at reset.
+    ``info["tools"]`` holds the schemas at reset, and ``info["tool_instructions"]`` the words that explain them:
+    ``text``, as in the observation, and ``native``, which take their place where an agent is offered the schemas.
 
     There is one around a task: ``make`` gathers all tools that it is given, and their options, into one.
 
@@ -107,8 +108,12 @@ class ToolEnv(Wrapper):
         self._suffix = suffix if "suffix" in info else None
         self._live = True
         info["tools"] = [tool.schema() for tool in self.tools.values()]
+        if info.get("view") is not None:
+            info["view"] = None  # a view inside the tools shows nothing of what they say
         text = self.instructions if isinstance(self.instructions, str) else self._instructions()
         if self.instructions and text:
+            if self.instructions is True:
+                info["tool_instructions"] = {"text": text, "native": self._native_instructions()}
             feedback = joined([feedback, text if text.endswith("\n") else f"{text}\n"])
             observation = observation_from(feedback, suffix)
             if self._suffix is not None:
@@ -219,15 +224,21 @@ class ToolEnv(Wrapper):
     def _instructions(self) -> str:
         if self.max_tool_uses == 0 or not self.tools:
             return ""
-        most = self.max_tool_uses
-        limit = "" if most is None else f" You have {most} tool call{'' if most == 1 else 's'}."
         lines = [
             "You may use tools before you answer. Make one call in a response: the result comes back to you, and "
-            f"nothing that you write behind the call is read.{limit}",
+            f"nothing that you write behind the call is read.{self._limit()}",
             *(self._explained(tool) for tool in self.tools.values()),
             f'Any tool can also be called as {CALL_OPEN}{{"name": …, "arguments": {{…}}}}{CALL_CLOSE}.',
         ]
         return "\n".join(lines)
+
+    def _native_instructions(self) -> str:
+        hints = [hint for tool in self.tools.values() if (hint := tool.hints())]
+        return "\n".join([f"You may use tools before you answer.{self._limit()}", *hints])
+
+    def _limit(self) -> str:
+        most = self.max_tool_uses
+        return "" if most is None else f" You have {most} tool call{'' if most == 1 else 's'}."
 
     def _explained(self, tool: Tool) -> str:
         if tool.name in self._reader.reserved:

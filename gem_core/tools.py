@@ -188,6 +188,12 @@ class Tool:
         forms += [f"a fenced block marked {language}" for language in self.fences[:1]]
         return self._explained(" or ".join(forms))
 
+    def hints(self) -> str:
+        """Return what ``instructions`` tell beyond the schema, for a model that is offered the schema itself."""
+        told, usual = self.instructions(), Tool.instructions(self)
+        more = told.removeprefix(usual).strip()
+        return f"- {self.name}: {more}" if more and more != told else more
+
     def explained_in_json(self) -> str:
         """Return the line that tells how to call this tool in JSON, as where its name is a tag of the task's own."""
         properties = self.parameters_schema().get("properties")

@@ -186,9 +186,11 @@ class HandClock(Clock):
                     continue  # what it limited is over
 
 
-def context(turn: int = 0, *, deadline: float | None = None, tools: Any = (), **info: Any) -> Context:
+def context(
+    turn: int = 0, *, deadline: float | None = None, tools: Any = (), system: str | None = None, **info: Any
+) -> Context:
     """Return what an agent is given in a turn."""
-    return Context("0.0", "toy:Echo-v0", None, turn, info, list(tools), [], deadline)
+    return Context("0.0", "toy:Echo-v0", None, turn, info, list(tools), [], deadline, system)
 
 
 def ask(agent: OpenAIAgent, observation: Any = "hello", **options: Any) -> Response:

@@ -116,6 +116,7 @@ def test_episodes_are_those_of_rollout_in_every_backend(backend: str, agent: Any
     expected = by_key(list(gem.rollout(COUNTDOWN, agent, episodes=6, seed=5)))
     for episode in expected:
         episode.wrappers = [["latest", {}]]
+        episode.info["view"] = "latest"
     with gem.make_vec(COUNTDOWN, 3, backend=backend, wrappers="latest", seed=5) as vector:
         assert run(collected(gem.arollout(vector, agent, episodes=6))) == expected
         assert by_key(list(gem.rollout(vector, agent, episodes=6))) == expected

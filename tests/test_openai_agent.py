@@ -54,10 +54,9 @@ def test_sampling_parameters_and_more_fields_are_sent(server: ChatServer, make_a
 
 def test_the_system_prompt_is_the_option_or_that_of_the_episode(server: ChatServer, make_agent: MakeAgent) -> None:
     """That of the environment holds for the whole episode; messages that bring one keep theirs."""
-    agent, episode = make_agent(), context(system="from the task")
-    run_sync(agent("first", episode))
-    episode.turn, episode.info = 1, {}
-    run_sync(agent("second", episode))
+    agent = make_agent()
+    ask(agent, system="from the task")
+    ask(agent, turn=1, system="from the task")
     ask(agent)
     ask(make_agent(system="mine"), system="from the task")
     ask(make_agent(system="mine"), [{"role": "system", "content": "own"}, {"role": "user", "content": "x"}])

@@ -173,7 +173,7 @@ def test_a_third_partys_tool_solves_a_task_in_several_turns(toolbox: Path) -> No
             return json_call("vault", lock=lock, key={"north": "brass", "south": "iron"}[lock])
         return f"Which key? <look>{lock}</look>"
 
-    vector = gem.make_vec("vault:Word-v0", wrappers="vault,box")
+    vector = gem.make_vec("vault:Word-v0", wrappers="vault,box,latest")
     (episode,) = gem.rollout(vector, agent, episodes=1)
     vector.close()
     assert episode.success

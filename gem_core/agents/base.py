@@ -8,7 +8,7 @@ import sys
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 from gem_core.arguments import check_arguments
 from gem_core.background import run_sync
@@ -32,6 +32,7 @@ class Context:
         tools: Schemas of the tools, as the OpenAI chat API takes them.
         transitions: The turns so far, oldest first.
         deadline: Time on ``time.monotonic()`` by which the answer is wanted; None for none.
+        system: System text: the agent's own, or else the task's; None for none.
     """
 
     episode: str
@@ -42,7 +43,18 @@ class Context:
     tools: list[dict[str, Any]]
     transitions: list[Transition]
     deadline: float | None = None
+    system: str | None = None
     _sample: Callable[[], str] = field(default=lambda: "", repr=False)
+    _messages: Callable[[], list[dict[str, Any]]] = field(default=list, repr=False)
+
+    @property
+    def messages(self) -> list[dict[str, Any]]:
+        """The conversation so far as chat messages, whatever the view; they are the agent's to change.
+
+        The system text comes first, where there is one; tool calls and their results stand under their ids. A later
+        list begins with the earlier one.
+        """
+        return self._messages()
 
     @property
     def responses(self) -> list[Response]:
@@ -62,7 +74,37 @@ It may have ``prepare()``, called before the first episode, perhaps more than on
 the start, and ``close()`` or ``aclose()``; each plain or a coroutine function. It raises ``RequestError`` where the
 machinery behind it failed and only that episode is lost, and ``ContextOverflowError`` where the history is too long for
 it. ``max_concurrency`` says how many episodes keep it busy; ``interactive``, that it answers one at a time.
+
+``reads`` says what it is sent as the observation: ``"messages"``, the conversation so far as chat messages, or
+``"observation"``, what the environment returned. Where a view was named, all are sent what the view shows. An agent
+that says nothing is sent the observation; but in an environment with tools, whose observations are the results of
+single calls, the conversation so far as text, as ``concat_with_action`` shows it. ``system`` is system text of its own.
+``native_tools`` says that it offers the model the schemas of ``context.tools``, so that no text explains them again.
 """
+
+READS = ("messages", "observation")
+
+
+class Reading(NamedTuple):
+    """What an agent says of what it is to be sent; see ``Agent``."""
+
+    reads: str | None = None
+    system: str | None = None
+    native_tools: bool = False
+
+    @classmethod
+    def of(cls, agent: Any) -> Self:
+        """Return what an agent says.
+
+        Raises:
+            AgentError: It reads what there is not.
+        """
+        reads, system = getattr(agent, "reads", None), getattr(agent, "system", None)
+        if reads is not None and reads not in READS:
+            raise AgentError(
+                f"an agent reads {' or '.join(map(repr, READS))}, and {agent!r:.100} says reads = {reads!r}"
+            )
+        return cls(reads, system if isinstance(system, str) else None, getattr(agent, "native_tools", False) is True)
 
 
 def as_agent(agent: Any) -> Agent:
@@ -72,12 +114,13 @@ def as_agent(agent: Any) -> Agent:
     is ``context``.
 
     Raises:
-        AgentError: It cannot be called so.
+        AgentError: It cannot be called so, or reads what there is not.
     """
     if isinstance(agent, type):
         agent = agent()
     if not callable(agent):
         raise AgentError(f"an agent is a callable of (observation, context), not {agent!r:.100}")
+    Reading.of(agent)
     try:
         signature = inspect.signature(agent)
     except (TypeError, ValueError):  # a callable of C code may not tell its signature
@@ -97,6 +140,9 @@ def _wants_context(signature: inspect.Signature) -> bool:
     return not second or second[0].default is inspect.Parameter.empty or second[0].name == "context"
 
 
+_SAID = ("prepare", "close", "aclose", "interactive", "max_concurrency", *Reading._fields)
+
+
 class _OfObservation:
     """An agent that takes the observation alone."""
 
@@ -108,7 +154,7 @@ class _OfObservation:
 
     def __getattr__(self, name: str) -> Any:
         # Only these: with all attributes of a function, an object would be taken for one.
-        if name not in ("prepare", "close", "aclose", "interactive", "max_concurrency"):
+        if name not in _SAID:
             raise AttributeError(name)
         return getattr(self.function, name)
 

@@ -10,13 +10,18 @@ from __future__ import annotations
 import base64
 import io
 import json
+import weakref
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from gem_core.jsonable import image_name
 from gem_core.nesting import is_deep
 from gem_core.types import Observation, Response
 
 _PNG_MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I;16")
+
+_encoded: dict[str, str] = {}
+"""Images as addresses, by the hash of what they show, for as long as they live."""
 
 
 def messages_from(observation: Observation, system: str | None = None) -> list[dict[str, Any]]:
@@ -178,9 +183,16 @@ def _part(part: Any) -> dict[str, Any]:
 
 
 def _data_url(image: Any) -> str:
-    buffer = io.BytesIO()
-    (image if image.mode in _PNG_MODES else image.convert("RGB")).save(buffer, format="PNG")
-    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
+    # A conversation shows an image in each of its later requests; to encode it takes ten times as long as to hash.
+    name = image_name(image)
+    url = _encoded.get(name)
+    if url is None:
+        buffer = io.BytesIO()
+        (image if image.mode in _PNG_MODES else image.convert("RGB")).save(buffer, format="PNG")
+        url = f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
+        _encoded[name] = url
+        weakref.finalize(image, _encoded.pop, name, None).atexit = False
+    return url
 
 
 def _text(content: Any) -> str:

@@ -24,6 +24,9 @@ class HumanAgent:
     interactive = True
     """Whether it answers one episode at a time, and shares the terminal with no progress bar."""
 
+    reads = "observation"
+    """The earlier turns are still in the terminal."""
+
     def __init__(self) -> None:
         self._terminal = Terminal(err=True)
         self._previous: Context | None = None

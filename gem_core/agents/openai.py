@@ -7,7 +7,6 @@ import math
 import os
 import re
 import urllib.parse
-import weakref
 from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
@@ -36,9 +35,9 @@ _OVERFLOW = re.compile(r"context_length_exceeded|maximum context length|availabl
 class OpenAIAgent:
     """Asks a model by the OpenAI chat API: one request for each turn, many episodes at once.
 
-    The observation decides what the model sees: text and content parts become one message of the user, a list of
-    messages (from a chat view) is sent as it is. Tools are offered in the API's own way. A request that is not answered
-    ends its episode as an error; the run goes on.
+    It reads the conversation so far. Where a view was named, that decides what the model sees: text and content parts
+    become one message of the user, a list of messages is sent as it is. Tools are offered in the API's own way. A
+    request that is not answered ends its episode as an error; the run goes on.
 
     The key is read from the environment, and is in no attribute, message or record. Without one, none is sent.
 
@@ -69,6 +68,8 @@ class OpenAIAgent:
         ArgumentError: A value that cannot be right.
         MissingRequirementError: The extra ``gem-core[openai]`` is not installed.
     """
+
+    reads = "messages"
 
     def __init__(
         self,
@@ -116,10 +117,9 @@ class OpenAIAgent:
             extras |= {"return_token_ids": True, "logprobs": True}
         self._extras = {name: value for name, value in extras.items() if name not in self._fields}
         self._refused: set[str] = set()
-        self._native_tools = native_tools
+        self.native_tools = native_tools
         self._timeout_s = timeout_s
         self._prepared = self._answered = False
-        self._systems: dict[int, str] = {}  # by id of the context, for as long as that lives
 
     def __repr__(self) -> str:
         return f"OpenAIAgent({self.model!r}, base_url={self.base_url!r})"
@@ -152,13 +152,13 @@ class OpenAIAgent:
     # One turn.
 
     async def _answer(self, observation: Observation, context: Context) -> Response:
-        system = self._system_of(context)
+        system = context.system if self.system is None else self.system
         if has_images(observation):
             messages = await in_thread(messages_from, observation, system)
         else:
             messages = messages_from(observation, system)
         payload = {"model": self.model, "messages": messages, **self._fields}
-        if context.tools and self._native_tools:
+        if context.tools and self.native_tools:
             payload["tools"] = context.tools
         try:
             response = await self._ask(payload, self._timeout_s, context.deadline)
@@ -193,17 +193,6 @@ class OpenAIAgent:
             refused.add("max_tokens")
         self._refused |= refused
         return bool(refused)
-
-    def _system_of(self, context: Context) -> str | None:
-        if self.system is not None:
-            return self.system
-        if context.turn == 0:
-            self._systems.pop(id(context), None)
-            system = context.info.get("system")
-            if isinstance(system, str):
-                self._systems[id(context)] = system
-                weakref.finalize(context, self._systems.pop, id(context), None).atexit = False
-        return self._systems.get(id(context))
 
     def _raise(self, fault: ServerFault) -> NoReturn:
         if not self._answered and fault.status in (401, 404):

@@ -5,14 +5,13 @@ from __future__ import annotations
 import importlib
 from typing import Any, ClassVar, cast
 
+from gem_core.conversation import Message, answer_messages, assistant_message, opening_messages
 from gem_core.env import observation_from
 from gem_core.errors import ArgumentError, StateNotSupported
 from gem_core.spaces import Messages as MessagesSpace
 from gem_core.types import Observation, ResetResult
 from gem_core.wrapper import AnyEnv
-from gem_core.wrappers.views import ObservationView, Turn, call_id
-
-Message = dict[str, Any]
+from gem_core.wrappers.views import ObservationView, Turn
 
 _MARK = "GEM-BRIDGE-MARK"
 """Stands for a response in the dummy chat that shows what a template writes behind one."""
@@ -72,27 +71,12 @@ class Messages(ObservationView):
     def messages(self, task: Observation, turns: list[Turn], suffix: Observation) -> list[Message]:
         """Return the chat so far."""
         system = self.system if self.system is not None else self._task_system
-        chat: list[Message] = [] if system is None else [{"role": "system", "content": system}]
         first_suffix = self._first_suffix if self.repeat_suffix or not turns else ""
-        chat.append({"role": "user", "content": observation_from(task, first_suffix)})
+        chat = opening_messages(system, observation_from(task, first_suffix))
         for number, turn in enumerate(turns, start=1):
-            is_last = number == len(turns)
-            chat.append(self._assistant(turn))
-            chat.extend(self._answers(turn, suffix if is_last else turn.suffix, is_last or self.repeat_suffix))
+            chat.append(assistant_message(turn, keep_reasoning=self.keep_reasoning))
+            chat += answer_messages(turn, with_suffix=self.repeat_suffix or number == len(turns))
         return chat
-
-    def _assistant(self, turn: Turn) -> Message:
-        message: Message = {"role": "assistant", "content": turn.action}
-        if turn.tool_calls and turn.messages is not None:
-            message["tool_calls"] = [{**call, "id": call_id(call, place)} for place, call in enumerate(turn.tool_calls)]
-        if self.keep_reasoning and turn.reasoning:
-            message["reasoning_content"] = turn.reasoning
-        return message
-
-    def _answers(self, turn: Turn, suffix: Observation, with_suffix: bool) -> list[Message]:
-        if turn.messages is not None:
-            return [dict(message) for message in turn.messages]
-        return [{"role": "user", "content": observation_from(turn.feedback, suffix if with_suffix else "")}]
 
     def _get_state(self) -> dict[str, Any]:
         if not isinstance(self._first_suffix, str):
@@ -149,7 +133,7 @@ class ConcatChat(Messages):
     def _bridge(self, turn: Turn) -> str:
         """Return what the template writes behind a response, up to the place of the next."""
         dummy = [{"role": "user", "content": "…"}, {"role": "assistant", "content": _MARK}]
-        rendered = self._render([*dummy, *self._answers(turn, turn.suffix, with_suffix=True)])
+        rendered = self._render([*dummy, *answer_messages(turn)])
         _, found, bridge = rendered.partition(_MARK)  # the first: what the task says may hold another
         if not found:
             raise ArgumentError("the chat template leaves earlier responses out, so that nothing can follow them")

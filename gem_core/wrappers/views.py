@@ -6,13 +6,15 @@ and ``info["suffix"]`` stay as the task wrote them. The chat views are in ``gem_
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, ClassVar
+from dataclasses import asdict, dataclass, replace
+from typing import Any, ClassVar, Self
 
 from gem_core.env import as_parts, observation_from
 from gem_core.errors import ArgumentError, StateNotSupported
-from gem_core.types import Observation, ResetResult, Response, StepResult
+from gem_core.jsonable import to_plain
+from gem_core.types import Info, Observation, ResetResult, Response, StepResult
 from gem_core.wrapper import AnyEnv, Wrapper
 
 
@@ -35,6 +37,15 @@ class Turn:
     tool_calls: list[dict[str, Any]] | None = None
     reasoning: str | None = None
     messages: list[dict[str, Any]] | None = None
+
+    @classmethod
+    def of(cls, action: str, feedback: Observation, suffix: Observation, info: Info) -> Self:
+        """Return the turn of a response, and of what ``step`` returned for it."""
+        response = Response.of(action)
+        # A plain str: what the server reported about a response is kept by the rollout, not by the view.
+        return cls(
+            response.text, feedback, suffix, response.tool_calls, response.reasoning, messages=info.get("messages")
+        )
 
 
 Summarizer = Callable[[str, list[Turn]], str]
@@ -108,7 +119,8 @@ class ObservationView(Wrapper):
     def after_reset(self, result: ResetResult) -> ResetResult:
         """Begin a new list of turns."""
         observation, info = result
-        self._begin(*told_apart(observation, info))
+        self._begin(*_split(observation, info))
+        info["view"] = self._made_as[0] if self._made_as else type(self).__name__
         shown = self._shown()
         if self._is_too_long(shown):
             raise ArgumentError(
@@ -119,8 +131,11 @@ class ObservationView(Wrapper):
     def after_step(self, action: str, result: StepResult) -> StepResult:
         """Add the turn and render the list."""
         observation, reward, terminated, truncated, info = result
-        feedback, self._suffix = told_apart(observation, info)
-        self._turns.append(self._turn(action, feedback, info))
+        feedback, self._suffix = _split(observation, info)
+        turn = Turn.of(action, feedback, self._suffix, info)
+        if self.drop_thinking:
+            turn = replace(turn, action=without_thinking(turn.action, self.thinking_tag), reasoning=None)
+        self._turns.append(turn)
         shown = self._fitted()
         if self._is_too_long(shown):
             info["context_overflow"] = True
@@ -132,19 +147,6 @@ class ObservationView(Wrapper):
         self._turns: list[Turn] = []
         self._dropped = 0
         self._summary = ""
-
-    def _turn(self, action: str, feedback: Observation, info: dict[str, Any]) -> Turn:
-        # A plain str: what the server reported about a response is kept by the rollout, not by the view.
-        text = str.__str__(action)
-        response = Response.of(action)
-        return Turn(
-            action=without_thinking(text, self.thinking_tag) if self.drop_thinking else text,
-            feedback=feedback,
-            suffix=self._suffix,
-            tool_calls=response.tool_calls,
-            reasoning=None if self.drop_thinking else response.reasoning,
-            messages=info.get("messages"),
-        )
 
     def _fitted(self) -> Observation:
         """Drop turns until the rest fits, and return what is shown."""
@@ -214,14 +216,42 @@ class Concat(ObservationView):
 
 
 class ConcatWithAction(ObservationView):
-    """Shows all outputs and actions so far, and how things stand now once, at the end."""
+    """Shows all outputs and actions so far, and how things stand now once, at the end.
+
+    A native tool call is shown as the text that would call the tool.
+    """
 
     def show(self, task: Observation, turns: list[Turn], suffix: Observation) -> Observation:
         """Return action and feedback of every turn, and the suffix."""
-        pieces = [task]
-        for turn in turns:
-            pieces += [turn.action, turn.feedback]
-        return observation_from(joined(pieces), suffix)
+        return with_actions(task, turns, suffix)
+
+
+def with_actions(task: Observation, turns: Iterable[Turn], suffix: Observation) -> Observation:
+    """Return all outputs and actions so far, and how things stand now once, at the end."""
+    pieces = [task]
+    for turn in turns:
+        pieces += [turn.action, *map(_call_as_text, turn.tool_calls or ()), turn.feedback]
+    return observation_from(joined(pieces), suffix)
+
+
+def _call_as_text(call: Mapping[str, Any]) -> str:
+    """Return a native call as it is written in a text; arguments that are no valid JSON stay as they were written."""
+    function = call.get("function", call.get("custom"))
+    if not isinstance(function, Mapping):
+        function = {}
+    arguments = function.get("arguments") or "{}"
+    if "input" in function:  # plain text, of a custom tool of the API
+        arguments = json.dumps(to_plain(function["input"]), ensure_ascii=False)
+    elif not isinstance(arguments, str):
+        arguments = json.dumps(to_plain(arguments), ensure_ascii=False)
+    name = json.dumps(to_plain(function.get("name", "")), ensure_ascii=False)
+    return f'<tool_call>{{"name": {name}, "arguments": {arguments}}}</tool_call>'
+
+
+def _split(observation: Observation, info: Info) -> tuple[Observation, Observation]:
+    """Tell apart what happened and how things stand, and note it: a view may show something else than what was said."""
+    info["feedback"], info["suffix"] = told_apart(observation, info)
+    return info["feedback"], info["suffix"]
 
 
 def told_apart(observation: Observation, info: dict[str, Any]) -> tuple[Observation, Observation]:

@@ -55,6 +55,15 @@ def tool_schemas() -> list[dict[str, Any]]:
     return [tool.schema() for tool in TOOLS.values()]
 
 
+def how_to_act_natively(*, timeout_s: float, most_timeout_s: float, columns: int = 120, lines: int = 40) -> str:
+    """Return what an agent that is offered the tools natively is told beyond their schemas; see ``how_to_act``."""
+    return (
+        "You work in a terminal, by calling its tools. Each response does one thing; the first call in it counts. A "
+        f"command is killed after {timeout_s:g} seconds; its timeout may be at most {most_timeout_s:g}. The screen has "
+        f"{columns}x{lines} characters. What you leave when you call finish is tested."
+    )
+
+
 def how_to_act(*, timeout_s: float, most_timeout_s: float, columns: int = 120, lines: int = 40) -> str:
     """Return what an agent is told about acting.
 

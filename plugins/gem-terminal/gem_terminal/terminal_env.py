@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -12,7 +12,8 @@ from gem_core.errors import ArgumentError, ResetNeededError, StateNotSupported
 from gem_core.suggestions import did_you_mean
 from gem_core.types import Concurrency, ResetResult, StepResult
 from gem_terminal import wording
-from gem_terminal.actions import Action, Bash, Finish, Keys, Malformed, how_to_act, read_action, tool_schemas
+from gem_terminal.acting import how_to_act, how_to_act_natively, tool_schemas
+from gem_terminal.actions import Action, Bash, Finish, Keys, Malformed, read_action
 from gem_terminal.backends.choosing import shared_backend
 from gem_terminal.backends.interface import Backend, Limits
 from gem_terminal.episode import Episode
@@ -193,8 +194,16 @@ class TerminalEnv(Env):
         except BaseException:
             self._end_episode()
             raise
-        info = self._info({"tools": tool_schemas(), "difficulty": task.difficulty, "category": task.category})
-        feedback, suffix = wording.first_words(task, 0, self._how_to_act()), self._suffix(self._episode)
+        instructions = {"text": self._told(how_to_act), "native": self._told(how_to_act_natively)}
+        info = self._info(
+            {
+                "tools": tool_schemas(),
+                "tool_instructions": instructions,
+                "difficulty": task.difficulty,
+                "category": task.category,
+            }
+        )
+        feedback, suffix = wording.first_words(task, 0, instructions["text"]), self._suffix(self._episode)
         info |= {"feedback": feedback, "suffix": suffix}
         return feedback + suffix, info
 
@@ -292,7 +301,7 @@ class TerminalEnv(Env):
         episode.begin_step()
         del info["terminal"]["ended_by"]
         info["terminal"]["next_step"] = episode.step.name
-        feedback = f"{feedback}\n\n{wording.first_words(episode.task, episode.number, self._how_to_act())}"
+        feedback = f"{feedback}\n\n{wording.first_words(episode.task, episode.number, self._told(how_to_act))}"
         return self._going_on(episode, feedback, reward, info)
 
     def _without_machine(self, episode: Episode, error: MachineError, info: dict[str, Any]) -> StepResult:
@@ -324,9 +333,9 @@ class TerminalEnv(Env):
         if episode is not None:
             episode.end()
 
-    def _how_to_act(self) -> str:
+    def _told(self, how: Callable[..., str]) -> str:
         settings = self.settings
-        return how_to_act(
+        return how(
             timeout_s=settings.command_timeout_s,
             most_timeout_s=max(settings.command_timeout_s, settings.most_command_timeout_s),
             columns=settings.columns,

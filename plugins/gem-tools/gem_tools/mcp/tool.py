@@ -178,6 +178,10 @@ class McpTool(Tool):
         # Also what counts as a line break to some.
         return shortened(text, MAX_DESCRIPTION_CHARS + MAX_SHOWN_SCHEMA_CHARS)
 
+    def hints(self) -> str:
+        """Return nothing: all that ``instructions`` tell is in the schema."""
+        return ""
+
     async def open(self) -> Handle:
         """Return this episode's session; it connects at the first call."""
         setup = self._setup
