@@ -1,0 +1,353 @@
+"""The conversation of an episode, whatever its view: what agents are sent and can reach, and what the record says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import pytest
+from chat_server import ChatServer, MakeAgent, Reply, completion
+from PIL import Image
+from toys import Calculator, CountdownEnv, EchoEnv, Notebook
+
+import gem_core as gem
+from gem_core.agents import chat_format
+from gem_core.agents.base import Context
+from gem_core.episodes import Episode, read_episodes, write_episodes
+from gem_core.errors import AgentError
+from gem_core.tool_env import ToolEnv
+from gem_core.types import Observation, Response
+
+TOOLS = [Calculator(), Notebook()]
+INSTRUCTIONS = "You may use tools before you answer. You have 5 tool calls.\n"
+
+
+def native(*calls: tuple[str, str, str]) -> list[dict[str, Any]]:
+    """Return native calls from (id, name, arguments)."""
+    return [{"id": i, "type": "function", "function": {"name": n, "arguments": a}} for i, n, a in calls]
+
+
+SUM = ("c1", "calculator", '{"left": 1, "right": 2}')
+NOTE = ("c2", "note", '{"line": "three"}')
+BAD = ("c3", "calculator", "{bad")
+
+ANSWERS = [
+    Response("I add.", tool_calls=native(SUM)),
+    Response("<note>three</note>"),
+    Response("", tool_calls=native(NOTE, BAD)),
+    Response("stop"),
+]
+
+CHAT = [
+    {"role": "assistant", "content": "I add.", "tool_calls": native(SUM)},
+    {
+        "role": "tool",
+        "tool_call_id": "c1",
+        "content": "3.0\nTool calls left: 4. Call a tool again, or give your answer.",
+    },
+    {"role": "assistant", "content": "<note>three</note>"},
+    {
+        "role": "user",
+        "content": "Output of note:\nthree\nTool calls left: 3. Call a tool again, or give your answer.\n",
+    },
+    {"role": "assistant", "content": "", "tool_calls": native(NOTE, BAD)},
+    {"role": "tool", "tool_call_id": "c2", "content": "three\nthree"},
+    {
+        "role": "tool",
+        "tool_call_id": "c3",
+        "content": "Error from calculator:\nThe call could not be read: its arguments are no valid JSON: Expecting "
+        "property name enclosed in double quotes: line 1 column 2 (char 1)\nTool calls left: 1. Call a tool again, or "
+        "give your answer.",
+    },
+    {"role": "assistant", "content": "stop"},
+]
+
+
+class Scripted:
+    """Answers as it was told, and keeps what it was sent and what it could reach."""
+
+    def __init__(self, answers: list[Response] = ANSWERS, **says: Any) -> None:
+        self.answers = answers
+        self.sent: list[Observation] = []
+        self.reached: list[list[dict[str, Any]]] = []
+        vars(self).update(says)
+
+    def __call__(self, observation: Observation, context: Context) -> str:
+        self.sent.append(observation)
+        self.reached.append(context.messages)
+        return self.answers[context.turn]
+
+
+def played(agent: Any, wrappers: list[Any] = TOOLS, env: str = "toy:Echo-v0", **options: Any) -> Episode:
+    """Return an episode of an agent."""
+    with gem.make_vec(env, 1, wrappers=wrappers, **options) as vector:
+        (episode,) = gem.rollout(vector, agent, episodes=1, seed=1)
+    return episode
+
+
+def test_a_model_is_sent_the_conversation(server: ChatServer, make_agent: MakeAgent) -> None:
+    """Question, calls and results under their ids, each request beginning with the one before; the tools once."""
+    server.script = [
+        Reply(completion(str(a), **({"tool_calls": a.tool_calls} if a.tool_calls else {}))) for a in ANSWERS
+    ]
+    episode = played(make_agent(system="Be brief."))
+    opening = [
+        {"role": "system", "content": "Be brief."},
+        {"role": "user", "content": f"Say something.\n{INSTRUCTIONS}"},
+    ]
+    assert [chat["messages"] for chat in server.chats] == [[*opening, *CHAT[:end]] for end in (0, 2, 4, 7)]
+    assert all(chat["tools"] == [tool.schema() for tool in TOOLS] for chat in server.chats)
+    assert (episode.reads, episode.system, episode.native_tools) == ("messages", "Be brief.", True)
+    assert [episode.sent(turn) for turn in range(4)] == [chat["messages"] for chat in server.chats]
+
+
+def test_without_native_tools_the_text_explains_them(server: ChatServer, make_agent: MakeAgent) -> None:
+    """And no request names them."""
+    server.otherwise = Reply(completion("stop"))
+    episode = played(make_agent(native_tools=False))
+    (chat,) = server.chats
+    assert "tools" not in chat
+    assert chat["messages"] == [{"role": "user", "content": EXPLAINED}]
+    assert not episode.native_tools
+
+
+@pytest.mark.parametrize("view", ["latest", "concat", "concat_with_action", "messages"])
+def test_a_view_that_was_named_says_what_a_model_is_sent(server: ChatServer, make_agent: MakeAgent, view: str) -> None:
+    """And what it shows does not explain native tools again."""
+    server.script = [Reply(completion("<note>three</note>")), Reply(completion("stop"))]
+    episode = played(make_agent(), [*TOOLS, view])
+    first, second = (chat["messages"] for chat in server.chats)
+    assert first == [{"role": "user", "content": f"Say something.\n{INSTRUCTIONS}"}]
+    task, call, answer = f"Say something.\n{INSTRUCTIONS}", "<note>three</note>", CHAT[3]["content"].replace("3", "4")
+    shown = {"latest": answer, "concat": task + answer, "concat_with_action": f"{task}{call}\n{answer}"}
+    chat = [*first, {"role": "assistant", "content": call}] if view == "messages" else []
+    assert second == [*chat, {"role": "user", "content": shown.get(view, answer)}]
+    assert (episode.reads, episode.info["view"]) == ("observation", view)
+
+
+def test_a_game_without_tools_is_a_conversation_too(server: ChatServer, make_agent: MakeAgent) -> None:
+    """Each answer keeps how things stood."""
+    played(make_agent(), [], "toy:Countdown-v0")
+    assert [message["role"] for message in server.chats[-1]["messages"]] == ["user", *["assistant", "user"] * 3]
+    assert server.chats[-1]["messages"][-1]["content"] == "You said 'ok'.\nLeft: 1."
+
+
+EXPLAINED = str(ToolEnv(EchoEnv(), TOOLS).reset()[0])
+TEXT_OF_TWO = f"""\
+{EXPLAINED}\
+I add.
+<tool_call>{{"name": "calculator", "arguments": {{"left": 1, "right": 2}}}}</tool_call>
+Output of calculator:
+3.0
+Tool calls left: 4. Call a tool again, or give your answer.
+"""
+NEWEST = "Output of calculator:\n3.0\nTool calls left: 4. Call a tool again, or give your answer.\n"
+
+
+@pytest.mark.parametrize(
+    ("says", "view", "reads", "second"),
+    [
+        ({}, [], "concat_with_action", TEXT_OF_TWO),
+        ({"reads": "observation"}, [], "observation", NEWEST),
+        ({"reads": "messages"}, [], "messages", [{"role": "user", "content": EXPLAINED}, *CHAT[:2]]),
+        ({}, ["latest"], "observation", NEWEST),
+        ({"reads": "messages"}, ["latest"], "observation", NEWEST),
+    ],
+)
+def test_an_agent_is_sent_what_it_reads(says: dict[str, Any], view: list[str], reads: str, second: Any) -> None:
+    """One that says nothing is sent the conversation as text, where tools answer and no view was named."""
+    agent = Scripted(**says)
+    episode = played(agent, [*TOOLS, *view])
+    assert agent.sent[1] == second
+    assert episode.reads == reads
+    assert [episode.sent(turn) for turn in range(episode.turns)] == agent.sent
+    assert agent.reached[1][1:] == CHAT[:2]
+
+
+def test_without_tools_an_agent_that_says_nothing_is_sent_the_observation() -> None:
+    """As the authors of games mean it."""
+    seen: list[Any] = []
+    with gem.make_vec("toy:Countdown-v0", 1) as vector:
+        (episode,) = gem.rollout(vector, lambda observation: seen.append(observation) or "a", episodes=1, seed=1)
+    assert seen == [turn.observation for turn in episode.transitions]
+    assert episode.reads == "observation"
+
+
+def test_a_callable_of_the_observation_alone_is_sent_the_question_again() -> None:
+    """After a tool's answer, which does not hold it."""
+    seen: list[Any] = []
+
+    def agent(observation: Any) -> str:
+        seen.append(observation)
+        return "<note>x</note>" if len(seen) == 1 else "stop"
+
+    played(agent)
+    assert seen[1] == f"{seen[0]}<note>x</note>\n{CHAT[3]['content'].replace('three', 'x').replace('3.', '4.')}"
+
+
+def test_an_agent_that_reads_what_there_is_not_is_refused() -> None:
+    """Before anything runs."""
+    with pytest.raises(AgentError, match=r"an agent reads 'messages' or 'observation', and .* says reads = 'message'"):
+        gem.rollout("toy:Echo-v0", Scripted(reads="message"))
+
+
+@pytest.mark.parametrize("backend", ["sync", "async", "process"])
+@pytest.mark.parametrize("view", [[], ["latest"], ["concat"], [("messages", {"max_turns": 1})], ["concat_with_action"]])
+def test_every_view_and_backend_has_the_same_conversation(tmp_path: Path, backend: str, view: list[Any]) -> None:
+    """For the agent while it acts, and afterwards for whoever reads the record or its file."""
+    agent = Scripted()
+    episode = played(agent, [*TOOLS, *view], backend=backend)
+    opening = {"role": "user", "content": EXPLAINED}
+    whole = [opening, *CHAT, {"role": "user", "content": "Heard: stop"}]
+    assert episode.messages == whole
+    assert agent.reached == [whole[:end] for end in (1, 3, 5, 8)]
+    write_episodes(tmp_path / "a.jsonl", [episode])
+    (read,) = read_episodes(tmp_path / "a.jsonl")
+    assert read.messages == whole
+    assert read == episode
+
+
+def test_an_environment_given_as_an_object_has_it_too() -> None:
+    """With Gymnasium's wrappers around it; what a wrapper that is no view writes is what was said."""
+    shouting = gymnasium.wrappers.TransformObservation(CountdownEnv(longest=1), str.upper, None)
+    (plain,) = gem.rollout(shouting, lambda observation: "a!", episodes=1, seed=1)
+    assert plain.messages == [
+        {"role": "user", "content": "COUNT DOWN.\nLEFT: 1."},
+        {"role": "assistant", "content": "a!"},
+        {"role": "user", "content": "YOU SAID 'A!'.\nLEFT: 0."},
+    ]
+
+
+def test_a_view_inside_the_tools_is_none_of_the_whole() -> None:
+    """It does not show what the tools say."""
+    agent = Scripted()
+    episode = played(agent, ["concat", *TOOLS])
+    assert episode.reads == "concat_with_action"
+    assert agent.sent[1] == TEXT_OF_TWO
+    assert episode.messages[1:-1] == CHAT
+
+
+def test_images_stand_in_the_conversation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also once they were written and read; a conversation's later requests do not encode them again."""
+    picture = Image.new("RGB", (8, 8), "red")
+
+    class Picture(EchoEnv):
+        def reset(self, seed: Any = None, options: Any = None) -> Any:
+            return [{"type": "image", "image": picture}, {"type": "text", "text": "Look."}], super().reset(seed)[1]
+
+    encoded = []
+    save = Image.Image.save
+    monkeypatch.setattr(
+        Image.Image, "save", lambda self, *args, **options: encoded.append(save(self, *args, **options))
+    )
+    agent = Scripted(reads="messages")
+    (episode,) = gem.rollout(ToolEnv(Picture(), TOOLS), agent, episodes=1)
+    assert len({json.dumps(chat_format.messages_from(sent)[0]) for sent in agent.sent}) == 1
+    assert len(encoded) == 1
+    assert episode.messages[0]["content"][0]["image"] is picture
+    write_episodes(tmp_path / "a.jsonl", [episode])
+    (read,) = read_episodes(tmp_path / "a.jsonl")
+    assert chat_format.messages_from(read.messages) == chat_format.messages_from(episode.messages)
+
+
+def test_what_an_agent_does_to_its_messages_stays_with_it() -> None:
+    """The conversation of the next turn is whole."""
+
+    def agent(observation: Any, context: Context) -> str:
+        observation[-1]["content"] = "changed"
+        observation.clear()
+        context.messages.clear()
+        return "a"
+
+    agent.reads = "messages"  # type: ignore[attr-defined]
+    episode = played(agent, [], "toy:Countdown-v0")
+    assert episode.messages[0]["content"] == "Count down.\nLeft: 4."
+    assert [message["role"] for message in episode.messages] == ["user", *["assistant", "user"] * 4]
+
+
+def test_records_of_earlier_versions_have_a_conversation() -> None:
+    """They do not say what was sent, nor whether a view was named; the infos tell the outputs apart."""
+    record = played(Scripted(), [*TOOLS, "concat"]).to_dict()
+    for name in ("reads", "system", "native_tools"):
+        del record[name]
+    del record["info"]["view"]
+    episode = Episode.from_dict(record)
+    assert episode.reads is None
+    assert episode.messages[1:-1] == CHAT
+
+
+def test_the_end_of_an_episode_that_has_nothing_to_say_is_no_message() -> None:
+    """As of most rows of a data set."""
+    (episode,) = gem.rollout("toy:Sums-v0", lambda observation: "\\boxed{1}", episodes=1)
+    assert [message["role"] for message in episode.messages] == ["user", "assistant"]
+
+
+class Advised(Notebook):
+    """Tells more than its schema does."""
+
+    name = "advised"
+
+    def instructions(self) -> str:
+        """Return a line more."""
+        return f"{super().instructions()}\nWrite short lines."
+
+
+class Reworded(Notebook):
+    """Has words of its own."""
+
+    name = "reworded"
+
+    def instructions(self) -> str:
+        """Return them."""
+        return "- reworded: keep a diary."
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"max_tool_uses": 1}, "Say something.\nYou may use tools before you answer. You have 1 tool call.\n{}"),
+        ({"max_tool_uses": None}, "Say something.\nYou may use tools before you answer.\n{}"),
+        ({"max_tool_uses": 0}, "Say something."),
+        ({"instructions": False}, "Say something."),
+        ({"instructions": "Own words."}, "Say something.\nOwn words.\n"),
+    ],
+)
+def test_what_no_schema_tells_is_told_with_native_tools(options: dict[str, Any], told: str) -> None:
+    """The limit, the hints of a tool, and the user's own words."""
+    agent = Scripted([Response("stop")], reads="messages", native_tools=True)
+    env = ToolEnv(EchoEnv(), [Notebook(), Advised(), Reworded()], **options)
+    list(gem.rollout(env, agent, episodes=1))
+    hints = "- advised: Write short lines.\n- reworded: keep a diary.\n"
+    assert agent.sent[0] == [{"role": "user", "content": told.format(hints)}]
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (native(SUM)[0], '{"name": "calculator", "arguments": {"left": 1, "right": 2}}'),
+        (native(BAD)[0], '{"name": "calculator", "arguments": {bad}'),
+        (native(("x", "look", ""))[0], '{"name": "look", "arguments": {}}'),
+        ({"function": {"name": "look", "arguments": {"at": "ä"}}}, '{"name": "look", "arguments": {"at": "ä"}}'),
+        ({"custom": {"name": "note", "input": 'a\n"b"'}}, '{"name": "note", "arguments": "a\\n\\"b\\""}'),
+        ({"function": None}, '{"name": "", "arguments": {}}'),
+    ],
+)
+def test_concat_with_action_shows_native_calls_as_text(call: dict[str, Any], text: str) -> None:
+    """In the form in which the text could have called the tool, behind what was said."""
+    view = gem.make("toy:Echo-v0", wrappers="concat_with_action")
+    view.reset()
+    observation, *_ = view.step(Response("so", tool_calls=[call, *native(SUM)]))
+    sum_text = '<tool_call>{"name": "calculator", "arguments": {"left": 1, "right": 2}}</tool_call>'
+    assert observation == f"Say something.\nso\n<tool_call>{text}</tool_call>\n{sum_text}\nHeard: so"
+
+
+@pytest.mark.parametrize("call", [native(SUM)[0], native(NOTE)[0], {"custom": {"name": "note", "input": "three"}}])
+def test_a_call_that_is_shown_as_text_is_read_as_the_same_call(call: dict[str, Any]) -> None:
+    """By the environment that showed it."""
+    env = gem.make("toy:Echo-v0", wrappers=[*TOOLS, "concat_with_action"])
+    env.reset()
+    shown, *_, first = env.step(Response("", tool_calls=[call]))
+    start, end = shown.index("<tool_call>{", len(env.reset()[0])), shown.rindex("</tool_call>") + 12
+    assert env.step(shown[start:end])[4]["tool"]["arguments"] == first["tool"]["arguments"]
