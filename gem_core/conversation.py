@@ -25,14 +25,16 @@ class Conversation:
 
     Args:
         episode: It may still be under way.
+
+    ``system`` is the text of the system message, None without one.
     """
 
     def __init__(self, episode: Episode) -> None:
         self._episode = episode
         # A record that does not say what was sent is of an earlier version, and may have had a view.
         self._viewed = "view" in episode.info or episode.reads is None
-        instructions = episode.info.get("tool_instructions") if episode.native_tools else None
-        self._instructions: Mapping[str, str] | None = instructions if isinstance(instructions, Mapping) else None
+        self.system = self._system()
+        self._instructions = self._in_both_wordings()
         self._task, self._suffix = self._told_apart(episode.observation, episode.info)
         self._turns: list[Turn] = []
         self._chat = self._opening()
@@ -66,7 +68,7 @@ class Conversation:
             turn = Turn.of(taken.action, feedback, self._suffix, taken.info)
             self._turns.append(turn)
             if is_messages(feedback):
-                self._chat = _with_system(self._explained_once(feedback), self._system())
+                self._chat = _with_system(self._explained_once(feedback), self.system)
             elif feedback == TERMINAL_STATE and turn.messages is None:
                 self._chat.append(assistant_message(turn))
             else:
@@ -75,19 +77,26 @@ class Conversation:
     def _opening(self) -> list[Message]:
         task = self._explained_once(self._task)
         if is_messages(task):  # the environment, or a wrapper that is no view of ours, keeps the chat itself
-            return _with_system(task, self._system())
-        return opening_messages(self._system(), observation_from(task, self._suffix))
+            return _with_system(task, self.system)
+        return opening_messages(self.system, observation_from(task, self._suffix))
 
     def _explained_once(self, observation: Any) -> Any:
         """Return an observation that explains the tools no more where the agent is offered them natively."""
-        return observation if self._instructions is None else _in_native_words(observation, self._instructions)
+        return observation if self._instructions is None else _in_native_words(observation, *self._instructions)
+
+    def _in_both_wordings(self) -> tuple[str, str] | None:
+        told = self._episode.info.get("tool_instructions")
+        if not self._episode.native_tools or not isinstance(told, Mapping):
+            return None
+        text, native = told.get("text"), told.get("native")
+        return (text, native) if text and isinstance(text, str) and isinstance(native, str) else None
 
     def _system(self) -> str | None:
         episode = self._episode
-        shown = episode.observation[0] if is_messages(episode.observation) else {}
-        if isinstance(shown, Mapping) and shown.get("role") == "system":
-            return shown.get("content")
-        system = episode.info.get("system") if episode.system is None else episode.system
+        first = episode.observation[0] if is_messages(episode.observation) else {}
+        system: Any = episode.info.get("system") if episode.system is None else episode.system
+        if isinstance(first, Mapping) and first.get("role") == "system":
+            system = first.get("content")  # messages that bring their own keep it
         return system if isinstance(system, str) else None
 
     def _told_apart(self, observation: Observation, info: Info) -> tuple[Observation, Observation]:
@@ -126,12 +135,12 @@ def _with_system(messages: Observation, system: str | None) -> list[Message]:
     return chat
 
 
-def _in_native_words(observation: Any, instructions: Any) -> Any:
+def _in_native_words(observation: Any, text: str, native: str) -> Any:
     """Return an observation whose explanation of tools is replaced by what native calls need of it."""
     if isinstance(observation, str):
-        return observation.replace(instructions["text"], instructions["native"])
+        return observation.replace(text, native)
     return [
-        {**part, **{name: _in_native_words(part[name], instructions) for name in _holders_of_text(part)}}
+        {**part, **{name: _in_native_words(part[name], text, native) for name in _holders_of_text(part)}}
         if isinstance(part, Mapping)
         else part
         for part in observation

@@ -155,7 +155,7 @@ class _Running:
             info=info,
             tools=info.get("tools", []),
             transitions=self.episode.transitions,
-            system=info.get("system") if reading.system is None else reading.system,
+            system=self.conversation.system,
             _messages=self.conversation.messages,
             _sample=lambda: vector.sample_random_action(slot),
         )

@@ -33,7 +33,7 @@ class Transition:
     """One turn.
 
     Args:
-        observation: What was answered.
+        observation: What the environment had returned; ``Episode.sent`` returns what the agent was sent of it.
         action: The response, to the letter.
         reward: Reward of this turn.
         terminated: Whether the task was over with it.
@@ -121,6 +121,8 @@ class Episode:
 
     def sent(self, turn: int) -> Observation:
         """Return what the agent was sent to answer in a turn, from 0: messages, or an observation.
+
+        What a model was sent with an observation, its ``system`` text and the tools, is not in it.
 
         Raises:
             IndexError: There is no such turn.

@@ -351,3 +351,31 @@ def test_a_call_that_is_shown_as_text_is_read_as_the_same_call(call: dict[str, A
     shown, *_, first = env.step(Response("", tool_calls=[call]))
     start, end = shown.index("<tool_call>{", len(env.reset()[0])), shown.rindex("</tool_call>") + 12
     assert env.step(shown[start:end])[4]["tool"]["arguments"] == first["tool"]["arguments"]
+
+
+@pytest.mark.parametrize("says", [{}, {"reads": "messages"}, {"reads": "observation"}])
+@pytest.mark.parametrize(
+    ("observation", "info"),
+    [
+        ([1, {"type": "text"}, {"text": None}, {"content": [None]}], {}),
+        ("fine", {"feedback": None, "suffix": 3}),
+        ("fine", {"messages": "none", "system": 5, "view": None, "tool_instructions": {"text": ""}}),
+        ("fine", {"messages": [3], "tool_instructions": "none"}),
+        ([{"role": "user"}, {"role": None, "content": 3}], {"system": "s"}),
+    ],
+)
+def test_what_an_environment_should_not_say_ends_no_run(says: dict[str, Any], observation: Any, info: Any) -> None:
+    """It is shown as well as it can be."""
+
+    class Odd(EchoEnv):
+        def reset(self, seed: Any = None, options: Any = None) -> Any:
+            super().reset(seed)
+            return observation, {"tools": [Calculator().schema()], **info}
+
+        def step(self, action: str) -> Any:
+            return observation, 0.0, action == "stop", False, dict(info)
+
+    agent = Scripted([Response("a", tool_calls=native(SUM)), Response("stop")], native_tools=True, **says)
+    (episode,) = gem.rollout(Odd(), agent, episodes=1)
+    assert (episode.turns, episode.error) == (2, None)
+    assert episode.messages

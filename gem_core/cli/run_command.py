@@ -55,6 +55,10 @@ that returns text:
   def my_agent(observation, context):
       return context.sample_random_action()
 \b
+It is sent the observation; with tools and without a view, the conversation so far as text. With
+my_agent.reads = "messages", as openai:MODEL has it, it is sent chat messages; with "observation",
+always the observation. A view named by --wrappers decides for all. context.messages has them, too.
+\b
 openai:MODEL asks any OpenAI-compatible server; its key is read from OPENAI_API_KEY. Options from
 --base-url on are passed to the agent, which may be a class of your own, by keyword.
 \b
@@ -89,7 +93,7 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     "--wrappers",
     default="",
     shell_complete=complete_wrappers,
-    help="Wrappers and tools by name, innermost first: 'concat,episode_stats'.",
+    help="Wrappers and tools by name, innermost first: 'concat,episode_stats'. A view says what the agent is sent.",
 )
 @tool_options
 @click.option(

@@ -41,11 +41,11 @@ class Turn:
     @classmethod
     def of(cls, action: str, feedback: Observation, suffix: Observation, info: Info) -> Self:
         """Return the turn of a response, and of what ``step`` returned for it."""
-        response = Response.of(action)
+        response, messages = Response.of(action), info.get("messages")
+        if not isinstance(messages, list) or not all(isinstance(message, Mapping) for message in messages):
+            messages = None
         # A plain str: what the server reported about a response is kept by the rollout, not by the view.
-        return cls(
-            response.text, feedback, suffix, response.tool_calls, response.reasoning, messages=info.get("messages")
-        )
+        return cls(response.text, feedback, suffix, response.tool_calls, response.reasoning, messages)
 
 
 Summarizer = Callable[[str, list[Turn]], str]
@@ -256,8 +256,9 @@ def _split(observation: Observation, info: Info) -> tuple[Observation, Observati
 
 def told_apart(observation: Observation, info: dict[str, Any]) -> tuple[Observation, Observation]:
     """Return what happened and how things stand now; without both keys in ``info`` all of it is feedback."""
-    if "feedback" in info and "suffix" in info:
-        return info["feedback"], info["suffix"]
+    feedback, suffix = info.get("feedback"), info.get("suffix")
+    if isinstance(feedback, str | list) and isinstance(suffix, str | list):
+        return feedback, suffix
     return observation, ""
 
 
@@ -270,8 +271,9 @@ def joined(pieces: Iterable[Observation]) -> Observation:
         return "".join([*lines, *texts[-1:]])
     parts: list[dict[str, Any]] = []
     for piece in pieces:
-        if parts and parts[-1]["type"] == "text" and not parts[-1]["text"].endswith("\n"):
-            parts[-1] = {**parts[-1], "text": parts[-1]["text"] + "\n"}
+        last = parts[-1] if parts else None
+        if isinstance(last, Mapping) and last.get("type") == "text" and not str(last.get("text", "")).endswith("\n"):
+            parts[-1] = {**last, "text": f"{last.get('text', '')}\n"}
         parts.extend(as_parts(piece))
     return parts
 

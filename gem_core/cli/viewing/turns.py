@@ -102,6 +102,8 @@ def start_of(episode: Episode) -> dict[str, str]:
         "arguments": episode.kwargs,
         "wrappers": episode.wrappers,
         "tools": episode.tools,
+        "system": episode.system,
+        "sent": None if episode.reads == "observation" else episode.reads,
         "task": episode.info.get("task_id"),
         "versions": episode.versions,
     }

@@ -43,6 +43,23 @@ def test_first_observation_is_the_task_and_how_to_act(env: TerminalEnv) -> None:
     assert [tool["function"]["name"] for tool in info["tools"]] == ["bash", "keys", "finish"]
 
 
+def test_a_model_with_native_tools_is_not_told_of_tags(env: TerminalEnv) -> None:
+    """Only the limits, which no schema tells."""
+
+    class Native:
+        reads, native_tools = "messages", True
+
+        def __call__(self, observation: Any, context: Any) -> str:
+            self.sent = observation[0]["content"]
+            return "<finish/>"
+
+    list(gem.rollout(env, agent := Native(), episodes=1, seed=1))
+    told = agent.sent.split("\n\n", 1)[1]
+    assert told.startswith("You work in a terminal, by calling its tools. Each response does one thing;")
+    assert "killed after 60 seconds; its timeout may be at most" in told
+    assert "<bash>" not in told
+
+
 def test_command_is_run_and_told(env: TerminalEnv) -> None:
     """Output, exit code, directory; what was behind it is not in what was read."""
     env.reset(seed=1)
