@@ -200,7 +200,7 @@ def _failed(failed: Mapping[str, Any]) -> Episode:
 
 
 def new_episode(described: dict[str, Any], draw: Draw, observation: Observation, info: Info) -> Episode:
-    """Return the record of an episode that begins.
+    """Return the record of an episode that begins, of an agent that reads observations.
 
     Args:
         described: ``id``, ``kwargs`` and ``wrappers`` of its environment.
@@ -221,6 +221,7 @@ def new_episode(described: dict[str, Any], draw: Draw, observation: Observation,
         group=draw.item.group,
         key=draw.key,
         repeat=draw.repeat,
+        reads="observation",
         run_seed=draw.run_seed,
         versions=_versions(described["id"]),
     )
