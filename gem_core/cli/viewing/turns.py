@@ -103,11 +103,17 @@ def start_of(episode: Episode) -> dict[str, str]:
         "wrappers": episode.wrappers,
         "tools": episode.tools,
         "system": episode.system,
-        "sent": None if episode.reads == "observation" else episode.reads,
+        "sent": _sent(episode),
         "task": episode.info.get("task_id"),
         "versions": episode.versions,
     }
     return {name: _words(value) for name, value in facts.items() if value not in (None, "", [], {})}
+
+
+def _sent(episode: Episode) -> str | None:
+    """Return what the agent was sent, where that is not what is shown of a turn."""
+    sent = "" if episode.reads in (None, "observation") else str(episode.reads)
+    return ", ".join(filter(None, [sent, "tools natively" if episode.native_tools else ""])) or None
 
 
 def outcome_of(success: bool | None, error: str | None) -> str:
