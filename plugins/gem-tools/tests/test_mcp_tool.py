@@ -147,11 +147,13 @@ def test_a_server_that_dies_is_restarted_and_the_agent_is_told():
         assert observation == (
             "The server bad was lost during the call: the server has ended (it ended with exit code 3; its standard "
             "error ends with: I was told to die). Whether the call had its effect is not known. At the next call the "
-            "server is started again; what it remembered may be lost."
+            "server is started again; what the server remembered may be lost."
         )
         assert info["fault"].startswith("died: ")
         observation, info = step(env, "count")
-        assert observation == "[The server bad was restarted before this call: what it remembered may be lost.]\n1"
+        assert (
+            observation == "[The server bad was restarted before this call: what the server remembered may be lost.]\n1"
+        )
         assert info["restarted"]
         assert step(env, "count")[0] == "2"
     finally:
@@ -165,7 +167,7 @@ def test_a_server_that_reads_nothing_any_more_is_restarted():
         observation, info = step(env, "echo", text="x" * 1_000_000)  # more than a pipe holds
         assert "The server bad was lost during the call: it did not even take the request within 3 s." in observation
         assert info["fault"].startswith("deaf: ")
-        assert step(env, "count")[0].endswith("what it remembered may be lost.]\n1")
+        assert step(env, "count")[0].endswith("what the server remembered may be lost.]\n1")
     finally:
         env.close()
     wait_until_no_server_runs()

@@ -12,6 +12,10 @@ from mcp_web_server import WebServer
 from gem_tools.mcp.connection import ServerFault
 from gem_tools.mcp.tool import make_mcp
 
+RECONNECTED = (
+    "[The connection to the server web was made anew before this call: what the server remembered may be lost.]"
+)
+
 
 def test_a_server_over_http():
     with WebServer(token="t0ken") as server:
@@ -33,7 +37,7 @@ def test_a_server_over_http():
         ("accepted", "The server web refused the call: server answered a request with 202 Accepted"),
         ("hang", "The server web was too slow: it did not answer within 3 s."),
         ("huge", "the answer is over 100,000 bytes long"),
-        ("drop", "The server web was lost during the call: the connection broke"),
+        ("drop", "The connection to the server web was lost during the call: the connection broke"),
     ],
 )
 def test_a_call_that_fails_costs_only_itself(tool, message):
@@ -58,10 +62,9 @@ def test_a_call_of_a_forgotten_session_is_made_again_in_a_new_one():
         step(env, "echo", a=1)
         server.forget_sessions()
         observation, info = step(env, "echo", a=2)
-        assert (
-            observation == "[The server web was restarted before this call: what it remembered may be lost.]\n{'a': 2}"
-        )
-        assert info["restarted"]
+        assert observation == f"{RECONNECTED}\n{{'a': 2}}"
+        assert info["reconnected"]
+        assert "restarted" not in info
         assert server.calls == ["echo", "echo"]
         env.close()
 
@@ -78,6 +81,35 @@ def test_a_server_that_is_down_is_waited_for_at_the_next_call():
     again.port = port
     with again:
         assert step(env, "echo", a=3)[0].endswith("{'a': 3}")
+        env.close()
+
+
+def test_a_lost_connection_is_not_called_a_restart():
+    """Nobody started the server from here, and nobody starts it again: the next call connects anew."""
+    with WebServer() as server:
+        env = around(("mcp", {"url": server.url, "server_name": "web"}))
+        observation, info = step(env, "drop")
+        assert re.fullmatch(
+            r"The connection to the server web was lost during the call: the connection broke \(.*\)\. Whether the "
+            r"call had its effect is not known\. At the next call a new connection is made; what the server remembered "
+            r"may be lost\.",
+            observation,
+        )
+        assert info["fault"].startswith("died: ")
+        assert step(env, "echo", a=1)[0] == f"{RECONNECTED}\n{{'a': 1}}"
+        env.close()
+
+
+def test_a_server_that_breaks_every_connection_is_left_alone():
+    """What is told of it is that it was connected to, not started."""
+    with WebServer() as server:
+        env = around(("mcp", {"url": server.url, "server_name": "web"}))
+        for _ in range(4):
+            assert "was lost during the call" in step(env, "drop")[0]
+        assert step(env, "echo")[0] == (
+            "The server web cannot be reached: it was connected to 4 times in a row without doing what was asked, and "
+            "is left alone for 30 s. This is no fault of your call."
+        )
         env.close()
 
 

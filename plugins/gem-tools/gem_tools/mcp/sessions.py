@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from gem_core.background import background_loop
 from gem_core.errors import GemError
+from gem_tools.mcp.config import STDIO
 from gem_tools.mcp.connection import Connection, Limits, ServerFault
 from gem_tools.mcp.listing import forget, paged
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger("gem_tools.mcp")
 
 MAX_RESTARTS = 3
-"""Starts in a row after which a server did nothing of what was asked; then it is left alone for a while."""
+"""Starts or connections in a row without anything done of what was asked; then a server is left alone for a while."""
 
 FIRST_PAUSE_S, COOL_DOWN_S = 0.1, 30.0
 
@@ -133,8 +134,9 @@ class ServerSession:
             return
         since = asyncio.get_running_loop().time() - self._last_start
         if self._in_vain > MAX_RESTARTS and since < COOL_DOWN_S:
+            event = "started" if self.server.transport == STDIO else "connected to"
             message = (
-                f"it was started {self._in_vain} times in a row without doing what was asked, and is left alone for "
+                f"it was {event} {self._in_vain} times in a row without doing what was asked, and is left alone for "
                 f"{COOL_DOWN_S:g} s"
             )
             raise ServerFault("unreachable", message, sent=False)

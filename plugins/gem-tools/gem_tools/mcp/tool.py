@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 from gem_core.errors import ArgumentError, GemError
 from gem_core.tools import CALL_CLOSE, CALL_OPEN, Tool, ToolResult
 from gem_core.types import Concurrency
-from gem_tools.mcp.config import Server, from_keywords, read_config
+from gem_tools.mcp.config import STDIO, Server, from_keywords, read_config
 from gem_tools.mcp.connection import Limits, ServerFault
 from gem_tools.mcp.listing import Listing, Offer, listings
 from gem_tools.mcp.messages import shortened
@@ -202,15 +202,19 @@ class McpTool(Tool):
             session.restarted()
             if fault.kind not in ("error", "too_long"):
                 info["fault"] = f"{fault.kind}: {fault.message}"  # for trainers: a machine failed, not the agent
-            return ToolResult(_explained(fault, self.server.name), failed=True, info=info)
+            return ToolResult(_explained(fault, self.server), failed=True, info=info)
         except GemError as error:
             message = f"The server {self.server.name} cannot be used: {error}. This is no fault of your call."
             return ToolResult(message, failed=True, info={**info, "fault": str(error)})
         content = result.content
         if session.restarted():
-            note = f"[The server {self.server.name} was restarted before this call: what it remembered may be lost.]"
+            # One that runs elsewhere may have gone on all the time; only the connection is known to be another.
+            ours = self.server.transport == STDIO
+            name = self.server.name
+            event = f"server {name} was restarted" if ours else f"connection to the server {name} was made anew"
+            note = f"[The {event} before this call: what the server remembered may be lost.]"
             content = f"{note}\n{content}" if isinstance(content, str) else [{"type": "text", "text": note}, *content]
-            info["restarted"] = True
+            info["restarted" if ours else "reconnected"] = True
         return ToolResult(content, failed=result.failed, info={**info, **result.info})
 
     async def _ask(self, arguments: dict[str, Any], session: Handle) -> ToolResult:
@@ -340,26 +344,28 @@ def _offers(
     return [(offer.name, own(offer)) for offer in listing.tools] + [(name, helper(kind)) for name, kind in helpers]
 
 
-def _explained(fault: ServerFault, server: str) -> str:
+def _explained(fault: ServerFault, server: Server) -> str:
+    name = server.name
     if fault.kind == "error":
-        return f"The server {server} refused the call: {fault.message}"
+        return f"The server {name} refused the call: {fault.message}"
     if fault.kind == "timeout" and fault.sent:
         return (
-            f"The server {server} was too slow: {fault.message}. The call was given up; it may have had its effect all "
+            f"The server {name} was too slow: {fault.message}. The call was given up; it may have had its effect all "
             "the same."
         )
     if fault.kind in ("died", "deaf") and fault.sent:
+        ours = server.transport == STDIO
+        lost = "server" if ours else "connection to the server"
+        next_call = "the server is started again" if ours else "a new connection is made"
         return (
-            f"The server {server} was lost during the call: {fault.message}. Whether the call had its effect is not "
-            "known. At the next call the server is started again; what it remembered may be lost."
+            f"The {lost} {name} was lost during the call: {fault.message}. Whether the call had its effect is not "
+            f"known. At the next call {next_call}; what the server remembered may be lost."
         )
     if fault.kind == "too_long":
-        return f"The server {server} answered with more than can be read: {fault.message}. Ask for less at once."
+        return f"The server {name} answered with more than can be read: {fault.message}. Ask for less at once."
     if fault.kind == "protocol":
-        return (
-            f"The server {server} gave an answer that cannot be used: {fault.message}. This is no fault of your call."
-        )
-    return f"The server {server} cannot be reached: {fault.message}. This is no fault of your call."
+        return f"The server {name} gave an answer that cannot be used: {fault.message}. This is no fault of your call."
+    return f"The server {name} cannot be reached: {fault.message}. This is no fault of your call."
 
 
 def _sentence(text: str) -> str:
