@@ -5,17 +5,21 @@ from __future__ import annotations
 import asyncio
 import json
 import pickle
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
 
 import gem_core as gem
+from gem_core.background import run_sync
 from gem_core.dataset import DatasetEnv
 from gem_core.errors import ArgumentError
 from gem_core.testing import check_plugin, check_tool
 from gem_core.tool_env import ToolEnv
 from gem_tools.python import SandboxError, make_python
+from gem_tools.python.tool import PACKAGES
 
 ROWS = [{"question": "What is the 30th Fibonacci number?", "answer": "832040"}]
 
@@ -31,6 +35,11 @@ def shown(env: ToolEnv, code: str) -> str:
     """Return what the agent reads of a call, without the title and what the environment adds."""
     observation = str(env.step(f"<python>{code}</python>")[0])
     return observation.partition("python:\n")[2].removesuffix("You may call a tool again, or give your answer.\n")
+
+
+def failed(exception: str, line: int, source: str, piece: str = "<python>", place: str = "<module>") -> str:
+    """Return what is shown of an exception."""
+    return f'Traceback (most recent call last):\n  File "{piece}", line {line}, in {place}\n    {source}\n{exception}\n'
 
 
 @pytest.mark.parametrize(
@@ -73,12 +82,13 @@ def test_a_task_is_solved_in_two_turns() -> None:
 
 
 def test_it_shows_output_value_and_error() -> None:
-    """Standard output, standard error, the value of a last expression, and the last line of an exception."""
+    """Standard output, standard error, the value of a last expression, and how the code ended."""
     env = env_with()
     assert shown(env, "import sys\nprint('out')\nprint('err', file=sys.stderr)\n[1, 2]") == "out\nerr\n[1, 2]\n"
     assert shown(env, "x = 1") == "The code ran and printed nothing.\n"
-    assert shown(env, "print('before')\n1 / 0") == "before\nZeroDivisionError: division by zero\n"
-    assert shown(env, "def f(:").startswith("SyntaxError: ")
+    assert shown(env, "print('before')\n1 / 0") == "before\n" + failed(
+        "ZeroDivisionError: division by zero", 2, "1 / 0"
+    )
     assert shown(env, "import sys\nsys.exit(3)") == "The process ended with exit code 3.\n"
     assert shown(env, "import sys\nsys.exit('no luck')") == "no luck\n"
     assert shown(env, "exit()") == "The code ran and printed nothing.\n"
@@ -98,16 +108,18 @@ def test_each_call_starts_anew_unless_it_is_persistent() -> None:
     """Variables, imports and files are kept for an episode, and only there."""
     env = env_with()
     shown(env, "x = 1")
-    assert shown(env, "x") == "NameError: name 'x' is not defined\n"
+    assert shown(env, "x") == failed("NameError: name 'x' is not defined", 1, "x")
 
     env = env_with(persistent=True)
     shown(env, "import math\nx = 2\nopen('note', 'w').write('kept')")
     assert shown(env, "print(open('note').read(), math.sqrt(x * 8))") == "kept 4.0\n"
-    assert shown(env, "1 / 0") == "ZeroDivisionError: division by zero\n"
+    shown(env, "def half(y):\n    return y / 0")
+    third = failed("ZeroDivisionError: division by zero", 2, "return y / 0", "<python 3>", "half")
+    assert shown(env, "\n# This is no line of the function.\nhalf(1)") == third
     assert shown(env, "import sys\nsys.exit(1)") == "The process ended with exit code 1.\n"
     assert shown(env, "x") == "2\n"
     env.reset(seed=2)
-    assert shown(env, "x") == "NameError: name 'x' is not defined\n"
+    assert shown(env, "x") == failed("NameError: name 'x' is not defined", 1, "x")
     env.close()
 
 
@@ -117,7 +129,7 @@ def test_a_session_that_is_ended_says_so() -> None:
     shown(env, "x = 1")
     lost = "The session has ended: its variables are lost, and the next call starts anew.\n"
     assert shown(env, "while True: pass") == f"The time limit of 0.3 s was reached.\n{lost}"
-    assert shown(env, "x") == "NameError: name 'x' is not defined\n"
+    assert shown(env, "x") == failed("NameError: name 'x' is not defined", 1, "x")
     env.close()
 
 
@@ -135,7 +147,7 @@ def test_what_no_template_can_encode_is_shown_by_its_code() -> None:
     """NULs and lone surrogates, in the output and in the code."""
     env = env_with()
     assert shown(env, "print('a\\0b', '\\ud800')") == "a\\x00b \\ud800\n"
-    assert shown(env, "print('\ud800')").startswith("UnicodeEncodeError")
+    assert "UnicodeEncodeError" in shown(env, "print('\ud800')")
     assert "null bytes" in shown(env, "x = '\0'")
 
 
@@ -167,6 +179,52 @@ def test_it_works_in_async_code_and_in_threads() -> None:
     with ThreadPoolExecutor(8) as threads:
         results = list(threads.map(lambda env: env.step("<python>7</python>"), envs))
     assert {result[4]["tool"]["failed"] for result in results} == {False}
+
+
+@pytest.mark.parametrize("sandbox", ["auto", "process"])
+def test_the_agent_is_told_what_can_be_imported(sandbox: str) -> None:
+    """In the instructions and the schema: which Python, and of the well-known packages those that are there."""
+    tool = make_python(sandbox=sandbox, timeout_s=30, memory_mb=2048, preload=("click",))
+    told = tool.description
+    assert told.startswith("Runs Python {}.{} code in a sandbox and shows what".format(*sys.version_info[:2]))
+    assert told in tool.instructions()
+    assert tool.schema()["function"]["description"] == told
+    packages = told.partition(" It has the standard library and ")[2].partition(". ")[0].split(", ")
+    assert {"numpy", "click"} <= set(packages)
+    assert "gem_core" not in packages
+    imports = "".join(f"import {name}\n" for name in packages)
+    assert asyncio.run(tool.pool.arun(imports, limits=tool.limits)).error is None
+    others = sorted(set(PACKAGES) - set(packages))
+    absent = f"import importlib.util\n[name for name in {others} if importlib.util.find_spec(name)]"
+    assert asyncio.run(tool.pool.arun(absent, limits=tool.limits, value=True)).value == "[]"
+
+
+def test_what_the_agent_is_told_is_always_the_same() -> None:
+    """At the first reset as at a later one, and in another process."""
+    first = env_with().reset(seed=1)[0]
+    code = (
+        "from gem_core.dataset import DatasetEnv\nfrom gem_core.tool_env import ToolEnv\nimport sys\n"
+        f"env = ToolEnv(DatasetEnv({ROWS!r}), ['python'], max_tool_uses=None)\nsys.stdout.write(env.reset(seed=1)[0])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout == first == env_with().reset(seed=1)[0]
+
+
+def test_a_machine_without_a_sandbox_is_told_of_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The tool is made all the same; each call says what is missing."""
+    monkeypatch.setenv("DOCKER_HOST", "unix:///nowhere.sock")
+    tool = make_python(sandbox="docker", image="none:none")
+    assert tool.description.startswith("Runs Python code in a sandbox and shows what it prints, the value of its last")
+    assert "standard library" not in tool.description
+
+
+def test_it_can_be_made_on_the_librarys_own_loop() -> None:
+    """As where a slot of a vector environment is made anew."""
+
+    async def make() -> str:
+        return make_python(sandbox="process", timeout_s=7).description
+
+    assert run_sync(make()) == make_python(sandbox="process", timeout_s=7).description
 
 
 def test_it_can_be_sent_to_another_process() -> None:

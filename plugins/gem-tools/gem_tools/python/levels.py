@@ -62,6 +62,7 @@ _ENVIRONMENT = {
 }
 _SYSTEM = ("/bin", "/sbin", "/lib", "/lib32", "/lib64", "/libx32", "/nix/store", "/gnu/store")
 _ETC = ("/etc/ld.so.cache", "/etc/alternatives", "/etc/localtime", "/etc/timezone")
+_FONTS = ("/etc/fonts", "/var/cache/fontconfig")
 _DEVICES = ("null", "zero", "full", "random", "urandom")
 
 
@@ -155,14 +156,14 @@ def _bubblewrap() -> list[str]:
     for name, value in _environment().items():
         words += ["--setenv", name, value]
     mounts = _mounts()
-    for path in _above([target for _, target in mounts] + ["/dev/null", "/etc/localtime", "/var/tmp"]):
+    for path in _above([target for _, target in mounts] + ["/dev/null", "/etc/localtime", "/var/tmp", *_FONTS]):
         # By itself it would make some of these for their owner alone, who may be another than runs the code.
         words += ["--perms", "0755", "--dir", path]
     for source, target in mounts:
         words += ["--ro-bind", source, target]
     for path in filter(os.path.lexists, _SYSTEM):
         words += ["--symlink", os.readlink(path), path] if os.path.islink(path) else ["--ro-bind", path, path]
-    for path in _ETC:
+    for path in (*_ETC, *_FONTS):
         words += ["--ro-bind-try", path, path]
     for name in _DEVICES:
         words += ["--dev-bind", f"/dev/{name}", f"/dev/{name}"]

@@ -27,8 +27,9 @@ class Outcome:
         stdout: Standard output as text; what is not UTF-8 becomes U+FFFD.
         stderr: Standard error, without the traceback of an exception.
         value: Representation of the last expression's value; None where there is none.
-        error: Last line of the traceback, or why the call was ended.
+        error: Type and message of the exception, or why the call was ended.
         traceback: The whole, with the lines of the code.
+        short_traceback: The same with one line of the code for each exception: the last that it passed.
         wall_s: Seconds from its first instruction to its end.
         cpu_s: Seconds of processor time.
         peak_mb: Most memory that was seen, in megabytes beyond the interpreter's own.
@@ -46,6 +47,7 @@ class Outcome:
     value: str | None = None
     error: str | None = None
     traceback: str | None = None
+    short_traceback: str | None = None
     wall_s: float = 0.0
     cpu_s: float = 0.0
     peak_mb: float = 0.0
@@ -82,6 +84,7 @@ def outcome_from(header: dict[str, Any], body: bytes, limits: dict[str, Any], sa
         value=_text(told.get("value")),
         error=_text(told.get("error")) or error,
         traceback=_text(told.get("traceback")),
+        short_traceback=_text(told.get("short_traceback")),
         wall_s=header["wall_s"],
         cpu_s=header["cpu_s"],
         peak_mb=max(0.0, header["peak_bytes"] / (1 << 20)),

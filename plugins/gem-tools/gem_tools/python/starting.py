@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import concurrent.futures
 import contextlib
 import dataclasses
+import functools
+import json
 import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -33,6 +36,31 @@ walled: dict[str, bool] = {}
 
 filtered: dict[str, bool] = {}
 """Whether the levels that have worked filter system calls; a rare processor or an old kernel has no filter."""
+
+
+interpreters: dict[tuple[str, str], Interpreter] = {}
+"""What Python the levels have that have worked, by name and image."""
+
+# Packages that are there may be many; only those that are asked for are told of. What has no place of its own in a
+# folder of packages (namespace packages) is left out.
+_LOOK = """
+import json, pkgutil, sys
+names = {module.name for module in pkgutil.iter_modules()} - sys.stdlib_module_names
+print(json.dumps(["%d.%d" % sys.version_info[:2], sorted(name for name in names if name[0] != "_")]))
+"""
+
+
+@dataclass(frozen=True)
+class Interpreter:
+    """The Python of a level.
+
+    Args:
+        version: As in ``"3.12"``.
+        modules: What can be imported besides the standard library, top-level names.
+    """
+
+    version: str
+    modules: frozenset[str]
 
 
 @dataclass(frozen=True)
@@ -93,7 +121,7 @@ async def chosen(sandbox: str, settings: Mapping[str, Any]) -> Chosen:
 
 async def _working_way(level: str, settings: Mapping[str, Any]) -> tuple[Callable[[], Launch], str]:
     """Try the ways of a level until one starts."""
-    key = level, settings["image"] if level == "docker" else ""
+    key = _key(level, settings)
     if level == "docker":
         # In a thread: an engine that hangs must not keep other pools waiting.
         await asyncio.to_thread(docker.check, settings["image"])
@@ -106,7 +134,7 @@ async def _working_way(level: str, settings: Mapping[str, Any]) -> tuple[Callabl
         try:
             launch = way()
             if known is None:
-                filtered[level], walled[level] = await _try(launch)
+                filtered[level], walled[level], interpreters[key] = await _try(launch)
         except Unavailable as reason:
             reasons.append(str(reason))
         except SandboxError as error:
@@ -117,23 +145,53 @@ async def _working_way(level: str, settings: Mapping[str, Any]) -> tuple[Callabl
     raise Unavailable("; ".join(dict.fromkeys(reasons)))
 
 
-async def _try(launch: Launch) -> tuple[bool, bool]:
-    """Start a sandbox, run nothing in it, and end it; return whether it filters system calls, and has Landlock."""
-    settings = {**launch.settings, "preload": []}
+def _key(level: str, settings: Mapping[str, Any]) -> tuple[str, str]:
+    return level, settings["image"] if level == "docker" else ""
+
+
+async def _try(launch: Launch) -> tuple[bool, bool, Interpreter]:
+    """Start a sandbox, look round in it, and end it.
+
+    Returns:
+        Whether it filters system calls, whether it has Landlock, and its Python.
+    """
+    settings = {**launch.settings, "preload": ["inspect", "json", "pkgutil"]}
     cell = Cell(dataclasses.replace(launch, settings=settings), end_of)
     await cell.start()
     limits = {"folder_mb": settings["folder_mb"], "folder_files": settings["folder_files"]}
     limits |= {"wall_s": 30.0, "cpu_s": 30.0, "memory_mb": 512, "processes": 8, "open_files": 64, "file_mb": 8}
-    limits |= {"output_bytes": 1024, "output_stop_bytes": 65536, "value_chars": 100, "session": False}
-    job = b'{"code": "", "stdin": "", "files": {}, "value": false, "most": 100}'
+    limits |= {"output_bytes": 1 << 20, "output_stop_bytes": 1 << 21, "value_chars": 100, "session": False}
+    job = json.dumps({"code": _LOOK, "stdin": "", "files": {}, "value": False, "most": 100}).encode("ascii")
     try:
         answer, output = await cell.ask({"op": "run", "id": 0, "limits": limits}, job)
     finally:
         cell.close()
+        if cell.process is not None:
+            await asyncio.to_thread(wait_for_end, cell.process, _ANSWER_S)
     if answer["failed"] is not None or answer["status"] != 0:
         words = " ".join(output.decode("utf-8", "replace").split())[-600:]
         raise SandboxError(f"the sandbox does not work: {answer['failed'] or words}")
-    return cell.filtered, cell.walled
+    try:
+        version, modules = json.loads(output[: answer["lengths"][0]])
+    except ValueError as error:
+        raise SandboxError("the sandbox does not work: its Python does not print what it is told to") from error
+    return cell.filtered, cell.walled, Interpreter(version, frozenset(modules))
+
+
+@functools.cache
+def interpreter(sandbox: str, image: str | None) -> Interpreter:
+    """Return the Python that code will run in, from plain code on any thread; the first time starts a sandbox.
+
+    The same sandbox tells whether the level works, which the first call has to find out in any case.
+
+    Raises:
+        MissingRequirementError: There is no such sandbox here.
+    """
+    settings = options(preload=(), folder_mb=1, folder_files=64, image=image)
+    # In a thread with a loop of its own: the caller may be on an event loop itself.
+    with concurrent.futures.ThreadPoolExecutor(1, "gem-python-look") as thread:
+        found = thread.submit(asyncio.run, chosen(sandbox, settings)).result()
+    return interpreters[_key(found.level, settings)]
 
 
 def _advice(level: str, error: str) -> str:

@@ -2,26 +2,47 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import pydantic
 
-from gem_core.errors import ArgumentError, GemError
+from gem_core.errors import ArgumentError, GemError, MissingRequirementError
 from gem_core.tools import Tool, ToolResult
 from gem_tools.python.limits import Limits
 from gem_tools.python.pool import Pool, Session, shared_pool
+from gem_tools.python.starting import interpreter
 
 if TYPE_CHECKING:
     from gem_tools.python.outcome import Outcome
 
 TRACEBACKS = ("last_line", "full")
 
+PACKAGES: tuple[str, ...] = (
+    "numpy",
+    "scipy",
+    "sympy",
+    "mpmath",
+    "gmpy2",
+    "pandas",
+    "matplotlib",
+    "sklearn",
+    "networkx",
+)
+PACKAGES += ("statsmodels", "shapely", "z3", "ortools", "pulp", "cvxpy", "numba", "PIL", "cv2", "skimage")
+PACKAGES += ("bs4", "lxml", "yaml")
+"""What an agent is told of where it can be imported; what is preloaded is told of as well."""
+
 _DESCRIPTION = (
-    "Runs Python code in a sandbox without a network and shows what it prints, the value of its last expression, and "
-    "its errors. {memory} The limits are {wall_s:g} s and {memory_mb} MB."
+    "Runs Python{version} code in a sandbox and shows what it prints, the value of its last expression, and its errors."
+    "{packages} There is no network, no input, and nothing can be installed. {memory} A call may take {wall_s:g} s and "
+    "{memory_mb} MB of memory."
 )
 _STATELESS = "Each call starts anew: write complete scripts, with their imports, and print what you want to see."
+# What the built-in input() raises.
+_NO_INPUT = "EOFError: EOF when reading a line"
+_TOLD_NO_INPUT = "There is no input: nobody answers input(). Write the values into the code."
 _PERSISTENT = "Variables, imports and files are kept from call to call."
 
 
@@ -47,6 +68,10 @@ def make_python(
 ) -> PythonTool:
     """Return a Python tool.
 
+    Code finds the packages of the environment that GEM runs in, without GEM's plugins; on the level ``docker`` those of
+    the image, which are the same on every machine. The agent is told which Python it is, and which of the well-known
+    packages and of ``preload`` are there.
+
     Args:
         sandbox: ``"bubblewrap"``, ``"docker"`` or ``"process"``; ``"auto"`` for the first of these that works.
         persistent: Whether the calls of an episode share their variables, imports and files.
@@ -58,7 +83,7 @@ def make_python(
         max_output_bytes: What is shown of each stream; of more, the middle is left out.
         max_file_mb: Limit of one file, in megabytes.
         max_folder_mb: Limit of the private folder, in megabytes.
-        traceback: ``"last_line"`` of an exception, or the ``"full"`` traceback.
+        traceback: ``"last_line"`` for an exception and the last line of the code that it passed, or ``"full"``.
         preload: Modules that are imported once, ahead of all calls, as in ``["numpy", "sympy"]``.
         num_workers: Calls that run at once; by default one for each processor, but two to eight.
         image: Image of the level ``docker``.
@@ -115,10 +140,6 @@ class PythonTool(Tool):
         self.pool, self.limits, self.persistent, self.traceback = pool, limits, persistent, traceback
         self.options: dict[str, Any] = {}
         self._instructions: str | None = None
-        memory = _PERSISTENT if persistent else _STATELESS
-        told = _DESCRIPTION.format(memory=memory, wall_s=limits.wall_s, memory_mb=limits.memory_mb)
-        # A class variable of Tool; this instance has its own.
-        vars(self)["description"] = told
 
     def __reduce__(self) -> tuple[Any, ...]:
         # In another process the tool is made again, with sandboxes of that process.
@@ -130,9 +151,25 @@ class PythonTool(Tool):
             if text is not None and (not isinstance(text, str) or not text.strip() or "\n" in text):
                 raise ArgumentError(f"{option} must be one line of text, not {text!r}")
         vars(self)["name"] = name
-        if description is not None:
-            vars(self)["description"] = description
+        # A class variable of Tool; this instance has its own.
+        vars(self)["description"] = self._described() if description is None else description
         self._instructions = instructions
+
+    def _described(self) -> str:
+        version = packages = ""
+        with contextlib.suppress(MissingRequirementError):  # which every call tells
+            python = interpreter(self.pool.sandbox, self.pool.options["image"])
+            version = f" {python.version}"
+            wanted = [name.partition(".")[0] for name in (*PACKAGES, *self.pool.options["preload"])]
+            found = [name for name in dict.fromkeys(wanted) if name in python.modules]
+            packages = f" It has the standard library{' and ' if found else ' alone'}{', '.join(found)}."
+        return _DESCRIPTION.format(
+            version=version,
+            packages=packages,
+            memory=_PERSISTENT if self.persistent else _STATELESS,
+            wall_s=self.limits.wall_s,
+            memory_mb=self.limits.memory_mb,
+        )
 
     def instructions(self) -> str:
         """Return the line that explains the tool to an agent."""
@@ -140,13 +177,16 @@ class PythonTool(Tool):
 
     async def call(self, arguments: Any, session: Any) -> ToolResult:
         """Run the code and show what came of it."""
-        if not arguments.code.strip():
+        code = arguments.code
+        if code.lstrip().startswith("```"):  # in a JSON or native call; elsewhere it is taken off already
+            code = self._unfenced(code)
+        if not code.strip():
             return ToolResult("There is no code to run.", failed=True)
         try:
             if isinstance(session, Session):
-                outcome = await session.arun(arguments.code)
+                outcome = await session.arun(code)
             else:
-                outcome = await self.pool.arun(arguments.code, limits=self.limits, value=True)
+                outcome = await self.pool.arun(code, limits=self.limits, value=True)
         except GemError as fault:
             text = (
                 f"The sandbox failed: {fault}. This is no fault of your code. Try again later, or go on without Python."
@@ -166,11 +206,12 @@ class PythonTool(Tool):
 
     def shown(self, outcome: Outcome) -> str:
         """Return what the agent reads of an outcome."""
-        parts = [outcome.stdout, outcome.stderr, outcome.value or ""]
-        if self.traceback == "full" and outcome.traceback:
-            parts.append(outcome.traceback)
-        elif outcome.error:
-            parts.append(outcome.error)
+        told = outcome.traceback if self.traceback == "full" else outcome.short_traceback
+        parts = [outcome.stdout, outcome.stderr, outcome.value or "", told or outcome.error or ""]
+        if _NO_INPUT in parts[-1]:
+            parts.append(_TOLD_NO_INPUT)
+        if told and outcome.status == "memory":
+            parts.append(f"The limit of {self.limits.memory_mb} MB of memory was reached.")
         if outcome.session_lost and self.persistent:
             parts.append("The session has ended: its variables are lost, and the next call starts anew.")
         text = "".join(part if part.endswith("\n") else f"{part}\n" for part in parts if part)

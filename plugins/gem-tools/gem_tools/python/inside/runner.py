@@ -15,6 +15,7 @@ import gc
 import io
 import json
 import linecache
+import logging
 import os
 import random
 import signal
@@ -25,7 +26,15 @@ import types
 from typing import Any
 
 FILENAME = "<python>"
+"""Of the code; a later piece of a session has its number in it, so that each keeps its own lines."""
+
 _MAX_FRAMES = 30
+_MAX_LINE = 300
+_SHELL_MARKS = ("!", "%", ">>>", "pip ")
+_PLAIN_PYTHON = (
+    "Lines that begin with !, %, >>> or pip are for notebooks and shells: write plain Python instead. Nothing can be "
+    "installed, as there is no network."
+)
 NAMED_INPUT = ".stdin"
 """File in the folder of a call to which ``/dev/stdin`` leads where there is no ``/proc``."""
 
@@ -139,24 +148,27 @@ class Program:
         sys.modules["__main__"] = module
         sys.argv = [FILENAME]
         self._pid = os.getpid()
+        self._pieces = 0
 
     def run(self, code: str, *, wants_value: bool, most: int) -> dict[str, Any]:
         """Run a piece of code.
 
         Args:
             code: The source.
-            wants_value: Whether the value of a last expression is asked for.
-            most: Characters of it, of the traceback and of the error that are kept, each.
+            wants_value: Whether the value of a last expression is asked for; then code is read as a person at a prompt
+                means it, too: it may be indented as a whole.
+            most: Characters of it, of the tracebacks and of the error that are kept, each.
 
         Returns:
-            ``kind`` ("ok", "error", "exit"), ``code`` for an exit, ``value``, ``error``, ``error_type``, ``traceback``.
+            ``kind`` ("ok", "error", "exit"), ``code`` for an exit, ``value``, ``error``, ``error_type``, ``traceback``,
+            ``short_traceback``.
         """
         outcome: dict[str, Any] = {"kind": "ok", "code": 0}
+        self._pieces += 1
         try:
             value = self._executed(code, wants_value)
             if value is not None:
-                # A representation runs code as well.
-                outcome["value"], outcome["value_chars"] = _shortened(repr(value), most)
+                outcome["value"], outcome["value_chars"] = _shortened(value, most)
         except SystemExit as ending:
             outcome = {"kind": "exit", "code": _exit_code(ending.code)}
             if isinstance(ending.code, str):
@@ -170,20 +182,25 @@ class Program:
             os._exit(outcome["code"])
         return outcome
 
-    def _executed(self, code: str, wants_value: bool) -> Any:
-        linecache.cache[FILENAME] = (len(code), None, code.splitlines(keepends=True), FILENAME)
+    def _executed(self, code: str, wants_value: bool) -> str | None:
+        filename = FILENAME if self._pieces == 1 else f"<python {self._pieces}>"
+        # The lines as Python counts them, and as the module keeps those of files.
+        linecache.cache[filename] = (len(code), None, list(io.StringIO(f"{code}\n", newline=None)), filename)
         if not wants_value:
-            exec(compile(code, FILENAME, "exec", dont_inherit=True), self.names)
+            exec(compile(code, filename, "exec", dont_inherit=True), self.names)
             return None
-        tree = ast.parse(code, FILENAME)
-        last = tree.body[-1] if tree.body else None
-        if not isinstance(last, ast.Expr):
-            exec(compile(tree, FILENAME, "exec", dont_inherit=True), self.names)
-            return None
-        tree.body.pop()
-        exec(compile(tree, FILENAME, "exec", dont_inherit=True), self.names)
-        expression = compile(ast.Expression(last.value), FILENAME, "eval", dont_inherit=True)
-        return eval(expression, self.names)
+        tree = _parsed(code, filename)
+        last: list[ast.stmt] = [tree.body.pop()] if tree.body and isinstance(tree.body[-1], ast.Expr) else []
+        exec(compile(tree, filename, "exec", dont_inherit=True), self.names)
+        shown: list[str] = []
+        usual = sys.displayhook
+        # As at a prompt, so that what a representation raises comes from the line of its expression.
+        sys.displayhook = lambda value: None if value is None else shown.append(repr(value))
+        try:
+            exec(compile(ast.Interactive(last), filename, "single", dont_inherit=True), self.names)
+        finally:
+            sys.displayhook = usual
+        return shown[-1] if shown else None
 
     def end(self) -> None:
         """Do what the interpreter does at the end of a script: wait for threads, run handlers, write out."""
@@ -209,6 +226,11 @@ def usual_signals() -> None:
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
 
 
+def quiet() -> None:
+    """Keep libraries from telling of their own affairs on standard error: matplotlib of the fonts that it looks for."""
+    logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)
+
+
 def as_new() -> None:
     """Make a forked interpreter look like one that has just started."""
     gc.enable()
@@ -223,29 +245,92 @@ def _exit_code(code: object) -> int:
     return code & 0xFF if isinstance(code, int) else 1
 
 
+def _parsed(code: str, filename: str) -> ast.Module:
+    """Return the tree of some code; what is indented as a whole is the inside of a block."""
+    lines = (line for line in io.StringIO(code, newline=None) if not line.lstrip().startswith("#"))
+    indented = next(filter(str.strip, lines), "")[:1].isspace()
+    try:
+        tree = ast.parse(f"if True:\n{code}" if indented else code, filename)
+    except SyntaxError as error:
+        if indented and error.lineno is not None:
+            error.lineno, error.end_lineno = error.lineno - 1, error.lineno - 1
+        if (error.text or "").lstrip().startswith(_SHELL_MARKS):
+            error.add_note(_PLAIN_PYTHON)
+        raise
+    if indented:
+        tree.body = tree.body[0].body  # type: ignore[attr-defined]
+        ast.increment_lineno(tree, -1)
+    return tree
+
+
 def _described(error: BaseException, most: int) -> dict[str, Any]:
     kind = type(error).__name__
     try:
-        error.__traceback__ = _own_frames(error.__traceback__)
+        error.__traceback__ = _from_own_frame(error.__traceback__)
+        if isinstance(error, SyntaxError) and error.text is None and error.filename and error.lineno:
+            error.text = linecache.getline(error.filename, error.lineno)  # of code that could be parsed
         told = traceback.TracebackException.from_exception(error, limit=-_MAX_FRAMES, compact=True)
-        last = "".join(told.format_exception_only()).strip().splitlines()
         whole = "".join(told.format())
+        told.__notes__ = None
+        last = [*told.format_exception_only()][-1].strip()
+        for each in _chain(error):
+            each.__traceback__ = _last_own_frame(each.__traceback__)
+        told = traceback.TracebackException.from_exception(error, compact=True)
+        for each in _chain(told):
+            _cut_lines(each)
+        short = "".join(told.format())
     except BaseException:  # noqa: BLE001 - an exception's own methods may fail in any way
-        last, whole = [], f"{kind}: an error that cannot be shown\n"
+        last, whole = kind, f"{kind}: an error that cannot be shown\n"
+        short = whole
     return {
         "kind": "error",
         "error_type": kind,
-        "error": _shortened(last[-1] if last else kind, most)[0],
+        "error": _shortened(last, most)[0],
         "traceback": _shortened(whole, most)[0],
+        "short_traceback": _shortened(short, most)[0],
     }
 
 
-def _own_frames(frames: types.TracebackType | None) -> types.TracebackType | None:
+def _chain(error: Any) -> list[Any]:
+    """Return an exception, its causes, and those of its group; or the same of what tells of an exception."""
+    found: dict[int, Any] = {}
+    waiting = [error]
+    while waiting:
+        each = waiting.pop()
+        if each is not None and id(each) not in found:
+            found[id(each)] = each
+            waiting += [each.__cause__, each.__context__]
+            if isinstance(each, BaseExceptionGroup | traceback.TracebackException):
+                waiting += getattr(each, "exceptions", None) or ()
+    return list(found.values())
+
+
+def _is_own(frames: types.TracebackType) -> bool:
+    return frames.tb_frame.f_code.co_filename.startswith(FILENAME[:-1])
+
+
+def _from_own_frame(frames: types.TracebackType | None) -> types.TracebackType | None:
     """Leave out the frames of this module, which run the code."""
-    first = frames
-    while first is not None and first.tb_frame.f_code.co_filename != FILENAME:
-        first = first.tb_next
-    return first
+    while frames is not None and not _is_own(frames):
+        frames = frames.tb_next
+    return frames
+
+
+def _last_own_frame(frames: types.TracebackType | None) -> types.TracebackType | None:
+    """Leave out all frames but the last one of the code's own, as those of libraries that it calls."""
+    last = None
+    while frames is not None:
+        last, frames = frames if _is_own(frames) else last, frames.tb_next
+    return last and types.TracebackType(None, last.tb_frame, last.tb_lasti, last.tb_lineno)
+
+
+def _cut_lines(told: traceback.TracebackException) -> None:
+    """Show no more of a long line than its beginning, and no marks below a line."""
+    lines = [(frame.filename, frame.lineno or 0, frame.name, (frame.line or "")[:_MAX_LINE]) for frame in told.stack]
+    told.stack = traceback.StackSummary.from_list(lines)
+    text = getattr(told, "text", None)
+    if text is not None and len(text) > _MAX_LINE:
+        told.text, told.offset = text[:_MAX_LINE], None  # type: ignore[assignment]
 
 
 def _shortened(text: str, most: int) -> tuple[str, int]:

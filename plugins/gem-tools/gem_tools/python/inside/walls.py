@@ -36,6 +36,8 @@ _ETC = (
     "/etc/group",
     "/etc/nsswitch.conf",
     "/etc/ssl/openssl.cnf",
+    "/etc/fonts",
+    "/var/cache/fontconfig",
 )
 _FACTS = ("/sys/devices/system/cpu", "/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/version")
 _DEVICES = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom")

@@ -53,21 +53,23 @@ class Zygote:
         self.settings["filtered"] = self.calls.works()
         self.settings["walled"] = not self.namespaces and walls.version() > 0
         walls.readable()  # found out once, ahead of all forks
+        if self.folders is None:
+            self.mount_folder(first=True)  # libraries may want to write when they are imported
+            at_home(confine.FOLDER)
         failed = preload(self.settings["preload"])
+        runner.quiet()
         runner.make_streams()
         # No signal comes to this process, which is in a session of its own; and its children need not set them.
         runner.usual_signals()
         if self.namespaces:
             kernel.end_on(signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF)
-        if self.folders is None:
-            at_home(confine.FOLDER)
         # Code that imports these finds what is installed, if anything.
         self.own_modules = [sys.modules.pop(name) for name in list(sys.modules) if name.split(".")[0] == "gem_tools"]
         if self.namespaces:
             self.own_namespace = os.open("self/ns/pid", os.O_RDONLY | os.O_CLOEXEC, dir_fd=self.proc)
             space, anonymous = watch.own_memory()
             kernel.unmount("/proc")
-            self.mount_folder(first=True)
+            self.mount_folder()
         else:
             space, anonymous = watch.own_memory()
             kernel.prctl(kernel.PR_SET_CHILD_SUBREAPER, 1)
