@@ -179,18 +179,18 @@ async def _try(launch: Launch) -> tuple[bool, bool, Interpreter]:
 
 
 @functools.cache
-def interpreter(sandbox: str, image: str | None) -> Interpreter:
-    """Return the Python that code will run in, from plain code on any thread; the first time starts a sandbox.
+def interpreter(sandbox: str, image: str | None) -> Interpreter | None:
+    """Return the Python that code will run in, from plain code on any thread; None where no sandbox can be had.
 
-    The same sandbox tells whether the level works, which the first call has to find out in any case.
-
-    Raises:
-        MissingRequirementError: There is no such sandbox here.
+    It is found out once in a process, by the start of a sandbox that the first call would need in any case.
     """
     settings = options(preload=(), folder_mb=1, folder_files=64, image=image)
     # In a thread with a loop of its own: the caller may be on an event loop itself.
     with concurrent.futures.ThreadPoolExecutor(1, "gem-python-look") as thread:
-        found = thread.submit(asyncio.run, chosen(sandbox, settings)).result()
+        try:
+            found = thread.submit(asyncio.run, chosen(sandbox, settings)).result()
+        except MissingRequirementError:  # which every call tells
+            return None
     return interpreters[_key(found.level, settings)]
 
 

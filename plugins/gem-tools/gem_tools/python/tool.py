@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import pydantic
 
-from gem_core.errors import ArgumentError, GemError, MissingRequirementError
+from gem_core.errors import ArgumentError, GemError
 from gem_core.tools import Tool, ToolResult
 from gem_tools.python.limits import Limits
 from gem_tools.python.pool import Pool, Session, shared_pool
@@ -157,8 +156,8 @@ class PythonTool(Tool):
 
     def _described(self) -> str:
         version = packages = ""
-        with contextlib.suppress(MissingRequirementError):  # which every call tells
-            python = interpreter(self.pool.sandbox, self.pool.options["image"])
+        python = interpreter(self.pool.sandbox, self.pool.options["image"])
+        if python is not None:
             version = f" {python.version}"
             wanted = [name.partition(".")[0] for name in (*PACKAGES, *self.pool.options["preload"])]
             found = [name for name in dict.fromkeys(wanted) if name in python.modules]
