@@ -33,7 +33,6 @@ OWN_TEXT = "class E(Exception):\n    def __str__(self): raise ValueError\nraise 
 NOT_JSON = "json.decoder.JSONDecodeError: Expecting property name enclosed in double quotes: line 1 column 2 (char 1)"
 CAUSE = "try:\n    {}['x']\nexcept KeyError as error:\n    raise ValueError('bad') from error"
 VALUE = "class R:\n    def __repr__(self): return 1 / 0\nR()"
-INTERRUPT = "import os\nos.kill(os.getpid(), 2)\nimport time\ntime.sleep(9)"
 
 
 @pytest.mark.parametrize(

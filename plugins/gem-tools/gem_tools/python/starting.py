@@ -41,8 +41,6 @@ filtered: dict[str, bool] = {}
 interpreters: dict[tuple[str, str], Interpreter] = {}
 """What Python the levels have that have worked, by name and image."""
 
-# Packages that are there may be many; only those that are asked for are told of. What has no place of its own in a
-# folder of packages (namespace packages) is left out.
 _LOOK = """
 import json, pkgutil, sys
 names = {module.name for module in pkgutil.iter_modules()} - sys.stdlib_module_names

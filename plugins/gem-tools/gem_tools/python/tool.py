@@ -18,20 +18,10 @@ if TYPE_CHECKING:
 
 TRACEBACKS = ("last_line", "full")
 
-PACKAGES: tuple[str, ...] = (
-    "numpy",
-    "scipy",
-    "sympy",
-    "mpmath",
-    "gmpy2",
-    "pandas",
-    "matplotlib",
-    "sklearn",
-    "networkx",
-)
-PACKAGES += ("statsmodels", "shapely", "z3", "ortools", "pulp", "cvxpy", "numba", "PIL", "cv2", "skimage")
+PACKAGES: tuple[str, ...] = ("numpy", "scipy", "sympy", "mpmath", "gmpy2", "pandas", "matplotlib", "sklearn")
+PACKAGES += ("networkx", "statsmodels", "shapely", "z3", "ortools", "pulp", "cvxpy", "numba", "PIL", "cv2", "skimage")
 PACKAGES += ("bs4", "lxml", "yaml")
-"""What an agent is told of where it can be imported; what is preloaded is told of as well."""
+"""What an agent is told of, by the names of imports, where it is there; what is preloaded is told of as well."""
 
 _DESCRIPTION = (
     "Runs Python{version} code in a sandbox and shows what it prints, the value of its last expression, and its errors."
@@ -39,10 +29,10 @@ _DESCRIPTION = (
     "{memory_mb} MB of memory."
 )
 _STATELESS = "Each call starts anew: write complete scripts, with their imports, and print what you want to see."
+_PERSISTENT = "Variables, imports and files are kept from call to call."
 # What the built-in input() raises.
 _NO_INPUT = "EOFError: EOF when reading a line"
 _TOLD_NO_INPUT = "There is no input: nobody answers input(). Write the values into the code."
-_PERSISTENT = "Variables, imports and files are kept from call to call."
 
 
 def make_python(
