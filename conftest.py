@@ -7,7 +7,7 @@ import signal
 import pytest
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # A shell starts what runs in the background with SIGINT ignored, as nohup and many CI systems do; and it is inherited.
+    # A shell starts what runs in the background so, as many CI systems do; and programs inherit it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
