@@ -54,7 +54,31 @@ def extract_last_boxed_answer(text: str) -> str | None:
         if "{" not in content and "\\" not in content:
             return content.strip()
     nested = _box_at(text, last)
-    return nested if nested is not None else _last_complete_box(text)
+    if nested is not None:
+        return nested
+    return next(reversed(extract_boxed_answers(text)), None)
+
+
+def extract_boxed_answers(text: str) -> list[str]:
+    r"""Return the contents of all complete ``\boxed{}`` in order, without white space around them.
+
+    Of boxes inside each other only the innermost is returned: together, the contents are no longer than the text.
+    """
+    open_braces: list[int | None] = []
+    answers: list[str] = []
+    last_start = -1
+    for match in _BRACE_OR_BOX.finditer(text):
+        token = match[0]
+        if token == "{":
+            open_braces.append(None)
+        elif len(token) > 2:
+            open_braces.append(match.end())
+        elif token == "}" and open_braces:
+            start = open_braces.pop()
+            if start is not None and start > last_start:
+                last_start = start
+                answers.append(text[start : match.start()].strip())
+    return answers
 
 
 def extract_last_tagged_answer(text: str, tag: str = "answer") -> str | None:
@@ -145,20 +169,3 @@ def _box_at(text: str, start: int) -> str | None:
             if depth == 0:
                 return text[content_start : match.start()].strip()
     return None
-
-
-def _last_complete_box(text: str) -> str | None:
-    """Match all braces in one pass and return the complete box that begins last."""
-    open_braces: list[int | None] = []
-    best_start, best_end = -1, -1
-    for match in _BRACE_OR_BOX.finditer(text):
-        token = match[0]
-        if token == "{":
-            open_braces.append(None)
-        elif len(token) > 2:
-            open_braces.append(match.end())
-        elif token == "}" and open_braces:
-            content_start = open_braces.pop()
-            if content_start is not None and content_start > best_start:
-                best_start, best_end = content_start, match.start()
-    return None if best_start < 0 else text[best_start:best_end].strip()

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gem_core import extract_code_blocks, extract_last_boxed_answer, extract_last_tagged_answer
-from gem_core.parsing import _last_complete_box
+from gem_core.parsing import extract_boxed_answers
 
 ANY_TEXT = st.text(st.characters(), max_size=60)
 """Surrogates and control characters included."""
@@ -109,8 +109,23 @@ def test_box_agrees_with_a_naive_reading(text: str) -> None:
 @given(BOXES)
 def test_short_cut_agrees_with_the_whole_pass(text: str) -> None:
     """Trying the last box first changes nothing."""
-    found = extract_last_boxed_answer(text)
-    assert found == _last_complete_box(text)
+    assert [extract_last_boxed_answer(text)] == (extract_boxed_answers(text)[-1:] or [None])
+
+
+@pytest.mark.parametrize(
+    ("text", "answers"),
+    [
+        ("", []),
+        ("no box, \\boxed{unfinished", []),
+        (r"\boxed{1} and \boxed {\text{two}} \boxed{ 3 }", ["1", r"\text{two}", "3"]),
+        (r"\boxed{1} \boxed{} \boxed{2", ["1", ""]),
+        (r"\boxed{a \boxed{b} c} \boxed{d", ["b"]),
+        (r"\boxed{\boxed{1} + \boxed{2}}", ["1", "2"]),
+    ],
+)
+def test_all_complete_boxes_in_order(text: str, answers: list[str]) -> None:
+    """Of boxes inside each other the innermost ones."""
+    assert extract_boxed_answers(text) == answers
 
 
 # <answer>
@@ -286,6 +301,7 @@ def test_megabytes_of_one_unit_finish(unit: str) -> None:
     text = unit * (MEGABYTE // len(unit))
     for hostile in (text, text + "\\boxed", "\\boxed{1}" + text):
         extract_last_boxed_answer(hostile)
+        assert sum(map(len, extract_boxed_answers(hostile))) <= len(hostile)
     extract_last_tagged_answer(text)
     extract_code_blocks(text)
 

@@ -10,7 +10,7 @@ from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
 from gem_games.crossword_layout import Placed, lay_out
-from gem_games.game import Game, check_flag, check_whole, quote, whole_number
+from gem_games.game import Game, check_flag, check_whole, whole_number
 from gem_games.letter_grid import coloured_grid, column_numbers, numbered_row
 
 _NUM_WORDS, _MAX_TURNS = 3, 20
@@ -54,6 +54,8 @@ class CrosswordsEnv(Game):
     Source: parameters and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem. Words and clues were
     written for this project.
     """
+
+    unreadable = "is not a row, a column and a letter with spaces between them."
 
     def __init__(
         self,
@@ -114,8 +116,7 @@ class CrosswordsEnv(Game):
             "Rows and columns are counted from 0. A right letter stays in its cell, a wrong one does not. A cell that "
             "is outside the grid, takes no letter or is filled costs a turn, and so does a letter that was wrong there "
             "before.\n"
-            "Write the row, the column and the letter inside \\boxed{}, for example \\boxed{0 3 E}; only the last box "
-            f"of a response counts. You have {self.max_turns} turns.\n"
+            "Write the row, the column and the letter inside \\boxed{}, for example \\boxed{0 3 E}.\n"
         )
 
     def _situation(self) -> str:
@@ -123,11 +124,17 @@ class CrosswordsEnv(Game):
         grid = "\n".join(self._lines)
         return f"{self._clues}\n{grid}{wrong}\n" + self._turns_left("Answer like \\boxed{0 3 E}: row column letter.")
 
-    def _play(self, answer: str) -> StepResult:
-        read = _read(answer)
-        if read is None:
-            return self._format_error(f"{quote(answer)} is not a row, a column and a letter with spaces between them.")
-        row, column, letter = read
+    def _read(self, answer: str) -> tuple[int, int, str] | None:
+        pieces = answer.split() if len(answer) <= _LONGEST_ANSWER else []
+        if len(pieces) != 3 or len(pieces[2]) != 1:
+            return None
+        row, column, letter = whole_number(pieces[0]), whole_number(pieces[1]), pieces[2]
+        if row is None or column is None or not (letter.isascii() and letter.isalpha()):
+            return None
+        return row, column, letter.upper()
+
+    def _play(self, answer: tuple[int, int, str]) -> StepResult:
+        row, column, letter = answer
         if not (0 <= row < self.height and 0 <= column < self.width):
             return self._invalid("That cell is outside the grid.")
         there = self.grid[row][column]
@@ -159,9 +166,11 @@ class CrosswordsEnv(Game):
         """Draw a letter for an empty cell where it was not wrong before."""
         random = self.action_random.random
         cells = [cell for cell in self.solution if self.grid[cell[0]][cell[1]] == "_"] or list(self.solution)
-        row, column = cells[int(random() * len(cells))]
-        letters = [letter for letter in _ALPHABET if f"{row} {column} {letter}" not in self.wrong]
-        return f"{row} {column} {letters[int(random() * len(letters))]}"
+        while True:
+            row, column = cells[int(random() * len(cells))]
+            answer = f"{row} {column} {_ALPHABET[int(random() * len(_ALPHABET))]}"
+            if answer not in self.wrong:  # the right letters are not
+                return answer
 
     def _drawing(self) -> str:
         over = self.outcome == "lost"
@@ -205,16 +214,3 @@ def clues(hardcore: bool) -> Clues:
     lines = (_CLUES / name).read_text(encoding="utf-8").splitlines()
     known = {word.upper(): clue for word, _, clue in (line.partition(": ") for line in lines)}
     return Clues(tuple(known), known)
-
-
-def _read(answer: str) -> tuple[int, int, str] | None:
-    """Read a row, a column and a letter, the letter as a capital; None if the answer is anything else."""
-    if len(answer) > _LONGEST_ANSWER:
-        return None
-    pieces = answer.split()
-    if len(pieces) != 3 or len(pieces[2]) != 1:
-        return None
-    row, column, letter = whole_number(pieces[0]), whole_number(pieces[1]), pieces[2]
-    if row is None or column is None or not (letter.isascii() and letter.isalpha()):
-        return None
-    return row, column, letter.upper()

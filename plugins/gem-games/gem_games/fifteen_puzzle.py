@@ -7,7 +7,7 @@ from typing import Any
 
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
-from gem_games.game import Game, check_whole, painted, quote, read_direction, sizes_to_draw
+from gem_games.game import Game, check_whole, painted, read_direction, sizes_to_draw
 
 _SIZES = (2, 10), (3, 20), (4, 50)
 _FEWEST_ROWS, _MOST_ROWS = 2, 10  # the tiles of more rows would need three digits
@@ -47,6 +47,8 @@ class FifteenPuzzleEnv(Game):
 
     Source: parameters and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem.
     """
+
+    unreadable = "is not one of up, down, left and right."
 
     def __init__(
         self,
@@ -105,8 +107,7 @@ class FifteenPuzzleEnv(Game):
             "row, with the gap at the bottom right.\n"
             "A move slides a tile into the gap and is named for the way that the tile goes: up slides the tile below "
             "the gap, left the tile to its right. A slide where there is no tile costs a turn and moves nothing.\n"
-            "Write your move inside \\boxed{}: up, down, left or right; only the last box of a response counts. "
-            f"You have {self.max_turns} turns.\n"
+            "Write your move inside \\boxed{}: up, down, left or right.\n"
         )
 
     def _situation(self) -> str:
@@ -115,10 +116,10 @@ class FifteenPuzzleEnv(Game):
             "Answer like \\boxed{up}: up, down, left or right."
         )
 
-    def _play(self, answer: str) -> StepResult:
-        direction = read_direction(answer)
-        if direction is None:
-            return self._format_error(f"{quote(answer)} is not one of up, down, left and right.")
+    def _read(self, answer: str) -> str | None:
+        return read_direction(answer)
+
+    def _play(self, direction: str) -> StepResult:
         board, gap = self._board, self._gap
         place = self._tile_that_slides(direction)
         if place is None:

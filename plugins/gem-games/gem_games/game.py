@@ -11,7 +11,7 @@ from typing import Any
 
 from gem_core.env import Env
 from gem_core.errors import ArgumentError, ResetNeededError
-from gem_core.parsing import extract_last_boxed_answer
+from gem_core.parsing import extract_boxed_answers, extract_last_boxed_answer
 from gem_core.seeding import Draws
 from gem_core.types import ResetResult, StepResult
 
@@ -30,10 +30,10 @@ _DIRECTIONS = frozenset({"up", "down", "left", "right"})
 class Game(Env):
     r"""A game of turns, won or lost within ``max_turns``.
 
-    A game defines ``_deal``, ``_rules``, ``_situation``, ``_play``, ``_solution``, ``_random_answer`` and ``_drawing``.
-    ``_play`` gets the content of the last ``\boxed{}`` and returns the verdict on it: ``_format_error``, ``_invalid``,
-    ``_move`` or ``_win``. An observation is ``info["feedback"]``, what happened, followed by ``info["suffix"]``, how
-    things stand.
+    A game defines ``_deal``, ``_rules``, ``_situation``, ``_read``, ``_play``, ``_solution``, ``_random_answer`` and
+    ``_drawing``. ``_play`` gets what ``_read`` makes of the last ``\boxed{}`` that it can read, and returns the verdict
+    on it: ``_invalid``, ``_move`` or ``_win``. An observation is ``info["feedback"]``, what happened, followed by
+    ``info["suffix"]``, how things stand.
 
     Args:
         max_turns: Turns after which the game is lost. The task announces it, so the last turn is ``terminated``.
@@ -45,6 +45,8 @@ class Game(Env):
     metadata: dict[str, Any] = {"render_modes": ["ansi"]}  # noqa: RUF012 - Gymnasium declares it without ClassVar
 
     format_error_reward: float = FORMAT_ERROR_REWARD
+    unreadable: str = "cannot be read."
+    """Says, behind the content of a box, why ``_read`` made nothing of it."""
     max_turns: int
     turn: int = 0
     outcome: str = _NOT_BEGUN
@@ -63,7 +65,7 @@ class Game(Env):
         raise NotImplementedError
 
     def _rules(self) -> str:
-        """Say what the game is about and how to answer."""
+        """Say what the game is about and how to answer; ``_reading_rules`` follow."""
         raise NotImplementedError
 
     def _situation(self) -> str:
@@ -74,7 +76,11 @@ class Game(Env):
         """Return what the first observation depends on, where that is so little that it is worth keeping; else None."""
         return None
 
-    def _play(self, answer: str) -> StepResult:
+    def _read(self, answer: str) -> Any:
+        """Return the content of a box in the form that ``_play`` takes; None if it has not the form of an answer."""
+        return answer or None
+
+    def _play(self, answer: Any) -> StepResult:
         """Return the verdict on an answer; see the class."""
         raise NotImplementedError
 
@@ -83,7 +89,7 @@ class Game(Env):
         return ""
 
     def _random_answer(self) -> str:
-        """Draw a valid answer from ``action_random``."""
+        """Draw an answer that the rules allow from ``action_random``, by nothing that only the game knows."""
         raise NotImplementedError
 
     # What is made from it.
@@ -100,18 +106,32 @@ class Game(Env):
 
     def _open(self, key: Hashable) -> tuple[str, str, str]:
         """Return the first observation, its feedback and its suffix, and keep them under ``key``."""
-        feedback, suffix = self._rules(), self._situation()
+        feedback, suffix = self._rules() + self._reading_rules(), self._situation()
         opening = feedback + suffix, feedback, suffix
         if key is not None:
             self._openings[key] = opening
         return opening
 
+    def _reading_rules(self) -> str:
+        """Say what happens to a response that cannot be read, and to an answer that breaks a rule."""
+        unreadable = "ends the game" if self.format_error_ends else "costs a turn"
+        return (
+            f"Only the last box that can be read counts. A response without one {unreadable}, an answer that breaks a "
+            f"rule costs a turn. You have {self.max_turns} turns.\n"
+        )
+
     def step(self, action: str) -> StepResult:
-        r"""Play the content of the last ``\boxed{}``."""
+        r"""Play the content of the last ``\boxed{}`` that can be read."""
         self.turn += 1
-        answer = extract_last_boxed_answer(action)
-        if answer is None:
+        last = extract_last_boxed_answer(action)
+        if last is None:
             return self._format_error("Your response has no complete \\boxed{}.")
+        answer = self._read(last)
+        if answer is None:
+            earlier = map(self._read, reversed(extract_boxed_answers(action)))
+            answer = next((read for read in earlier if read is not None), None)
+        if answer is None:
+            return self._format_error(f"{quote(last)} {self.unreadable}")
         return self._play(answer)
 
     def sample_random_action(self) -> str:

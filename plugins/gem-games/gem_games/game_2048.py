@@ -10,7 +10,7 @@ from typing import Any
 from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
-from gem_games.game import Game, check_whole, painted, quote, read_direction, sizes_to_draw
+from gem_games.game import Game, check_whole, painted, read_direction, sizes_to_draw
 
 _SIZES = (16, 20), (32, 30), (64, 50)
 _SMALLEST_BOARD, _LARGEST_BOARD = 2, 8
@@ -52,6 +52,8 @@ class Game2048Env(Game):
     Source: parameters and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem; the game is Gabriele
     Cirulli's, https://github.com/gabrielecirulli/2048.
     """
+
+    unreadable = "is not one of up, down, left and right."
 
     def __init__(
         self,
@@ -99,8 +101,7 @@ class Game2048Env(Game):
             "A move slides all tiles one way as far as they go, and two equal tiles that meet become one of twice the "
             "value. After each move a 2, or now and then a 4, appears in a free cell. A move that changes nothing "
             "costs a turn; when no move is left, the game is lost.\n"
-            "Write your move inside \\boxed{}: up, down, left or right; only the last box of a response counts. "
-            f"You have {self.max_turns} turns.\n"
+            "Write your move inside \\boxed{}: up, down, left or right.\n"
         )
 
     def _situation(self) -> str:
@@ -109,10 +110,10 @@ class Game2048Env(Game):
             + self._turns_left("Answer like \\boxed{up}: up, down, left or right.")
         )
 
-    def _play(self, answer: str) -> StepResult:
-        direction = read_direction(answer)
-        if direction is None:
-            return self._format_error(f"{quote(answer)} is not one of up, down, left and right.")
+    def _read(self, answer: str) -> str | None:
+        return read_direction(answer)
+
+    def _play(self, direction: str) -> StepResult:
         board = slide(self.board, direction)
         if board == self.board:
             return self._invalid(f"Nothing can move {direction}.")

@@ -35,6 +35,8 @@ class GuessTheNumberEnv(Game):
     Source: parameters and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem.
     """
 
+    unreadable = "is not a whole number."
+
     def __init__(
         self,
         min_number: int | None = 1,
@@ -80,8 +82,7 @@ class GuessTheNumberEnv(Game):
             "Guess the Number: find a hidden whole number.\n"
             "After each guess you are told whether the number is higher or lower. A guess outside the range, or one "
             "that you have made before, costs a turn and gives no hint.\n"
-            f"Write your guess inside \\boxed{{}}, for example \\boxed{{{self.min_number}}}; only the last box of a "
-            f"response counts. You have {self.max_turns} turns.\n"
+            f"Write your guess inside \\boxed{{}}, for example \\boxed{{{self.min_number}}}.\n"
         )
 
     def _situation(self) -> str:
@@ -93,12 +94,12 @@ class GuessTheNumberEnv(Game):
     def _opening_key(self) -> Hashable:
         return self.min_number, self.max_number, self.max_turns
 
-    def _play(self, answer: str) -> StepResult:
-        guess = whole_number(answer)
-        if guess is None:
-            return self._format_error(f"{quote(answer)} is not a whole number.")
+    def _read(self, answer: str) -> int | None:
+        return whole_number(answer)
+
+    def _play(self, guess: int) -> StepResult:
         if not self.min_number <= guess <= self.max_number:
-            return self._invalid(f"{quote(answer)} is outside the range.")
+            return self._invalid(f"{quote(str(guess))} is outside the range.")
         closeness = 1 - abs(guess - self.number) / (self.max_number - self.min_number)
         if guess in self.guesses:
             return self._invalid(f"You have guessed {guess} before.", closeness)

@@ -7,8 +7,8 @@ from typing import Any
 
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
-from gem_games.game import Game, check_flag, check_whole, painted, quote, sizes_to_draw
-from gem_games.words import letters, word_list
+from gem_games.game import Game, check_flag, check_whole, painted, sizes_to_draw
+from gem_games.words import word_list
 
 _SIZES = (3, 10), (5, 15), (7, 20)
 _SHORTEST, _LONGEST = 3, 15
@@ -37,6 +37,8 @@ class HangmanEnv(Game):
 
     Source: parameters and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem.
     """
+
+    unreadable = "is neither a letter nor a word of the letters from A to Z."
 
     def __init__(
         self,
@@ -80,7 +82,7 @@ class HangmanEnv(Game):
             "You win by saying the word, also when all its letters are shown. What you have tried before, and a word "
             "of another length, costs a turn.\n"
             f"Write a letter or a word inside \\boxed{{}}, for example \\boxed{{{example[0]}}} or "
-            f"\\boxed{{{example}}}; only the last box of a response counts. You have {self.max_turns} turns.\n"
+            f"\\boxed{{{example}}}.\n"
         )
 
     def _situation(self) -> str:
@@ -93,10 +95,10 @@ class HangmanEnv(Game):
     def _opening_key(self) -> Hashable:
         return self.word_length, self.max_turns
 
-    def _play(self, answer: str) -> StepResult:
-        guess = letters(answer)
-        if guess is None:
-            return self._format_error(f"{quote(answer)} is neither a letter nor a word of the letters from A to Z.")
+    def _read(self, answer: str) -> str | None:
+        return answer.upper() if answer.isascii() and answer.isalpha() else None
+
+    def _play(self, guess: str) -> StepResult:
         if len(guess) == 1:
             return self._play_letter(guess)
         if len(guess) != self.word_length:

@@ -10,7 +10,7 @@ from typing import Any
 from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
-from gem_games.game import Game, check_flag, check_whole, painted, quote, sizes_to_draw, whole_numbers
+from gem_games.game import Game, check_flag, check_whole, painted, sizes_to_draw, whole_numbers
 
 _SIZES = (2, 4, 10), (4, 6, 20), (4, 8, 30)
 _LONGEST_CODE, _MOST_NUMBERS = 20, 100
@@ -40,6 +40,8 @@ class MastermindEnv(Game):
 
     Source: parameters and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem.
     """
+
+    unreadable = "is not a list of whole numbers with spaces between them."
 
     def __init__(
         self,
@@ -99,8 +101,7 @@ class MastermindEnv(Game):
             "Each guess is marked with pegs: black for a right number in its right place, white for a right number in "
             "a wrong place. A guess of another length, with a number out of range, or one that you have made before "
             "costs a turn and gets no pegs.\n"
-            f"Write your guess inside \\boxed{{}} with spaces between the numbers, for example \\boxed{{{example}}}; "
-            f"only the last box of a response counts. You have {self.max_turns} turns.\n"
+            f"Write your guess inside \\boxed{{}} with spaces between the numbers, for example \\boxed{{{example}}}.\n"
         )
 
     def _situation(self) -> str:
@@ -114,10 +115,10 @@ class MastermindEnv(Game):
     def _opening_key(self) -> Hashable:
         return self.code_length, self.num_numbers, self.max_turns
 
-    def _play(self, answer: str) -> StepResult:
-        numbers = whole_numbers(answer)
-        if numbers is None:
-            return self._format_error(f"{quote(answer)} is not a list of whole numbers with spaces between them.")
+    def _read(self, answer: str) -> list[int] | None:
+        return whole_numbers(answer)
+
+    def _play(self, numbers: list[int]) -> StepResult:
         if len(numbers) != self.code_length:
             return self._invalid(f"Your guess has length {len(numbers)}, and the code has length {self.code_length}.")
         guess = tuple(numbers)
@@ -145,12 +146,11 @@ class MastermindEnv(Game):
 
     def _random_answer(self) -> str:
         """Draw a code that was not guessed before."""
-        count = self._num_codes()
-        index = int(self.action_random.random() * count)
-        # The walk ends, since the secret code is not among the guesses while the game goes on.
-        while tuple(guess := self._code(index % count)) in self.guesses and self.outcome == "playing":
-            index += 1
-        return " ".join(map(str, guess))
+        while True:
+            guess = self._code(int(self.action_random.random() * self._num_codes()))
+            # One is left while the game goes on, the right one; after the end there may be none.
+            if tuple(guess) not in self.guesses or self.outcome != "playing":
+                return " ".join(map(str, guess))
 
     def _drawing(self) -> str:
         hidden = self.code if self.outcome in ("won", "lost") else ["?"] * self.code_length

@@ -57,6 +57,8 @@ class MinesweeperEnv(Game):
     Source: parameters and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem.
     """
 
+    unreadable = "is not reveal or flag with a row and a column."
+
     def __init__(
         self,
         rows: int | None = 8,
@@ -126,8 +128,7 @@ class MinesweeperEnv(Game):
             "are revealed too. To reveal a mine loses the game. The first reveal is safe. A flag marks a cell that you "
             "take for a mine and keeps it from being revealed; to flag it again takes the flag away. Flags are not "
             "needed to win.\n"
-            "Write reveal or flag, the row and the column inside \\boxed{}, for example \\boxed{reveal 0 1}; only the "
-            f"last box of a response counts. You have {self.max_turns} turns.\n"
+            "Write reveal or flag, the row and the column inside \\boxed{}, for example \\boxed{reveal 0 1}.\n"
         )
 
     def _situation(self) -> str:
@@ -137,10 +138,10 @@ class MinesweeperEnv(Game):
             + self._turns_left("Answer like \\boxed{reveal 0 1} or \\boxed{flag 0 1}: row 0, column 1.")
         )
 
-    def _play(self, answer: str) -> StepResult:
-        match = _ACTION.fullmatch(answer) if len(answer) <= _LONGEST_ANSWER else None
-        if match is None:
-            return self._format_error(f"{quote(answer)} is not reveal or flag with a row and a column.")
+    def _read(self, answer: str) -> re.Match[str] | None:
+        return _ACTION.fullmatch(answer) if len(answer) <= _LONGEST_ANSWER else None
+
+    def _play(self, match: re.Match[str]) -> StepResult:
         word, row, column = match[1].lower(), whole_number(match[2]), whole_number(match[3])
         if row is None or column is None or not (0 <= row < self.rows and 0 <= column < self.cols):
             return self._invalid(f"There is no row {match[2]:.10} with a column {match[3]:.10} on the board.")
@@ -196,12 +197,12 @@ class MinesweeperEnv(Game):
         return self._invalid("That cell is revealed already.")
 
     def _random_answer(self) -> str:
-        """Draw a hidden cell to reveal, or one time in ten to flag; where all are flagged, a flag to take away."""
-        hidden = self._cells_that_show(_HIDDEN)
-        cells = hidden or self._cells_that_show(_FLAG) or [0]
-        cell, tenth = divmod(int(self.action_random.random() * len(cells) * 10), 10)
-        word = "reveal" if tenth and hidden else "flag"
-        return f"{word} {cells[cell] // self.cols} {cells[cell] % self.cols}"
+        """Draw a hidden cell to reveal or to flag, or a flag to take away."""
+        hidden, flags = self._cells_that_show(_HIDDEN), self._cells_that_show(_FLAG)
+        cells = hidden + hidden + flags or [0]
+        place = int(self.action_random.random() * len(cells))
+        word = "reveal" if place < len(hidden) else "flag"
+        return f"{word} {cells[place] // self.cols} {cells[place] % self.cols}"
 
     def _cells_that_show(self, character: int) -> list[int]:
         return [cell for cell, place in enumerate(self._places) if self._board[place] == character]

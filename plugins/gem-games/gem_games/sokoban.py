@@ -8,7 +8,7 @@ from typing import Any
 from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
-from gem_games.game import Game, check_whole, painted, quote, read_direction, sizes_to_draw
+from gem_games.game import Game, check_whole, painted, read_direction, sizes_to_draw
 from gem_games.sokoban_levels import FEWEST_ROWS, MOST_ROWS, make_level, most_boxes
 
 _SIZES = ((6, 6), 2, 20), ((8, 8), 5, 50)
@@ -47,6 +47,8 @@ class SokobanEnv(Game):
     Source: parameters and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem; the characters of
     the board are those of XSokoban, with ``-`` for the floor.
     """
+
+    unreadable = "is not one of up, down, left and right."
 
     def __init__(
         self,
@@ -101,8 +103,7 @@ class SokobanEnv(Game):
             "A move takes you to the next cell. A box in that cell is pushed one cell on, if neither a wall nor "
             "another box is behind it; boxes cannot be pulled. A move that is not possible costs a turn and moves "
             "nothing.\n"
-            "Write your move inside \\boxed{}: up, down, left or right; only the last box of a response counts. "
-            f"You have {self.max_turns} turns.\n"
+            "Write your move inside \\boxed{}: up, down, left or right.\n"
         )
 
     def _situation(self) -> str:
@@ -111,10 +112,10 @@ class SokobanEnv(Game):
             f"{self._board.decode('ascii')}\n" + self._turns_left("Answer like \\boxed{up}: up, down, left or right.")
         )
 
-    def _play(self, answer: str) -> StepResult:
-        direction = read_direction(answer)
-        if direction is None:
-            return self._format_error(f"{quote(answer)} is not one of up, down, left and right.")
+    def _read(self, answer: str) -> str | None:
+        return read_direction(answer)
+
+    def _play(self, direction: str) -> StepResult:
         board, delta = self._board, self._deltas[direction]
         cell = self._player + delta
         found = board[cell]

@@ -8,8 +8,8 @@ from typing import Any
 from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
-from gem_games.game import Game, check_whole, painted, quote, sizes_to_draw, whole_numbers
-from gem_games.sudoku_grids import FEWEST_CLUES, make_puzzle, units
+from gem_games.game import Game, check_whole, painted, sizes_to_draw, whole_numbers
+from gem_games.sudoku_grids import FEWEST_CLUES, make_puzzle
 
 _SIZES = (4, 7, 15), (9, 34, 50)
 _EMPTY = ord(".")
@@ -19,8 +19,8 @@ class SudokuEnv(Game):
     r"""Fill the empty cells by ``\boxed{2 3 7}``: row 2, column 3, number 7. Rows and columns count from 1.
 
     - The right number: one part in as many as there were empty cells. The rewards of a won game add up to 1.
-    - Another number that its row, column and box do not have yet: reward 0, and it is not written down.
-    - A number that one of these has, a cell that is filled, a number or cell out of range: reward 0.
+    - Another number: reward 0, and it is not written down.
+    - A cell that is filled, a number or cell out of range: reward 0.
     - The last turn is rewarded like any other.
     - Not three whole numbers with spaces between them: reward -0.1, the game is over.
 
@@ -38,6 +38,8 @@ class SudokuEnv(Game):
 
     Source: parameters and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem.
     """
+
+    unreadable = "is not a row, a column and a number."
 
     def __init__(
         self,
@@ -97,8 +99,7 @@ class SudokuEnv(Game):
             "solution.\n"
             "Each turn you fill one empty cell. A wrong number is not written down and costs a turn.\n"
             "Write the row, the column and the number inside \\boxed{} with spaces between them, for example "
-            "\\boxed{1 2 3} for a 3 in row 1, column 2; only the last box of a response counts. "
-            f"You have {self.max_turns} turns.\n"
+            "\\boxed{1 2 3} for a 3 in row 1, column 2.\n"
         )
 
     def _situation(self) -> str:
@@ -107,10 +108,11 @@ class SudokuEnv(Game):
             f"Empty cells: {self._left}. " + self._turns_left("Answer like \\boxed{1 2 3}: row, column, number.")
         )
 
-    def _play(self, answer: str) -> StepResult:
+    def _read(self, answer: str) -> list[int] | None:
         numbers = whole_numbers(answer)
-        if numbers is None or len(numbers) != 3:
-            return self._format_error(f"{quote(answer)} is not a row, a column and a number.")
+        return numbers if numbers is not None and len(numbers) == 3 else None
+
+    def _play(self, numbers: list[int]) -> StepResult:
         row, column, number = numbers
         scale = self.scale
         if not (0 < row <= scale and 0 < column <= scale and 0 < number <= scale):
@@ -120,8 +122,6 @@ class SudokuEnv(Game):
             return self._invalid(f"Row {row}, column {column} is filled already.")
         played = f"{row} {column} {number}"
         if self.solution[cell] != number:
-            if number not in self._open_numbers(cell):
-                return self._invalid(f"Its row, column or box has a {number} already.")
             return self._move(played, f"{number} is wrong in row {row}, column {column}.", 0.0, 0.0)
         self.cells[cell] = number
         self._text[self._places[cell]] = ord("0") + number
@@ -131,19 +131,11 @@ class SudokuEnv(Game):
             return self._win(played, f"{feedback} The grid is full: well done.", self._worth)
         return self._move(played, feedback, self._worth, self._worth)
 
-    def _open_numbers(self, cell: int) -> list[int]:
-        """Return the numbers that the row, the column and the box of a cell do not have yet."""
-        of, cells = units(self.scale)
-        taken = {self.cells[other] for unit in of[cell] for other in cells[unit]}
-        return [number for number in range(1, self.scale + 1) if number not in taken]
-
     def _random_answer(self) -> str:
-        """Draw an empty cell and a number that fits there at first sight; the last cell, where none is empty."""
+        """Draw an empty cell and any number; the last cell, where none is empty."""
         empty = [cell for cell, number in enumerate(self.cells) if not number] or [self.scale**2 - 1]
-        cell = empty[int(self.action_random.random() * len(empty))]
-        numbers = self._open_numbers(cell) or [self.cells[cell]]
-        number = numbers[int(self.action_random.random() * len(numbers))]
-        return f"{cell // self.scale + 1} {cell % self.scale + 1} {number}"
+        cell, number = divmod(int(self.action_random.random() * len(empty) * self.scale), self.scale)
+        return f"{empty[cell] // self.scale + 1} {empty[cell] % self.scale + 1} {number + 1}"
 
     def _drawing(self) -> str:
         lines = self._text.decode("ascii").splitlines()

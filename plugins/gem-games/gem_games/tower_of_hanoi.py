@@ -9,7 +9,7 @@ from typing import Any
 from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
-from gem_games.game import Game, check_whole, painted, quote, sizes_to_draw
+from gem_games.game import Game, check_whole, painted, sizes_to_draw
 
 _SIZES = (3, 10), (4, 20), (5, 35)
 _MOST_DISKS = 20
@@ -38,6 +38,8 @@ class TowerOfHanoiEnv(Game):
 
     Source: parameters and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem.
     """
+
+    unreadable = "does not name two of the pegs A, B and C."
 
     def __init__(
         self, num_disks: int | None = 3, max_turns: int | None = 100, *, format_error_ends: bool = True
@@ -70,8 +72,7 @@ class TowerOfHanoiEnv(Game):
             f"Tower of Hanoi: move all {self.num_disks} disks from peg A to peg C.\n"
             "A move takes the top disk of one peg and puts it on top of another. A disk may not lie on a smaller one; "
             "a move that breaks the rules costs a turn and moves nothing.\n"
-            "Write your move inside \\boxed{}, first the peg to take from, then the peg to put on; only the last box "
-            f"of a response counts. You have {self.max_turns} turns.\n"
+            "Write your move inside \\boxed{}, first the peg to take from, then the peg to put on.\n"
         )
 
     def _situation(self) -> str:
@@ -85,11 +86,12 @@ class TowerOfHanoiEnv(Game):
     def _opening_key(self) -> Hashable:
         return self.num_disks, self.max_turns
 
-    def _play(self, answer: str) -> StepResult:
+    def _read(self, answer: str) -> tuple[str, str] | None:
         match = _MOVE.fullmatch(answer)
-        if match is None:
-            return self._format_error(f"{quote(answer)} does not name two of the pegs A, B and C.")
-        source, target = match[1].upper(), match[2].upper()
+        return None if match is None else (match[1].upper(), match[2].upper())
+
+    def _play(self, pegs: tuple[str, str]) -> StepResult:
+        source, target = pegs
         fault = self._fault(source, target)
         if fault:
             return self._invalid(fault, self._share_done())

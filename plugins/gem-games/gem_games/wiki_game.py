@@ -68,6 +68,7 @@ class WikiGameEnv(Game):
     """
 
     format_error_reward = _WRONG
+    unreadable = "is no title."
 
     def __init__(
         self,
@@ -147,10 +148,9 @@ class WikiGameEnv(Game):
     def _rules(self) -> str:
         return (
             "WikiGame: go from one article to another by following links.\n"
-            f"Each article shows its links. Follow one by its exact title inside \\boxed{{}}; only the last box of a "
-            f"response counts. A title that is not among the links costs a turn.\n{self._variant_rule()}"
-            f"Start at {self.start} and reach {self.target}. You have {self.max_turns} turns; the fewer you need, the "
-            "better.\n"
+            f"Each article shows its links. Follow one by its exact title inside \\boxed{{}}. A title that is not "
+            f"among the links costs a turn.\n{self._variant_rule()}"
+            f"Start at {self.start} and reach {self.target}; the fewer turns you need, the better.\n"
         )
 
     def _variant_rule(self) -> str:
@@ -188,8 +188,6 @@ class WikiGameEnv(Game):
     # What is played.
 
     def _play(self, answer: str) -> StepResult:
-        if not answer:
-            return self._format_error("Your \\boxed{} is empty.")
         if answer == BACK:
             return self._go_back()
         part = _PART.fullmatch(answer)

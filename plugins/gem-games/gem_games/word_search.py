@@ -10,7 +10,7 @@ from gem_core.errors import ArgumentError
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
 from gem_games.clean_letters import fill
-from gem_games.game import Game, check_flag, check_whole, quote, whole_numbers
+from gem_games.game import Game, check_flag, check_whole, whole_numbers
 from gem_games.letter_grid import coloured_grid, column_numbers, numbered_row
 from gem_games.words import word_list
 
@@ -49,6 +49,8 @@ class WordSearchEnv(Game):
 
     Source: parameters and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem.
     """
+
+    unreadable = "is not four whole numbers with spaces between them."
 
     def __init__(
         self,
@@ -125,17 +127,17 @@ class WordSearchEnv(Game):
             "that you have found turn small. An answer outside the grid, one that is not in a single row or column, or "
             "one that you have given before costs a turn.\n"
             "Write inside \\boxed{} the row and column of a word's first letter, then the row and column of its last "
-            "letter, for example \\boxed{2 0 2 5}; only the last box of a response counts. "
-            f"You have {self.max_turns} turns.\n"
+            "letter, for example \\boxed{2 0 2 5}.\n"
         )
 
     def _situation(self) -> str:
         return f"{self._shown}\n" + self._turns_left("Answer like \\boxed{2 0 2 5}: row column row column.")
 
-    def _play(self, answer: str) -> StepResult:
+    def _read(self, answer: str) -> list[int] | None:
         numbers = whole_numbers(answer)
-        if numbers is None or len(numbers) != 4:
-            return self._format_error(f"{quote(answer)} is not four whole numbers with spaces between them.")
+        return numbers if numbers is not None and len(numbers) == 4 else None
+
+    def _play(self, numbers: list[int]) -> StepResult:
         row, column, end_row, end_column = numbers
         size = len(self.grid)
         if not (0 <= row < size and 0 <= column < size and 0 <= end_row < size and 0 <= end_column < size):
@@ -149,7 +151,7 @@ class WordSearchEnv(Game):
         word = self._word_at(line)
         text = f"{row} {column} {end_row} {end_column}"
         if word is None:
-            return self._move(text, f"The letters {self._read(line)} are none of the words.", 0.0, 0.0)
+            return self._move(text, f"The letters {self._letters_on(line)} are none of the words.", 0.0, 0.0)
         if word in self.found:
             return self._move(text, f"{word} was found before.", 0.0, 0.0)
         self._find(word, line)
@@ -163,7 +165,7 @@ class WordSearchEnv(Game):
         self.tried.add(line)
         self.tried.add((line[2], line[3], line[0], line[1]))
 
-    def _read(self, line: Line) -> str:
+    def _letters_on(self, line: Line) -> str:
         """Return the letters from one end of a line to the other."""
         row, column, end_row, end_column = line
         if row == end_row:
@@ -174,7 +176,7 @@ class WordSearchEnv(Game):
 
     def _word_at(self, line: Line) -> str | None:
         """Return the word that stands on a line, from either end; None if none does."""
-        letters = self._read(line)
+        letters = self._letters_on(line)
         if letters in self.words:
             return letters
         return letters[::-1] if letters[::-1] in self.words else None
@@ -192,12 +194,11 @@ class WordSearchEnv(Game):
         return f" The words not found were {left}."
 
     def _random_answer(self) -> str:
-        """Draw a line of at least four letters that was not given before."""
+        """Draw a part of a row or a column that was not given before."""
         size = len(self.grid)
         random = self.action_random.random
         while True:
-            fixed, first = int(random() * size), int(random() * (size - 3))
-            last = first + 3 + int(random() * (size - first - 3))
+            fixed, first, last = (int(random() * size) for _ in range(3))
             line = (fixed, first, fixed, last) if random() < 0.5 else (first, fixed, last, fixed)
             # One is left while the game goes on: that of a word that was not found.
             if line not in self.tried or self.outcome != "playing":

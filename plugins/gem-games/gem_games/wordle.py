@@ -7,7 +7,7 @@ from typing import Any
 
 from gem_core.seeding import Draws
 from gem_core.types import StepResult
-from gem_games.game import Game, check_flag, check_whole, painted, quote, sizes_to_draw
+from gem_games.game import Game, check_flag, check_whole, painted, sizes_to_draw
 from gem_games.words import letters, word_list
 
 _SIZES = (3, 15), (4, 20), (5, 25)
@@ -42,6 +42,8 @@ class WordleEnv(Game):
 
     Source: parameters and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem.
     """
+
+    unreadable = "is not a word of the letters from A to Z."
 
     def __init__(
         self,
@@ -82,8 +84,7 @@ class WordleEnv(Game):
             "one that is elsewhere in the word, X for one that is not in it. A letter that the word has once gets G or "
             "Y only once. A guess of another length, one that you have made before"
             f"{accepted} costs a turn and gets no marks.\n"
-            f"Write your guess inside \\boxed{{}}, for example \\boxed{{{word_list(self.word_length).common[0]}}}; "
-            f"only the last box of a response counts. You have {self.max_turns} turns.\n"
+            f"Write your guess inside \\boxed{{}}, for example \\boxed{{{word_list(self.word_length).common[0]}}}.\n"
         )
 
     def _situation(self) -> str:
@@ -95,10 +96,10 @@ class WordleEnv(Game):
     def _opening_key(self) -> Hashable:
         return self.word_length, self.max_turns
 
-    def _play(self, answer: str) -> StepResult:
-        guess = letters(answer)
-        if guess is None:
-            return self._format_error(f"{quote(answer)} is not a word of the letters from A to Z.")
+    def _read(self, answer: str) -> str | None:
+        return letters(answer)
+
+    def _play(self, guess: str) -> StepResult:
         if len(guess) != self.word_length:
             return self._invalid(f"Your guess has length {len(guess)}, and the word has length {self.word_length}.")
         if guess in self.guesses:
@@ -127,13 +128,13 @@ class WordleEnv(Game):
         return f" The word was {self.word}."
 
     def _random_answer(self) -> str:
-        """Draw a common word that was not guessed before."""
-        common = word_list(self.word_length).common
-        index = int(self.action_random.random() * len(common))
-        # The walk ends, since the secret word is not among the guesses while the game goes on.
-        while common[index % len(common)].upper() in self.guesses and self.outcome == "playing":
-            index += 1
-        return common[index % len(common)]
+        """Draw an English word that was not guessed before, common or not."""
+        words = word_list(self.word_length).every
+        while True:
+            word = words[int(self.action_random.random() * len(words))]
+            # One is left while the game goes on, the right one; after the end there may be none.
+            if word.upper() not in self.guesses or self.outcome != "playing":
+                return word
 
     def _drawing(self) -> str:
         rows = []

@@ -181,3 +181,58 @@ def test_rewards_stay_within_bounds(env_id: str, seed: int, answers: list[str], 
         if terminated:
             break
     assert total <= 1 + 1e-9
+
+
+@pytest.mark.parametrize("format_error_ends", [True, False])
+@pytest.mark.parametrize("env_id", IDS)
+def test_prompt_says_what_an_unreadable_response_does(env_id: str, format_error_ends: bool) -> None:
+    env = gem.make(env_id, format_error_ends=format_error_ends)
+    prompt, _ = env.reset(seed=0)
+    does = "ends the game" if format_error_ends else "costs a turn"
+    assert prompt.count(
+        f"Only the last box that can be read counts. A response without one {does}, an answer that breaks a rule costs "
+        f"a turn. You have {env.unwrapped.max_turns} turns.\n"
+    ) == 1  # fmt: skip
+    for response in ("I give up.", "\\boxed{}", "\\boxed{ } \\boxed{"):
+        env.reset(seed=0)
+        assert env.step(response)[1:3] == (FORMAT_ERROR[env_id], format_error_ends)
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_last_box_that_can_be_read_is_played(env_id: str) -> None:
+    """Whatever boxes stand behind it: empty ones, unfinished ones, and what no game takes for an answer."""
+    env = gem.make(env_id)
+    env.reset(seed=0)
+    action = env.sample_random_action()
+    result = env.step(action)
+    for behind in ("\\boxed{}", "\\boxed{ \n}", "\\boxed{", "\\boxed{} \\boxed{}"):
+        env.reset(seed=0)
+        assert env.step(f"No: \\boxed{{0}}. {action} I answer inside {behind}") == result
+
+
+@pytest.mark.parametrize(
+    ("env_id", "answer", "behind"),
+    [
+        ("game:GuessTheNumber-v0", "25", "\\boxed{your guess}"),
+        ("game:GuessTheNumber-v0", "25", "\\boxed{\\text{final}}"),
+        ("game:Mastermind-v0-easy", "1 2", "\\boxed{1, 2}"),
+        ("game:TowerofHanoi-v0-easy", "A C", "\\boxed{done}"),
+        ("game:Wordle-v0-hard", "house", "\\boxed{\\text{house}}"),
+        ("game:Hangman-v0-easy", "e", "\\boxed{your guess}"),
+        ("game:Crosswords-v0-easy", "0 3 E", "\\boxed{row col letter}"),
+        ("game:WordSearch-v0-easy", "2 0 2 5", "\\boxed{2 0}"),
+        ("game:Minesweeper-v0-easy", "reveal 0 1", "\\boxed{reveal}"),
+        ("game:FifteenPuzzle-v0-hard", "up", "\\boxed{direction}"),
+        ("game:Sudoku-v0-easy", "1 2 3", "\\boxed{1 2}"),
+        ("game:Game2048-v0-easy", "left", "\\boxed{2048}"),
+        ("game:Sokoban-v0-easy", "up", "\\boxed{push up}"),
+    ],
+)
+def test_box_without_the_form_of_an_answer_is_passed_over(env_id: str, answer: str, behind: str) -> None:
+    """As in gem-llm, which plays the last box that has the form of a move."""
+    env = gem.make(env_id)
+    env.reset(seed=0)
+    result = env.step(f"\\boxed{{{answer}}}")
+    env.reset(seed=0)
+    assert env.step(f"\\boxed{{{answer}}}. I put it as {behind}.") == result
+    assert "cannot be read" not in result[0]

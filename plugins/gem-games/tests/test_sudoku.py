@@ -143,7 +143,6 @@ def test_wrong_number_is_not_written_down() -> None:
 @pytest.mark.parametrize(
     ("answer", "feedback"),
     [
-        ("1 1 4", "Its row, column or box has a 4 already."),
         ("1 2 2", "Row 1, column 2 is filled already."),
         ("0 1 1", "Rows, columns and numbers go from 1 to 4."),
         ("1 5 1", "Rows, columns and numbers go from 1 to 4."),
@@ -175,3 +174,20 @@ def test_drawing() -> None:
     env = small(0)
     env.render_mode = "ansi"
     assert "\n\x1b[2m1\x1b[0m . \x1b[1m2\x1b[0m | \x1b[1m3\x1b[0m \x1b[1m4\x1b[0m\n" in str(env.render())
+
+
+def test_random_player_does_not_know_what_fits() -> None:
+    """It writes every number into every empty cell, whatever stands beside it, and nearly always loses."""
+    env = small(0, 5)
+    empty = [cell for cell, number in enumerate(env.cells) if not number]
+    every = {f"\\boxed{{{cell // 4 + 1} {cell % 4 + 1} {number}}}" for cell in empty for number in range(1, 5)}
+    assert {env.sample_random_action() for _ in range(200)} == every
+    won = 0
+    for seed in range(100):
+        env = gem.make("game:Sudoku-v0-easy")
+        env.reset(seed=seed)
+        over = False
+        while not over:
+            _, _, over, _, info = env.step(env.sample_random_action())
+        won += info["correct"]
+    assert won <= 2

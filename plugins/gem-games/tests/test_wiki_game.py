@@ -76,10 +76,12 @@ def test_opening() -> None:
     observation, info = env.reset(seed=0, options=PAIR)
     assert observation == (
         "WikiGame: go from one article to another by following links.\n"
-        "Each article shows its links. Follow one by its exact title inside \\boxed{}; only the last box of a response "
-        "counts. A title that is not among the links costs a turn.\n"
+        "Each article shows its links. Follow one by its exact title inside \\boxed{}. A title that is not among the "
+        "links costs a turn.\n"
         "There is no way back but by links, and an article without links ends the game.\n"
-        "Start at Sea and reach Goal. You have 10 turns; the fewer you need, the better.\n"
+        "Start at Sea and reach Goal; the fewer turns you need, the better.\n"
+        "Only the last box that can be read counts. A response without one costs a turn, an answer that breaks a rule "
+        "costs a turn. You have 10 turns.\n"
         "\nYour target: Goal.\nYou are at: Sea.\nA sea has a Coast and an End, and it feeds the River.\n"
         "Links from here:\n- Coast\n- End\n- River\n"
         "Turns left: 10. Put the title of a link inside \\boxed{}."
