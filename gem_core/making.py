@@ -136,7 +136,7 @@ def make_from(record: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers, lo
         EntryPointError: What the record points to cannot be imported.
         ArgumentError: A keyword that the environment, or an option that a wrapper, does not have.
     """
-    check_requirements(record)
+    check_requirements(record, kwargs)
     arguments = {**record.kwargs, **kwargs}
     render_mode = arguments.pop("render_mode", None)
     entry_point = load_entry_point(record.entry_point, f"environment {record.id!r}")

@@ -73,13 +73,18 @@ def unmet(requirements: Iterable[str]) -> dict[str, str]:
     return {requirement: finding.advice for requirement, finding in found.items() if finding.status == "unmet"}
 
 
-def check_requirements(record: EnvSpec) -> None:
+def check_requirements(record: EnvSpec, given: Iterable[str] = ()) -> None:
     """Raise when a record needs what is not there.
+
+    Args:
+        record: What is made.
+        given: The arguments that it is made with.
 
     Raises:
         MissingRequirementError: Names each requirement and what to install, start or set.
     """
-    missing = unmet(record.requires) if record.requires else {}
+    met = {f"argument:{name}" for name in given}
+    missing = unmet(word for word in record.requires if word not in met) if record.requires else {}
     if missing:
         raise MissingRequirementError(f"{record.id} cannot run here: {'; '.join(missing.values())}")
 
@@ -204,6 +209,10 @@ def _never(reason: str) -> Finding:
     return Finding("unmet", "cannot run anywhere", reason) if reason else Finding("met", "")
 
 
+def _argument(name: str) -> Finding:
+    return Finding("unmet", "is given to make", f"it needs an argument: make(…, {name}=…)")
+
+
 KINDS: dict[str, Kind] = {
     "docker": Kind(_docker, _docker_answers),
     "bubblewrap": Kind(_bubblewrap, _bubblewrap_works),
@@ -213,6 +222,7 @@ KINDS: dict[str, Kind] = {
     "package": Kind(_package),
     "command": Kind(_command),
     "never": Kind(_never),
+    "argument": Kind(_argument),
 }
 """Every kind of requirement that the core knows; a plugin may use words of its own, which are taken as met."""
 

@@ -138,11 +138,11 @@ def test_an_invalid_move_gives_the_progress_made_and_says_why(game: str) -> None
     assert not info["textarena"]["reason"][14:].replace(".", "").isdigit()
 
 
-def test_the_agents_own_action_is_told_as_its_own() -> None:
-    """Slitherlink mixes up who said what."""
+def test_the_agents_own_action_is_known_as_its_own() -> None:
+    """Slitherlink mixes up who said what; the agent is not told what it said itself."""
     env = TextArenaEnv("Slitherlink-v0")
     env.reset(seed=1)
-    assert env.step("[h 0 0]")[4]["feedback"] == "[Player] [h 0 0]"
+    assert env.step("[h 0 0]")[4]["feedback"] == ""
 
 
 def test_of_a_long_action_the_end_is_read() -> None:
@@ -196,13 +196,19 @@ def test_opponents_who_never_end_their_turn_at_reset_raise() -> None:
     assert str(caught.value) == "TicTacToe-v0: the agent's turn did not come in 300 turns of the opponents"
 
 
-def test_a_game_that_opponents_end_at_reset_gives_its_outcome_in_the_first_step() -> None:
-    """The opponent loses by two invalid moves before the agent's first turn."""
+def test_opponents_who_end_each_game_before_the_agents_turn_fail_the_reset() -> None:
+    """The opponent loses by two invalid moves; where it does so once, another game is dealt."""
     env = TextArenaEnv("TicTacToe-v0", players=2, seat=1, opponents=lambda _: "[nonsense]")
-    env.reset(seed=1)
-    _, reward, terminated, truncated, info = env.step("[0]")
-    assert (reward, terminated, truncated, info["correct"]) == (1.0, True, False, True)
-    assert "error" not in info
+    with pytest.raises(EnvFaultError) as caught:
+        env.reset(seed=1)
+    assert str(caught.value) == "TicTacToe-v0: 10 games in a row were over before the agent's turn"
+    answers = iter(["[nonsense]", "[nonsense]", "[4]"])
+    env = TextArenaEnv("TicTacToe-v0", players=2, seat=1, opponents=lambda _: next(answers))
+    observation, _ = env.reset(seed=1)
+    assert "Player 0 placed their symbol (O) in cell 4." in observation
+    other = TextArenaEnv("TicTacToe-v0", players=2, seat=1, opponents=lambda _: "[0]")
+    other.set_state(env.get_state())
+    assert other.table.actions == env.table.actions == ["[4]"]
 
 
 def test_a_library_that_fails_on_any_action_truncates_with_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -39,3 +39,13 @@ class Fence:
                 self._python, self._numpy = random.getstate(), np.random.get_state()
                 random.setstate(outer[0])
                 np.random.set_state(outer[1])
+
+    @contextmanager
+    def outside(self) -> Iterator[None]:
+        """Inside of ``inside``, run foreign code that must not draw from the game's random state."""
+        inner = random.getstate(), np.random.get_state()
+        try:
+            yield
+        finally:
+            random.setstate(inner[0])
+            np.random.set_state(inner[1])

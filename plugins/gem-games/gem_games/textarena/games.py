@@ -50,7 +50,7 @@ GAMES: dict[str, int] = {
     "Secretary-v0": 1,
     "Secretary-v0-long": 1,
     "Set-v0": 1,
-    "Klondike-v0": 0,
+    "Klondike-v0": 1,
     "Slitherlink-v0": 1,
     "Sokoban-v0": 1,
     "Sokoban-v0-medium": 1,

@@ -11,7 +11,9 @@ What is mended was seen in textarena 0.7.4:
 - five games mix up the arguments of their state: ``argument_order.py`` puts them right;
 - some constructors go through all words: a game is copied from the first one, unless its constructor draws;
 - six games raise when someone has won, and three do not see an end: ``endings.py`` puts them right;
-- seven modules have nested quotes in f-strings, which Python 3.11 cannot read: such lines are written in another way.
+- seven modules have nested quotes in f-strings, which Python 3.11 cannot read: such lines are written in another way;
+- Klondike's module has an ``elif`` behind an ``else``: it is moved in, below the ``if`` that it belongs to;
+- four games ask a language model through a service: ``Judge`` takes its place.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from __future__ import annotations
 import copy
 import importlib
 import importlib.util
+import inspect
 import random
 import re
 import sys
@@ -32,6 +35,7 @@ import numpy as np
 from gem_games import words as our_words
 from gem_games.textarena import argument_order, endings, searches
 from gem_games.textarena.fence import LOCK
+from gem_games.textarena.judging import Judge
 from gem_games.textarena.rooms import generate_room
 
 _INNER_QUOTES = re.compile(r'\["(\w+)"\]')
@@ -116,26 +120,42 @@ _MADE: dict[str, Any] = {}
 """For each game that was made, the first one, before its reset; None where the constructor draws."""
 
 
-def load(name: str) -> tuple[Any, bool, int | None]:
+def load(name: str, max_turns: int | None = None) -> tuple[Any, bool, int | None]:
     """Make a game of TextArena, without its wrappers.
 
     Args:
         name: Its id there.
+        max_turns: In place of the limit that is registered, if its constructor takes one.
 
     Returns:
         The game, whether its wrappers put an action into brackets, and how many characters they leave of one.
     """
     with LOCK:
         recipe = _recipe(name)
-        first = _MADE.get(name)
+        first = _MADE.get(name) if max_turns is None else None
         if first is not None:
             game = copied(first)
         else:
             before = random.getstate(), np.random.get_state()
-            game = recipe.build(**recipe.kwargs)
-            if name not in _MADE:
+            game = _built(recipe, max_turns)
+            if name not in _MADE and max_turns is None:
                 _MADE[name] = copied(game) if _same_draws(before, (random.getstate(), np.random.get_state())) else None
     return game, recipe.brackets, recipe.clip
+
+
+def _built(recipe: _Recipe, max_turns: int | None) -> Any:
+    kwargs = dict(recipe.kwargs)
+    taken = inspect.signature(recipe.build).parameters
+    if max_turns is not None and "max_turns" in taken:
+        kwargs["max_turns"] = max_turns
+    if "jury_class" in taken:
+        kwargs["jury_class"] = Judge
+    agents: Any = importlib.import_module("textarena.agents")
+    kept, agents.OpenRouterAgent = agents.OpenRouterAgent, Judge  # it wants a key when it is made
+    try:
+        return recipe.build(**kwargs)
+    finally:
+        agents.OpenRouterAgent = kept
 
 
 def copied(game: Any) -> Any:
@@ -180,14 +200,14 @@ def _module(name: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except SyntaxError as error:
-        if sys.version_info >= (3, 12) or not error.filename:
+        if not error.filename:
             raise
-        _read_with_other_quotes(name, error.filename)
+        _read_mended(name, error.filename)
         return importlib.import_module(name)
 
 
-def _read_with_other_quotes(name: str, path: str) -> None:
-    """Put a module into ``sys.modules`` whose f-strings have quotes that Python 3.11 can read."""
+def _read_mended(name: str, path: str) -> None:
+    """Put a module into ``sys.modules`` that is read with what Python cannot read written in another way."""
     with open(path, encoding="utf-8") as file:
         lines = file.read().splitlines()
     for _ in range(_MOST_LINES):
@@ -196,6 +216,9 @@ def _read_with_other_quotes(name: str, path: str) -> None:
             break
         except SyntaxError as error:
             number = (error.lineno or 1) - 1
+            if lines[number].lstrip().startswith("elif "):
+                _move_in(lines, number)
+                continue
             mended = _INNER_STRING.sub(r"str(\1) + str(\2)", _INNER_QUOTES.sub(r"['\1']", lines[number]))
             if mended == lines[number]:
                 raise
@@ -216,6 +239,16 @@ def _read_with_other_quotes(name: str, path: str) -> None:
     except BaseException:
         del sys.modules[name]
         raise
+
+
+def _move_in(lines: list[str], number: int) -> None:
+    """Indent a line, and those that are below it in the same block, by one step more."""
+    indent = len(lines[number]) - len(lines[number].lstrip())
+    for place in range(number, len(lines)):
+        own = len(lines[place]) - len(lines[place].lstrip())
+        if place > number and lines[place].strip() and own <= indent:
+            return
+        lines[place] = f"    {lines[place]}"
 
 
 def _mend() -> None:

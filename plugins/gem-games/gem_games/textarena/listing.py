@@ -7,11 +7,9 @@ from collections.abc import Iterator
 from gem_core.specs import EnvSpec
 from gem_games.textarena.games import GAMES
 
-_TURNS = 200
 _JUDGED = ("GuessWho", "TwentyQuestions", "Debate", "ScenarioPlanning")
 _FILES = ("UsedCarNegotiation", "ScorableGames")
 _CLOSED = {
-    "Klondike": "its module in textarena 0.7.4 has a syntax error",
     "UsedCar": "textarena 0.7.4 registers it without its module",
     "BabyAiText": "it needs the package gym and the game files of BabyAI-Text, which textarena 0.7.4 does not bring",
 }
@@ -27,7 +25,6 @@ def textarena_specs() -> Iterator[EnvSpec]:
             kwargs={"game": name, "players": max(players, 1)},
             summary=f"TextArena's {name.partition('-')[0]}; {seats}.",
             tags=("game", "text", "textarena"),
-            max_turns=_TURNS,
             requires=_needs(name.partition("-")[0]),
             deterministic=name.partition("-")[0] not in _JUDGED,
         )
@@ -35,7 +32,7 @@ def textarena_specs() -> Iterator[EnvSpec]:
 
 def _needs(family: str) -> tuple[str, ...]:
     if family in _JUDGED:
-        return ("key:OPENROUTER_API_KEY", "network")
+        return ("argument:judge",)
     if family in _FILES:
         return ("never:textarena 0.7.4 does not ship the text files of this game",)
     if family in _CLOSED:

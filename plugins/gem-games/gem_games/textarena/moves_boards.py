@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from gem_games.textarena.moves_puzzles import cells
-from gem_games.textarena.moves_talk import Sampler, always
 
 if TYPE_CHECKING:
     import random
 
+    from gem_games.textarena.moves_talk import Sampler
+
 _AROUND = [step for step in product((-1, 0, 1), repeat=2) if any(step)]
+_WAYS = {"up": (0, 1), "down": (0, -1), "left": (-1, 0), "right": (1, 0)}
 _BESIDE = [(-1, 0), (1, 0), (0, -1), (0, 1)]
 
 
@@ -193,6 +195,31 @@ def _tak(game: Any, rng: random.Random) -> Sequence[str]:
     return moves
 
 
+def _surviving(game: Any, head: tuple[int, int], taken: Container[tuple[int, int]]) -> Sequence[str]:
+    """Return the ways that lead neither out of the board nor into a taken cell; all of them if none does."""
+    ways = [
+        f"[{way}]"
+        for way, (right, up) in _WAYS.items()
+        if 0 <= head[0] + right < game.width
+        and 0 <= head[1] + up < game.height
+        and (head[0] + right, head[1] + up) not in taken
+    ]
+    return ways or [f"[{way}]" for way in _WAYS]
+
+
+def _snake(game: Any, rng: random.Random) -> Sequence[str]:
+    snakes = game.state.game_state["snakes"]
+    taken = {cell for snake in snakes.values() if snake.alive for cell in snake.positions}
+    return _surviving(game, snakes[game.state.current_player_id].head, taken)
+
+
+def _surround(game: Any, rng: random.Random) -> Sequence[str]:
+    players = game.state.game_state["players"]
+    taken = {(x, y) for y, x, trail in cells(game.state.game_state["board"]) if trail is not None}
+    taken.update(player.position for player in players.values())
+    return _surviving(game, players[game.state.current_player_id].position, taken)
+
+
 SAMPLERS: dict[str, Sampler] = {
     "Alquerque": _alquerque,
     "Battleship": _battleship,
@@ -208,9 +235,9 @@ SAMPLERS: dict[str, Sampler] = {
     "ReverseTicTacToe": _free_cells,
     "SantoriniBaseFixed": _santorini,
     "SimpleTak": _free_cells,
-    "Snake": always("[up]", "[down]", "[left]", "[right]"),
+    "Snake": _snake,
     "Stratego": _stratego,
-    "Surround": always("[up]", "[down]", "[left]", "[right]"),
+    "Surround": _surround,
     "Tak": _tak,
     "ThreePlayerTicTacToe": _free_cells,
     "TicTacToe": _free_cells,

@@ -1,13 +1,14 @@
-"""Moves of puzzles and games for one. Each function returns moves that are all valid now.
+"""Moves of puzzles and games for one. Each function returns moves that are all valid now, as far as a player can know.
 
-TextArena takes a wrong letter of a crossword, a wrong digit of a sudoku and a mine for invalid moves. A random player
-who makes none thus knows the solution, and finishes these puzzles if the turns are enough.
+TextArena takes a wrong letter of a crossword, a wrong digit of a sudoku and a mine for invalid moves: there, a random
+player makes some.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise, permutations
+from string import ascii_uppercase
 from typing import TYPE_CHECKING, Any
 
 from gem_games.textarena.moves_talk import Sampler, always
@@ -39,9 +40,8 @@ def _countdown(game: Any, rng: random.Random) -> Sequence[str]:
 
 
 def _crosswords(game: Any, rng: random.Random) -> Sequence[str]:
-    state = game.state.game_state
-    letters = ((r, c, state["solution"][r][c]) for r, c, content in cells(state["board"]) if content == "_")
-    return [f"[{r} {c} {letter}]" for r, c, letter in letters if letter.isascii() and letter.isalpha()]
+    empty = ((r, c) for r, c, content in cells(game.state.game_state["board"]) if content == "_")
+    return [f"[{r} {c} {letter}]" for r, c in empty for letter in ascii_uppercase]
 
 
 def _cryptarithm(game: Any, rng: random.Random) -> Sequence[str]:
@@ -114,7 +114,7 @@ def _mastermind(game: Any, rng: random.Random) -> Sequence[str]:
 
 
 def _minesweeper(game: Any, rng: random.Random) -> Sequence[str]:
-    return [f"[{r} {c}]" for r, c, content in cells(game.grid) if content != -1 and not game.revealed[r][c]]
+    return [f"[{r} {c}]" for r, c, revealed in cells(game.revealed) if not revealed]
 
 
 def _peg_jump(game: Any, rng: random.Random) -> Sequence[str]:
@@ -149,7 +149,7 @@ def _sokoban(game: Any, rng: random.Random) -> Sequence[str]:
 
 def _sudoku(game: Any, rng: random.Random) -> Sequence[str]:
     board = game.state.game_state["board"]
-    return [f"[{r + 1} {c + 1} {game.full_grid[r][c]}]" for r, c, digit in cells(board) if not digit]
+    return [f"[{r + 1} {c + 1} {digit}]" for r, c, content in cells(board) if not content for digit in range(1, 10)]
 
 
 def _monte(game: Any, rng: random.Random) -> Sequence[str]:
