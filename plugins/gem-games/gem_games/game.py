@@ -1,6 +1,6 @@
 r"""``Game``: what all games share, so that each game's own file holds nothing but its rules.
 
-Rewards are those of gem-llm, whose baselines are published: 1 for success unless the game says otherwise, 0 for a turn
+Rewards are those of gem-llm: 1 for success unless the game says otherwise, 0 for a turn
 that settles nothing and for an invalid move, -0.1 for a response that cannot be read.
 """
 

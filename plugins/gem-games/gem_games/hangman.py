@@ -24,7 +24,7 @@ class HangmanEnv(Game):
     - A letter that is not in the word, or another word: reward 0.
     - A letter or word that was tried before, or a word of another length: reward 0, nothing changes.
     - The last turn is rewarded like any other.
-    - Not letters from a to z (capitals or not, with spaces between them or not): reward -0.1, the game is over.
+    - Not letters from a to z, capitals or not: reward -0.1, the game is over.
 
     Args:
         word_length: Letters of the word.
