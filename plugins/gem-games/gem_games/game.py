@@ -116,7 +116,7 @@ class Game(Env):
         """Say what happens to a response that cannot be read, and to an answer that breaks a rule."""
         unreadable = "ends the game" if self.format_error_ends else "costs a turn"
         return (
-            f"Only the last box that can be read counts. A response without one {unreadable}, an answer that breaks a "
+            f"Only the last box that can be read counts. A response without one {unreadable}; an answer that breaks a "
             f"rule costs a turn. You have {self.max_turns} turns.\n"
         )
 

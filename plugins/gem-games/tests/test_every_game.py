@@ -190,7 +190,7 @@ def test_prompt_says_what_an_unreadable_response_does(env_id: str, format_error_
     prompt, _ = env.reset(seed=0)
     does = "ends the game" if format_error_ends else "costs a turn"
     assert prompt.count(
-        f"Only the last box that can be read counts. A response without one {does}, an answer that breaks a rule costs "
+        f"Only the last box that can be read counts. A response without one {does}; an answer that breaks a rule costs "
         f"a turn. You have {env.unwrapped.max_turns} turns.\n"
     ) == 1  # fmt: skip
     for response in ("I give up.", "\\boxed{}", "\\boxed{ } \\boxed{"):

@@ -92,8 +92,9 @@ def test_only_the_board_as_it_stands_is_shown() -> None:
     env = TextArenaEnv("FifteenPuzzle-v0")
     env.reset(seed=1)
     for _ in range(3):
-        observation, *_ = env.step(env.sample_random_action())
-        assert observation.count("+----+") <= 5
+        *_, info = env.step(env.sample_random_action())
+        assert info["suffix"].count("\n") >= 4
+        assert info["feedback"].count("\n") < 2
     env = TextArenaEnv("Battleship-v0", players=2, opponents=lambda _: "[A0]")
     _, info = env.reset(seed=1)
     before = info["suffix"]

@@ -80,7 +80,7 @@ def test_opening() -> None:
         "links costs a turn.\n"
         "There is no way back but by links, and an article without links ends the game.\n"
         "Start at Sea and reach Goal; the fewer turns you need, the better.\n"
-        "Only the last box that can be read counts. A response without one costs a turn, an answer that breaks a rule "
+        "Only the last box that can be read counts. A response without one costs a turn; an answer that breaks a rule "
         "costs a turn. You have 10 turns.\n"
         "\nYour target: Goal.\nYou are at: Sea.\nA sea has a Coast and an End, and it feeds the River.\n"
         "Links from here:\n- Coast\n- End\n- River\n"
