@@ -136,8 +136,8 @@ def make_from(record: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers, lo
         EntryPointError: What the record points to cannot be imported.
         ArgumentError: A keyword that the environment, or an option that a wrapper, does not have.
     """
-    check_requirements(record, kwargs)
     arguments = {**record.kwargs, **kwargs}
+    check_requirements(record, arguments)
     render_mode = arguments.pop("render_mode", None)
     entry_point = load_entry_point(record.entry_point, f"environment {record.id!r}")
     env = _construct(entry_point, (), arguments, f"environment {record.id!r}")

@@ -127,6 +127,8 @@ def test_a_game_with_a_judge_wants_one() -> None:
     with pytest.raises(MissingRequirementError) as caught:
         gem.make("ta:Debate-v0")
     assert str(caught.value) == "ta:Debate-v0 cannot run here: it needs an argument: make(…, judge=…)"
+    env = gem.make("ta:Debate-v0", judge=lambda question: "Affirmative")
+    assert env.unwrapped.spec.make().unwrapped.game == "Debate-v0"
 
 
 def test_a_judge_answers_as_the_game_master() -> None:
