@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from gem_code.comparing import same_value
 from gem_code.inside import program
-from gem_code.inside.codec import NotDataError, encode, loads
+from gem_code.inside.codec import NotDataError, ProgramError, encode, loads
 from gem_code.verdicts import CaseResult, Status, Verdict, status_of
 from gem_core.errors import GradingError
 
@@ -248,12 +248,14 @@ def _judged(
     try:
         answer = json.loads(line)
         if "r" not in answer:
-            error = answer["e"][1] if "e" in answer else f"the program returned {answer['u']}, which is no plain data"
-            return "memory" if str(error).startswith("MemoryError") else "runtime_error", None, str(error)
+            error = str(answer["e"][1])
+            return "memory" if error.startswith("MemoryError") else "runtime_error", None, error
         returned = loads(json.dumps(answer["r"]))
+        right = same_value(returned, expected, tolerance) or (wrapped and same_value(returned, expected[0], tolerance))
+    except ProgramError as error:
+        return "runtime_error", None, str(error)
     except (ValueError, TypeError, LookupError, RecursionError):
         return "runtime_error", None, "the program's answer cannot be read"
-    right = same_value(returned, expected, tolerance) or (wrapped and same_value(returned, expected[0], tolerance))
     return "passed" if right else "wrong_answer", _shown(returned), None
 
 

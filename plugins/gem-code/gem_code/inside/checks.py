@@ -19,10 +19,12 @@ import io
 import json
 import os
 import random
+import symtable
 import sys
+from collections.abc import Iterable
 from typing import Any, ClassVar
 
-from gem_code.inside.codec import PLAIN, NotDataError, dumps, loads
+from gem_code.inside.codec import PLAIN, NotDataError, ProgramError, dumps, loads
 
 
 def main() -> None:
@@ -62,10 +64,6 @@ _PLAIN_ATTRIBUTES = frozenset(name for kind in PLAIN for name in dir(kind))
 
 class OpenError(BaseException):
     """A test asks what the program has not answered; no ``except Exception`` of a test may hide it."""
-
-
-class ProgramError(Exception):
-    """The program raised an error of its own making."""
 
 
 class Answers:
@@ -114,16 +112,14 @@ class Answers:
             raise OpenError
         try:
             answer = json.loads(line)
-            raised, unreadable = answer.get("e"), answer.get("u")
-            result = None if raised or unreadable else loads(json.dumps(answer["r"]))
+            raised = answer.get("e")
+            result = None if raised else loads(json.dumps(answer["r"]))
             after = loads(json.dumps(answer["a"])) if "a" in answer else None
             name, message = map(str, raised or ("", ""))
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             raise ProgramError("the program's answer cannot be read") from error
         if raised:
             raise _exception(name, message)
-        if unreadable:
-            raise ProgramError(f"the program returned {unreadable}, which is no plain data")
         if after is not None:
             try:
                 _take_over(arguments, after)
@@ -144,6 +140,22 @@ class Answers:
         arguments = [*map(_shown, positional), *(f"{key}={_shown(value)}" for key, value in named.items())]
         returned = _shown(self.result[0]) if self.result else None
         return {"call": f"{name}({', '.join(arguments)})"[:10_000], "returned": returned}
+
+
+class Function:
+    """Stands for a function of the program in the tests."""
+
+    def __init__(self, name: str, answers: Answers) -> None:
+        self.__name__ = self.__qualname__ = name
+        self._answers = answers
+
+    def __call__(self, *positional: Any, **named: Any) -> Any:
+        """Return the program's answer."""
+        return self._answers.to(self.__name__, positional, named)
+
+    def __instancecheck__(self, value: Any) -> bool:
+        self._answers.problem = f"they ask for objects of the program's class {self.__name__!r}, and none leave it"
+        return False
 
 
 class StandIn:
@@ -174,6 +186,11 @@ class StandIn:
         # Libraries may look for anything.
         if name not in _PLAIN_ATTRIBUTES and sys._getframe(1).f_code.co_filename == _FILENAME:
             self.asked_for.add(name)
+        return self._itself
+
+    def __call__(self, *_: Any, **__: Any) -> Any:
+        """Agree; no plain data can be called."""
+        self.asked_for.add("__call__")
         return self
 
     def __iter__(self) -> Any:
@@ -190,7 +207,7 @@ class StandIn:
 
     __int__ = __index__
     __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = __contains__ = __bool__ = _yes
-    __call__ = __getitem__ = __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = _itself
+    __getitem__ = __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = _itself
     __truediv__ = __rtruediv__ = __floordiv__ = __rfloordiv__ = __mod__ = __rmod__ = __pow__ = __rpow__ = _itself
     __and__ = __rand__ = __or__ = __ror__ = __xor__ = __rxor__ = __neg__ = __abs__ = __round__ = _itself
     __enter__ = _itself
@@ -271,11 +288,8 @@ def _run(work: dict[str, Any], answers: Answers, units: Units) -> str | None:
     tree = ast.parse(work["test"], _FILENAME)
     space: dict[str, Any] = {"__name__": "tests"}
     bound = _prelude(work["prompt"], work["entry"], space)
-    names = _asked_of_the_program(tree, bound)
-    if work["entry"]:
-        names.add(work["entry"])
-    for name in names:
-        space[name] = _proxy(name, answers)
+    for name in _asked_of_the_program(tree, work["test"], work["entry"], bound):
+        space[name] = Function(name, answers)
     functions = [node for node in tree.body if isinstance(node, ast.FunctionDef) and _is_test(node)]
     if any(node.name == "check" for node in functions) and not work["entry"]:
         return "they define check(candidate), and the row names no function in 'entry_point'"
@@ -312,22 +326,58 @@ def _prelude(prompt: str | None, entry: str | None, space: dict[str, Any]) -> se
     return set(space)
 
 
-def _asked_of_the_program(tree: ast.Module, bound: set[str]) -> set[str]:
-    """Return the names that the tests call and nobody defines."""
-    defined = set(bound) | set(dir(builtins))
-    called: set[str] = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            defined.add(node.id)
-        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
-            defined.add(node.name)
-        elif isinstance(node, ast.arg):
-            defined.add(node.arg)
-        elif isinstance(node, ast.Import | ast.ImportFrom):
-            defined |= {(alias.asname or alias.name).partition(".")[0] for alias in node.names}
-        elif isinstance(node, ast.Name):
-            called.add(node.id)
-    return called - defined
+def _asked_of_the_program(tree: ast.Module, source: str, entry: str | None, bound: set[str]) -> set[str]:
+    """Return the names that the tests use and nobody defines.
+
+    Where there are none, and all that is called bears the name of a function of Python's own, such a function is what
+    is tested; else it judges what is tested, and no program may put its own in the place.
+    """
+    used, defined = _global_names(symtable.symtable(source, _FILENAME, "exec"))
+    own = set(dir(builtins))
+    asked = used - defined - bound - own
+    if asked or entry:
+        return asked | ({entry} if entry else set())
+    helpers = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+    tests = [node for node in tree.body if isinstance(node, ast.FunctionDef) and _is_test(node)]
+    bodies = [*tests, *(node for node in tree.body if not isinstance(node, helpers))]
+    nodes = [node for body in bodies for node in ast.walk(body)]
+    asserted = [node.test for node in nodes if isinstance(node, ast.Assert)]
+    handed_over = [node for node in nodes if isinstance(node, ast.Call) and _called(node) in defined | bound]
+    tested = own - {kind.__name__ for kind in PLAIN} - defined - bound
+    return _innermost([*asserted, *handed_over], tested) or _innermost(bodies, tested)
+
+
+def _global_names(table: symtable.SymbolTable) -> tuple[set[str], set[str]]:
+    """Return the names of the module that code uses, and those that it defines; those of its functions are others."""
+    used: set[str] = set()
+    defined: set[str] = set()
+    for symbol in table.get_symbols():
+        if table.get_type() == "module" or symbol.is_global():
+            if symbol.is_assigned() or symbol.is_imported() or symbol.is_namespace():
+                defined.add(symbol.get_name())
+            elif symbol.is_referenced():
+                used.add(symbol.get_name())
+    for child in table.get_children():
+        more = _global_names(child)
+        used, defined = used | more[0], defined | more[1]
+    return used, defined
+
+
+def _called(node: ast.Call) -> str | None:
+    return node.func.id if isinstance(node.func, ast.Name) else None
+
+
+def _innermost(places: Iterable[ast.AST], names: set[str]) -> set[str]:
+    """Return those of some names that are called, and in whose arguments none of them is."""
+    calls = [
+        node for place in places for node in ast.walk(place) if isinstance(node, ast.Call) and _called(node) in names
+    ]
+    inner = {id(call) for call in calls}
+    return {
+        str(_called(call))
+        for call in calls
+        if not any(id(node) in inner for node in ast.walk(call) if node is not call)
+    }
 
 
 def _guard(holder: Any, units: Units) -> None:
@@ -347,14 +397,6 @@ def _guard(holder: Any, units: Units) -> None:
         call = ast.Call(ast.Name("__gem_unit__", ast.Load()), [ast.Constant(number)], [])
         body.append(ast.With([ast.withitem(call)], [node]))
     holder.body = body
-
-
-def _proxy(name: str, answers: Answers) -> Any:
-    def function(*positional: Any, **named: Any) -> Any:
-        return answers.to(name, positional, named)
-
-    function.__name__ = function.__qualname__ = name
-    return function
 
 
 def _has_stand_in(value: Any, depth: int = 0) -> bool:

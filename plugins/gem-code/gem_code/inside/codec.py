@@ -28,13 +28,45 @@ class NotDataError(TypeError):
     """A value that is no plain data."""
 
 
-def dumps(value: Any) -> str:
+class ProgramError(Exception):
+    """The program raised an error of its own making, or returned what cannot be looked at here."""
+
+
+class Opaque:
+    """Stands for an object of the program's, of which only its truth is known.
+
+    Args:
+        kind: Name of its type.
+        truth: What ``bool`` says of it.
+    """
+
+    def __init__(self, kind: str, truth: bool) -> None:
+        self._kind, self._truth = kind, truth
+
+    def __bool__(self) -> bool:
+        return self._truth
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    def _refuse(self, *_: Any) -> Any:
+        raise ProgramError(f"the program returned a value of type {self._kind}, which is no plain data")
+
+    __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = __getattr__ = _refuse
+    __call__ = __iter__ = __len__ = __contains__ = __getitem__ = _refuse
+
+
+def dumps(value: Any, *, opaque: bool = False) -> str:
     """Return a value as one line of ASCII; sets are ordered, so that equal ones give equal text.
+
+    Args:
+        value: Plain data.
+        opaque: Whether what is none crosses as its type's name and its truth.
 
     Raises:
         NotDataError: It, or something in it, is no plain data, or is nested too deeply.
     """
-    return json.dumps(encode(value), separators=(",", ":"))
+    return json.dumps(encode(value, opaque=opaque), separators=(",", ":"))
 
 
 def loads(text: str) -> Any:
@@ -51,7 +83,7 @@ def loads(text: str) -> Any:
         raise ValueError(f"this is no encoded value: {type(error).__name__}: {error}") from error
 
 
-def encode(value: Any, depth: int = 0) -> Any:
+def encode(value: Any, depth: int = 0, *, opaque: bool = False) -> Any:
     """Return a value as what JSON can hold: text, numbers, lists, and one-entry mappings that name a type."""
     kind = type(value)
     if value is None or kind is bool or kind is str:
@@ -64,21 +96,21 @@ def encode(value: Any, depth: int = 0) -> Any:
         raise NotDataError(f"values nested more than {MAX_DEPTH} deep")
     depth += 1
     if kind is list:
-        return [encode(item, depth) for item in value]
+        return [encode(item, depth, opaque=opaque) for item in value]
     if isinstance(value, tuple):
-        return {"t": [encode(item, depth) for item in value]}
+        return {"t": [encode(item, depth, opaque=opaque) for item in value]}
     if isinstance(value, dict):
-        pairs = [[encode(key, depth), encode(item, depth)] for key, item in value.items()]
+        pairs = [[encode(key, depth, opaque=opaque), encode(item, depth, opaque=opaque)] for key, item in value.items()]
         return {"C" if isinstance(value, collections.Counter) else "d": pairs}
     if isinstance(value, set | frozenset):
-        items = [encode(item, depth) for item in value]
+        items = [encode(item, depth, opaque=opaque) for item in value]
         return {"s" if isinstance(value, set) else "z": sorted(items, key=json.dumps)}
     if isinstance(value, list):
-        return [encode(item, depth) for item in value]
-    return _encode_rare(value, depth)
+        return [encode(item, depth, opaque=opaque) for item in value]
+    return _encode_rare(value, depth, opaque)
 
 
-def _encode_rare(value: Any, depth: int) -> Any:  # noqa: C901 - one branch for each type
+def _encode_rare(value: Any, depth: int, opaque: bool) -> Any:  # noqa: C901 - one branch for each type
     if isinstance(value, bytes | bytearray):
         return {"b" if isinstance(value, bytes) else "B": bytes(value).hex()}
     if isinstance(value, complex):
@@ -86,7 +118,7 @@ def _encode_rare(value: Any, depth: int) -> Any:  # noqa: C901 - one branch for 
     if isinstance(value, range):
         return {"r": [encode(value.start), encode(value.stop), encode(value.step)]}
     if isinstance(value, collections.deque):
-        return {"q": [encode(item, depth) for item in value]}
+        return {"q": [encode(item, depth, opaque=opaque) for item in value]}
     if isinstance(value, fractions.Fraction):
         return {"F": [encode(value.numerator), encode(value.denominator)]}
     if isinstance(value, decimal.Decimal):
@@ -95,18 +127,20 @@ def _encode_rare(value: Any, depth: int) -> Any:  # noqa: C901 - one branch for 
         return {"T": [_temporal(value), value.isoformat()]}
     if isinstance(value, datetime.timedelta):
         return {"T": ["timedelta", [value.days, value.seconds, value.microseconds]]}
-    if hasattr(value, "tolist") and type(value).__module__.partition(".")[0] == "numpy":
-        return encode(value.tolist(), depth)
+    if type(value).__module__.partition(".")[0] == "numpy" and hasattr(value, "tolist"):
+        return encode(value.tolist(), depth, opaque=opaque)
     for base in (str, int, float):
         if isinstance(value, base):
-            return encode(base(value), depth)
+            return encode(base(value), depth, opaque=opaque)
     if isinstance(value, collections.abc.KeysView | collections.abc.ValuesView | collections.abc.ItemsView):
-        return [encode(item, depth) for item in value]
+        return [encode(item, depth, opaque=opaque) for item in value]
     if isinstance(value, Iterator):
-        items = [encode(item, depth) for item in itertools.islice(value, MAX_ITEMS + 1)]
+        items = [encode(item, depth, opaque=opaque) for item in itertools.islice(value, MAX_ITEMS + 1)]
         if len(items) > MAX_ITEMS:
             raise NotDataError(f"an iterator of more than {MAX_ITEMS} items")
         return {"I": items}
+    if opaque:
+        return {"o": [type(value).__name__, bool(value)]}
     raise NotDataError(f"a value of type {type(value).__name__}")
 
 
@@ -166,4 +200,5 @@ _SCALARS: dict[str, Any] = {
     "B": bytearray.fromhex,
     "D": decimal.Decimal,
     "T": _from_temporal,
+    "o": lambda content: Opaque(str(content[0]), bool(content[1])),
 }

@@ -145,14 +145,14 @@ def _called(module: types.ModuleType, name: str, arguments: Any) -> str:
         function = _function(module, name)
         if function is None:
             raise NameError(f"the program defines no function {name!r}")
-        result = encode(function(*positional, **named))
+        result = encode(function(*positional, **named), opaque=True)
         answer: dict[str, Any] = {"r": result}
-        after = dumps([positional, named])
+        after = dumps([positional, named], opaque=True)
         if after != before:
             answer["a"] = json.loads(after)
         return json.dumps(answer, separators=(",", ":"))
     except NotDataError as error:
-        return json.dumps({"u": str(error)})
+        return json.dumps({"e": ["NotDataError", f"the program returned {error}, which is no plain data"]})
     except BaseException as error:  # noqa: BLE001 - whatever the program raises
         return json.dumps({"e": [type(error).__name__, _told(error)]})
 

@@ -1,0 +1,163 @@
+"""Whose function a test calls, and what of a program's objects a test can see."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from gem_core.errors import GradingError
+
+if TYPE_CHECKING:
+    from judging import Judge
+
+# As in MBPP+: inputs and results in lists, and a helper that compares them.
+MBPP_PLUS = """
+import numpy as np
+from math import inf
+
+def is_floats(x) -> bool:
+    if isinstance(x, float):
+        return True
+    if isinstance(x, (list, tuple)):
+        return all(isinstance(i, float) for i in x)
+    if isinstance(x, np.ndarray):
+        return x.dtype == np.float64 or x.dtype == np.float32
+    return False
+
+def assertion(out, exp, atol):
+    if atol == 0 and is_floats(exp):
+        atol = 1e-6
+    if out != exp and atol != 0:
+        assert np.allclose(out, exp, rtol=1e-07, atol=atol)
+    else:
+        assert out == exp, f"out: {{out}}, exp: {{exp}}"
+
+inputs = {inputs}
+results = {results}
+for i, (inp, exp) in enumerate(zip(inputs, results)):
+    assertion({name}(*inp), exp, 0)
+"""
+FOUND = """
+def assertion(out, exp, atol):
+    if isinstance(out, bool):
+        exact_match = out == exp
+    else:
+        exact_match = exp == (out is not None)
+    assert exact_match
+
+for inp, exp in zip([['abb'], ['x']], [True, False]):
+    assertion(f(*inp), exp, 0)
+"""
+
+
+@pytest.mark.parametrize(
+    ("tests", "right", "wrong"),
+    [
+        (["assert sorted([3,1]) == [1,3]"], "def sorted(x): return [min(x), max(x)]", "def sorted(x): return x"),
+        (["assert sorted([3,1]) == [1,3]"], "sorted = lambda x: [1, 3]", "def other(x): return x"),
+        (["assert sum(10, 15) == 6", "assert sum(1, 2) == 1"], "def sum(a, b): return 6 if a > 1 else 1", "x = 1"),
+        (["assert set(zip([1], [2])) == set([(1, 2)])"], "def zip(a, b): return [(1, 2)]", "def zip(a, b): return []"),
+        (["assert abs(pow(2, 3, 1) - 9.0) < 1e-9"], "def pow(a, b, c): return 9.0", "def abs(x): return 0.0"),
+        (["x = max([1], [2])", "assert x == 3"], "def max(a, b): return a[0] + b[0]", "def max(a, b): return [2]"),
+        (
+            "def test_it():\n    values = [3, 1]\n    assert list(reversed(values, 0)) == [1, 3]",
+            "def reversed(a, b): return a[::-1]",
+            "def reversed(a, b): return a",
+        ),
+        (
+            MBPP_PLUS.format(name="sum", inputs=[[10, 15], [100, 150]], results=[6, 93]),
+            "def sum(a, b): return 6 if a == 10 else 93",
+            "def zip(*a): return []\ndef enumerate(x): return []\ndef sum(a, b): return 6",
+        ),
+    ],
+)
+def test_a_function_may_be_named_like_one_of_pythons_own(judge: Judge, tests: object, right: str, wrong: str) -> None:
+    """Where tests ask nothing else of the program, that function is tested, and not Python's."""
+    assert judge(right, tests).correct
+    assert not judge(wrong, tests).correct
+    assert not judge("x = 1", tests).correct
+
+
+@pytest.mark.parametrize("name", ["sorted", "len", "set", "abs", "zip", "all"])
+def test_what_judges_a_result_stays_pythons_own(judge: Judge, name: str) -> None:
+    """A program that has such a function of its own cannot pass by it."""
+    tests = [
+        "assert sorted(f([2, 1])) == [1, 2] and len(f([2, 1])) == 2",
+        "assert set(f([1])) == {1} and abs(f([1])[0] - 1) < 1",
+        "assert all(a == b for a, b in zip(f([5]), [5]))",
+    ]
+    assert judge("def f(x): return x", tests, every=True).passed == 3
+    wrong = f"import builtins\ndef {name}(*a): return [1, 2]\nbuiltins.{name} = {name}\ndef f(x): return 'ab'"
+    assert judge(wrong, tests, every=True).passed == 0
+
+
+@pytest.mark.parametrize(
+    "helper",
+    [
+        "def same(add, other):\n    return add == other",
+        "def same(a, b):\n    add = a - b\n    return add == 0",
+        "def same(a, b):\n    return not [1 for add in [a] if add != b]",
+        "same = lambda add, other: add == other",
+        "class Same:\n    add = 1\n\ndef same(a, b):\n    return a == b",
+    ],
+)
+def test_a_name_within_a_helper_hides_no_function(judge: Judge, helper: str) -> None:
+    """Only what the tests define for all of them does."""
+    tests = f"{helper}\nassert same(add(1, 2), 3)\nassert list(map(add, [1], [1])) == [2]"
+    verdict = judge("def add(a, b): return a + b", tests, every=True)
+    assert [test.status for test in verdict.tests] == ["passed", "passed"]
+    assert judge("def add(a, b): return a - b", tests, every=True).passed == 0
+
+
+@pytest.mark.parametrize(
+    ("code", "tests"),
+    [
+        ("import re\ndef f(x): return re.search('ab', x)", FOUND),
+        ("import re\ndef f(x): return re.match('ab', x)", "assert f('abc')\nassert not f('x')\nassert f('x') is None"),
+        ("import re\ndef f(x): return [re.match('ab', x)]", "assert all(f('abc'))\nassert any(f('abc'))"),
+        (
+            "class A:\n    def __bool__(self): return False\ndef f(x): return A()",
+            "assert not f(1)\nassert bool(f(1)) is False",
+        ),
+    ],
+)
+def test_the_truth_of_an_object_crosses(judge: Judge, code: str, tests: str) -> None:
+    """Though the object itself does not, as a match of a regular expression."""
+    verdict = judge(code, tests, every=True)
+    assert verdict.correct, verdict.info()
+    assert not judge("def f(x): return True", tests, every=True).correct
+
+
+def test_an_object_is_equal_to_nothing(judge: Judge) -> None:
+    """All but its truth is refused, and the reason says why."""
+    code = "class A:\n    def __eq__(self, other): return True\n    __hash__ = None\ndef f(x): return A()"
+    for test in (
+        "assert f(1) == 1",
+        "assert f(1) != 2",
+        "assert [f(1)] == [1]",
+        "assert 1 in [f(1)]",
+        "assert f(1) > 0",
+    ):
+        verdict = judge(code, [test])
+        assert verdict.status == "runtime_error"
+        assert verdict.first_failure is not None
+        assert verdict.first_failure.error == (
+            "ProgramError: the program returned a value of type A, which is no plain data"
+        )
+
+
+@pytest.mark.parametrize(
+    ("test", "message"),
+    [
+        ("assert f('ab').group() == 'ab'", "they use 'group' of what the program returns, and no plain data has that"),
+        ("assert f(1)(2) == 3", "they use '__call__' of what the program returns, and no plain data has that"),
+        ("assert isinstance(g(), f)", "they ask for objects of the program's class 'f', and none leave it"),
+        ("assert g(f(1))", "they call 'g' with a value of type Opaque, which cannot be passed to the program"),
+    ],
+)
+def test_tests_that_need_an_object_are_no_verdict(judge: Judge, test: str, message: str) -> None:
+    """An error says so, where a right program would fail otherwise."""
+    with pytest.raises(GradingError) as caught:
+        judge("class f:\n    def __init__(self, *a): pass\ndef g(*a): return 1", [test])
+    assert str(caught.value) == f"the tests are at fault: {message}"
