@@ -10,6 +10,7 @@ from gem_math.grading_forms import (
     Assignment,
     Cases,
     Choice,
+    Congruence,
     Equation,
     Form,
     Group,
@@ -29,6 +30,7 @@ from gem_math.grading_numbers import compare_formulas, proportional, value_of
 from gem_math.grading_regions import same_region
 
 _MAX_PARTS = 60
+_PLACES = re.compile(r"-?\d*\.(\d{1,15})")
 _CLOCK = re.compile(r"^\d{1,2}:\d\d$")
 
 
@@ -50,6 +52,8 @@ class Comparison(LeafComparison):
             return self.inequalities(gold, answer)
         if isinstance(gold, Many) or isinstance(answer, Many):
             return self.collections(gold, answer)
+        if isinstance(gold, Congruence) or isinstance(answer, Congruence):
+            return self.congruences(gold, answer)
         for kind, compare in self.kinds.items():
             if isinstance(gold, kind) and isinstance(answer, kind):
                 return bool(compare(self, gold, answer))
@@ -71,7 +75,7 @@ class Comparison(LeafComparison):
 
     def equalities(self, gold: Form, answer: Form) -> bool:
         """Compare where one is an equation, or a value with its name."""
-        if isinstance(answer, Equation) and not self.consistent(answer):
+        if isinstance(answer, Equation | Assignment) and not self.consistent(answer):
             return False
         if isinstance(gold, Equation | Assignment) and isinstance(answer, Equation | Assignment):
             if isinstance(gold, Assignment) and isinstance(answer, Assignment):
@@ -86,20 +90,19 @@ class Comparison(LeafComparison):
             return self.same(gold, answer.value)
         return isinstance(gold, Assignment) and self.same(gold.value, answer)
 
-    def consistent(self, equality: Equation) -> bool:
-        """Whether the numbers before the last sign are the last one; an answer such as 4 = 5 is none."""
-        steps = [step for step in equality.steps if isinstance(step, Leaf) and step.formula is not None]
-        value = equality.value
-        if not isinstance(value, Leaf) or value.formula is None:
-            return True
-        return not any(
-            step.formula is not None
-            and not step.formula.letters
-            and not value.formula.letters
-            and compare_formulas(step.formula, value.formula) is False
-            and not self.leaves(value, step)
-            for step in steps
-        )
+    def consistent(self, equality: Equation | Assignment) -> bool:
+        """Whether the numbers before the last sign are the last one; an answer such as 4 = 5 or x = 4 = 5 is none."""
+        return not any(self.contradict(step, equality.value) for step in equality.steps)
+
+    def contradict(self, step: Form, value: Form) -> bool:
+        """Whether two sides of an equation are different numbers, or have such in the same place."""
+        if isinstance(step, Group) and isinstance(value, Group) and len(step.items) == len(value.items):
+            return any(map(self.contradict, step.items, value.items))
+        if not (isinstance(step, Leaf) and isinstance(value, Leaf) and step.formula and value.formula):
+            return False
+        if step.formula.letters or value.formula.letters or compare_formulas(step.formula, value.formula) is not False:
+            return False
+        return not _rounds_to(step, value) and not self.leaves(value, step)
 
     def equations(self, gold: Equation | Assignment, answer: Equation | Assignment) -> bool:
         """Compare two equations: their sides may be turned, moved and multiplied."""
@@ -144,6 +147,18 @@ class Comparison(LeafComparison):
         if len(golds) != len(answers):
             golds, answers = self.distinct(golds), self.distinct(answers)
         return self.matched(golds, answers)
+
+    def congruences(self, gold: Form, answer: Form) -> bool:
+        """Compare what is left modulo a number; where one side names none, the residue alone."""
+        if isinstance(gold, Congruence) and isinstance(answer, Congruence):
+            named = not (gold.name and answer.name) or same_name(gold.name, answer.name)
+            return named and self.same(gold.modulus, answer.modulus) and self.same(gold.least, answer.least)
+        if isinstance(gold, Congruence):
+            return self.same(gold.residue, answer) or self.same(gold.least, answer)
+        # 12 mod 5 is the number 2, and x = 12 (mod 5) what is asked for where that is 12.
+        if not isinstance(answer, Congruence):
+            return False
+        return self.same(gold, answer.least) or (answer.name != "" and self.same(gold, answer.residue))
 
     def named_parts(self, ordered: Group, several: Many) -> bool:
         """Compare (1, 2) with 1, 2, or with x = 1, y = 2: the names in the order of the alphabet."""
@@ -318,6 +333,19 @@ class Comparison(LeafComparison):
         Words: texts,
         Opaque: opaques,
     }
+
+
+def _rounds_to(step: Leaf, value: Leaf) -> bool:
+    """Whether a decimal is what a number is near to, as the last of x = 1/3 = 0.33."""
+    places = _PLACES.fullmatch(value.text)
+    numbers = [value_of(leaf.formula) for leaf in (step, value) if leaf.formula is not None]
+    if places is None or len(numbers) < 2 or None in numbers:
+        return False
+    try:
+        first, second = (complex(number) for number in numbers if number is not None)
+    except OverflowError:
+        return False
+    return abs(first - second) < 10.0 ** -len(places[1])
 
 
 def _value_text(form: Form) -> str | None:

@@ -110,6 +110,16 @@ class Inequality:
 
 
 @dataclass(frozen=True)
+class Congruence:
+    """What a whole number leaves when it is divided: 3 modulo 7; ``least`` is the residue from 0 on."""
+
+    name: str
+    residue: Form
+    least: Form
+    modulus: Form
+
+
+@dataclass(frozen=True)
 class Matrix:
     """Rows of things."""
 
@@ -140,5 +150,18 @@ class Opaque:
 
 
 Form = (
-    Words | Choice | Leaf | Group | Many | Union | Ratio | Assignment | Equation | Inequality | Matrix | Cases | Opaque
+    Congruence
+    | Words
+    | Choice
+    | Leaf
+    | Group
+    | Many
+    | Union
+    | Ratio
+    | Assignment
+    | Equation
+    | Inequality
+    | Matrix
+    | Cases
+    | Opaque
 )

@@ -15,7 +15,7 @@ import subprocess
 import sys
 import threading
 import time
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from gem_core.errors import GradingError
 
@@ -25,22 +25,18 @@ _START_LIMIT_S = 120.0
 _MAX_STRETCH = 4
 _MAX_USES = 5000  # sympy's caches grow; a process is replaced now and then
 
-Blame = Literal["gold", "answer"]
-
 
 class Verdict(NamedTuple):
     """What math-verify says.
 
     Args:
         same: Whether the formulas are the same.
-        blame: Which of the two could not be read or took too long, where one did.
-        reason: Why there is no verdict.
+        reason: Why there is none, where one of the two cannot be read or takes too long.
         late: Whether that is because the time was up.
         took_s: Seconds from the question to the reply.
     """
 
     same: bool
-    blame: Blame | None = None
     reason: str = ""
     late: bool = False
     took_s: float = 0.0
@@ -111,15 +107,11 @@ class _Worker:
     def compare(self, gold: str, answer: str, timeout_s: float) -> Verdict:
         """Return the verdict; the process is dead afterwards if it failed to give one in time."""
         self.uses += 1
-        stage: Blame = "gold"
         deadline = _Deadline(self.process.pid, timeout_s)
         request = json.dumps({"gold": gold, "answer": answer, "cpu_s": timeout_s}) + "\n"
         try:
             self.send(request.encode())
             reply = self.reply(deadline)
-            if reply == "gold":
-                stage = "answer"
-                reply = self.reply(deadline)
         except BaseException:
             # An interrupted caller leaves no half-read reply to the next.
             self.end()
@@ -128,9 +120,9 @@ class _Worker:
             late = deadline.left_s() <= 0
             self.end()
             reason = "it takes more memory or processor time than a comparison may"
-            return Verdict(same=False, blame=stage, reason=reason, late=late)
+            return Verdict(same=False, reason=reason, late=late)
         if "failed" in reply:
-            return Verdict(same=False, blame=reply["stage"], reason=reply["failed"])
+            return Verdict(same=False, reason=reply["failed"])
         return Verdict(same=reply["same"])
 
     def send(self, request: bytes) -> None:

@@ -10,6 +10,7 @@ from gem_math.grading_dates import date_of, time_of
 from gem_math.grading_forms import (
     Assignment,
     Choice,
+    Congruence,
     Equation,
     Form,
     Group,
@@ -86,6 +87,11 @@ _CHOICE = re.compile(
     r"^(?:(?i:option|choice|answer)\s*)?(?:\(\s*([A-Za-z])\s*\)|([A-Z])\s*[.):](?=\s|$|\())\s*(.*)$", re.DOTALL
 )
 _CHOICE_WORD = re.compile(r"^(?i:option|choice)\s*\(?([A-Za-z])\)?$")
+
+_MOD_IN_TEXT = re.compile(r"\\text\s*\{([^{}]*(?<![a-z])mod(?:ulo)?(?![a-z])[^{}]*)\}")
+_MODULO = re.compile(
+    r"(.*?)\(?\s*\\?(?<![a-z])mod(?:ulo)?(?![a-z])\s*(?:\{([^{}]+)\}|([^{}(),;]+?))\s*\)?\s*", re.DOTALL
+)
 
 
 def read(text: str, *, join_thousands: bool = True, loose_units: bool = False) -> Form:
@@ -171,6 +177,8 @@ class _Reading:
             return compound
         if (points := self.points(text, depth)) is not None:
             return points
+        if "mod" in text and (congruence := self.congruence(text, depth)) is not None:
+            return congruence
         pieces = split(text, _SEPARATORS)
         pieces = [piece for piece in pieces if piece.strip()]
         if len(pieces) < 2:
@@ -187,6 +195,21 @@ class _Reading:
             return interval
         ranges = union_of(items) if " and " not in text and r"\text{ and }" not in text else None
         return ranges or Many(tuple(items))
+
+    def congruence(self, text: str, depth: int) -> Form | None:
+        r"""One or several residues, as in x \\equiv 1, 5 (mod 6)."""
+        match = _MODULO.fullmatch(_MOD_IN_TEXT.sub(r"\1", text))
+        if match is None or "mod" in match[1] + (match[3] or ""):
+            return None
+        sides = [side for side in re.split(r"\\equiv|=", match[1]) if side.strip()]
+        if not sides:
+            return None
+        name = plain_name(sides[0]) if len(sides) == 2 and is_name(sides[0]) else ""
+        modulus, found = self.read(match[2] or match[3], depth + 1), self.read(sides[-1], depth + 1)
+        several = isinstance(found, Many)
+        items = found.items if isinstance(found, Many) else (found,)
+        forms = tuple(Congruence(name, item, _least(item, modulus), modulus) for item in items)
+        return Many(forms) if several else forms[0]
 
     def points(self, text: str, depth: int) -> Form | None:
         """Points whose coordinates are named, as in x = 1, y = 2 or x = 3, y = 4."""
@@ -266,7 +289,7 @@ class _Reading:
         if isinstance(value, Many) and len(others) == 1 and not value.is_set and is_name(name):
             return Many(tuple(Assignment(plain_name(name), item) for item in value.items))
         steps = tuple(self.read(side, depth + 1) for side in others[:-1])
-        if is_name(name):
+        if is_name(name) or name.strip() in {"i", "e"}:
             return Assignment(plain_name(name), value, steps, name, others[-1])
         return Equation(name, others[-1], value, (self.read(name, depth + 1), *steps))
 
@@ -295,7 +318,11 @@ class _Reading:
     def union(self, text: str, depth: int) -> Form | None:
         parts = split(text, {r"\cup"})
         if len(parts) > 1:
-            return Union(tuple(self.read(part, depth + 1) for part in parts))
+            read = tuple(self.read(part, depth + 1) for part in parts)
+            sets = [part for part in read if isinstance(part, Many) and part.is_set]
+            if len(sets) == len(read):
+                return Many(tuple(item for part in sets for item in part.items), is_set=True)
+            return Union(read)
         parts = split(text, {r"\setminus", r"\backslash"})
         if len(parts) == 2 and parts[0].strip() in {r"\mathbb{R}", r"(-\infty,\infty)", r"(-\infty, \infty)"}:
             holes = self.read(parts[1], depth + 1)
@@ -388,6 +415,14 @@ def _without_lead(text: str) -> str:
     flat = re.sub(r"^\\text\s*\{([^{}]*)\}", r"\1 ", text)
     found = _LEAD.match(flat)
     return flat[found.end() :].strip() if found else text
+
+
+def _least(residue: Form, modulus: Form) -> Form:
+    """Return the residue from 0 on, where both are whole numbers."""
+    value, base = exact_of_leaf(residue), exact_of_leaf(modulus)
+    if value is None or not base or value.denominator != 1:
+        return residue
+    return Leaf(str(value % abs(base)))
 
 
 def _signs(text: str) -> str:

@@ -16,7 +16,7 @@ _SYMBOLS = {
     "−": "-", "–": "-", "—": "-", "‐": "-", "‑": "-", "×": r"\times ", "·": r"\cdot ", "⋅": r"\cdot ", "∙": r"\cdot ",
     "÷": "/", "⁄": "/", "∕": "/", "π": r"\pi ", "∞": r"\infty ", "≤": r"\le ", "⩽": r"\le ", "≥": r"\ge ", "⩾": r"\ge ",
     "≠": r"\ne ", "≈": r"\approx ", "±": r"\pm ", "∓": r"\mp ", "∪": r"\cup ", "∩": r"\cap ", "∈": r"\in ",
-    "∅": r"\emptyset ", "ℝ": r"\mathbb{R}", "ℤ": r"\mathbb{Z}", "ℕ": r"\mathbb{N}", "ℚ": r"\mathbb{Q}",
+    "≡": r"\equiv ", "∅": r"\emptyset ", "ℝ": r"\mathbb{R}", "ℤ": r"\mathbb{Z}", "ℕ": r"\mathbb{N}", "ℚ": r"\mathbb{Q}",
     "ℂ": r"\mathbb{C}", "°": r"^\circ ", "º": r"^\circ ", "∘": r"\circ ", "θ": r"\theta ", "α": r"\alpha ",
     "β": r"\beta ", "γ": r"\gamma ", "δ": r"\delta ", "λ": r"\lambda ", "φ": r"\phi ", "ω": r"\omega ", "μ": r"\mu ",
     "σ": r"\sigma ", "τ": r"\tau ", "∠": r"\angle ", "△": r"\triangle ", "⌊": r"\lfloor ", "⌋": r"\rfloor ",
@@ -48,14 +48,16 @@ _COMMANDS = {
     "thickapprox": "approx", "simeq": "approx", "geqq": "ge", "leqq": "le", "R": "mathbb{R}", "arctg": "arctan",
     "tg": "tan", "ctg": "cot", "varphi": "phi", "varepsilon": "epsilon", "infin": "infty", "and": "text{ and }",
     "or": "text{ or }", "percent": "%", "textpercent": "%", "textdollar": "$", "dollar": "$",
-    "bmod": "mod", "asin": "arcsin", "acos": "arccos", "atan": "arctan",
+    "bmod": "mod", "pmod": "mod", "pod": "mod", "asin": "arcsin", "acos": "arccos", "atan": "arctan",
 }  # fmt: skip
 _PLAIN = {"{", "}", "$", "%"}  # these keep their backslash: they are LaTeX's visible signs
 _COMMAND = re.compile(r"\\([a-zA-Z]+)")
 _BARE_FUNCTION = re.compile(
-    r"(?<![\\a-zA-Z])(sqrt|pi|infinity|infty|inf|sin|cos|tan|cot|sec|csc|arcsin|arccos|arctan|sinh|cosh|tanh|ln|log"
-    r"|exp|theta|alpha|beta|gamma|lambda|cup|frac|times|cdot)(?![a-zA-Z])"
+    r"(?<![\\a-zA-Z])(sqrt|pi|infinity|infty|inf|sin|cos|tan|cot|sec(?=\s*[\w\\({^])|csc|arcsin|arccos|arctan|sinh|cosh|tanh|ln"
+    r"|log|exp|theta|alpha|beta|gamma|lambda|cup|frac|times|cdot)(?![a-zA-Z])"
 )
+# Minutes and seconds: there is nothing that these could be functions of.
+_UNIT_COMMAND = re.compile(r"(?<=\d)\s*\\(min|sec)(?=\s*(?:$|[,;.)]))")
 _CHOOSE = re.compile(r"\{([^{}]{1,40})\\choose(?![a-zA-Z])([^{}]{1,40})\}")
 _UNIT_FRACTION = re.compile(r"\\frac\s*\{\s*\\text\s*\{([^{}]*)\}\s*\}\s*\{\s*\\text\s*\{([^{}]*)\}\s*\}")
 _JOINED_FUNCTION = re.compile(r"(?<![\\a-zA-Z])(sin|cos|tan|cot|sec|csc|ln|log)(?=[xy](?![a-zA-Z]))")
@@ -93,13 +95,15 @@ def clean(text: str) -> str:
     )
     if "\\\\" in text and "matrix" not in text and "array" not in text and "cases" not in text:
         text = re.sub(r"\\\\(?=[a-zA-Z({\[%$])", r"\\", text)  # models escape twice: \\frac is \frac
+    text = re.sub(r"(?:\\\\\s*)+$", "", text)  # the end of a line
     text = _NOT.sub(r"\\ne ", text) if "\\not" in text else text
     text = _dollars(text)
     text = _SIZES.sub("", text)
+    text = re.sub(r"\\big(cup|cap)(?![a-zA-Z]|\s*_)", r"\\\1", text)
     text = _MATH_MARKS.sub(" ", text)
     text = _SPACES.sub(" ", text)
     text = _COMMAND.sub(_command, text)
-    text = _text_groups(text)
+    text = _text_groups(_UNIT_COMMAND.sub(r"\\text{\1}", text))
     text = _BARE_FUNCTION.sub(lambda match: "\\" + {"infinity": "infty", "inf": "infty"}.get(match[1], match[1]), text)
     text = _CHOOSE.sub(r"\\binom{\1}{\2}", text) if r"\choose" in text else text
     text = _UNIT_FRACTION.sub(r"\\text{\1/\2}", text) if r"\text" in text else text
@@ -189,18 +193,23 @@ def _text_groups(text: str) -> str:
             break
         inner = text[brace + 1 : end]
         pieces.append(text[position : match.start()])
-        pieces.append(_text_group(match[0], inner))
+        pieces.append(_text_group(match[0], inner, text[end + 1 :]))
         position = end + 1
     pieces.append(text[position:])
     return "".join(pieces)
 
 
-def _text_group(command: str, inner: str) -> str:
+def _text_group(command: str, inner: str, behind: str) -> str:
     body = inner.strip()
     if re.match(r"\\(?:boxed|fbox|framebox|underline|ensuremath|mathbin|mathord|mathop)", command):
         return f" {clean(inner)} " if len(inner) < 10_000 else inner
-    if command.startswith((r"\operatorname", r"\mathrm", r"\mathop")) and body in _FUNCTIONS:
-        return f"\\{body} "
+    if (
+        command.startswith((r"\operatorname", r"\mathrm", r"\mathop"))
+        and body in _FUNCTIONS
+        and _ARGUMENT.match(behind)
+    ):
+        # Without anything that it could be a function of it is a word, as in 18 \\mathrm{~min}.
+        return f"\\{body} " if inner == body else f"\\text{{{body}}}"
     fonts = command.startswith((r"\mathbf", r"\bold", r"\bm", r"\mathit"))
     is_word = re.search(r"[^\W\d_]{2}|[^\W\d_]\s+[^\W\d_]", re.sub(r"\\[a-zA-Z]+", "", body)) is not None
     if (fonts and not is_word) or not _LETTER.search(body) or (not is_word and re.search(r"[=^_+*\\<>]", body)):
@@ -209,6 +218,7 @@ def _text_group(command: str, inner: str) -> str:
 
 
 _LETTER = re.compile(r"[^\W\d_]")
+_ARGUMENT = re.compile(r"\s*[\w\\({\[^|]")
 _FUNCTIONS = {"sin", "cos", "tan", "cot", "sec", "csc", "ln", "log", "exp", "arcsin", "arccos", "arctan", "sinh",
               "cosh", "tanh", "min", "max", "gcd", "lcm"}  # fmt: skip
 

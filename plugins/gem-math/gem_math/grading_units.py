@@ -88,6 +88,7 @@ class _UnitReading:
         self.nouns: set[str] = set()
         self.sign, self.power = 1, 1
         self.last: tuple[str, Fraction, int] | None = None
+        self.named = False
 
     def take(self, piece: str, exponent: str | None, mark: str | None) -> bool:
         """Take a word; return whether it may be part of a unit."""
@@ -108,6 +109,7 @@ class _UnitReading:
             return False
         elif word not in _ARTICLES and self.sign > 0 and _singular(word) not in _NOTHING:
             self.nouns.add(_singular(word))
+        self.named = True
         return True
 
     def multiply(self, dimension: str, size: Fraction) -> None:
@@ -118,7 +120,7 @@ class _UnitReading:
 
     def raise_last(self, exponent: int) -> bool:
         if self.last is None:
-            return False
+            return self.named  # 45 units^2
         dimension, size, sign = self.last
         self.measures[dimension] += sign * (exponent - 1)
         self.factor *= size ** (sign * (exponent - 1))

@@ -31,7 +31,7 @@ class SampleEnv(MathEnv):
         given = [name for name in (*_FIXED, "rows") if options.get(name) is not None]
         if given:
             raise ArgumentError(f"math:Sample has its own rows: leave out {given[0]!r}, or use gem_math:MathEnv")
-        super().__init__(list(sample_rows()), id_key="id", question_key="problem", **options)
+        super().__init__(sample_rows(), id_key="id", question_key="problem", **options)
 
 
 @lru_cache(maxsize=1)

@@ -130,20 +130,31 @@ def test_forms_of_the_gold_column(gold: object):
     assert step(env, r"\boxed{43}")[0] == 0.0
 
 
-def test_gold_answer_to_blame_is_an_error():
+def test_gold_answer_that_is_missing_is_an_error():
     """The episode is truncated, and the error says what is wrong with the gold answer."""
-    env = MathEnv([{"question": "?", "answer": r"\frac{1}{"}])
-    reward, terminated, truncated, info = step(env, r"\boxed{1}")
-    assert (reward, terminated, truncated) == (0.0, False, True)
-    assert info["error"] == {
-        "kind": "grading",
-        "message": r"the gold answer '\\frac{1}{' cannot be read: its brackets do not match, or it has too many parts",
-    }
-    assert "correct" not in info
     empty = MathEnv([{"question": "?", "answer": "It is so.\n####"}])
-    assert step(empty, r"\boxed{1}")[3]["error"]["message"] == (
-        "nothing follows '####' in the gold answer 'It is so.\\n####'"
-    )
+    reward, terminated, truncated, info = step(empty, r"\boxed{1}")
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    message = "nothing follows '####' in the gold answer 'It is so.\\n####'"
+    assert info["error"] == {"kind": "grading", "message": message}
+    assert "correct" not in info
+
+
+def test_gold_answers_that_are_compared_as_text_are_told_of_once(caplog: pytest.LogCaptureFixture):
+    """How many there are, and which is the first; however many environments share the rows."""
+    golds = ["5", r"\frac{1}{", "(1, 2", "####", "x+1"]
+    rows = [{"question": "?", "answer": gold} for gold in golds]
+    env = MathEnv(rows)
+    MathEnv(rows)
+    MathEnv([rows[0]])
+    MathEnv(rows, map_row=dict)
+    assert [record.getMessage() for record in caplog.records] == [
+        "gem-math: 2 of 5 gold answers cannot be read and are compared as text, as that of row 1: '\\\\frac{1}{'"
+    ]
+    env.reset(options={"index": 1})
+    assert env.step(r"So \boxed{\frac{1}{}")[1] == 1.0
+    env.reset(options={"index": 1})
+    assert env.step(r"So \boxed{\frac{1}{2}}")[1] == 0.0
 
 
 @pytest.mark.parametrize(

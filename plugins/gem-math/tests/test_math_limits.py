@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import json
 import os
@@ -89,10 +88,13 @@ def test_long_and_odd_answers_are_wrong(name: str):
 
 
 @pytest.mark.parametrize("name", ["tower", "long sum", "factorials", "binomial"])
-def test_hostile_gold_answer_is_an_error(name: str):
-    """Where the gold answer is to blame there is no verdict."""
-    with pytest.raises(GradingError, match=r"the gold answer .* cannot be compared: it takes more than 0.5 s"):
-        grade(boxed("6"), HOSTILE[name], timeout_s=0.5)
+def test_hostile_gold_answer_is_compared_as_text(name: str):
+    """Where it is the gold answer that takes too long, another answer is wrong, and the reason says so."""
+    found = grade(boxed("6"), HOSTILE[name], timeout_s=0.5)
+    assert not found.correct
+    assert found.reason == (
+        "it is not written like the reference, and cannot be compared otherwise: it takes more than 0.5 s"
+    )
 
 
 def test_hostile_gold_answer_spelled_alike_is_right():
@@ -104,13 +106,6 @@ def test_hostile_gold_answer_spelled_alike_is_right():
 def test_gold_answer_that_is_none_is_an_error(gold: object):
     """A gold answer that is no text and no number says what it is."""
     with pytest.raises(GradingError, match="the gold answer must be a text, a number or a list of these"):
-        grade(boxed("6"), gold)
-
-
-@pytest.mark.parametrize("gold", ["(1, 2", "[0, 1}", r"\frac{1}{2", "{1", "1," * 300 + "1"])
-def test_unreadable_gold_answer_is_an_error(gold: str):
-    """A gold answer whose brackets do not match is told apart from a wrong answer."""
-    with pytest.raises(GradingError):
         grade(boxed("6"), gold)
 
 
@@ -143,8 +138,7 @@ def test_an_answer_runs_no_code(tmp_path: Path, code: str, wrapped: str):
     target = tmp_path / "touched"
     answer = wrapped.format(code.format(target))
     assert grade(boxed(answer), "6", timeout_s=5).correct is False
-    with contextlib.suppress(GradingError):
-        grade(boxed("6"), answer, timeout_s=5)
+    assert grade(boxed("6"), answer, timeout_s=5).correct is False
     # And past the reader: what a process does with it when it gets it directly.
     shared_pool().compare(answer, "1", 5)
     shared_pool().compare("1", answer, 5)
