@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 
 import gem_core as gem
-from gem_core.errors import GradingError
 from gem_math import MathEnv, grade
 from gem_math.grading import _golds, _readings
 from gem_math.grading_compare import Comparison
@@ -26,7 +25,7 @@ DATA = next((folder / "math" for folder in _FOLDERS if (folder / "math").is_dir(
 SETS = {"gsm8k": "answer", "aime24": "answer", "amc23": "answer", "olympiadbench": "final_answer"}
 pytestmark = pytest.mark.skipif(DATA is None, reason="the data sets are not here: set GEM_SHARED_DATA to their folder")
 
-# Gold answers that no grader can compare with another one: what is written like them is right, all else an error.
+# Gold answers that no grader can compare with another one but as text.
 UNREADABLE = {"$t(0,4]$": "an interval with a stray t in front of it"}
 # Gold answers of two rows that mean the same though they are written in another way.
 COINCIDENCES = {("3", "$k=3$")}
@@ -61,20 +60,16 @@ def test_gold_answer_is_right_for_its_row(name: str):
 @pytest.mark.parametrize("name", SETS)
 def test_gold_answer_is_wrong_for_other_rows(name: str):
     """Of rows that are 1, 7 and 31 further on, unless these have the same answer."""
-    found, errors = [], set()
+    found = []
     answers = golds(name)
     for index, gold in enumerate(answers):
         for distance in (1, 7, 31):
             other = text_of(answers[(index + distance) % len(answers)])
             if other.strip("$ ") == text_of(gold).strip("$ "):
                 continue
-            try:
-                if grade(f"\\boxed{{{other}}}", gold, timeout_s=20).correct:
-                    found.append((text_of(gold), other))
-            except GradingError:
-                errors.add(text_of(gold))
+            if grade(f"\\boxed{{{other}}}", gold, timeout_s=20).correct:
+                found.append((text_of(gold), other))
     assert set(found) - COINCIDENCES == set()
-    assert errors <= set(UNREADABLE)
 
 
 def test_gsm8k_is_one_register_call_away():

@@ -39,6 +39,7 @@ USUAL: tuple[str, ...] = (
     "fractions",
     "functools",
     "heapq",
+    "symtable",
 )
 USUAL += ("itertools", "json", "math", "operator", "random", "re", "statistics", "string", "sys", "time", "typing")
 """Modules that every sandbox has imported; they cost nothing to fork."""
