@@ -79,6 +79,13 @@ def test_a_function_may_be_named_like_one_of_pythons_own(judge: Judge, tests: ob
     assert not judge("x = 1", tests).correct
 
 
+def test_check_calls_its_candidate_and_pythons_own_functions(judge: Judge) -> None:
+    """Also where the function under test has the name of one of these."""
+    tests = "def check(candidate):\n    assert candidate(1, 2) == 3\n    assert max([1, candidate(1, 1)]) == 2\n"
+    assert judge("def max(a, b): return a + b", tests, "max").correct
+    assert judge("def max(*a): return 2", tests, "max", every=True).passed == 1
+
+
 @pytest.mark.parametrize("name", ["sorted", "len", "set", "abs", "zip", "all"])
 def test_what_judges_a_result_stays_pythons_own(judge: Judge, name: str) -> None:
     """A program that has such a function of its own cannot pass by it."""
