@@ -3,37 +3,38 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
-from gem_core.nesting import is_deep
-from gem_core.parsing import extract_code_blocks
-from gem_core.suggestions import did_you_mean
-from gem_core.tools import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, first_call
+from gem_core.call_formats import FORMATS, bare_call, format_call, format_calls
+from gem_core.call_formats.calls import unknown
+from gem_core.call_formats.values import loaded, value_at
+from gem_core.parsing import extract_code_blocks, extract_last_boxed_answer
+from gem_core.tools import Tool, ToolCall, first_call, tags_of
 from gem_core.wrappers.views import call_id
 
 WELL_KNOWN = ("python", "search")
 """Tags that models are trained to call tools by: such a tag is a call even where there is no such tool."""
 
-_FORM = '{"name": "…", "arguments": {…}}'
-_NAMES = ("name", "tool_name", "function")
-_ARGUMENTS = ("arguments", "parameters")
 _TAG = re.compile(r"<([A-Za-z][\w.-]{0,63}+)>", re.ASCII)
 _MOST_TAGS = 50
 """Different tags of a response that are held against the names of tools."""
-
-# A tag in quotation marks is spoken of, and is none.
-_QUOTED_TAG = re.compile(r"""([`'"])</?[A-Za-z][\w.-]{0,63}+>\1""", re.ASCII)
-_JSON_OUTSIDE = re.compile(
-    r'\{\s*+"(?:name|tool_name|function)"\s*+:\s*+"([^"\\]{1,100}+)"\s*+,\s*+"(?:arguments|parameters)"\s*+:'
+_MOST_QUOTED = 20
+"""Calls of a response that are passed over because they are quoted."""
+_THINKING_MARKS = (
+    ("[THINK]", "[/THINK]"),
+    ("<seed:think>", "</seed:think>"),
+    ("<|START_THINKING|>", "<|END_THINKING|>"),
+    ("<|channel|>analysis<|message|>", "<|end|>"),
 )
-_SPACE = re.compile(r"\s*+")
-_END_OF_CALL = re.compile(rf"\s*+{re.escape(CALL_CLOSE)}")
-_ELEMENTS = re.compile(r"\s*+<tool_name>(.*?)</tool_name>(.*)", re.DOTALL)
-# The closing quote is optional, so that a text that is never closed is read once, and not again from each quote in it.
-_STRING_OR_LAST_COMMA = re.compile(r'"(?:[^"\\]|\\.)*+"?|,(?=\s*+[}\]])', re.DOTALL)
+"""Around the thinking of Mistral, Seed-OSS, Cohere and gpt-oss."""
+
+# A tag in quotation marks is spoken of, and is none; nor is another mark.
+_QUOTED_TAG = re.compile(r"""([`'"])(?:</?[^\s<>`'"]{1,64}+>|\[[A-Z_]{1,20}+\])\1""")
+_BACKTICKS = re.compile(r"`++")
+_END_OF_SENTENCE = re.compile(r"[.!?](?=\s|\Z)")
 
 
 class CallReader:
@@ -64,26 +65,40 @@ class CallReader:
         self._thinking_tag = thinking_tag
         self.reserved = {*self._answer_tags, *([] if thinking_tag is None else [thinking_tag]), "tool_call"}
         self._tagged = [tool for tool in tools.values() if tool.name not in self.reserved]
-        self._openings = (CALL_OPEN, *(f"<{tool.name}>" for tool in self._tagged))
+        marks = [form.opening for form in FORMATS if form.clear]
+        self._openings = (*marks, *(f"<{tool.name}>" for tool in self._tagged))
         names = "|".join(re.escape(tool.name) for tool in self._tagged)
-        # With attributes, closed in itself, or with white space before its end.
-        self._other_tag = re.compile(rf"<({names})(?:\s++[\w-]++\s*+=[^<>]{{0,1000}}+|\s*+/|\s++)>") if names else None
+        # With attributes, or closed in itself.
+        self._other_tag = re.compile(rf"<({names})(?:\s++[\w-]++\s*+=[^<>]{{0,1000}}+|\s*+/)>") if names else None
 
     def find(self, action: str) -> ToolCall | None:
         """Return the first complete call, or the first that is begun; None for an answer to the task."""
+        cut_off = getattr(action, "finish_reason", None) == "length"
         action = str.__str__(action)
         thinking, opened_before = _thinking(action, self._thinking_tag)
-        quiet = [*thinking, *self._answers(_blanked(action, thinking))]
-        call = self._visible(action, quiet)
+        spoken = _blanked(action, thinking)
+        answers = self._answers(spoken)
+        quiet = [*thinking, *answers]
+        answered = self._holds_answer(spoken)
+        call = self._visible(action, quiet, answered)
+        for _ in range(_MOST_QUOTED):
+            if call is None or not self._is_quoted(spoken, call):
+                break
+            quiet.append((call.start, max(call.end, call.start + 1)))
+            call = self._visible(action, quiet, answered)
+        else:
+            return None
+        if call is not None and call.cut and not self._holds_answer(action[call.start :], begun=True):
+            call = _cut_off(call) if cut_off else replace(call, error=None, cut=False)
         if call is not None and call.error is None:
             return call
         if opened_before:
             # What looks like the end of thinking may stand within a call, as in a program that prints it.
-            around = self._visible(action, quiet[1:])
+            around = self._visible(action, quiet[1:], answered)
             if around is not None and around.error is None and around.end > thinking[0][1]:
                 return around
-        if call is None and thinking and not _blanked(action, thinking).strip():
-            thought = self._first(action)
+        if call is None and thinking and not spoken.strip():
+            thought = self._first(action, answered)
             if thought is not None:
                 error = (
                     f"it stands in a thinking block, where nothing is called; write it behind </{self._thinking_tag}>"
@@ -91,23 +106,52 @@ class CallReader:
                 return ToolCall(thought.name, start=thought.start, end=thought.end, error=error)
         return call
 
-    def _visible(self, action: str, quiet: Sequence[tuple[int, int]]) -> ToolCall | None:
+    def _visible(self, action: str, quiet: Sequence[tuple[int, int]], answered: bool) -> ToolCall | None:
         """Return the first call that does not begin in a quiet part."""
         seen = _blanked(action, quiet)
-        call = self._first(seen)
+        call = self._first(seen, answered)
         if call is None or not any(call.start < start and (call.error or start < call.end) for start, _ in quiet):
             return call
         # A quiet part inside the call belongs to its arguments.
-        return self._first(seen[: call.start] + action[call.start :])
+        return self._first(seen[: call.start] + action[call.start :], answered)
 
-    def _first(self, text: str) -> ToolCall | None:
-        found = [json_call(text, self._tools)]
+    def _first(self, text: str, answered: bool) -> ToolCall | None:
+        found: list[ToolCall | None] = []
         for tool in self._tagged:
             fences = not self.leaves_fences_of(tool)
             found.append(tool.parse(text, fences=fences))
             if tool.text_parameter is None:
                 found.append(_object_in_tag(text, tool))
-        return first_call(found) or self._misspelt(text) or self._malformed(text)
+        found += format_calls(text, self._tools)
+        if not answered:
+            # What looks like a call without any mark is none where the answer is given.
+            found.append(bare_call(text, self._tools))
+        return first_call(found) or self._misspelt(text) or self._with_attributes(text)
+
+    def _holds_answer(self, text: str, *, begun: bool = False) -> bool:
+        """Tell whether a final answer stands in a text; or begins there."""
+        if begun:
+            return "\\boxed{" in text or any(f"<{tag}>" in text for tag in self._answer_tags)
+        if "\\boxed" in text and extract_last_boxed_answer(text) is not None:
+            return True
+        return any(True for tag in self._answer_tags for _ in _elements(text, tag))
+
+    def _is_quoted(self, text: str, call: ToolCall) -> bool:
+        """Tell whether a call is only spoken of: in backticks, or in a sentence that holds the final answer already."""
+        end = max(call.end, call.start + 1)
+        line = text[text.rfind("\n", 0, call.start) + 1 : call.start]
+        mark = _open_backticks(line)
+        if mark:
+            stop = text.find("\n", end)
+            rest = text[end : stop if stop >= 0 else len(text)]
+            if any(run[0] == mark for run in _BACKTICKS.finditer(rest)):
+                return text.strip().strip("`").strip() != text[call.start : call.end].strip()
+        behind = [line.rfind(mark) for mark in ("\\boxed", *(f"</{tag}>" for tag in self._answer_tags))]
+        if max(behind) < 0:
+            return False
+        said = line[max(behind) :]
+        said = said[max(said.rfind("}"), said.find(">")) + 1 :]
+        return any(char.isalpha() for char in said) and _END_OF_SENTENCE.search(said) is None
 
     def leaves_fences_of(self, tool: Tool) -> bool:
         """Tell whether fenced blocks that would call a tool are the task's answers."""
@@ -126,18 +170,14 @@ class CallReader:
             ]
         return found
 
-    def _malformed(self, text: str) -> ToolCall | None:
-        """Return what was surely meant for a tool, in a form that is none: a tag with attributes, or JSON alone."""
+    def _with_attributes(self, text: str) -> ToolCall | None:
+        """Return a tag that was surely meant for a tool, and has attributes or is closed in itself."""
         tag = self._other_tag.search(text) if self._other_tag else None
-        if tag is not None:
-            name = tag[1]
-            error = f"its tag takes no attributes; what it is given is written between <{name}> and </{name}>"
-            return ToolCall(name, {}, tag.start(), tag.end(), error)
-        for found in _JSON_OUTSIDE.finditer(text):
-            if found[1] in self._tools:
-                error = f"a call in JSON must stand between {CALL_OPEN} and {CALL_CLOSE}"
-                return ToolCall(found[1], {}, found.start(), len(text), error)
-        return None
+        if tag is None:
+            return None
+        name = tag[1]
+        error = f"its tag takes no attributes; what it is given is written between <{name}> and </{name}>"
+        return ToolCall(name, {}, tag.start(), tag.end(), error)
 
     def _misspelt(self, text: str) -> ToolCall | None:
         """Return an element whose tag was surely meant for a tool, and is none."""
@@ -156,41 +196,17 @@ class CallReader:
                 closing = f"</{name}>"
                 end = text.find(closing, tag.end())
                 if end >= 0:
-                    return ToolCall(name, {}, tag.start(), end + len(closing), _unknown(name, self._tools))
+                    return ToolCall(name, {}, tag.start(), end + len(closing), unknown(name, self._tools))
         return None
-
-
-class _Read(NamedTuple):
-    """What was read between two tags: a value, or what is wrong with it."""
-
-    value: Any
-    problem: str | None = None
 
 
 def json_call(action: str, tools: Mapping[str, Tool]) -> ToolCall | None:
     """Return the first ``<tool_call>{"name": …, "arguments": …}</tool_call>`` of a response.
 
-    A call that is not complete, no valid JSON, or of no tool has an ``error``. Read as well are ``parameters`` in place
-    of ``arguments``, arguments that are JSON in a string, a comma too many, and the form of gem-llm,
-    ``<tool_call><tool_name>…</tool_name><arguments>{…}</arguments></tool_call>``.
+    A call that is not complete, no valid JSON, or of no tool has an ``error``. What other families of models write in
+    this tag is read as well; see ``gem_core.call_formats``.
     """
-    start = action.find(CALL_OPEN)
-    if start < 0:
-        return None
-    read, stop = _content(action, start + len(CALL_OPEN))
-    if stop < 0:
-        return ToolCall("", start=start, error=f"{CALL_OPEN} is never closed by {CALL_CLOSE}")
-    if read.problem is not None:
-        problem = f"between {CALL_OPEN} and {CALL_CLOSE} is no valid JSON: {read.problem}"
-        return ToolCall("", start=start, end=stop, error=problem)
-    content = read.value
-    if isinstance(content, dict) and isinstance(content.get("function"), dict):
-        content = content["function"]  # as the chat API nests it
-    name = next((content[key] for key in _NAMES if key in content), None) if isinstance(content, dict) else None
-    if not isinstance(name, str):
-        return ToolCall("", start=start, end=stop, error=f"a call must be an object of the form {_FORM}")
-    arguments: Any = next((content[key] for key in _ARGUMENTS if key in content), {})
-    return _called(name, arguments, tools, start, stop)
+    return format_call(FORMATS[0], action, tools)
 
 
 def native_calls(calls: Sequence[Mapping[str, Any]], tools: Mapping[str, Tool]) -> list[ToolCall]:
@@ -221,113 +237,54 @@ def _native_arguments(function: Mapping[str, Any], tool: Tool | None) -> tuple[A
             arguments = json.dumps(arguments)  # what is no JSON could not be recorded
         except (TypeError, ValueError, RecursionError) as error:
             return None, f"its arguments are no valid JSON: {error}"[:200]
-    content, problem = _loaded(arguments)
+    content, problem = loaded(arguments)
     return content, None if problem is None else f"its arguments are no valid JSON: {problem}"
-
-
-def _called(name: str, arguments: Any, tools: Mapping[str, Tool], start: int, stop: int) -> ToolCall:
-    """Return a call in the text, its arguments being an object, nothing, or a string that holds one or is the text."""
-    tool, error = tools.get(name), None
-    if arguments is None:
-        arguments = {}
-    if isinstance(arguments, str):
-        parameter = None if tool is None else tool.text_parameter
-        if parameter is not None and not arguments.lstrip().startswith("{"):
-            arguments = {parameter: arguments}
-        else:
-            arguments, problem = _loaded(arguments)
-            error = None if problem is None else f"its arguments are no valid JSON: {problem}"
-    error = _problem(name, {}, tools) or error or _problem(name, arguments, tools)
-    return ToolCall(name[:100], {} if error else arguments, start, stop, error)
 
 
 def _problem(name: str, arguments: Any, tools: Mapping[str, Tool]) -> str | None:
     if name not in tools:
-        return _unknown(name, tools)
+        return unknown(name, tools)
     if not isinstance(arguments, dict):
         return "its arguments must be an object of names and values"
     return None
 
 
-def _unknown(name: str, tools: Mapping[str, Tool]) -> str:
-    return f"no tool {name[:100]!r}.{did_you_mean(name[:100], tools)} There are: {', '.join(tools) or 'none'}"
-
-
-def _content(action: str, begin: int) -> tuple[_Read, int]:
-    """Return what a JSON call holds, and where it ends; -1 where it does not."""
-    first = _SPACE.match(action, begin)
-    try:
-        # As far as the JSON goes, since a string in it may hold the closing tag.
-        value, end = _DECODER.raw_decode(action, first.end() if first else begin)
-    except (ValueError, RecursionError):
-        end = -1
-    else:
-        closing = _END_OF_CALL.match(action, end)
-        if closing is not None:
-            return (_Read(None, "it is nested too deeply") if is_deep(value) else _Read(value)), closing.end()
-    end = action.find(CALL_CLOSE, begin)
-    if end < 0:
-        return _Read(None), -1
-    content = action[begin:end]
-    elements = _ELEMENTS.fullmatch(content)
-    read = _of_elements(elements[1], elements[2]) if elements else _loaded(content)
-    return read, end + len(CALL_CLOSE)
-
-
-def _of_elements(name: str, rest: str) -> _Read:
-    opening, closing = "<arguments>", "</arguments>"
-    start, end = rest.find(opening), rest.rfind(closing)
-    if start >= 0 and end > start:
-        arguments = _loaded(rest[start + len(opening) : end].strip() or "{}")
-        return _Read({"name": name.strip(), "arguments": arguments.value}, arguments.problem)
-    if rest.strip():
-        return _Read(None, f"behind <tool_name> must stand {opening}{{…}}{closing}")
-    return _Read({"name": name.strip()})
-
-
 def _object_in_tag(text: str, tool: Tool) -> ToolCall | None:
     """Return a call of a tool without a text form that is written as a tag all the same, around its arguments."""
-    opening, closing = f"<{tool.name}>", f"</{tool.name}>"
-    start = text.find(opening)
-    if start < 0:
+    opening_tag, closing_tag = tags_of(tool.name)
+    opening = opening_tag.search(text)
+    if opening is None:
         return None
-    content = start + len(opening)
-    end = text.find(closing, content)
-    if end < 0:
-        return ToolCall(tool.name, start=start, error=f"{opening} is never closed by {closing}")
-    arguments, problem = _loaded(text[content:end].strip() or "{}")
-    error = None
-    if problem is not None or not isinstance(arguments, dict):
-        error = f"between {opening} and {closing} must stand its arguments as a JSON object"
-    return ToolCall(tool.name, {} if error else arguments, start, end + len(closing), error)
-
-
-def _loaded(text: str) -> _Read:
+    start = opening.start()
     try:
-        try:
-            content = _DECODER.decode(text)
-        except ValueError:
-            mended = _STRING_OR_LAST_COMMA.sub(lambda found: "" if found[0] == "," else found[0], text)
-            if len(mended) == len(text):
-                raise
-            content = _DECODER.decode(mended)
-    except RecursionError:
-        return _Read(None, "it is nested too deeply")
-    except ValueError as error:
-        return _Read(None, str(error)[:200])
-    return _Read(None, "it is nested too deeply") if is_deep(content) else _Read(content)
+        # As far as the JSON goes, since a string in it may hold the closing tag.
+        arguments, behind = value_at(text, opening.end())
+    except ValueError:
+        arguments, behind = None, opening.end()
+    closing = closing_tag.search(text, behind)
+    if closing is None:
+        return ToolCall(tool.name, start=start, error=f"<{tool.name}> is never closed by </{tool.name}>")
+    if not text[opening.end() : closing.start()].strip():
+        return ToolCall(tool.name, {}, start, closing.end())
+    if not isinstance(arguments, dict) or text[behind : closing.start()].strip():
+        error = f"between <{tool.name}> and </{tool.name}> must stand its arguments as a JSON object"
+        return ToolCall(tool.name, {}, start, closing.end(), error)
+    return ToolCall(tool.name, arguments, start, closing.end())
 
 
-def _finite_number(text: str) -> float:
-    # Python reads NaN and 1e999, which no other reader of the recorded arguments would take.
-    number = float(text)
-    if not math.isfinite(number):
-        raise ValueError(f"{text[:20]} is no finite number")
-    return number
+def _cut_off(call: ToolCall) -> ToolCall:
+    return replace(call, error=f"{call.error}: the response was cut off at the limit of its length", cut=False)
 
 
-# Not strict: a program of several lines may stand in a string with its line breaks as they are.
-_DECODER = json.JSONDecoder(strict=False, parse_float=_finite_number, parse_constant=_finite_number)
+def _open_backticks(line: str) -> str:
+    """Return the backticks that are open at the end of a line, as Markdown pairs them; empty without any."""
+    mark = ""
+    for run in _BACKTICKS.finditer(line):
+        if not mark and (len(run[0]) < 3 or line[: run.start()].strip()):
+            mark = run[0]
+        elif run[0] == mark:
+            mark = ""
+    return mark
 
 
 def _thinking(action: str, tag: str | None) -> tuple[list[tuple[int, int]], bool]:
@@ -335,18 +292,25 @@ def _thinking(action: str, tag: str | None) -> tuple[list[tuple[int, int]], bool
     if tag is None:
         return [], False
     opening, closing = f"<{tag}>", f"</{tag}>"
+    spans, opened_before = [], False
     end = action.find(closing)
-    if end < 0:
-        return [], False
-    start = action.find(opening)
-    opened_before = not 0 <= start < end
-    spans = [(0 if opened_before else start, end + len(closing))]
-    while True:
-        start = action.find(opening, spans[-1][1])
-        end = action.find(closing, start) if start >= 0 else -1
+    if end >= 0:
+        opened_before = not 0 <= action.find(opening) < end
+        if opened_before:
+            spans.append((0, end + len(closing)))
+    spans += _blocks(action, opening, closing, spans[0][1] if spans else 0)
+    for marks in _THINKING_MARKS:
+        spans += _blocks(action, *marks, 0)
+    return spans, opened_before
+
+
+def _blocks(text: str, opening: str, closing: str, at: int) -> Iterator[tuple[int, int]]:
+    while (start := text.find(opening, at)) >= 0:
+        end = text.find(closing, start)
         if end < 0:
-            return spans, opened_before
-        spans.append((start, end + len(closing)))
+            return
+        at = end + len(closing)
+        yield start, at
 
 
 def _elements(text: str, tag: str) -> Iterator[tuple[int, int]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 from collections.abc import Awaitable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -28,6 +29,8 @@ class ToolCall:
         end: Index behind its last character.
         error: Why it cannot be read; None for a complete call.
         id: Under which a native call is answered; None for a call in the text.
+        cut: Whether it cannot be read only because the text ends before it is closed, as where the server stopped at
+            the closing tag; its arguments are what there is.
     """
 
     name: str
@@ -36,6 +39,7 @@ class ToolCall:
     end: int = 0
     error: str | None = None
     id: str | None = None
+    cut: bool = False
 
 
 @dataclass(frozen=True)
@@ -209,25 +213,35 @@ class Tool:
         return f"- {self.name}: {told}Call it with {how}"
 
     def _tagged(self, action: str, parameter: str) -> ToolCall | None:
-        opening, closing = f"<{self.name}>", f"</{self.name}>"
-        start = action.find(opening)
-        if start < 0:
+        opening_tag, closing_tag = tags_of(self.name)
+        opening = opening_tag.search(action)
+        if opening is None:
             return None
-        content = start + len(opening)
-        end = action.find(closing, content)
-        if end < 0:
-            return ToolCall(self.name, start=start, error=f"{opening} is never closed by {closing}")
-        return ToolCall(self.name, {parameter: self._unfenced(action[content:end])}, start, end + len(closing))
+        closing = closing_tag.search(action, opening.end())
+        if closing is None:
+            error = f"<{self.name}> is never closed by </{self.name}>"
+            return self._cut(action, parameter, opening.start(), action[opening.end() :], opening_tag, error)
+        content = self.unfenced(action[opening.end() : closing.start()])
+        return ToolCall(self.name, {parameter: content}, opening.start(), closing.end())
 
     def _fenced(self, action: str, parameter: str) -> ToolCall | None:
         for block in extract_code_blocks(action, *self.fences):
             return ToolCall(self.name, {parameter: self._untagged(block.code)}, block.start, block.end)
-        block_or_none = unclosed_code_block(action, *self.fences)
-        if block_or_none is None:
+        opened = unclosed_code_block(action, *self.fences)
+        if opened is None:
             return None
-        return ToolCall(self.name, start=block_or_none.start, error="the fenced block is never closed")
+        again = tags_of(self.name)[0]
+        return self._cut(action, parameter, opened.start, opened.code, again, "the fenced block is never closed")
 
-    def _unfenced(self, content: str) -> str:
+    def _cut(
+        self, action: str, parameter: str, start: int, content: str, again: re.Pattern[str], error: str
+    ) -> ToolCall:
+        """Return a call that is never closed: cut where it holds something, and is not opened again."""
+        if not content.strip() or again.search(content):
+            return ToolCall(self.name, start=start, error=error)
+        return ToolCall(self.name, {parameter: self.unfenced(content)}, start, len(action), error, cut=True)
+
+    def unfenced(self, content: str) -> str:
         """Return what stands in a tag, without the fence of a block that fills it: models write both at once."""
         if not self.fences:
             return content.strip("\r\n")
@@ -251,6 +265,14 @@ def first_call(calls: Sequence[ToolCall | None]) -> ToolCall | None:
     found = [call for call in calls if call is not None]
     complete = [call for call in found if call.error is None]
     return min(complete or found, key=lambda call: call.start, default=None)
+
+
+@functools.lru_cache(maxsize=1024)
+def tags_of(name: str) -> tuple[re.Pattern[str], re.Pattern[str]]:
+    """Return the opening and the closing tag of a tool, in which models may write blanks."""
+    blanks = r"\s{0,9}+"
+    escaped = re.escape(name)
+    return re.compile(f"<{blanks}{escaped}{blanks}>"), re.compile(f"<{blanks}/{blanks}{escaped}{blanks}>")
 
 
 @functools.lru_cache(maxsize=1024)

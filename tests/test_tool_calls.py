@@ -119,7 +119,7 @@ def json_call(name: str, **arguments: Any) -> str:
         ('{"name": "lookup", "arguments": null}', "The arguments are not valid. query: Field required"),
         ('{"name": "lookup", "arguments": {"query": "x",,}}', "is no valid JSON"),
         ('{"arguments": {}}', "a call must be an object of the form"),
-        ('[{"name": "lookup", "arguments": {"query": "x"}}]', "a call must be an object of the form"),
+        ("[]", "a call must be an object of the form"),
         ('{"name": "lookup", "arguments": {"query": "x"}} and more', "is no valid JSON: Extra data"),
         ("<tool_name>lookup</tool_name>query", "behind <tool_name> must stand <arguments>{…}</arguments>"),
         ("<tool_name>lookup</tool_name>", "The arguments are not valid. query: Field required"),
@@ -335,9 +335,7 @@ def test_an_answer_and_a_quotation_inside_a_call_belong_to_it() -> None:
     assert "<lookup> is never closed by </lookup>" in refused("<lookup>y <answer>42</answer>")
 
 
-@pytest.mark.parametrize(
-    "call", ["<lookup query='x'>", '<lookup query="x"/>', "<lookup/>", "<lookup />", "<lookup >x</lookup>"]
-)
+@pytest.mark.parametrize("call", ["<lookup query='x'>", '<lookup query="x"/>', "<lookup/>", "<lookup />"])
 def test_a_tag_with_more_than_the_name_is_told(call: str) -> None:
     """It was meant for the tool, and would be a wrong answer."""
     told = "its tag takes no attributes; what it is given is written between <lookup> and </lookup>"
@@ -346,14 +344,25 @@ def test_a_tag_with_more_than_the_name_is_told(call: str) -> None:
     assert called(f"<think>{call}</think> 42") is None
 
 
-@pytest.mark.parametrize("around_it", ["{}", "<tool_calls>{}</tool_calls>", "[{}]", "```json\n{}\n```", "so: {} <end>"])
+@pytest.mark.parametrize("around_it", ["{}", "<tool_calls>{}</tool_calls>", "[{}]", "```json\n{}\n```"])
 @pytest.mark.parametrize("arguments", ["arguments", "parameters"])
-def test_json_that_calls_a_tool_outside_the_tag_is_told(around_it: str, arguments: str) -> None:
-    """As some models write their calls; of no tool it is the task's."""
-    told = "a call in JSON must stand between <tool_call> and </tool_call>"
+def test_json_that_calls_a_tool_outside_the_tag_is_executed(around_it: str, arguments: str) -> None:
+    """As some models write their calls; of no tool it is the task's, but for a tag that is a call's."""
     call = f'{{"name": "lookup", "{arguments}": {{"query": "x"}}}}'
-    assert told in refused(around_it.replace("{}", call))
-    assert called(around_it.replace("{}", call.replace("lookup", "pump"))) is None
+    assert called(around_it.replace("{}", call)) == QUERY
+    other = around_it.replace("{}", call.replace("lookup", "pump"))
+    if "<tool_calls>" in other:
+        assert "no tool 'pump'. There are: lookup, calculator" in refused(other)
+    else:
+        assert called(other) is None
+
+
+@pytest.mark.parametrize("arguments", ["arguments", "parameters"])
+def test_json_that_calls_a_tool_in_the_midst_of_words_is_told(arguments: str) -> None:
+    """It may be spoken of, and is no answer."""
+    call = f'so: {{"name": "lookup", "{arguments}": {{"query": "x"}}}} <end>'
+    assert "a call in JSON must stand between <tool_call> and </tool_call>" in refused(call)
+    assert called(call.replace("lookup", "pump")) is None
 
 
 def test_a_tag_around_a_fence_and_a_fence_around_a_tag_are_one_call() -> None:
@@ -428,8 +437,8 @@ QUIET = st.lists(
 @given(QUIET, st.sampled_from([CALL, json_call("lookup", query="x"), "\n```lookup\nx\n```\n"]), QUIET)
 def test_no_text_around_a_call_takes_it_to_the_task(before: str, call: str, after: str) -> None:
     """Thinking and answers apart, whatever stands around a whole call, the task hears nothing."""
-    if call.startswith("\n```") and ("```" in before or "~~~" in before):
-        return  # within another block a fence opens nothing
+    if "`" in before or "~~~" in before:
+        return  # within another block a fence opens nothing, and a call in backticks is quoted
     env = around()
     assert "tool" in env.step(before + call + after)[4]
     assert env.unwrapped.heard == []

@@ -88,8 +88,8 @@ def test_a_response_without_a_call_goes_to_the_task() -> None:
 @pytest.mark.parametrize(
     ("action", "message"),
     [
-        ("<note>never closed", "The call could not be read: <note> is never closed by </note>"),
-        ("```note\nnever closed", "The call could not be read: the fenced block is never closed"),
+        ("<note>", "The call could not be read: <note> is never closed by </note>"),
+        ("```note\n", "The call could not be read: the fenced block is never closed"),
         ("<tool_call>{", "The call could not be read: <tool_call> is never closed by </tool_call>"),
         ("<tool_call>{]</tool_call>", "is no valid JSON"),
         ("<tool_call>[]</tool_call>", "a call must be an object of the form"),

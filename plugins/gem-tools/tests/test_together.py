@@ -14,12 +14,12 @@ QUESTION = "How many kilometres a day did the raft Kon-Tiki make on average, rou
 
 
 def searching_agent(observation: Any, context: Any) -> gem.Response | str:
-    """Look the voyage up, miss a bracket, compute, and answer with what was computed."""
+    """Look the voyage up, write an attribute, compute, and answer with what was computed."""
     text = str(observation)
     if context.turn == 0:
         return "<think>I might <python>guess</python>.</think> <search>Kon-Tiki raft</search>"
     if context.turn == 1:
-        return "<python>print(round(6900 / 101)"
+        return "<python code='print(round(6900 / 101))'>"
     if context.turn == 2:
         facts = text.split("Output of search:")[1]
         days = facts.split("After ")[1].split(" days")[0]
@@ -60,4 +60,4 @@ def test_a_task_is_solved_in_several_turns_with_two_tools(raft: str, backend: st
         ("python", True, 2),
         ("python", False, 3),
     ]
-    assert "is never closed by </python>" in used[1]["error"]
+    assert "its tag takes no attributes" in used[1]["error"]

@@ -1,0 +1,253 @@
+"""Values as models write them: JSON with its slips, Python literals, and raw text that a schema gives its type."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from gem_core.nesting import is_deep
+
+_TOO_DEEP = "it is nested too deeply"
+_MOST_DEPTH = 100
+
+
+class Raw(str):
+    """Text as it stands in the response: no JSON; what it means is said by the schema of the tool."""
+
+    __slots__ = ()
+
+
+class Read(NamedTuple):
+    """What was read of a text: a value, or what is wrong with it."""
+
+    value: Any
+    problem: str | None = None
+
+
+def loaded(text: str) -> Read:
+    """Return the one value that a text holds."""
+    try:
+        value, end = value_at(text, 0)
+        if not text[end:].strip():
+            return Read(value)
+        return Read(None, f"Extra data behind {text[:end].strip()[-20:]!r}")
+    except ValueError as error:
+        return Read(None, str(error)[:200])
+
+
+def value_at(text: str, at: int) -> tuple[Any, int]:
+    """Return the value that begins at a place, and the index behind it: JSON, or what Python and Gemma write for it.
+
+    Args:
+        text: The response.
+        at: Where the value begins, white space apart.
+
+    Raises:
+        ValueError: There is none; the message says what is wrong with it as JSON.
+    """
+    at = skip_blanks(text, at)
+    try:
+        value, end = _DECODER.raw_decode(text, at)
+    except RecursionError:
+        raise ValueError(_TOO_DEEP) from None
+    except ValueError as problem:
+        try:
+            value, end = _literal(text, at, 0)
+        except ValueError:
+            raise problem from None
+    if is_deep(value):
+        raise ValueError(_TOO_DEEP)
+    return value, end
+
+
+def skip_blanks(text: str, at: int) -> int:
+    """Return the index of the first character from a place on that is no white space."""
+    found = _BLANKS.match(text, at)
+    return found.end() if found else at
+
+
+def arguments_at(text: str, at: int) -> tuple[Any, int]:
+    """Return the arguments behind the ``(`` of a call in Python, by name, and the index behind its ``)``.
+
+    A single argument without a name is returned as text.
+
+    Raises:
+        ValueError: They are no literals, or the call is never closed.
+    """
+    given: dict[str, Any] = {}
+    while (token := _token(text, at))[0] != ")":
+        word, end = token
+        if word.isidentifier() and _token(text, end)[0] == "=":
+            given[word], at = _literal(text, _token(text, end)[1], 0)
+        else:
+            alone, end = _literal(text, at, 0)
+            if given or not isinstance(alone, str) or _token(text, end)[0] != ")":
+                raise ValueError("arguments are written as name=value")
+            return Raw(alone), _token(text, end)[1]
+        at = _behind_comma(text, at, ")")
+    return given, token[1]
+
+
+def typed(value: Any, name: str, schema: Mapping[str, Any]) -> Any:
+    """Return an argument that stands as raw text in the response as its parameter takes it.
+
+    It stays text where the parameter may be text, or is not known; otherwise it is JSON or a Python literal, as far as
+    it can be read.
+    """
+    if not isinstance(value, Raw):
+        return value
+    properties = schema.get("properties")
+    described = properties.get(name) if isinstance(properties, Mapping) else None
+    if not isinstance(described, Mapping) or _may_be_text(described, schema, 0):
+        return str(value)
+    read = loaded(value)
+    return str(value) if read.problem else read.value
+
+
+def _may_be_text(described: object, schema: Mapping[str, Any], depth: int) -> bool:
+    if not isinstance(described, Mapping) or depth > 5:
+        return False
+    reference = described.get("$ref")
+    if isinstance(reference, str):
+        definitions = schema.get("$defs", schema.get("definitions"))
+        name = reference.rpartition("/")[2]
+        return isinstance(definitions, Mapping) and _may_be_text(definitions.get(name), schema, depth + 1)
+    kinds = described.get("type")
+    if kinds is not None:
+        return kinds == "string" or (isinstance(kinds, list) and "string" in kinds)
+    options = [part for key in ("anyOf", "oneOf", "allOf") for part in _listed(described.get(key))]
+    values = [*_listed(described.get("enum")), described.get("const")]
+    if any(isinstance(value, str) for value in values):
+        return True
+    return any(_may_be_text(option, schema, depth + 1) for option in options)
+
+
+def _listed(value: object) -> list[Any]:
+    return value if isinstance(value, list) else []
+
+
+# Literals of Python; and of Gemma, whose keys have no quotes and whose texts have marks of their own.
+
+_BLANKS = re.compile(r"\s*+")
+_TOKEN = re.compile(
+    r'''[rRuU]?+"""(?:[^"\\]|\\.|"(?!""))*+"""|[rRuU]?+\'\'\'(?:[^'\\]|\\.|'(?!''))*+\'\'\'
+    |[rRuU]?+"[^"\\]*+(?:\\.[^"\\]*+)*+"|[rRuU]?+'[^'\\]*+(?:\\.[^'\\]*+)*+'
+    |<escape>|<\|"\|>|[^\W\d][\w-]*+|[-+]?+(?:\d[\d_]*+(?:\.\d*+)?+|\.\d++)(?:[eE][-+]?+\d++)?+|[{}\[\]():=,]''',
+    re.DOTALL | re.VERBOSE,
+)
+_CLOSING = {"[": "]", "(": ")"}
+_WORDS = {"True": True, "true": True, "False": False, "false": False, "None": None, "null": None}
+_MARKS = ("<escape>", '<|"|>')
+_ESCAPE = re.compile(r"\\(x[0-9a-fA-F]{2}|u[0-9a-fA-F]{4}|U000[0-9a-fA-F]{5}|[0-7]{1,3}|.)", re.DOTALL)
+_ESCAPED = {"n": "\n", "t": "\t", "r": "\r", "b": "\b", "f": "\f", "a": "\a", "v": "\v", "\n": ""} | {
+    char: char for char in "\\'\""
+}
+
+
+def _token(text: str, at: int) -> tuple[str, int]:
+    found = _TOKEN.match(text, skip_blanks(text, at))
+    if found is None:
+        raise ValueError("no literal of Python")
+    return found[0], found.end()
+
+
+def _literal(text: str, at: int, depth: int) -> tuple[Any, int]:
+    if depth > _MOST_DEPTH:
+        raise ValueError(_TOO_DEEP)
+    token, end = _token(text, at)
+    if token in _MARKS:
+        closing = text.find(token, end)
+        if closing < 0:
+            raise ValueError(f"{token} is never closed")
+        return text[end:closing], closing + len(token)
+    if token in _WORDS:
+        return _WORDS[token], end
+    if token in _CLOSING:
+        return _sequence(text, end, _CLOSING[token], depth)
+    if token == "{":
+        return _mapping(text, end, depth)
+    if token[-1] in "\"'":
+        return _unquoted(token), end
+    return _number(token), end
+
+
+def _sequence(text: str, at: int, closing: str, depth: int) -> tuple[list[Any], int]:
+    values: list[Any] = []
+    while True:
+        token, end = _token(text, at)
+        if token == closing:
+            return values, end
+        value, at = _literal(text, at, depth + 1)
+        values.append(value)
+        at = _behind_comma(text, at, closing)
+
+
+def _mapping(text: str, at: int, depth: int) -> tuple[dict[str, Any], int]:
+    values: dict[str, Any] = {}
+    while True:
+        key, end = _token(text, at)
+        if key == "}":
+            return values, end
+        if key in "{}[]():=,":
+            raise ValueError("there must be a name")
+        if key[-1] in "\"'" or key in _MARKS:
+            key, end = _literal(text, at, depth)
+        colon, at = _token(text, end)
+        if colon != ":":
+            raise ValueError("behind a name must stand a colon")
+        values[key], at = _literal(text, at, depth + 1)
+        at = _behind_comma(text, at, "}")
+
+
+def _behind_comma(text: str, at: int, closing: str) -> int:
+    """Return where the next item begins, or the closing bracket stands."""
+    token, end = _token(text, at)
+    if token == closing:
+        return at
+    if token != ",":
+        raise ValueError(f"there must be a comma or {closing}")
+    return end
+
+
+def _unquoted(token: str) -> str:
+    if token[0] == '"' and token[:3] != '"""':
+        try:
+            return str(_DECODER.decode(token))
+        except ValueError:
+            pass  # an escape that only Python has
+    raw = token[0] in "rR"
+    body = token.lstrip("rRuU")
+    quote = 3 if body[:3] in ('"""', "'''") and len(body) >= 6 else 1
+    body = body[quote:-quote]
+    return body if raw else _ESCAPE.sub(_unescaped, body)
+
+
+def _unescaped(found: re.Match[str]) -> str:
+    escape = found[1]
+    if escape[0] in "xuU" and len(escape) > 1:
+        return chr(int(escape[1:], 16))
+    if escape[0] in "01234567":
+        return chr(int(escape, 8))
+    return _ESCAPED.get(escape, found[0])
+
+
+def _number(token: str) -> int | float:
+    try:
+        return int(token)
+    except ValueError:
+        return _finite_number(token)
+
+
+def _finite_number(text: str) -> float:
+    # Python reads NaN and 1e999, which no other reader of the recorded arguments would take.
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{text[:20]} is no finite number")
+    return number
+
+
+# Not strict: a program of several lines may stand in a string with its line breaks as they are.
+_DECODER = json.JSONDecoder(strict=False, parse_float=_finite_number, parse_constant=_finite_number)

@@ -1,0 +1,375 @@
+"""What parsers of tool calls fall into: ends in values, types, quotations, cuts, answers that look like calls."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from calling import (
+    A1,
+    CALLS_END,
+    CODE,
+    COMMAND_R,
+    HARMONY,
+    J1,
+    KIMI,
+    P1,
+    P2,
+    RUN,
+    SEED,
+    Python,
+    around,
+    called,
+    cohere,
+    dsml,
+    glm,
+    invoke,
+    kimi,
+    qwen,
+    refused,
+    step,
+    step3,
+    v3,
+    v31,
+)
+from hypothesis import given
+from hypothesis import strategies as st
+from test_call_formats import ONE_CALL
+from test_tool_calls import Recorder
+
+import gem_core as gem
+from gem_core.call_formats import FORMATS
+from gem_core.tool_env import ToolEnv
+
+PRINTED = [
+    "print('</tool_call>')",
+    "print('</parameter>')\nprint('</function>')",
+    "print('</arg_value>', '</invoke>')",
+    "if a < b and b > c:\n    print([1, 2][0]); print({'a': 1})",
+    "    print('indented')\n    print('twice')",
+    "print(\"a\\nb\", 'c')  # `quoted`",
+    "s = '<search>x</search>'",
+]
+
+
+@pytest.mark.parametrize("code", PRINTED)
+def test_a_value_may_hold_what_looks_like_its_end(code: str) -> None:
+    """One value is decoded, or read up to what may follow it; no indentation is lost (traps 4, 5 and 6)."""
+    call = {"name": "python", "arguments": {"code": code}}
+    given = json.dumps(call["arguments"])
+    for text in (
+        f"<tool_call>{json.dumps(call)}</tool_call>",
+        f"{json.dumps(call)}; {P2}",
+        f"functools[{json.dumps(call)}]",
+        f"[TOOL_CALLS] [{json.dumps(call)}]",
+        f"[python(code={code!r})]",
+        f"<function_calls>python(code={code!r})</function_calls>",
+        f"<function=python>{given}</function>",
+        f"[TOOL_CALLS]python[ARGS]{given}",
+        f"<｜tool▁calls▁begin｜>{v31(given)}{CALLS_END}",
+        f"<｜tool▁calls▁begin｜>{v3(given)}{CALLS_END}",
+        KIMI.format(kimi(given)),
+        HARMONY.replace(A1, given),
+        f'<|tool_call>call:python{{code:<|"|>{code}<|"|>}}<tool_call|>',
+        qwen(code),
+        glm(code),
+        dsml(code),
+        f"<function_calls>\n{invoke(code)}\n</function_calls>",
+        f"<｜tool_calls_begin｜>\n{step3(code)}\n<｜tool_calls_end｜>",
+    ):
+        assert called(text) == ("python", {"code": code}), text
+
+
+def test_one_tag_may_hold_several_bodies() -> None:
+    """Trap 1: the next character tells; each is in the table above, and a body in another family's tag is read too."""
+    for tag in ("tool_call", "tool_calls", "function_calls"):
+        for body in (J1, f"[{J1}]", invoke(), f"<function=python>{A1}</function>", 'python(code="print(6*7)")'):
+            assert called(f"<{tag}>{body}</{tag}>") == RUN
+
+
+def test_marks_that_look_alike_are_told_apart() -> None:
+    """Trap 2: the name stands before or behind the separator, and bars are of two kinds."""
+    assert called(f"<｜tool▁calls▁begin｜>{v3()}{CALLS_END}") == called(f"<｜tool▁calls▁begin｜>{v31()}{CALLS_END}")
+    assert "no tool 'function'" in refused(v31().replace("python", "function"))
+    assert called(f"<|tool_call|>[{J1}]") == called('<|tool_call>call:python{code:"print(6*7)"}') == RUN
+
+
+@pytest.mark.parametrize("code", ["{1, 2}", "{n: n for n in range(3)}", '{"a": 1}', "[python for python in [1]]"])
+def test_code_for_the_tool_python_is_taken_as_it_is(code: str) -> None:
+    """Trap 3: in some forms it is no JSON, whatever it begins with."""
+    for text in (f"<|python_tag|>{code}", f"<|channel|>analysis to=python code<|message|>{code}<|call|>"):
+        assert called(text) == ("python", {"code": code})
+
+
+@pytest.mark.parametrize(
+    "thought",
+    [
+        f"<think>{J1} or <tool_call>{J1}</tool_call></think>",
+        f"<tool_call>{J1}</tool_call></think>",
+        f"[THINK][TOOL_CALLS]python[ARGS]{A1}[/THINK]",
+        f"<seed:think>{SEED}</seed:think>",
+        f"<|START_THINKING|>{cohere(CODE)}<|END_THINKING|>",
+        "<|channel|>analysis<|message|>functions.python? <python>1</python><|end|><|start|>assistant<|channel|>final",
+    ],
+)
+def test_calls_in_closed_thinking_are_thoughts(thought: str) -> None:
+    """Trap 7, in each family's marks; but harmony's own channel of calls counts, even if it is that of analysis."""
+    assert called(f"{thought} It is 42.") is None
+    assert called(f"<|channel|>analysis to=functions.python<|message|>{A1}<|call|>") == RUN
+
+
+QUOTED = [
+    "I would call `<python>print(6*7)</python>` but it is 42.",
+    "I would call ``<python>print(6*7)</python>`` but it is 42.",
+    "I could write `print` or `<python>\nprint(6*7)\n</python>`; it is 42.",
+    f"One calls it as `{J1}`, which I need not.",
+    f"One calls it as `<tool_call>{J1}</tool_call>`, `[TOOL_CALLS]` or `<execute>1</execute>`.",
+    "The mark `<|python_tag|>` begins a call, `<search>` a search.",
+    r"The answer is \boxed{42}, as <python>print(6*7)</python> would show.",
+    r"It is $\boxed{\frac{1}{2}}$ and not what <tool_call>" + J1 + "</tool_call> gives",
+    "<answer>42</answer> which <search>6*7</search> gives too",
+    f"The answer is \\boxed{{42}}.\n{J1}",
+    f"{P1}\n\n<answer>42</answer>",
+    '[python(code="print(6*7)")] \\boxed{42}',
+]
+
+
+@pytest.mark.parametrize("text", QUOTED)
+def test_a_quoted_call_is_not_executed(text: str) -> None:
+    """Trap 8: in backticks, or where the answer is given already, a call is only spoken of."""
+    assert called(text) is None
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "`<python>1</python>` it is: <python>print(6*7)</python>",
+        "`<python>print(6*7)</python>`",
+        "The sign ` is odd: <python>print(6*7)</python>",
+        "It is `x`. <python>print(6*7)</python> `y`",
+        "The answer may be \\boxed{42}. Let me check: <python>print(6*7)</python>",
+        "It is \\boxed{42}, I think.\n<python>print(6*7)</python>",
+        "<python>print(6*7)</python> so it is \\boxed{42}",
+        f"<tool_call>{J1}</tool_call> gives \\boxed{{42}}",
+    ],
+)
+def test_a_call_beside_a_quotation_or_an_answer_is_executed(text: str) -> None:
+    """Only the sentence that holds the answer is left alone, and the response that is nothing but the call is one."""
+    assert called(text) == RUN
+
+
+def test_a_call_that_was_cut_off_by_length_is_not_executed() -> None:
+    """Trap 9: what a stop string took is known; half a program is not."""
+    for text in ("<python>print(6*7)", "```python\nprint(6*7)", "<execute>print(6*7)", qwen().partition("\n</par")[0]):
+        assert called(gem.Response(text, finish_reason="stop")) == RUN
+        told = refused(gem.Response(text, finish_reason="length"))
+        assert "never closed" in told
+        assert "the response was cut off at the limit of its length" in told
+    assert called(gem.Response(f"<tool_call>{J1}", finish_reason="length")) == RUN
+    for text in (
+        J1[:-20],
+        P1[:-3],
+        f"<tool_call>{J1[:-9]}",
+        f"[TOOL_CALLS]python{A1[:-5]}",
+        f"<function=python>{A1[:-5]}",
+    ):
+        assert refused(text)
+
+
+def test_a_call_is_read_without_its_special_tokens() -> None:
+    """Trap 10: servers leave them out."""
+    assert called(f"commentary to=functions.python json{A1}") == RUN
+    assert called(P1) == called(CODE.join(('[python(code="', '")]'))) == called(f"[{J1}]") == RUN
+
+
+@pytest.mark.parametrize("name", ["plan-trip", "functions.plan-trip", "plan-trip:3", "functions.plan-trip:12"])
+def test_names_are_freed_of_what_some_families_add(name: str) -> None:
+    """Trap 11: a namespace, a number, hyphens; and line breaks in strings as they are."""
+    text = f'<|tool_call_begin|>{name}<|tool_call_argument_begin|>{{"city": "Os\nlo", "days": 2}}<|tool_call_end|>'
+    assert called(text) == ("plan-trip", {"city": "Os\nlo", "days": 2})
+
+
+def test_arguments_may_be_json_in_a_string() -> None:
+    """Trap 12, in every form of JSON."""
+    nested = json.dumps({"name": "plan-trip", "arguments": json.dumps({"city": "Oslo", "days": 2})})
+    for text in (nested, f"[{nested}]", f"<tool_calls>[{nested}]</tool_calls>", f"functools[{nested}]"):
+        assert called(text) == ("plan-trip", {"city": "Oslo", "days": 2})
+
+
+def test_the_first_match_counts_in_every_form() -> None:
+    """Trap 13: elsewhere it is the last, or all of them."""
+    for opening, closing in (("<search>", "</search>"), ("<|begin_search_query|>", "<|end_search_query|>")):
+        assert called(f"{opening}a{closing} {opening}b{closing}") == ("search", {"query": "a"})
+    assert called("```python\n1\n```\n```python\n2\n```") == ("python", {"code": "1"})
+
+
+def test_marks_of_papers_and_readmes_are_no_calls() -> None:
+    """Trap 14: they are no tokens of the models; nor is a mark without its bars."""
+    assert called("<begin_of_search>white rhino<end_of_search>") is None
+    assert called("tool_call_begin functions.python:0") is None
+
+
+def test_harmony_needs_no_fixed_header() -> None:
+    """Trap 15: neither the start of the message nor the constraint."""
+    assert called(f"<|channel|>commentary to=functions.python<|message|>{A1}") == RUN
+    assert called("<|channel|>final<|message|>I wrote to=functions.python before.<|return|>") is None
+
+
+def test_every_row_of_the_table_is_tried() -> None:
+    """Trap 16: names of parsers move, letters do not; no row is without an example above."""
+    examples = [*ONE_CALL.values(), "<|begin_of_query|>", "<|begin_search_query|>"]
+    assert [form.models for form in FORMATS if not any(form.opening in example for example in examples)] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[TOOL_CALLS]", "behind [TOOL_CALLS] is no valid JSON: Expecting value"),
+        ("[TOOL_CALLS] soon", "behind [TOOL_CALLS] is no valid JSON: Expecting value"),
+        ("<｜tool▁calls▁begin｜>hm", "behind <｜tool▁calls▁begin｜> is no valid JSON"),
+        (f"<function=python>{A1[:-1]}", "its arguments are no valid JSON: Expecting ',' delimiter"),
+        ("<function=python></function>", "code: Field required"),
+        ("<|tool_call>call:python{code:print}<tool_call|>", "its arguments are no valid JSON"),
+        ("<function_calls>python(code=open(1))</function_calls>", "its arguments are no literals of Python"),
+        ("[python(code=6*7)]", "its arguments are no literals of Python"),
+        (
+            f"<function=pythn>{A1}</function>",
+            "no tool 'pythn'. Did you mean 'python'? There are: python, search, plan-trip",
+        ),
+        (
+            f"<function_calls>{invoke().replace('python', 'bash')}</function_calls>",
+            "no tool 'bash'. There are: python,",
+        ),
+        (f"[TOOL_CALLS]bash{A1}", "no tool 'bash'. There are: python, search"),
+        (KIMI.format(kimi().replace("python", "bash")), "no tool 'functions.bash:0'. There are: python, search"),
+        (glm().replace("python", "bash"), "no tool 'bash'. There are: python, search"),
+        (HARMONY.replace("python", "bash"), "no tool 'functions.bash'. There are: python, search"),
+        ("Action: bash\nAction Input: ls\nObservation:", "no tool 'bash'. There are: python, search"),
+        ('{"type": "function", "name": "bash", "parameters": {}}', "no tool 'bash'. There are: python, search"),
+        (f"so: {J1} it is", "a call in JSON must stand between <tool_call> and </tool_call>"),
+        ('{"name": "python", "arguments": {"code": "print("1")"}}', "the call is no valid JSON, or is not complete"),
+        ("<execute>", "<execute> is never closed by </execute>"),
+        ("<|begin_search_query|>", "<|begin_search_query|> is never closed by <|end_search_query|>"),
+        ('{"name": "plan-trip", "arguments": "Oslo"}', "its arguments are no valid JSON: Expecting value"),
+        ("<search>rhino <answer>42</answer>", "<search> is never closed by </search>"),
+    ],
+)
+def test_what_looks_like_a_call_and_cannot_be_read_is_told(text: str, told: str) -> None:
+    """It is a use, and never the answer."""
+    assert told in refused(text)
+
+
+def test_a_form_without_a_name_needs_a_tool_that_takes_it() -> None:
+    """Of code, or of a query; whatever its name."""
+
+    class Shell(Python):
+        name = "interpreter"
+        fences = ()
+
+    env = ToolEnv(Recorder(), [Shell()])
+    env.reset()
+    assert env.step("<execute>1</execute>")[4]["tool"]["name"] == "interpreter"
+    told = "no tool takes query alone. There are: interpreter"
+    assert told in env.step("<|begin_search_query|>x<|end_search_query|>")[0]
+
+
+ANSWERS = [
+    "42",
+    "",
+    '{"name": "Al", "age": 3}',
+    '[{"name": "Al", "arguments": ["for", "against"]}]',
+    '{"name": "bash", "arguments": {"command": "ls"}}',
+    '{"name": "python"}',
+    '{"language": "python", "code": "print(1)"}',
+    '{"search": "x"}',
+    "['python', 'search']",
+    "[1, 2, 3]",
+    "[f(x=1)]",
+    "(3, 4)",
+    "python",
+    "python\nis a snake",
+    "search\n\nthe house",
+    "def search(query):\n    return query\n\nprint(search(1))",
+    "```text\n<python>1</python>\n```",
+    "```c\nint main() { return 0; }\n```",
+    "Use the <code>print</code> function of <b>Python</b>.",
+    "<code>print</code> writes, <code>input</code> reads.",
+    r"$\left[ x \right]_{0}^{1}$ and \[ f(x) = \{1, 2\} \] so \boxed{\{1\}}",
+    "Action: up",
+    "Action: press the button\nReason: it is red",
+    "I searched, and used python to compute it: 42.",
+    "The action input is 3; to=me",
+    ">>> print(1)\n1",
+    "functools.partial(f, 1)",
+    "I passed functools[0] on.",
+    "From: a@b.c\nto=functions",
+    'He said "python" and {curly} [square] <angle>.',
+    COMMAND_R.replace('"python"', '"directly-answer"'),
+    f"<answer>{J1}</answer>",
+    f"```text\n{J1}\n```",
+]
+
+
+@pytest.mark.parametrize("answer", ANSWERS)
+def test_an_answer_stays_an_answer(answer: str) -> None:
+    """Nothing in it names a tool in a form of calls."""
+    assert called(answer) is None
+
+
+def test_answers_in_code_stay_the_tasks() -> None:
+    """A task that is answered in blocks of Python keeps them, whatever stands in them; marks of calls still call."""
+
+    class Coding(Recorder):
+        answer_fences = ("python", "py", "")
+
+    env = ToolEnv(Coding(), [Python()], max_tool_uses=None)
+    env.reset()
+    for code in ("print(1)", J1, "<python>1</python>", '[python(code="1")]', "python\n{}"):
+        answer = f"```python\n{code}\n```"
+        assert env.step(answer)[0] == f"Heard: {answer}"
+    for call in ("<python>1</python>", "<execute>1</execute>", J1, "<code>\n1\n</code>"):
+        assert "Output of python" in env.step(call)[0]
+
+
+PIECES = [
+    *(form.opening for form in FORMATS),
+    *('{"name": "python", ', '"arguments": ', A1, J1, "{", "}", "[", "]", "(", ")", '"', "'", "`", "\\", ",", ":", "="),
+    *("</tool_call>", "</parameter>", "<parameter=code>", "</function>", "</invoke>", 'name="python">', "python", "\n"),
+    *("<arg_key>", "</arg_key>", "<arg_value>", "</arg_value>", "<think>", "</think>", "<answer>", "</answer>", "```"),
+    *(
+        "\\boxed{42}",
+        "Action: python\n",
+        ": ",
+        "functions.python",
+        "<|message|>",
+        "<|call|>",
+        "[ARGS]",
+        "<escape>",
+        " ",
+    ),
+    *("<｜tool▁sep｜>", "<tool_sep>", '<|"|>', "<search>", "</search>", "print(1)", "code=", "\ud800", "."),
+]
+TEXTS = st.lists(st.sampled_from(PIECES) | st.text(max_size=2), max_size=20).map("".join)
+
+
+@given(TEXTS)
+def test_every_text_is_read(text: str) -> None:
+    """Never an exception; and what is executed is how the response begins."""
+    info = step(text)
+    if info is not None:
+        assert info["parsed_action"] is None or text.startswith(info["parsed_action"])
+        assert info["tool"]["error"] or info["parsed_action"]
+        json.dumps(info["tool"], allow_nan=False)
+
+
+@pytest.mark.parametrize("piece", [piece for piece in PIECES if piece.strip()])
+def test_long_texts_of_any_piece_are_read(piece: str) -> None:
+    """In time that grows with the length: where it grew with its square, this would take minutes."""
+    text = piece * (200_000 // len(piece))
+    for before in (
+        "",
+        "<tool_call>",
+        "<function=python><parameter=code>",
+        '{"name": "python", "arguments": {"code": "',
+    ):
+        around().find_call(before + text)
