@@ -88,8 +88,8 @@ class CallReader:
             call = self._visible(action, quiet, answered)
         else:
             return None
-        if call is not None and call.cut and not self._holds_answer(action[call.start :], begun=True):
-            call = _cut_off(call) if cut_off else replace(call, error=None, cut=False)
+        if call is not None and call.cut:
+            call = self._of_cut(action, call, cut_off)
         if call is not None and call.error is None:
             return call
         if opened_before:
@@ -128,10 +128,17 @@ class CallReader:
             found.append(bare_call(text, self._tools))
         return first_call(found) or self._misspelt(text) or self._with_attributes(text)
 
-    def _holds_answer(self, text: str, *, begun: bool = False) -> bool:
-        """Tell whether a final answer stands in a text; or begins there."""
-        if begun:
-            return "\\boxed{" in text or any(f"<{tag}>" in text for tag in self._answer_tags)
+    def _of_cut(self, action: str, call: ToolCall, cut_off: bool) -> ToolCall:
+        """Return a call that the text ends in: whole where a stop string took its end, else with its error."""
+        content, error = action[call.start :], call.error
+        if cut_off:
+            error = f"{call.error}: the response was cut off at the limit of its length"
+        elif "\\boxed{" not in content and not any(f"<{tag}>" in content for tag in self._answer_tags):
+            return replace(call, error=None, cut=False)
+        return replace(call, arguments={}, error=error, cut=False)
+
+    def _holds_answer(self, text: str) -> bool:
+        """Tell whether a final answer stands in a text."""
         if "\\boxed" in text and extract_last_boxed_answer(text) is not None:
             return True
         return any(True for tag in self._answer_tags for _ in _elements(text, tag))
@@ -270,10 +277,6 @@ def _object_in_tag(text: str, tool: Tool) -> ToolCall | None:
         error = f"between <{tool.name}> and </{tool.name}> must stand its arguments as a JSON object"
         return ToolCall(tool.name, {}, start, closing.end(), error)
     return ToolCall(tool.name, arguments, start, closing.end())
-
-
-def _cut_off(call: ToolCall) -> ToolCall:
-    return replace(call, error=f"{call.error}: the response was cut off at the limit of its length", cut=False)
 
 
 def _open_backticks(line: str) -> str:

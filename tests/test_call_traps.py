@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import pytest
 from calling import (
@@ -78,6 +79,38 @@ def test_a_value_may_hold_what_looks_like_its_end(code: str) -> None:
         f"<｜tool_calls_begin｜>\n{step3(code)}\n<｜tool_calls_end｜>",
     ):
         assert called(text) == ("python", {"code": code}), text
+
+
+def test_a_value_without_a_declared_type_stays_text() -> None:
+    """Trap 6: as in schemas of servers, which may say nothing, or refer to what is elsewhere."""
+
+    class Served(gem.Tool):
+        name = "served"
+        concurrency = "inline"
+
+        def parameters_schema(self) -> dict[str, Any]:
+            kinds = {
+                "any": {},
+                "text": {"$ref": "#/$defs/Text"},
+                "lost": {"$ref": "#/x"},
+                "number": {"type": "integer"},
+            }
+            some = {"word": {"enum": ["1", "2"]}, "digit": {"enum": [1, 2]}, "either": {"type": ["null", "string"]}}
+            return {"properties": {**kinds, **some}, "$defs": {"Text": {"type": "string"}}}
+
+        def validate(self, arguments: Any) -> Any:
+            return arguments
+
+        def call(self, arguments: Any, session: Any) -> str:
+            return "done"
+
+    env = ToolEnv(Recorder(), [Served()])
+    env.reset()
+    names = ["any", "text", "lost", "number", "word", "digit", "either", "unknown"]
+    given = "".join(f"<parameter={name}>1</parameter>" for name in names)
+    called = env.step(f"<tool_call><function=served>{given}</function></tool_call>")[4]["tool"]["arguments"]
+    assert [name for name, value in called.items() if value == 1] == ["number", "digit"]
+    assert {str(value) for value in called.values()} == {"1"}
 
 
 def test_one_tag_may_hold_several_bodies() -> None:
@@ -296,6 +329,7 @@ ANSWERS = [
     "<code>print</code> writes, <code>input</code> reads.",
     r"$\left[ x \right]_{0}^{1}$ and \[ f(x) = \{1, 2\} \] so \boxed{\{1\}}",
     "Action: up",
+    "Action: move[up]",
     "Action: press the button\nReason: it is red",
     "I searched, and used python to compute it: 42.",
     "The action input is 3; to=me",

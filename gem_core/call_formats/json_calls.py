@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from gem_core.call_formats.calls import Call, Tools
+from gem_core.call_formats.calls import Call
 from gem_core.call_formats.values import skip_blanks, value_at
 
 FORM = '{"name": "…", "arguments": {…}}'
@@ -39,12 +39,9 @@ def object_call(value: Any, end: int) -> Call:
     return Call(name, next((value[key] for key in ARGUMENTS if key in value), None), end)
 
 
-def action_list(text: str, start: int, at: int, tools: Tools) -> Call | None:
-    """Command-R: ``Action:`` and a fenced list, whose ``directly-answer`` is no call."""
-    fence = re.compile(r"\s*+```(?:json)?+\s*+(?=[\[{])").match(text, at)
-    if fence is None:
-        return None
-    call = json_call_at(text, fence.end())
+def fenced_list(text: str, at: int) -> Call | None:
+    """Read a list of Command-R, in whose words ``directly-answer`` is no call, and the fence behind it."""
+    call = json_call_at(text, at)
     if call.name in ("directly-answer", "directly_answer", "_"):
         return None
     end = skip_blanks(text, call.end)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 
 from gem_core.call_formats.calls import Call, Tools, tool_taking
-from gem_core.call_formats.json_calls import NAMES, json_call_at
+from gem_core.call_formats.json_calls import NAMES, fenced_list, json_call_at
 from gem_core.call_formats.pythonic import pythonic
 from gem_core.call_formats.tagged import elements, function, keyed
 from gem_core.call_formats.values import Raw, value_at
@@ -25,6 +25,8 @@ _NAMED = re.compile(
     r"(?:\[ARGS\]|<｜tool▁sep｜>|<\|tool_call_argument_begin\|>|<tool_sep(?::\w+)?>)?+(?:\s|\\n)*+(```(?:json)?+\s*+)?+"
 )
 _FENCE_END = re.compile(r"\s*+```")
+_JSON_FENCE = re.compile(r"\s*+```(?:json)?+\s*+(?=[\[{])")
+_BRACKET = re.compile(r"[\s*]*+([\w-]{1,100}+)\[(.+)\]\s*+")
 
 
 def body(text: str, start: int, at: int, tools: Tools) -> Call | None:
@@ -129,10 +131,9 @@ def harmony(text: str, start: int, at: int, tools: Tools) -> Call | None:
     header = re.compile(
         r"([\w.:-]{1,200}+)(?:\s|<\|constrain\|>|<\|channel\|>|\b(?:json|code|text|commentary|analysis)\b)*+(<\|message\|>)?+"
     ).match(text, at)
-    before = text[max(0, start - 60) : start]
-    if header is None or not (header[2] or (header[1].startswith("functions.") and text.startswith("{", header.end()))):
+    if header is None or header[1] == "assistant" or text[max(0, start - 1) : start] not in ("", " ", "\n", ">"):
         return None
-    if before and before[-1] not in " \n>":
+    if not header[2] and not (header[1].startswith("functions.") and text.startswith("{", header.end())):
         return None
     stop = re.compile(r"<\|(?:call|end|return|start)\|>").search(text, header.end())
     if not header[1].startswith("functions."):
@@ -157,6 +158,20 @@ def functionary_v3(text: str, start: int, at: int, tools: Tools) -> Call | None:
     return _json_or_text(name, text, content, re.compile(r"\n?>>>|<\|eot_id\|>").search(text, content))
 
 
+def action(text: str, start: int, at: int, tools: Tools) -> Call | None:
+    """What stands behind ``Action:`` alone: Command-R's fenced list, or ``search[…]`` and ``search("…")`` of a tool."""
+    fence = _JSON_FENCE.match(text, at)
+    if fence is not None:
+        return fenced_list(text, fence.end())
+    line_end = text.find("\n", at)
+    bracket = _BRACKET.fullmatch(text, at, line_end if line_end >= 0 else len(text))
+    if bracket is not None:
+        name = bracket[1] if bracket[1] in tools else bracket[1].lower()
+        return Call(name, Raw(bracket[2]), bracket.end(2) + 1) if name in tools else None
+    written = pythonic(text, at)
+    return written if written is not None and written.problem is None and written.name in tools else None
+
+
 def react(text: str, start: int, at: int, tools: Tools) -> Call | None:
     """ReAct, and Qwen-Agent's kin: the tool on one line, its input behind the next heading."""
     before = text[max(0, start - 400) : start].rstrip(" \t*#")
@@ -165,7 +180,9 @@ def react(text: str, start: int, at: int, tools: Tools) -> Call | None:
     if not name or "\n" in name or not before.endswith("\n") or (heading and heading[-1] not in " \n*#"):
         return None
     at += len(text[at : at + 3]) - len(text[at : at + 3].lstrip("*: "))
-    return _json_or_text(name, text, at, re.compile(r"\n[ \t*#]*+Observation|✿RESULT✿|\Z").search(text, at))
+    fence = _JSON_FENCE.match(text, at)
+    stop = re.compile(r"\n[ \t*#]*+Observation|✿RESULT✿|\Z").search(text, at)
+    return _json_or_text(name, text, fence.end() if fence else at, stop)
 
 
 def _json_or_text(name: str, text: str, at: int, stop: re.Match[str] | None) -> Call:

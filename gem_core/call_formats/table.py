@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from gem_core.call_formats import marked
 from gem_core.call_formats.calls import Call, Tools, tool_call
-from gem_core.call_formats.json_calls import NO_JSON, action_list
+from gem_core.call_formats.json_calls import NO_JSON
 from gem_core.call_formats.marked import Reader, between, body
 from gem_core.call_formats.tagged import function
 from gem_core.tools import CALL_CLOSE, CALL_OPEN, ToolCall
@@ -41,6 +41,7 @@ FORMATS = (
     Format("Anthropic-like", "<invoke>", body, "</invoke>"),
     Format("the same without its outer tag", "<invoke name=", function),
     Format("Llama 3, Functionary v3.1; Qwen3-Coder without its outer tag", "<function=", function),
+    Format("the same with an attribute", "<function name=", function),
     Format("MiniMax M2", "<minimax:tool_call>", body),
     Format("Seed-OSS", "<seed:tool_call>", body),
     Format("DeepSeek V3.2", "<｜DSML｜function_calls>", body),
@@ -55,7 +56,7 @@ FORMATS = (
     Format("Mistral", "[TOOL_CALLS]", body),
     Format("Phi-4-mini", "functools[", body, clear=False),
     Format("Cohere Command R7B and A", "<|START_ACTION|>", body),
-    Format("Command-R", "Action:", action_list, clear=False),
+    Format("Command-R; ReAct as in its paper", "Action:", marked.action, clear=False),
     Format("Llama 4", "<|python_start|>", marked.python_tag),
     Format("Llama 3", "<|python_tag|>", marked.python_tag),
     Format("FunctionGemma", "<start_function_call>", body),

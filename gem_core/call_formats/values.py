@@ -101,28 +101,31 @@ def typed(value: Any, name: str, schema: Mapping[str, Any]) -> Any:
         return value
     properties = schema.get("properties")
     described = properties.get(name) if isinstance(properties, Mapping) else None
-    if not isinstance(described, Mapping) or _may_be_text(described, schema, 0):
+    if _may_be_text(described, schema, 0):
         return str(value)
     read = loaded(value)
     return str(value) if read.problem else read.value
 
 
 def _may_be_text(described: object, schema: Mapping[str, Any], depth: int) -> bool:
+    """Tell whether a parameter takes text, as one of which nothing is said does."""
     if not isinstance(described, Mapping) or depth > 5:
-        return False
+        return True
     reference = described.get("$ref")
     if isinstance(reference, str):
         definitions = schema.get("$defs", schema.get("definitions"))
         name = reference.rpartition("/")[2]
-        return isinstance(definitions, Mapping) and _may_be_text(definitions.get(name), schema, depth + 1)
+        return _may_be_text(definitions.get(name) if isinstance(definitions, Mapping) else None, schema, depth + 1)
     kinds = described.get("type")
     if kinds is not None:
         return kinds == "string" or (isinstance(kinds, list) and "string" in kinds)
+    values = [*_listed(described.get("enum")), *([described["const"]] if "const" in described else [])]
     options = [part for key in ("anyOf", "oneOf", "allOf") for part in _listed(described.get(key))]
-    values = [*_listed(described.get("enum")), described.get("const")]
-    if any(isinstance(value, str) for value in values):
+    if not values and not options:
         return True
-    return any(_may_be_text(option, schema, depth + 1) for option in options)
+    return any(isinstance(value, str) for value in values) or any(
+        _may_be_text(option, schema, depth + 1) for option in options
+    )
 
 
 def _listed(value: object) -> list[Any]:
@@ -141,7 +144,7 @@ _TOKEN = re.compile(
 _CLOSING = {"[": "]", "(": ")"}
 _WORDS = {"True": True, "true": True, "False": False, "false": False, "None": None, "null": None}
 _MARKS = ("<escape>", '<|"|>')
-_ESCAPE = re.compile(r"\\(x[0-9a-fA-F]{2}|u[0-9a-fA-F]{4}|U000[0-9a-fA-F]{5}|[0-7]{1,3}|.)", re.DOTALL)
+_ESCAPE = re.compile(r"\\(x[0-9a-fA-F]{2}|u[0-9a-fA-F]{4}|U[0-9a-fA-F]{8}|[0-7]{1,3}|.)", re.DOTALL)
 _ESCAPED = {"n": "\n", "t": "\t", "r": "\r", "b": "\b", "f": "\f", "a": "\a", "v": "\v", "\n": ""} | {
     char: char for char in "\\'\""
 }
