@@ -42,7 +42,8 @@ class CallReader:
 
     What stands in a thinking block was thought and not called, unless the block is never closed, as where the server
     stopped at the call. What stands in a fenced block or a tag that is the task's answer is part of the answer, unless
-    that begins with a call. A lone tag in quotation marks, as in "`<search>`", is none.
+    that begins with a call. A lone tag in quotation marks, as in "`<search>`", is none; nor is a call in backticks, or
+    one in a sentence that holds the final answer already.
 
     Args:
         tools: By name.
@@ -79,13 +80,12 @@ class CallReader:
         spoken = _blanked(action, thinking)
         answers = self._answers(spoken)
         quiet = [*thinking, *answers]
-        answered = self._holds_answer(spoken)
-        call = self._visible(action, quiet, answered)
+        call = self._visible(action, quiet, spoken)
         for _ in range(_MOST_QUOTED):
             if call is None or not self._is_quoted(spoken, call):
                 break
             quiet.append((call.start, max(call.end, call.start + 1)))
-            call = self._visible(action, quiet, answered)
+            call = self._visible(action, quiet, spoken)
         else:
             return None
         if call is not None and call.cut:
@@ -94,11 +94,11 @@ class CallReader:
             return call
         if opened_before:
             # What looks like the end of thinking may stand within a call, as in a program that prints it.
-            around = self._visible(action, quiet[1:], answered)
+            around = self._visible(action, quiet[1:], spoken)
             if around is not None and around.error is None and around.end > thinking[0][1]:
                 return around
         if call is None and thinking and not spoken.strip():
-            thought = self._first(action, answered)
+            thought = self._first(action, spoken)
             if thought is not None:
                 error = (
                     f"it stands in a thinking block, where nothing is called; write it behind </{self._thinking_tag}>"
@@ -106,16 +106,16 @@ class CallReader:
                 return ToolCall(thought.name, start=thought.start, end=thought.end, error=error)
         return call
 
-    def _visible(self, action: str, quiet: Sequence[tuple[int, int]], answered: bool) -> ToolCall | None:
+    def _visible(self, action: str, quiet: Sequence[tuple[int, int]], spoken: str) -> ToolCall | None:
         """Return the first call that does not begin in a quiet part."""
         seen = _blanked(action, quiet)
-        call = self._first(seen, answered)
+        call = self._first(seen, spoken)
         if call is None or not any(call.start < start and (call.error or start < call.end) for start, _ in quiet):
             return call
         # A quiet part inside the call belongs to its arguments.
-        return self._first(seen[: call.start] + action[call.start :], answered)
+        return self._first(seen[: call.start] + action[call.start :], spoken)
 
-    def _first(self, text: str, answered: bool) -> ToolCall | None:
+    def _first(self, text: str, spoken: str) -> ToolCall | None:
         found: list[ToolCall | None] = []
         for tool in self._tagged:
             fences = not self.leaves_fences_of(tool)
@@ -123,9 +123,10 @@ class CallReader:
             if tool.text_parameter is None:
                 found.append(_object_in_tag(text, tool))
         found += format_calls(text, self._tools)
-        if not answered:
-            # What looks like a call without any mark is none where the answer is given.
-            found.append(bare_call(text, self._tools))
+        bare = bare_call(text, self._tools)
+        # What looks like a call without any mark is none where the answer is given beside it.
+        if bare is not None and not any(map(self._holds_answer, (spoken[: bare.start], spoken[bare.end :]))):
+            found.append(bare)
         return first_call(found) or self._misspelt(text) or self._with_attributes(text)
 
     def _of_cut(self, action: str, call: ToolCall, cut_off: bool) -> ToolCall:

@@ -116,6 +116,8 @@ ONE_CALL = {
     "21 in its answer": f"<think>Hm.</think>\n<answer><tool_calls>[{J1}]</tool_calls></answer>",
     "22 Hunyuan 3": hy3(),
     "22 with a suffix": hy3(":opensource"),
+    "22 with another": hy3(":v2"),
+    "22 without the outer tag": hy3(":v2").partition("\n")[2].rpartition("\n")[0],
     "23 Step3": f"<｜tool_calls_begin｜>\n{step3()}\n<｜tool_calls_end｜>",
     "24 Seed-OSS": SEED,
     "24 in one line": SEED.replace(">\nprint", ">print").replace(")\n<", ")<"),

@@ -50,6 +50,7 @@ PRINTED = [
     "    print('indented')\n    print('twice')",
     "print(\"a\\nb\", 'c')  # `quoted`",
     "s = '<search>x</search>'",
+    "print(r'\\boxed{42}', '<answer>42</answer>')",
 ]
 
 

@@ -45,6 +45,12 @@ def body(text: str, start: int, at: int, tools: Tools) -> Call | None:
     return json_call_at(text, at)
 
 
+def suffixed(text: str, start: int, at: int, tools: Tools) -> Call | None:
+    """Hunyuan 3: each tag may have a suffix, as in ``<tool_calls:opensource>``."""
+    end = text.find(">", at, at + 40)
+    return body(text, start, end + 1, tools) if end >= 0 else None
+
+
 def _named(text: str, at: int) -> Call | None:
     """Read a call that begins with the tool's name, as Mistral, DeepSeek, Kimi, GLM, Gemma and OLMo write it."""
     opening = _NAMED.match(text, at)

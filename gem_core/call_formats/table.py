@@ -33,7 +33,8 @@ class Format(NamedTuple):
 
 FORMATS = (
     Format("Hermes, Qwen, Granite, ERNIE; Qwen3-Coder; GLM", CALL_OPEN, body, CALL_CLOSE),
-    Format("Hunyuan 3", "<tool_calls:opensource>", body),
+    Format("Hunyuan 3", "<tool_calls:", marked.suffixed),
+    Format("Hunyuan 3 without its outer tag", "<tool_call:", marked.suffixed),
     Format("MiniMax M1, Hunyuan A13B, Jamba", "<tool_calls>", body, "</tool_calls>"),
     Format("Granite 20b", "<function_call>", body),
     Format("Granite 3.0", "<|tool_call|>", body),
