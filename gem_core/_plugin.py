@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from gem_core.hookspecs import hookimpl
-from gem_core.specs import AgentSpec, VectorBackendSpec, WrapperSpec
+from gem_core.specs import AgentSpec, CommandSpec, VectorBackendSpec, WrapperSpec
 
 
 @hookimpl
@@ -95,4 +95,28 @@ def gem_register_agents() -> Iterable[AgentSpec]:
             entry_point="gem_core.agents.openai:OpenAIAgent",
             summary="Asks a model behind an OpenAI-compatible server, as openai:MODEL.",
         ),
+    ]
+
+
+@hookimpl
+def gem_add_commands() -> Iterable[CommandSpec]:
+    """The subcommands of ``gem``, each in a module of its own that is imported when it is called."""
+    summaries = {
+        "list": "List the environments that can be made.",
+        "info": "Describe one environment.",
+        "play": "Play an environment yourself, in the terminal.",
+        "run": "Let an agent act in environments and record its episodes.",
+        "show": "Show recorded episodes: a list, one of them, two compared, or a page.",
+        "plugins": "List the installed plugins, and what is wrong with them.",
+        "doctor": "Find out what is broken, and what is missing to run the rest.",
+        "new-plugin": "Start a plugin that installs and passes its own tests.",
+        "completion": "Print the script that completes words in your shell.",
+    }
+    return [
+        CommandSpec(
+            name=name,
+            entry_point=f"gem_core.cli.{name.replace('-', '_')}_command:command",
+            summary=summary,
+        )
+        for name, summary in summaries.items()
     ]

@@ -32,7 +32,7 @@ def load_entry_point(entry_point: EntryPoint, owner: str) -> Callable[..., Any]:
             f"{owner}: {module_name!r} needs the module {error.name!r}, which is not installed; "
             f"try 'pip install {(error.name or '').partition('.')[0].replace('_', '-')}'"
         ) from error
-    except Exception as error:  # a module of somebody else's may fail in any way while it is imported
+    except (Exception, SystemExit) as error:  # a module of somebody else's may fail in any way while it is imported
         raise EntryPointError(f"{owner}: importing {module_name!r} failed: {type(error).__name__}: {error}") from error
     for part in path.split("."):
         try:
@@ -40,7 +40,8 @@ def load_entry_point(entry_point: EntryPoint, owner: str) -> Callable[..., Any]:
         except AttributeError:
             names = [name for name in dir(target) if not name.startswith("_")]
             raise EntryPointError(
-                f"{owner}: {module_name!r} has no {part!r}.{did_you_mean(part, names)} (entry point {entry_point!r})"
+                f"{owner}: {module_name!r} has no {part!r}.{did_you_mean(part, names)} Correct the entry point "
+                f"{entry_point!r}"
             ) from None
     if not callable(target):
         raise EntryPointError(f"{owner}: {entry_point!r} is a {type(target).__name__}, which cannot be called")

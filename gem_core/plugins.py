@@ -25,7 +25,7 @@ from gem_core.errors import PluginError, RegistrationError
 from gem_core.specs import AgentSpec, CommandSpec, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
 from gem_core.suggestions import did_you_mean
 
-logger = logging.getLogger("gem_core")
+logger = logging.getLogger(__name__)
 
 BUILTIN = "gem_core._plugin"
 """The core's own records come by the same hooks."""
@@ -49,7 +49,7 @@ class PluginFailure:
     """What went wrong with a plugin, and where.
 
     Args:
-        stage: ``"find"``, ``"load"``, ``"hooks"``, ``"call"`` or ``"register"``.
+        stage: ``"load"``, ``"hooks"`` or ``"call"``.
         error: The error in one line.
         traceback: The whole traceback.
     """
@@ -59,27 +59,39 @@ class PluginFailure:
     traceback: str
 
 
-@dataclass
+@dataclass(eq=False)
 class Plugin:
     """One entry point of the group ``gem.plugins``, and what became of it.
 
     Args:
-        name: Name of the entry point.
+        entry_point: What it is loaded from.
         distribution: Name of the installed distribution.
         version: Its version.
         load_time_s: Seconds from the start of the import to the last record.
         records: What it offers; empty after a failure.
         failure: Why it offers nothing, or None.
         disabled: Whether ``GEM_PLUGINS_DISABLE`` names it.
+        conflicts: One line for each id or name of its own that another offers too, and that is made for neither.
     """
 
-    name: str
+    entry_point: EntryPoint
     distribution: str
     version: str
     load_time_s: float = 0.0
     records: list[Record] = field(default_factory=list)
     failure: PluginFailure | None = None
     disabled: bool = False
+    conflicts: list[str] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        """The name of its entry point."""
+        return self.entry_point.name
+
+    @property
+    def is_core(self) -> bool:
+        """Whether this is what the core itself offers."""
+        return self.entry_point.value == BUILTIN
 
     def __str__(self) -> str:
         return f"plugin {self.name!r} ({self.distribution} {self.version})"
@@ -88,8 +100,8 @@ class Plugin:
 def load_plugins() -> list[Plugin]:
     """Load every installed plugin, the core's own records first, the others by name.
 
-    Environment variables: ``GEM_PLUGINS_DISABLE=a,b`` skips plugins by name; ``GEM_PLUGINS_STRICT=1`` raises at the
-    first failure.
+    Environment variables: ``GEM_PLUGINS_DISABLE=a,b`` skips plugins by their name or their distribution's;
+    ``GEM_PLUGINS_STRICT=1`` raises at the first failure.
 
     Raises:
         PluginError: A plugin failed and ``GEM_PLUGINS_STRICT`` is set.
@@ -98,35 +110,25 @@ def load_plugins() -> list[Plugin]:
     manager.add_hookspecs(hookspecs)
     found = sorted(_find(), key=lambda point: (point.name, point.value))
     disabled = _disabled_names()
-    unknown = disabled - {point.name for point in found}
-    for name in sorted(unknown):
-        hint = did_you_mean(name, (point.name for point in found))
+    names = {name for point in found for name in (point.name, _describe(point).distribution)}
+    for name in sorted(disabled - names):
+        hint = did_you_mean(name, names)
         logger.warning("gem: GEM_PLUGINS_DISABLE names %r, and no such plugin is installed.%s", name, hint)
 
     plugins = [_load(EntryPoint("core", BUILTIN, hookspecs.ENTRY_POINT_GROUP), manager)]
-    seen: dict[str, Plugin] = {plugins[0].name: plugins[0]}
     for point in _without_copies(found):
-        if point.name in disabled:
-            plugin = _describe(point)
-            plugin.disabled = True
-        elif point.name in seen:
-            plugin = _describe(point)
-            message = f"its name {point.name!r} is taken by {seen[point.name]}; uninstall one of the two"
-            plugin.failure = PluginFailure("find", message, message)
-            report_failure(plugin)
-        else:
-            plugin = _load(point, manager)
-            seen[point.name] = plugin
-        plugins.append(plugin)
+        plugin = _describe(point)
+        plugin.disabled = not disabled.isdisjoint((plugin.name, plugin.distribution))
+        plugins.append(plugin if plugin.disabled else _load(point, manager))
     return plugins
 
 
-def report_failure(plugin: Plugin, cause: BaseException | None = None) -> None:
-    """Say in one line that a plugin failed, or raise when ``GEM_PLUGINS_STRICT`` is set."""
-    failure = plugin.failure
-    if failure is None:
-        return
-    line = f"{plugin} failed at stage '{failure.stage}': {failure.error}"
+def complain(line: str, cause: BaseException | None = None) -> None:
+    """Say in one line what is wrong with a plugin, or raise when ``GEM_PLUGINS_STRICT`` is set.
+
+    Raises:
+        PluginError: It is.
+    """
     if os.environ.get("GEM_PLUGINS_STRICT", "") not in ("", "0"):
         raise PluginError(f"{line} (GEM_PLUGINS_STRICT is set)") from cause
     logger.warning("gem: %s. Everything else works; run 'gem plugins --check' for the whole.", line)
@@ -164,7 +166,8 @@ def _load(point: EntryPoint, manager: pluggy.PluginManager) -> Plugin:
         cause = error
         plugin.failure = PluginFailure(stage, one_line(error), traceback.format_exc())
     plugin.load_time_s = time.perf_counter() - started
-    report_failure(plugin, cause)
+    if plugin.failure is not None:
+        complain(f"{plugin} failed at stage '{plugin.failure.stage}': {plugin.failure.error}", cause)
     return plugin
 
 
@@ -173,11 +176,11 @@ def _describe(point: EntryPoint) -> Plugin:
     if distribution is None:
         from gem_core import __version__
 
-        return Plugin(point.name, "gem-core", __version__)
+        return Plugin(point, "gem-core", __version__)
     try:
-        return Plugin(point.name, distribution.name or "unnamed", distribution.version or "?")
+        return Plugin(point, distribution.name or "unnamed", distribution.version or "?")
     except Exception:  # noqa: BLE001 - metadata that cannot be read must not break the others
-        return Plugin(point.name, "unnamed", "?")
+        return Plugin(point, "unnamed", "?")
 
 
 def _without_copies(points: Iterable[EntryPoint]) -> list[EntryPoint]:

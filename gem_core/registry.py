@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -18,7 +18,7 @@ from gem_core.errors import (
     UnknownToolError,
     UnknownWrapperError,
 )
-from gem_core.plugins import Plugin, PluginFailure, Record, load_plugins, report_failure
+from gem_core.plugins import Plugin, Record, complain, load_plugins
 from gem_core.specs import AgentSpec, EntryPoint, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec
 from gem_core.suggestions import did_you_mean
 
@@ -48,6 +48,9 @@ PUBLISHED_NAMESPACES = {
 PUBLISHED_BACKENDS = {"ray": "gem-ray"}
 """Which distribution of this project offers a vector backend, for the advice in an error message."""
 
+Key = tuple[str, str]
+"""A space of names, and a name in it: ``("env", "game:Mastermind-v0")``."""
+
 _SPEC_KEYWORDS = ("summary", "tags", "requires", "deterministic")
 
 
@@ -65,9 +68,9 @@ class Registry:
         self._envs: dict[str, EnvSpec] = {}
         # One space of names each for wrappers together with tools, and for every other kind.
         self._named: dict[str, dict[str, NamedSpec]] = {}
-        self._owners: dict[tuple[str, str], str] = {}
         self._providers: dict[str, Plugin] = {}
-        self._contested: dict[tuple[str, str], str] = {}
+        # Ids and names that cannot be had, each with the reason.
+        self._contested: dict[Key, str] = {}
 
     # Looking up.
 
@@ -81,7 +84,7 @@ class Registry:
         self.load()
         if not isinstance(env_id, str):
             raise UnknownEnvError(f"an environment id is a string such as 'game:Mastermind-v0', not {env_id!r}")
-        self._refuse_contested("env", env_id)
+        self.refuse_contested("env", env_id)
         record = self._envs.get(env_id)
         if record is None:
             raise UnknownEnvError(self._unknown_env(env_id))
@@ -94,7 +97,7 @@ class Registry:
     def tool(self, name: str) -> ToolSpec:
         """Return the record of a tool."""
         self.load()
-        self._refuse_contested("wrapper", name)
+        self.refuse_contested("wrapper", name)
         record = self._named.get("wrapper", {}).get(name)
         if not isinstance(record, ToolSpec):
             names = [tool.name for tool in self.named(ToolSpec)]
@@ -115,11 +118,11 @@ class Registry:
         self.load()
         return self._providers.get(env_id)
 
-    def plugin(self, name: str) -> Plugin:
-        """Return a plugin by the name of its entry point, or of its distribution."""
-        for plugin in self.plugins():
-            if name in (plugin.name, plugin.distribution):
-                return plugin
+    def plugins_named(self, name: str) -> list[Plugin]:
+        """Return the plugins whose entry point, or whose distribution, has a name."""
+        found = [plugin for plugin in self.plugins() if name in (plugin.name, plugin.distribution)]
+        if found:
+            return found
         names = [plugin.name for plugin in self.plugins()]
         raise UnknownPluginError(
             f"no plugin {name!r}.{did_you_mean(name, names)} Installed: {', '.join(names)}. Run 'gem plugins'"
@@ -150,10 +153,20 @@ class Registry:
         self.load()
         return list(self._plugins)
 
-    def contested(self) -> list[str]:
-        """Return one line for each id or name that two plugins claim, and that is refused to both."""
+    def refuse_contested(self, space: str, name: str) -> None:
+        """Raise where an id or a name cannot be had because several plugins claim it.
+
+        Args:
+            space: ``"env"``, ``"wrapper"`` (tools too), ``"vector backend"``, ``"agent"`` or ``"command"``.
+            name: The id or name.
+
+        Raises:
+            RegistrationError: It names the plugins.
+        """
         self.load()
-        return list(self._contested.values())
+        message = self._contested.get((space, name))
+        if message:
+            raise RegistrationError(f"{message}; uninstall one of them, or disable it with GEM_PLUGINS_DISABLE")
 
     # Taking in.
 
@@ -177,10 +190,8 @@ class Registry:
             self._loading = True
             self._clear()
             try:
-                plugins = load_plugins()
-                for plugin in plugins:
-                    self._take(plugin)
-                self._plugins = plugins
+                self._plugins = load_plugins()
+                self._take(self._plugins)
                 self._loaded = True
             finally:
                 self._loading = False
@@ -193,48 +204,64 @@ class Registry:
         """
         self.load()
         with self._lock:
-            present = self._envs.get(record.id)
-            owner = self._owners.get(("env", record.id), "")
-            if present is not None and not (owner == "register()" and _same_entry_point(present, record)):
+            self.refuse_contested("env", record.id)
+            present, provider = self._envs.get(record.id), self._providers.get(record.id)
+            if present is not None and (provider is not None or not _same_entry_point(present, record)):
                 raise RegistrationError(
-                    f"environment {record.id!r} is registered already, by {owner}; choose another id or version"
+                    f"environment {record.id!r} is registered already, by {provider or 'register()'}; "
+                    "choose another id or version"
                 )
             self._envs[record.id] = record
-            self._owners["env", record.id] = "register()"
 
-    def _take(self, plugin: Plugin) -> None:
-        if plugin.failure is not None or plugin.disabled:
-            return
-        claims: dict[tuple[str, str], Record] = {}
-        conflicts: list[str] = []
-        for record in plugin.records:
-            key = ("env", record.id) if isinstance(record, EnvSpec) else (_space(record.kind), record.name)
-            if key in claims:
-                conflicts.append(f"it offers {key[0]} {key[1]!r} twice")
-            elif key in self._owners:
-                message = f"{key[0]} {key[1]!r} is offered by both {self._owners[key]} and {plugin}"
-                self._contested[key] = message
-                conflicts.append(message)
-            claims[key] = record
-        if conflicts:
-            more = f" (and {len(conflicts) - 1} more)" if len(conflicts) > 1 else ""
-            plugin.failure = PluginFailure("register", conflicts[0] + more, "\n".join(conflicts))
-            plugin.records = []
-            report_failure(plugin)
-            return
-        for (space, name), record in claims.items():
-            self._owners[space, name] = str(plugin)
-            if isinstance(record, EnvSpec):
-                self._envs[name] = record
-                self._providers[name] = plugin
-            else:
-                self._named.setdefault(space, {})[name] = record
+    def _take(self, plugins: list[Plugin]) -> None:
+        """Take in what plugins offer, the core's first; what several claim costs them that id or name alone."""
+        claims: dict[Key, list[tuple[Plugin, Record | None]]] = {}
+        for plugin in plugins:
+            if not plugin.disabled:
+                claims.setdefault(("plugin name", plugin.name), []).append((plugin, None))
+            for offered in plugin.records:
+                claims.setdefault(_key(offered), []).append((plugin, offered))
+        disputes: dict[tuple[Plugin, ...], list[str]] = {}
+        for key, claimants in claims.items():
+            owner, record = claimants[0]
+            if len(claimants) > 1:
+                parties = tuple(dict.fromkeys(plugin for plugin, _ in claimants))
+                kinds = sorted({each.kind for _, each in claimants if isinstance(each, NamedSpec)})
+                what = f"{' or '.join(kinds) or key[0]} {key[1]!r}"
+                disputes.setdefault(parties, []).append(self._dispute(key, what, parties))
+            if record is not None and key not in self._contested:
+                self._store(record, owner)
+        for messages in disputes.values():
+            complain(messages[0] + (f" (and {len(messages) - 1} more)" if len(messages) > 1 else ""))
+
+    def _dispute(self, key: Key, what: str, parties: Sequence[Plugin]) -> str:
+        """Note that several claim an id or a name, and tell each; what the core offers stays the core's."""
+        owner, *others = map(str, parties)
+        if parties[0].is_core:
+            message = f"{what} is the core's own, and is offered by {' and '.join(others)} too"
+        elif others:
+            message = f"{what} is offered by both {' and '.join([owner, *others])}"
+        else:
+            message = f"{what} is offered twice by {owner}"
+        if not parties[0].is_core:
+            self._contested[key] = message
+        for plugin in parties:
+            if not plugin.is_core:
+                plugin.conflicts.append(message)
+        return message
+
+    def _store(self, record: Record, owner: Plugin) -> None:
+        if isinstance(record, EnvSpec):
+            self._envs[record.id] = record
+            self._providers[record.id] = owner
+        else:
+            self._named.setdefault(_space(record.kind), {})[record.name] = record
 
     # Saying what is wrong.
 
     def _find(self, space: str, name: str, error: type[UnknownNameError]) -> NamedSpec:
         self.load()
-        self._refuse_contested(space, name)
+        self.refuse_contested(space, name)
         records = self._named.get(space, {})
         if name in records:
             return records[name]
@@ -243,11 +270,6 @@ class Registry:
         missing = plugin is not None and all(present.distribution != plugin for present in self._plugins)
         hint = f" It comes with a plugin: try 'pip install {plugin}'." if missing else did_you_mean(name, records)
         raise error(f"no {what} {name!r}.{hint} There are: {', '.join(sorted(records))}.{self._failed_plugins()}")
-
-    def _refuse_contested(self, space: str, name: str) -> None:
-        message = self._contested.get((space, name))
-        if message:
-            raise RegistrationError(f"{message}; uninstall one of them, or disable it with GEM_PLUGINS_DISABLE")
 
     def _unknown_env(self, env_id: str) -> str:
         namespace, colon, _ = env_id.partition(":")
@@ -415,6 +437,10 @@ def print_envs(namespace: str | None = None) -> None:
     width = max((len(record.id) for record in records), default=0)
     for record in records:
         sys.stdout.write(f"{record.id:<{width}}  {record.summary}".rstrip() + "\n")
+
+
+def _key(record: Record) -> Key:
+    return ("env", record.id) if isinstance(record, EnvSpec) else (_space(record.kind), record.name)
 
 
 def _space(kind: str) -> str:

@@ -29,8 +29,8 @@ def doctor(*arguments: str, paths: list[Path], **variables: str) -> subprocess.C
 
 
 def found(paths: list[Path], **variables: str) -> dict[str, Any]:
-    """Return what ``gem doctor --json`` finds."""
-    return json.loads(doctor("--json", paths=paths, **variables).stdout)
+    """Return what ``gem doctor --quick --json`` finds."""
+    return json.loads(doctor("--quick", "--json", paths=paths, **variables).stdout)
 
 
 @pytest.fixture(scope="module")
@@ -51,14 +51,14 @@ def test_nothing_broken_exits_with_0(sites: dict[str, Path]) -> None:
 
 def test_it_fits_80_columns_without_colours_when_piped(sites: dict[str, Path]) -> None:
     """No line is longer, and nothing but text is written into a pipe."""
-    done = doctor(paths=[sites["fine"]])
+    done = doctor("--quick", paths=[sites["fine"]])
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert "\x1b" not in done.stdout
 
 
 def test_broken_plugin_exits_with_1_and_shows_its_traceback(sites: dict[str, Path]) -> None:
     """The whole traceback stands in the report, once, and nothing on standard error."""
-    done = doctor(paths=[sites["fine"], sites["hook_raises"]])
+    done = doctor("--quick", paths=[sites["fine"], sites["hook_raises"]])
     assert (done.returncode, done.stderr) == (1, "")
     assert done.stdout.count("Traceback (most recent call last)") == 1
     assert "broken  hook_raises (gem-hook-raises 1.0), " in done.stdout
@@ -67,21 +67,30 @@ def test_broken_plugin_exits_with_1_and_shows_its_traceback(sites: dict[str, Pat
 
 def test_strict_mode_does_not_stop_the_doctor(sites: dict[str, Path]) -> None:
     """GEM_PLUGINS_STRICT=1 raises everywhere else; here all failures are wanted."""
-    assert len(found([sites["hook_raises"], sites["heavy_neighbour"]], GEM_PLUGINS_STRICT="1")["broken"]) == 2
+    sites_of_three = [sites["fine"], sites["hook_raises"], sites["taken_id"]]
+    assert len(found(sites_of_three, GEM_PLUGINS_STRICT="1")["broken"]) == 3
 
 
 def test_contested_ids_are_named_with_both_plugins(sites: dict[str, Path]) -> None:
     """An id that two plugins claim."""
-    assert found([sites["fine"], sites["taken_id"]])["contested"] == [
+    conflict = (
         "env 'fine:One-v0' is offered by both plugin 'fine' (gem-fine 1.0) and plugin 'taken_id' (gem-taken-id 1.0)"
+    )
+    assert found([sites["fine"], sites["taken_id"]])["broken"] == [
+        f"plugin 'fine' (gem-fine 1.0): {conflict}",
+        f"plugin 'taken_id' (gem-taken-id 1.0): {conflict}",
     ]
 
 
 def test_record_of_a_missing_module_is_broken(sites: dict[str, Path]) -> None:
-    """Found without importing any implementation."""
-    assert found([sites["heavy_neighbour"]])["broken"] == [
-        "plugin 'heavy_neighbour' (gem-heavy-neighbour 1.0) points to the module 'gem_heavy_missing', "
-        "which is not there: heavy:One-v0"
+    """Without --quick, all that plugins point to is imported."""
+    done = doctor("--json", paths=[sites["heavy_neighbour"]])
+    assert done.returncode == 1
+    assert json.loads(done.stdout)["broken"] == [
+        "plugin 'heavy_neighbour' (gem-heavy-neighbour 1.0): heavy:One-v0: "
+        f"{sites['heavy_neighbour'] / 'gem_heavy_neighbour.py'}:9: its entry point: there is no module "
+        "'gem_heavy_missing' (entry point 'gem_heavy_missing:HeavyEnv'); correct the entry point, or install the "
+        "distribution that has it"
     ]
 
 
@@ -105,7 +114,8 @@ def test_diagnosis_loads_nothing_heavy(sites: dict[str, Path]) -> None:
     """Versions are read, not imported."""
     heavy = "[m for m in ('gymnasium', 'numpy', 'pydantic', 'gem_fine_env') if m in sys.modules]"
     done = python(
-        f"import sys\nfrom gem_core.cli.diagnosis import diagnose\ndiagnose()\nprint({heavy})", [sites["fine"]]
+        f"import sys\nfrom gem_core.cli.diagnosis import diagnose\ndiagnose(quick=True)\nprint({heavy})",
+        [sites["fine"]],
     )
     assert done.stdout == "[]\n"
 
@@ -143,7 +153,7 @@ def test_requirements_are_grouped_with_number_and_example(needy: Registry, monke
 def test_value_of_a_key_is_never_in_the_report(needy: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
     """Only that it is set."""
     monkeypatch.setenv("GEMT_SECRET", "pssst")
-    report = diagnosis.diagnose()
+    report = diagnosis.diagnose(quick=True)
     assert row(report["requirements"], "key:GEMT_SECRET")["detail"] == "is set"
     assert "pssst" not in json.dumps(report)
 
@@ -274,7 +284,7 @@ def test_tools_say_what_is_in_force(toolbox_site: Path) -> None:
         {"tool": "mute", "summary": "Says nothing of itself.", "status": None, "error": None},
         {"tool": "vault", "summary": "Opens.", "status": "two locks in force", "error": None},
     ]
-    shown = doctor(paths=[toolbox_site]).stdout
+    shown = doctor("--quick", paths=[toolbox_site]).stdout
     assert "    ok      box: level: high, drawers: 2\n" in shown
     assert "            mute: Says nothing of itself.\n" in shown
     assert "    ok      vault: two locks in force\n" in shown
@@ -316,7 +326,7 @@ def test_status_that_fails_is_told_and_spoils_nothing(
     odd = gem.ToolSpec(name="odd", entry_point="toys:Calculator", status=status)
     fine = gem.ToolSpec(name="well", entry_point="toys:Calculator", status=lambda: {1: Path("x")})
     monkeypatch.setitem(own_registry._named, "wrapper", {"odd": odd, "well": fine})
-    report = diagnosis.diagnose()
+    report = diagnosis.diagnose(quick=True)
     assert [(tool["status"], tool["error"]) for tool in report["tools"]] == [(None, error), ({"1": "x"}, None)]
     assert report["broken"] == [f"the status of tool 'odd' failed: {error}"]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -11,7 +12,7 @@ from word_env import PlainEnv, WordEnv, message
 import gem_core as gem
 from gem_core import plugins, registry
 from gem_core.errors import ArgumentError, EntryPointError, MissingRequirementError, RegistrationError, UnknownEnvError
-from gem_core.specs import EnvSpec, ToolSpec, WrapperSpec
+from gem_core.specs import EnvSpec, WrapperSpec
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -125,7 +126,7 @@ def test_backend_of_a_plugin_that_is_not_installed(own_registry: registry.Regist
 
 def test_unknown_plugin(own_registry: registry.Registry) -> None:
     """An unknown plugin gives the installed ones."""
-    assert message(own_registry.plugin, "cor") == (
+    assert message(own_registry.plugins_named, "cor") == (
         "UnknownPluginError: no plugin 'cor'. Did you mean 'core'? Installed: core. Run 'gem plugins'"
     )
 
@@ -279,7 +280,12 @@ def test_record_of_a_plugin_is_not_overwritten(
     own_registry: registry.Registry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A program cannot register over a plugin's id; the message names the plugin."""
-    plugin = plugins.Plugin("mine", "gem-mine", "2.0", records=[EnvSpec(id="word:Guess-v0", entry_point=WordEnv)])
+    plugin = plugins.Plugin(
+        EntryPoint("mine", "gem_mine", "gem.plugins"),
+        "gem-mine",
+        "2.0",
+        records=[EnvSpec(id="word:Guess-v0", entry_point=WordEnv)],
+    )
     monkeypatch.setattr(registry, "load_plugins", lambda: [plugin])
     assert message(gem.register, "word:Guess-v0", WordEnv) == (
         "RegistrationError: environment 'word:Guess-v0' is registered already, by plugin 'mine' (gem-mine 2.0); "
@@ -287,24 +293,11 @@ def test_record_of_a_plugin_is_not_overwritten(
     )
 
 
-def test_tools_and_wrappers_share_their_names(
-    own_registry: registry.Registry, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    """A tool and a wrapper of one name from two plugins are contested."""
-    first = plugins.Plugin("a", "gem-a", "1", records=[ToolSpec(name="same", entry_point="a:A")])
-    second = plugins.Plugin("b", "gem-b", "1", records=[WrapperSpec(name="same", entry_point="b:B")])
-    monkeypatch.setattr(registry, "load_plugins", lambda: [first, second])
-    text = "wrapper 'same' is offered by both plugin 'a' (gem-a 1) and plugin 'b' (gem-b 1)"
-    refusal = f"RegistrationError: {text}; uninstall one of them, or disable it with GEM_PLUGINS_DISABLE"
-    assert message(own_registry.wrapper, "same") == message(own_registry.tool, "same") == refusal
-    assert caplog.messages[0].startswith(f"gem: plugin 'b' (gem-b 1) failed at stage 'register': {text}.")
-
-
 def test_disabled_plugin_is_named_for_its_namespace(
     own_registry: registry.Registry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An id of a disabled plugin says that it is disabled, not that it should be installed."""
-    plugin = plugins.Plugin("math", "gem-math", "1.0", disabled=True)
+    plugin = plugins.Plugin(EntryPoint("math", "gem_math", "gem.plugins"), "gem-math", "1.0", disabled=True)
     monkeypatch.setattr(registry, "load_plugins", lambda: [plugin])
     assert message(gem.make, "math:GSM8K") == (
         "UnknownEnvError: no environment 'math:GSM8K'. It may belong to plugin 'math' (gem-math 1.0), "
@@ -348,9 +341,9 @@ def modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("gemt_value:WordEnv", "importing 'gemt_value' failed: ValueError: bad day"),
         (
             "gemt_fine:WorldEnv",
-            "'gemt_fine' has no 'WorldEnv'. Did you mean 'WordEnv'? (entry point 'gemt_fine:WorldEnv')",
+            "'gemt_fine' has no 'WorldEnv'. Did you mean 'WordEnv'? Correct the entry point 'gemt_fine:WorldEnv'",
         ),
-        ("gemt_fine:WordEnv.size.x", "'gemt_fine' has no 'x'. (entry point 'gemt_fine:WordEnv.size.x')"),
+        ("gemt_fine:WordEnv.size.x", "'gemt_fine' has no 'x'. Correct the entry point 'gemt_fine:WordEnv.size.x'"),
         ("gemt_fine:WordEnv.size", "'gemt_fine:WordEnv.size' is a int, which cannot be called"),
     ],
 )
@@ -405,7 +398,14 @@ def test_first_use_loads_once_from_many_threads(
 
     def load_once() -> list[plugins.Plugin]:
         calls.append(1)
-        return [plugins.Plugin("mine", "gem-mine", "1", records=[EnvSpec(id="word:Guess-v0", entry_point="a:B")])]
+        return [
+            plugins.Plugin(
+                EntryPoint("mine", "gem_mine", "gem.plugins"),
+                "gem-mine",
+                "1",
+                records=[EnvSpec(id="word:Guess-v0", entry_point="a:B")],
+            )
+        ]
 
     monkeypatch.setattr(registry, "load_plugins", load_once)
     seen: list[list[str]] = []

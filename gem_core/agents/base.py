@@ -195,6 +195,7 @@ def load_agent(name: str, **options: Any) -> Agent:
     from gem_core.registry import registry
 
     head, colon, rest = name.partition(":")
+    registry().refuse_contested("agent", head)
     registered = [record.name for record in registry().named(AgentSpec)]
     if head in registered:
         return as_agent(construct(registry().agent(head), *([rest] if colon else []), **options))

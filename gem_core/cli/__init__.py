@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -11,24 +10,16 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from gem_core import __version__
+from gem_core._plugin import gem_add_commands
+from gem_core.cli.said_today import said_once
 from gem_core.errors import GemError
+from gem_core.specs import CommandSpec
 from gem_core.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-# Name, module and help of each subcommand, so that `gem --help` imports none of them.
-_COMMANDS = {
-    "list": ("gem_core.cli.list_command", "List the environments that can be made."),
-    "info": ("gem_core.cli.info_command", "Describe one environment."),
-    "play": ("gem_core.cli.play_command", "Play an environment yourself, in the terminal."),
-    "run": ("gem_core.cli.run_command", "Let an agent act in environments and record its episodes."),
-    "show": ("gem_core.cli.show_command", "Show recorded episodes: a list, one of them, two compared, or a page."),
-    "plugins": ("gem_core.cli.plugins_command", "List the installed plugins, and what is wrong with them."),
-    "doctor": ("gem_core.cli.doctor_command", "Find out what is broken, and what is missing to run the rest."),
-    "new-plugin": ("gem_core.cli.new_plugin_command", "Start a plugin that installs and passes its own tests."),
-    "completion": ("gem_core.cli.completion_command", "Print the script that completes words in your shell."),
-}
+_OWN = {record.name: record for record in gem_add_commands()}
 
 _EPILOG = """\b
 Examples:
@@ -48,7 +39,7 @@ class _ReaderGoneError(Exception):
 
 
 class _Commands(click.Group):
-    """Finds subcommands by name, the core's first, then those of plugins."""
+    """Finds subcommands by name: the core's, which load no plugin, then those of plugins."""
 
     def invoke(self, ctx: click.Context) -> Any:
         # click's own answers would be exit code 1 for a closed pipe, and "aborted" for an agent at the end of its
@@ -61,17 +52,14 @@ class _Commands(click.Group):
             raise GemError(f"there is nothing more to read: EOFError: {error}") from error
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return [*_COMMANDS, *(name for name in _plugin_commands() if name not in _COMMANDS)]
+        return [record.name for record in _all_commands()]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name in _COMMANDS:
-            command: click.Command = importlib.import_module(_COMMANDS[cmd_name][0]).command
-            return command
-        record = _plugin_commands().get(cmd_name)
-        if record is None:
-            return None
         from gem_core.entry_points import load_entry_point
 
+        record = _OWN.get(cmd_name) or _of_plugins(cmd_name)
+        if record is None:
+            return None
         loaded = load_entry_point(record.entry_point, f"command {cmd_name!r}")
         if not isinstance(loaded, click.Command):
             raise click.ClickException(f"the command {cmd_name!r} of a plugin is a {type(loaded).__name__}")
@@ -91,16 +79,12 @@ class _Commands(click.Group):
         """Complete the names of commands from the table, where click would import every one of them."""
         from click.shell_completion import CompletionItem
 
-        items = [CompletionItem(name, help=summary) for name, summary in self._rows() if name.startswith(incomplete)]
+        items = [CompletionItem(name, help=summary) for name, summary in _rows() if name.startswith(incomplete)]
         return [*items, *click.Command.shell_complete(self, ctx, incomplete)]
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl(self._rows())
-
-    def _rows(self) -> list[tuple[str, str]]:
-        rows = [(name, summary) for name, (_, summary) in _COMMANDS.items()]
-        return rows + [(name, record.summary) for name, record in _plugin_commands().items() if name not in _COMMANDS]
+            formatter.write_dl(_rows())
 
 
 @click.command(
@@ -125,7 +109,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     if "_GEM_COMPLETE" in os.environ:
         from gem_core.cli import completion  # noqa: F401 - it registers completers of our own
     try:
-        code = cli.main(list(arguments), prog_name="gem", standalone_mode=False)
+        with said_once(next((word for word in arguments if not word.startswith("-")), "")):
+            code = cli.main(list(arguments), prog_name="gem", standalone_mode=False)
         sys.stdout.flush()
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)
@@ -163,15 +148,25 @@ def _click_message(error: click.ClickException, arguments: Sequence[str]) -> str
     if not isinstance(error, click.UsageError):
         return message
     # click leaves the context out where an option lacks its value.
-    path = f"gem {arguments[0]}" if arguments and arguments[0] in _COMMANDS else "gem"
+    path = f"gem {arguments[0]}" if arguments and arguments[0] in _OWN else "gem"
     if error.ctx is not None:
         path = error.ctx.command_path
     message = message.rstrip(".")
     return f"{message}{'' if message.endswith('?') else '.'} Run '{path} --help'"
 
 
-def _plugin_commands() -> dict[str, Any]:
+def _of_plugins(name: str) -> CommandSpec | None:
     from gem_core.registry import registry
-    from gem_core.specs import CommandSpec
 
-    return {record.name: record for record in registry().named(CommandSpec)}
+    registry().refuse_contested("command", name)
+    return next((record for record in registry().named(CommandSpec) if record.name == name), None)
+
+
+def _all_commands() -> list[CommandSpec]:
+    from gem_core.registry import registry
+
+    return [*_OWN.values(), *(record for record in registry().named(CommandSpec) if record.name not in _OWN)]
+
+
+def _rows() -> list[tuple[str, str]]:
+    return [(record.name, record.summary) for record in _all_commands()]

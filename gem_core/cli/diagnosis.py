@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.machinery
 import importlib.metadata
-import importlib.util
 import json
 import logging
 import os
@@ -14,15 +12,17 @@ import re
 import sys
 import threading
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from gem_core import __version__
 from gem_core.plugins import Plugin
+from gem_core.progress import Progress
 from gem_core.registry import Registry, registry
 from gem_core.requirements import SERVICES, find, installed_version, which_gem
 from gem_core.specs import EnvSpec, ToolSpec
+from gem_core.testing.importing import TIMEOUT_S, imported
 
 PACKAGES = ("gymnasium", "numpy", "pydantic", "pluggy", "click", "rich")
 """What the core is built on; their versions belong into every report of a bug."""
@@ -30,15 +30,22 @@ PACKAGES = ("gymnasium", "numpy", "pydantic", "pluggy", "click", "rich")
 _OF_EXTRA = re.compile(r"""([\w.-]+).*;.*\bextra\s*==\s*["']([\w.-]+)["']""")
 
 
-def diagnose() -> dict[str, Any]:
+def diagnose(*, quick: bool = False) -> dict[str, Any]:
     """Return all that is known of this installation, as plain JSON.
 
     ``broken`` lists in one line each what is installed and cannot work. No value of a key is in it.
+
+    Args:
+        quick: Whether to leave out importing all that plugins point to, which takes seconds.
     """
     notes = _load_quietly()
     found = registry()
     plugins = found.plugins()
-    dangling = dangling_entry_points(plugins)
+    problems: list[str] = []
+    with Progress(len(plugins), "plugins", unit="plugins", quiet=not sys.stderr.isatty()) as progress:
+        for number, plugin in enumerate(plugins):
+            problems += [f"{plugin}: {each}" for each in (plugin.conflicts if quick else problems_of(plugin))]
+            progress.advance(number + 1)
     broken = [
         f"{plugin} failed at stage '{plugin.failure.stage}': {plugin.failure.error}"
         for plugin in plugins
@@ -54,8 +61,7 @@ def diagnose() -> dict[str, Any]:
         "platform": platform.platform(),
         "packages": {name: installed_version(name) for name in PACKAGES},
         "plugins": [described(plugin) for plugin in plugins],
-        "contested": found.contested(),
-        "broken": [*broken, *dangling, *unknown],
+        "broken": [*broken, *problems, *unknown],
         "tools": tools,
         "requirements": requirements(found),
         "extras": _extras(),
@@ -75,6 +81,7 @@ def described(plugin: Plugin) -> dict[str, Any]:
         "load_time_ms": round(plugin.load_time_s * 1000, 3),
         "offers": dict(offers(plugin)),
         "failure": None if plugin.failure is None else vars(plugin.failure),
+        "conflicts": plugin.conflicts,
     }
 
 
@@ -152,56 +159,28 @@ def _status_of(record: ToolSpec, timeout_s: float) -> tuple[Any, str | None]:
         return None, f"it did not answer within {timeout_s:g} s"
 
 
-def dangling_entry_points(plugins: Iterable[Plugin]) -> list[str]:
-    """Return one line for each record whose module is not there, found without importing any implementation."""
-    missing: dict[tuple[str, str], list[str]] = {}
-    there: dict[str, bool] = {}
-    for plugin in plugins:
-        for record in plugin.records:
-            if not isinstance(record.entry_point, str):
-                continue
-            module = record.entry_point.partition(":")[0]
-            if module not in there:
-                there[module] = _is_there(module)
-            needs = record.requires if isinstance(record, EnvSpec) else ()
-            if not there[module] and all(find(requirement).status != "unmet" for requirement in needs):
-                name = record.id if isinstance(record, EnvSpec) else f"{record.kind} {record.name}"
-                missing.setdefault((str(plugin), module), []).append(name)
-    return [
-        f"{plugin} points to the module {module!r}, which is not there: {names[0]}"
-        + (f" (and {len(names) - 1} more)" if len(names) > 1 else "")
-        for (plugin, module), names in missing.items()
-    ]
+def problems_of(plugin: Plugin, timeout_s: float = TIMEOUT_S) -> list[str]:
+    """Return one line for each thing that is wrong with a plugin that loads; all it points to is imported for that.
 
-
-def _is_there(module: str) -> bool:
-    if module in sys.modules:
-        return True
-    # importlib.util.find_spec would import the parent packages of a dotted name, which may be heavy.
-    top, *rest = module.split(".")
-    try:
-        spec = importlib.util.find_spec(top)
-        name = top
-        for part in rest:
-            if spec is None or spec.submodule_search_locations is None:
-                return False
-            name = f"{name}.{part}"
-            spec = importlib.machinery.PathFinder.find_spec(name, list(spec.submodule_search_locations))
-    except Exception:  # noqa: BLE001 - finders of others may fail in any way; make will tell then
-        return True
-    return spec is not None
+    Args:
+        plugin: What is tried, in an interpreter of its own.
+        timeout_s: Seconds that this may take.
+    """
+    if plugin.failure is not None or plugin.disabled or plugin.is_core:
+        return plugin.conflicts
+    seen = imported(plugin.entry_point, timeout_s)
+    return [*plugin.conflicts, *([seen.failure] if seen.failure else seen.problems)]
 
 
 def _load_quietly() -> list[str]:
     """Load the plugins and return what was logged, but for the failures: a report shows those in full."""
-    logger = logging.getLogger("gem_core")
+    logger = logging.getLogger("gem_core.plugins")
     notes: list[str] = []
 
     def keep(record: logging.LogRecord) -> bool:
-        if record.levelno >= logging.WARNING:
-            message = record.getMessage()
-            if not message.startswith("gem: plugin "):
-                notes.append(message.removeprefix("gem: "))
+        message = record.getMessage()
+        if not message.endswith("for the whole."):  # those are in the report in full
+            notes.append(message.removeprefix("gem: "))
         return False
 
     strict = os.environ.pop("GEM_PLUGINS_STRICT", None)  # it would stop at the first failure, and all are wanted

@@ -26,23 +26,24 @@ A requirement is met, unmet, untried (known only when it is used, as the network
 of a plugin's own). Of keys only the presence is looked at, and nothing is sent anywhere but a ping to
 the container engine.
 \b
-Tools say what is in force here, as the level of a sandbox. Modules of other implementations are looked
-for and not imported, as that may take long; that one works is shown by 'gem info ID', and by
-'pytest --gem-envs ID', which tries all that it promises.
+Tools say what is in force here, as the level of a sandbox. All that plugins point to is imported, each
+plugin in an interpreter of its own, which takes some seconds; --quick leaves that out. That an environment
+keeps its promises is shown by 'pytest --gem-envs ID'.
 
 \b
 Exit code: 1 when something installed is broken, 0 otherwise, whatever requirements are unmet.
 """,
 )
+@click.option("--quick", is_flag=True, help="Do not import what plugins point to.")
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON object.")
 @click.pass_context
-def command(ctx: click.Context, as_json: bool) -> None:
+def command(ctx: click.Context, quick: bool, as_json: bool) -> None:
     """Find out what is installed, what is broken and why, and what is missing to run the rest.
 
     Shows versions, every plugin with the time that it takes to load, the traceback of each that failed, how the tools
     stand on this machine, and what the environments require of it with the way to get it.
     """
-    found = diagnose()
+    found = diagnose(quick=quick)
     if as_json:
         click.echo(json.dumps(found, indent=1))
     else:
@@ -74,7 +75,7 @@ def _print_plugins(found: dict[str, Any]) -> None:
         if failure:
             for line in failure["traceback"].rstrip().splitlines():
                 click.echo(f"{'':{_INDENT + 8}}{line}")
-    for line in [*found["contested"], *found["notes"]]:
+    for line in found["notes"]:
         _row(line, "note", "yellow")
 
 

@@ -13,6 +13,7 @@ from gem_core.cli import tool_info
 from gem_core.cli.completion import complete_env_ids
 from gem_core.cli.tool_info import KINDS
 from gem_core.errors import UnknownEnvError
+from gem_core.plugins import Plugin, Record
 from gem_core.registry import registry
 from gem_core.specs import EnvSpec
 from gem_core.suggestions import did_you_mean
@@ -34,16 +35,23 @@ Examples:
 def command(pattern: str | None, as_json: bool) -> None:
     """List the environments that can be made.
 
-    PATTERN is a namespace, a part of an id, or a glob in quotes; or one of tools, wrappers, agents and backends.
+    PATTERN is a namespace, a part of an id, or a glob in quotes; or one of tools, wrappers, agents and backends; or the
+    name of a plugin, for all that it offers.
     """
     if pattern in KINDS and not any(record.namespace == pattern for record in registry().envs()):
         _print_named(pattern, as_json)
+        return
+    if pattern is not None and (offered := _offered_by(pattern)):
+        _print_offered(offered, as_json)
         return
     records = matching(pattern)
     if as_json:
         click.echo(json.dumps([described(record) for record in records], indent=1))
     elif not records:
         click.echo("No environments are installed. Try 'pip install gem-games'.")
+        others = _usable([plugin for plugin in registry().plugins() if not plugin.is_core])
+        if others:
+            _print_offered(others, as_json)
     else:
         _print_columns(records)
 
@@ -92,6 +100,39 @@ def _print_named(kind: str, as_json: bool) -> None:
         _print_rows([(record.name, record.summary) for record in named])
 
 
+def _offered_by(name: str) -> list[Record]:
+    """Return what the plugins of a name offer, where that is no namespace; nothing where there is no such plugin."""
+    if any(record.namespace == name.removesuffix(":") for record in registry().envs()):
+        return []
+    plugins = [plugin for plugin in registry().plugins() if name in (plugin.name, plugin.distribution)]
+    return _usable(plugins)
+
+
+def _usable(plugins: list[Plugin]) -> list[Record]:
+    """Return what some plugins offer, without the ids and names that are contested, or the core's."""
+    found = registry()
+    return [
+        record
+        for plugin in plugins
+        for record in plugin.records
+        if record in (found.envs() if isinstance(record, EnvSpec) else found.named(type(record)))
+    ]
+
+
+def _print_offered(records: list[Record], as_json: bool) -> None:
+    if as_json:
+        click.echo(
+            json.dumps(
+                [described(each) if isinstance(each, EnvSpec) else tool_info.described(each) for each in records],
+                indent=1,
+            )
+        )
+        return
+    _print_rows(
+        [(each.id if isinstance(each, EnvSpec) else f"{each.kind} {each.name}", each.summary) for each in records]
+    )
+
+
 def _print_columns(records: list[EnvSpec]) -> None:
     needs = [f" [needs {', '.join(record.requires)}]" if record.requires else "" for record in records]
     _print_rows([(record.id, f"{record.summary}{need}") for record, need in zip(records, needs, strict=True)])
@@ -105,7 +146,7 @@ def _print_rows(rows: list[tuple[str, str]]) -> None:
         rest = f"  {text}"
         if width is not None and first + len(rest) > width:
             rest = rest[: max(width - first - 1, 0)] + "…"
-        click.echo(f"{click.style(name.ljust(first), fg='cyan')}{rest}".rstrip())
+        click.echo(f"{click.style(name.ljust(first) if text else name, fg='cyan')}{rest}".rstrip())
 
 
 def _is_plain(value: object) -> bool:

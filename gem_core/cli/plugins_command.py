@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import click
 
 from gem_core.cli.completion import complete_plugins
-from gem_core.cli.diagnosis import described, listed
+from gem_core.cli.diagnosis import described, listed, problems_of
 from gem_core.plugins import Plugin
 from gem_core.registry import registry
+from gem_core.testing.importing import TIMEOUT_S
 
 
 @click.command(
@@ -18,26 +20,41 @@ from gem_core.registry import registry
 Examples:
   gem plugins
   gem plugins games
-  gem plugins --check     exit code 1 and the whole traceback when one is broken
+  gem plugins --check     exit code 1 when one is broken, or claims what is another's
+\b
+--check imports what every record points to, each plugin in an interpreter of its own, and says file and
+line of what cannot be imported.
 """,
 )
 @click.argument("name", required=False, shell_complete=complete_plugins)
-@click.option("--check", is_flag=True, help="Show tracebacks, and exit with 1 when a plugin is broken.")
+@click.option("--check", is_flag=True, help="Import all that they offer; exit with 1 when something is wrong.")
+@click.option(
+    "--timeout",
+    "timeout_s",
+    type=click.FloatRange(min=0, min_open=True),
+    default=TIMEOUT_S,
+    show_default=True,
+    metavar="SECONDS",
+    help="How long the imports of one plugin may take, with --check.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON list.")
 @click.pass_context
-def command(ctx: click.Context, name: str | None, check: bool, as_json: bool) -> None:
+def command(ctx: click.Context, name: str | None, check: bool, timeout_s: float, as_json: bool) -> None:
     """List the installed plugins, what each offers and how long it took to load."""
-    plugins = registry().plugins() if name is None else [registry().plugin(name)]
+    plugins = registry().plugins() if name is None else registry().plugins_named(name)
+    found: list[dict[str, Any]] = []
+    for plugin in plugins:
+        problems = problems_of(plugin, timeout_s) if check else plugin.conflicts
+        found.append({**described(plugin), "problems": problems})
+        if not as_json:
+            _print(plugin, problems, with_traceback=check)
     if as_json:
-        click.echo(json.dumps([described(plugin) for plugin in plugins], indent=1))
-    else:
-        for plugin in plugins:
-            _print(plugin, check)
-    if check and any(plugin.failure for plugin in plugins):
+        click.echo(json.dumps(found, indent=1))
+    if check and any(plugin["failure"] or plugin["problems"] for plugin in found):
         ctx.exit(1)
 
 
-def _print(plugin: Plugin, with_traceback: bool) -> None:
+def _print(plugin: Plugin, problems: list[str], *, with_traceback: bool) -> None:
     head = f"{click.style(plugin.name, bold=True)}  {plugin.distribution} {plugin.version}"
     if plugin.disabled:
         click.echo(f"{head}  {click.style('disabled', fg='yellow')} by GEM_PLUGINS_DISABLE")
@@ -47,5 +64,8 @@ def _print(plugin: Plugin, with_traceback: bool) -> None:
         if with_traceback:
             click.echo("".join(f"    {line}\n" for line in plugin.failure.traceback.splitlines()), nl=False)
     else:
-        click.echo(f"{head}  {click.style('works', fg='green')}, {plugin.load_time_s * 1000:.1f} ms")
+        state = click.style("broken in part", fg="red") if problems else click.style("works", fg="green")
+        click.echo(f"{head}  {state}, {plugin.load_time_s * 1000:.1f} ms")
         click.echo(f"    {listed(plugin)}")
+    for problem in problems:
+        click.echo(f"    {problem}")

@@ -12,7 +12,7 @@ def gem_register_envs():
 @hookimpl
 def gem_register_tools():
     """Offer one tool."""
-    return [ToolSpec(name="fine_tool", entry_point="gem_fine_env:FineTool")]
+    return [ToolSpec(name="fine_tool", entry_point="gem_fine_tool:FineTool")]
 
 
 @hookimpl

@@ -1,6 +1,8 @@
 """The heavy part of the fine plugin, imported only by ``make``."""
 
-from gem_core import TERMINAL_STATE, Env, Wrapper
+import click
+
+from gem_core import TERMINAL_STATE, Env, VectorEnv, Wrapper
 
 
 class FineEnv(Env):
@@ -22,3 +24,21 @@ class Shout(Wrapper):
     def after_reset(self, result):
         """Shout the question."""
         return result[0].upper(), result[1]
+
+
+class FineVectorEnv(VectorEnv):
+    """A backend."""
+
+
+class FineAgent:
+    """An agent."""
+
+    def __call__(self, observation):
+        """Say anything."""
+        return "anything"
+
+
+@click.command("fine")
+def command():
+    """Say that it is fine."""
+    click.echo("fine")

@@ -6,7 +6,7 @@ from gem_core import EnvSpec, hookimpl
 @hookimpl
 def gem_register_envs():
     """Offer environments."""
-    return [EnvSpec(id="raises:One-v0", entry_point="gem_fine:FineEnv")]
+    return [EnvSpec(id="raises:One-v0", entry_point="gem_fine_env:FineEnv")]
 
 
 @hookimpl

@@ -7,6 +7,6 @@ from gem_core import EnvSpec, hookimpl
 def gem_register_envs():
     """Offer environments."""
     return [
-        EnvSpec(id="midway:Fine-v0", entry_point="gem_fine:FineEnv"),
-        EnvSpec(id="no colon", entry_point="gem_fine:FineEnv"),
+        EnvSpec(id="midway:Fine-v0", entry_point="gem_fine_env:FineEnv"),
+        EnvSpec(id="no colon", entry_point="gem_fine_env:FineEnv"),
     ]

@@ -6,4 +6,4 @@ from gem_core import EnvSpec, hookimpl
 @hookimpl
 def gem_register_envs():
     """Offer environments."""
-    return [EnvSpec(id="same:One-v0", entry_point="gem_fine:FineEnv")]
+    return [EnvSpec(id="same:One-v0", entry_point="gem_fine_env:FineEnv")]

@@ -7,6 +7,6 @@ from gem_core import EnvSpec, hookimpl
 def gem_register_envs():
     """Offer environments."""
     return [
-        EnvSpec(id="taken:Own-v0", entry_point="gem_fine:FineEnv"),
-        EnvSpec(id="fine:One-v0", entry_point="gem_fine:FineEnv"),
+        EnvSpec(id="taken:Own-v0", entry_point="gem_fine_env:FineEnv"),
+        EnvSpec(id="fine:One-v0", entry_point="gem_fine_env:FineEnv"),
     ]

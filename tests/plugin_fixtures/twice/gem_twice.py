@@ -7,6 +7,7 @@ from gem_core import EnvSpec, hookimpl
 def gem_register_envs():
     """Offer environments."""
     return [
-        EnvSpec(id="twice:One-v0", entry_point="gem_fine:FineEnv"),
-        EnvSpec(id="twice:One-v0", entry_point="gem_fine:FineEnv"),
+        EnvSpec(id="twice:One-v0", entry_point="gem_fine_env:FineEnv"),
+        EnvSpec(id="twice:One-v0", entry_point="gem_fine_env:FineEnv"),
+        EnvSpec(id="twice:Two-v0", entry_point="gem_fine_env:FineEnv"),
     ]

@@ -6,4 +6,4 @@ from gem_core import ToolSpec, hookimpl
 @hookimpl
 def gem_register_envs():
     """Offer environments."""
-    return [ToolSpec(name="hammer", entry_point="gem_fine:Hammer")]
+    return [ToolSpec(name="hammer", entry_point="gem_fine_env:Hammer")]

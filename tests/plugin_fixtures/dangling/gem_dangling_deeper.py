@@ -1,0 +1,5 @@
+"""Needs a module that fails."""
+
+from gem_dangling_raises import MathEnv
+
+__all__ = ["MathEnv"]

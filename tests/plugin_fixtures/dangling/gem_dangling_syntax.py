@@ -1,0 +1,3 @@
+"""Is not finished."""
+
+class MathEnv(

@@ -1,0 +1,7 @@
+"""The tool of the fine plugin, beside its environment, since it needs pydantic."""
+
+from gem_core import Tool
+
+
+class FineTool(Tool):
+    """A tool."""

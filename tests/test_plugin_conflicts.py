@@ -1,0 +1,216 @@
+"""What several plugins claim costs them that id or name alone, and the core's names stay the core's."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+
+import click
+import pytest
+from distributions import install, python
+from word_env import WordEnv, message
+
+import gem_core as gem
+from gem_core import plugins, registry
+from gem_core.agents.base import load_agent
+from gem_core.cli import cli
+from gem_core.errors import RegistrationError
+from gem_core.specs import AgentSpec, CommandSpec, EnvSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+
+
+def entry_point(name: str) -> EntryPoint:
+    """Return the entry point of a plugin of this name."""
+    return EntryPoint(name, f"gem_{name}._plugin", "gem.plugins")
+
+
+def test_tools_and_wrappers_share_their_names(
+    own_registry: registry.Registry, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A tool and a wrapper of one name from two plugins are contested."""
+    first = plugins.Plugin(entry_point("a"), "gem-a", "1", records=[ToolSpec(name="same", entry_point="a:A")])
+    second = plugins.Plugin(entry_point("b"), "gem-b", "1", records=[WrapperSpec(name="same", entry_point="b:B")])
+    monkeypatch.setattr(registry, "load_plugins", lambda: [first, second])
+    text = "tool or wrapper 'same' is offered by both plugin 'a' (gem-a 1) and plugin 'b' (gem-b 1)"
+    refusal = f"RegistrationError: {text}; uninstall one of them, or disable it with GEM_PLUGINS_DISABLE"
+    assert message(own_registry.wrapper, "same") == message(own_registry.tool, "same") == refusal
+    assert caplog.messages == [f"gem: {text}. Everything else works; run 'gem plugins --check' for the whole."]
+
+
+KINDS = {
+    "env": (lambda name: EnvSpec(id=f"toy:{name}", entry_point="a:A"), lambda name: gem.make(f"toy:{name}")),
+    "tool": (lambda name: ToolSpec(name=name, entry_point="a:A"), lambda name: registry.registry().tool(name)),
+    "wrapper": (lambda name: WrapperSpec(name=name, entry_point="a:A"), lambda name: registry.registry().wrapper(name)),
+    "vector backend": (
+        lambda name: VectorBackendSpec(name=name, entry_point="a:A"),
+        lambda name: registry.registry().backend(name),
+    ),
+    "agent": (lambda name: AgentSpec(name=name, entry_point="a:A"), lambda name: load_agent(f"{name}:option")),
+    "command": (
+        lambda name: CommandSpec(name=name, entry_point="a:A"),
+        lambda name: cli.get_command(click.Context(cli), name),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_conflict_costs_the_name_alone(
+    kind: str, own_registry: registry.Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of every kind of record, the name is refused with both plugins, and all else of both stays."""
+    record, look_up = KINDS[kind]
+    first, second = (
+        plugins.Plugin(entry_point(name), f"gem-{name}", "1", records=[record("same"), record(f"own-{name}")])
+        for name in "ab"
+    )
+    monkeypatch.setattr(registry, "load_plugins", lambda: [first, second])
+    name = "toy:same" if kind == "env" else "same"
+    conflict = f"{kind} {name!r} is offered by both plugin 'a' (gem-a 1) and plugin 'b' (gem-b 1)"
+    assert message(look_up, "same") == (
+        f"RegistrationError: {conflict}; uninstall one of them, or disable it with GEM_PLUGINS_DISABLE"
+    )
+    assert first.conflicts == second.conflicts == [conflict]
+    known = own_registry.envs() if kind == "env" else own_registry.named(type(record("x")))
+    assert {"own-a", "own-b"} <= (names := {each.name for each in known})
+    assert "same" not in names
+
+
+def test_a_program_cannot_register_what_plugins_contest(
+    own_registry: registry.Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An id that is refused to two plugins is not free for a third."""
+    record = EnvSpec(id="word:Guess-v0", entry_point=WordEnv)
+    both = [plugins.Plugin(entry_point(name), f"gem-{name}", "1", records=[record]) for name in "ab"]
+    monkeypatch.setattr(registry, "load_plugins", lambda: both)
+    with pytest.raises(RegistrationError, match="is offered by both plugin 'a'"):
+        gem.register("word:Guess-v0", WordEnv)
+
+
+def gem_of(sites: list[Path], *arguments: str, **variables: str) -> tuple[int, str, str]:
+    """Run the command where some distributions are installed beside each other."""
+    done = python(f"from gem_core.cli import main\nmain({list(arguments)!r})", sites, **variables)
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.fixture(scope="module")
+def sites(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Plugins that claim what is another's."""
+    target = tmp_path_factory.mktemp("sites")
+    return {case: install(case, target) for case in ("fine", "taken_id", "takes_core", "same_name", "twice")}
+
+
+@pytest.mark.parametrize("name", ["fine", "taken_id"])
+def test_check_fails_for_both_and_tells_each_of_the_other(name: str, sites: dict[str, Path]) -> None:
+    """Neither is the innocent one, as far as anybody can tell."""
+    code, shown, _ = gem_of([sites["fine"], sites["taken_id"]], "plugins", name, "--check")
+    conflict = (
+        "env 'fine:One-v0' is offered by both plugin 'fine' (gem-fine 1.0) and plugin 'taken_id' (gem-taken-id 1.0)"
+    )
+    assert (code, shown.splitlines()[2:]) == (1, [f"    {conflict}"])
+
+
+def test_both_go_on_working(sites: dict[str, Path]) -> None:
+    """All but the id is listed, made and called."""
+    both = [sites["fine"], sites["taken_id"]]
+    code, listed, complaint = gem_of(both, "list", "--json")
+    assert code == 0
+    assert '"taken:Own-v0"' in listed
+    assert '"fine:One-v0"' not in listed
+    assert complaint == (
+        "gem: env 'fine:One-v0' is offered by both plugin 'fine' (gem-fine 1.0) and plugin 'taken_id' "
+        "(gem-taken-id 1.0). Everything else works; run 'gem plugins --check' for the whole.\n"
+    )
+    assert gem_of(both, "fine")[:2] == (0, "fine\n")
+    assert gem_of(both, "info", "taken:Own-v0")[0] == 0
+
+
+def test_names_of_the_core_stay_the_core_s(sites: dict[str, Path]) -> None:
+    """Wrapper, agent, backend and command are still the core's own; the plugin is told, and its own tool is there."""
+    code = (
+        "import gem_core as gem\n"
+        "from gem_core.agents.base import load_agent\n"
+        "from gem_core.registry import registry\n"
+        "gem.register('t:One-v0', gem.DatasetEnv, rows=[{'question': 'What?', 'answer': 'That'}])\n"
+        "vector = gem.make_vec('t:One-v0', 1, backend='sync', wrappers='latest')\n"
+        "print(vector.reset(seed=1)[0], type(load_agent('random')).__name__, registry().tool('own_tool').name)\n"
+    )
+    done = python(code, [sites["takes_core"]])
+    assert done.stdout == "['What?'] RandomAgent own_tool\n", done.stderr
+    assert gem_of([sites["takes_core"]], "list")[0] == 0
+    code, shown, _ = gem_of([sites["takes_core"]], "plugins", "takes_core", "--check")
+    told = "is the core's own, and is offered by plugin 'takes_core' (gem-takes-core 1.0) too"
+    assert code == 1
+    assert [line for line in shown.splitlines() if told in line] == [
+        f"    {what} {told}"
+        for what in ("tool or wrapper 'latest'", "vector backend 'sync'", "agent 'random'", "command 'list'")
+    ]
+    assert gem_of([sites["takes_core"]], "plugins", "core", "--check")[0] == 0
+
+
+def test_two_plugins_of_one_name_both_work(sites: dict[str, Path]) -> None:
+    """Each is told of the other, and can be left out by the name of its distribution."""
+    both = [sites["fine"], sites["same_name"]]
+    code, shown, _ = gem_of(both, "plugins", "fine", "--check")
+    assert code == 1
+    told = "plugin name 'fine' is offered by both plugin 'fine' (gem-fine 1.0) and plugin 'fine' (gem-same-name 1.0)"
+    assert shown.count(told) == 2
+    assert gem_of(both, "info", "fine:One-v0")[0] == gem_of(both, "info", "same:One-v0")[0] == 0
+    assert "disabled" in gem_of(both, "plugins", "gem-same-name", GEM_PLUGINS_DISABLE="gem-same-name")[1]
+    assert gem_of(both, "plugins", "gem-fine", "--check", GEM_PLUGINS_DISABLE="gem-same-name")[0] == 0
+
+
+def test_one_plugin_that_offers_an_id_twice_loses_that_id(sites: dict[str, Path]) -> None:
+    """It is told, and its other id is made."""
+    code, shown, _ = gem_of([sites["fine"], sites["twice"]], "plugins", "twice", "--check")
+    assert code == 1
+    assert "    env 'twice:One-v0' is offered twice by plugin 'twice' (gem-twice 1.0)\n" in shown
+    assert gem_of([sites["fine"], sites["twice"]], "info", "twice:Two-v0")[0] == 0
+    assert gem_of([sites["fine"], sites["twice"]], "info", "twice:One-v0")[2].endswith(
+        "offered twice by plugin 'twice' (gem-twice 1.0); uninstall one of them, or disable it with "
+        "GEM_PLUGINS_DISABLE\n"
+    )
+
+
+def test_a_warning_is_said_once_for_each_command_and_day(sites: dict[str, Path], tmp_path: Path) -> None:
+    """Not at every call; another command says it too, and so does the next day."""
+    both = [sites["fine"], sites["taken_id"]]
+    cache = str(tmp_path)
+    complaints = [
+        gem_of(both, command, XDG_CACHE_HOME=cache)[2].count("is offered by both")
+        for command in ("list", "list", "plugins", "plugins")
+    ]
+    assert complaints == [1, 0, 1, 0]
+    noted = tmp_path / "gem" / "said.json"
+    noted.write_text(json.dumps({**json.loads(noted.read_text()), "day": "2000-01-01"}))
+    assert "is offered by both" in gem_of(both, "list", XDG_CACHE_HOME=cache)[2]
+
+
+@pytest.mark.parametrize("spoilt", ["", "[]", '{"day": 3}', None])
+def test_a_note_that_cannot_be_read_or_written_does_no_harm(
+    spoilt: str | None, sites: dict[str, Path], tmp_path: Path
+) -> None:
+    """The warning is said, then."""
+    folder = tmp_path / "gem"
+    if spoilt is None:
+        folder.write_text("a file in the place of the folder")
+    else:
+        folder.mkdir()
+        (folder / "said.json").write_text(spoilt)
+    code, _, complaint = gem_of([sites["fine"], sites["taken_id"]], "list", XDG_CACHE_HOME=str(tmp_path))
+    assert (code, complaint.count("is offered by both")) == (0, 1)
+
+
+def test_where_there_are_only_tools_they_are_listed(sites: dict[str, Path]) -> None:
+    """And it is said that there are no environments."""
+    installed = ",".join(sorted({point.name for point in entry_points(group="gem.plugins")}))
+    code, shown, _ = gem_of([sites["takes_core"]], "list", GEM_PLUGINS_DISABLE=installed)
+    assert code == 0
+    assert shown == "No environments are installed. Try 'pip install gem-games'.\ntool own_tool\n"
+
+
+def test_list_of_a_plugin_lists_all_that_it_offers(sites: dict[str, Path]) -> None:
+    """By its name or its distribution's, where no namespace is called so: tools and all others as well."""
+    for name in ("takes_core", "gem-takes-core"):
+        code, shown, _ = gem_of([sites["takes_core"]], "list", name)
+        assert code == 0
+        assert shown == "tool own_tool\n"  # the rest is the core's
