@@ -18,6 +18,7 @@
     ├── EntryPointError            what a record points to cannot be imported
     ├── MissingRequirementError    something has to be installed, started or set first
     ├── ResetNeededError           step before the first reset, or after the end
+    ├── ClosedError                a vector environment was used after it had been closed
     ├── NotSupportedError          an optional ability that this environment does not have
     │   ├── StateNotSupported      get_state / set_state / spawn(same_state=True)
     │   └── SamplingNotSupported   sample_random_action
@@ -108,6 +109,10 @@ class MissingRequirementError(GemError):
 
 class ResetNeededError(GemError):
     """``step`` was called before the first ``reset``, or after the episode had ended."""
+
+
+class ClosedError(GemError):
+    """A vector environment was used after ``close()``; make another."""
 
 
 class NotSupportedError(GemError):

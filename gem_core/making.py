@@ -180,6 +180,25 @@ def wrap(env: AnyEnv, wrappers: Wrappers, look_up: LookUp) -> AnyEnv:
     return env
 
 
+def check_choices(record: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers, look_up: LookUp) -> None:
+    """Raise what ``make_from`` would for a keyword or an option that there is not, before anything is made.
+
+    Raises:
+        ArgumentError: A keyword that the environment, or an option that a wrapper or a tool, does not have.
+        EntryPointError: What a record points to cannot be imported.
+    """
+    if kwargs:
+        owner = f"environment {record.id!r}"
+        arguments = {name: value for name, value in {**record.kwargs, **kwargs}.items() if name != "render_mode"}
+        check_arguments(load_entry_point(record.entry_point, owner), (), arguments, owner)
+    for maker, options in wrapper_choices(wrappers):
+        found = look_up(maker) if _is_name(maker) else None
+        if found is not None and options and maker != "tools":
+            owner = f"{found.kind} {found.name!r}"
+            args = () if isinstance(found, ToolSpec) else (None,)  # a wrapper takes the environment
+            check_arguments(load_entry_point(found.entry_point, owner), args, options, owner)
+
+
 def construct(record: NamedSpec, *args: Any, **options: Any) -> Any:
     """Call the entry point of a named record with arguments that are checked first."""
     owner = f"{record.kind} {record.name!r}"
@@ -280,11 +299,16 @@ def _as_tools(maker: Maker, options: dict[str, Any], look_up: LookUp) -> dict[st
     """Return a choice as options of ``ToolEnv``; None for any other wrapper."""
     if _is_tool(maker):
         return {"tools": [(maker, options) if isinstance(maker, type) else maker]}
-    if maker == "tools" or maker == "gem_core.tool_env:ToolEnv" or getattr(maker, "__name__", "") == "ToolEnv":
+    if maker in ("tools", "gem_core.tool_env:ToolEnv") or _is_tool_env(maker):
         return {**options, "tools": _named_tools(options)}
     if _is_name(maker) and isinstance(look_up(maker), ToolSpec):
         return {"tools": [(maker, options)]}
     return None
+
+
+def _is_tool_env(maker: object) -> bool:
+    module = sys.modules.get("gem_core.tool_env")
+    return module is not None and maker is module.ToolEnv
 
 
 def _is_tool(maker: object) -> bool:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Awaitable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
+from math import isfinite
 from typing import TYPE_CHECKING, Any, Self, cast
 
 import gymnasium
@@ -12,6 +13,7 @@ from gem_core.arguments import RemembersArguments, signature_of
 from gem_core.background import in_thread, on_library_loop, run_sync
 from gem_core.env import AsyncEnv, Env, reset_arguments
 from gem_core.errors import ArgumentError, GemError, ResetNeededError, StateError, StateNotSupported
+from gem_core.results import checked_reset, checked_result, refuse_action
 from gem_core.types import Concurrency, ResetResult, StepResult
 
 if TYPE_CHECKING:
@@ -81,6 +83,8 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
 
     def step(self, action: str) -> StepResult:
         """Answer one response of the agent; see ``Env.step``."""
+        if not isinstance(action, str):
+            refuse_action(action)
         before = self.before_step(action)
         if not isinstance(before, str | tuple):
             before = run_sync(self._awaitable(before, "before_step"))
@@ -104,6 +108,8 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         if self._plain_only:
             # Its coroutines would go around what it overrides, so its plain methods are run, off the loop.
             return await in_thread(self.step, action)
+        if not isinstance(action, str):
+            refuse_action(action)
         before = await self._hook(self.before_step, action)
         if not isinstance(before, str | tuple):
             before = await on_library_loop(self._awaitable(before, "before_step"))
@@ -215,9 +221,11 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
 
 
 class Guard(Wrapper):
-    """Refuses a step outside an episode and reports the seed of each; ``make`` puts it right around the task."""
+    """Refuses steps outside an episode and results that are none, and reports seeds; ``make`` puts it innermost."""
 
     implicit = True
+    checks_results = True
+    """Whether a result that is none is refused; ``check_env`` looks at them itself."""
     _plain_only = False  # its hooks say the same as its reset and step
     _live = False
 
@@ -225,15 +233,7 @@ class Guard(Wrapper):
         """Begin an episode and write its seed to ``info``."""
         # This and step say the same as the hooks below, without the calls: they are run around every task.
         self._live = False
-        result = self.env.reset(seed=seed, options=options) if options else self.env.reset(seed=seed)
-        try:
-            result[1]["seed"] = self.env.np_random_seed
-        except (TypeError, IndexError, KeyError):
-            raise TypeError(
-                f"{type(self.unwrapped).__name__}.reset must return (observation, info), not {result!r:.200}"
-            ) from None
-        self._live = True
-        return result
+        return self.after_reset(self.env.reset(seed=seed, options=options) if options else self.env.reset(seed=seed))
 
     def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> None:
         """Refuse steps until the reset has succeeded."""
@@ -241,12 +241,9 @@ class Guard(Wrapper):
 
     def after_reset(self, result: ResetResult) -> ResetResult:
         """Write the episode's seed to ``info``."""
-        try:
-            result[1]["seed"] = self.env.np_random_seed
-        except (TypeError, IndexError, KeyError):
-            raise TypeError(
-                f"{type(self.unwrapped).__name__}.reset must return (observation, info), not {result!r:.200}"
-            ) from None
+        if type(result) is not tuple or len(result) != 2 or type(result[0]) is not str or type(result[1]) is not dict:
+            result = self._checked(checked_reset, result)
+        result[1]["seed"] = self.env.np_random_seed
         self._live = True
         return result
 
@@ -254,10 +251,22 @@ class Guard(Wrapper):
         """Step, if the episode is under way."""
         if not self._live:
             raise reset_needed(self)
-        result = self.env.step(action)
-        if result[2] or result[3]:
-            self._live = False
-        return cast("StepResult", result)
+        if not isinstance(action, str):
+            refuse_action(action)
+        result: Any = self.env.step(action)
+        if type(result) is tuple and len(result) == 5:
+            observation, reward, terminated, truncated, info = result
+            if (
+                type(observation) is str
+                and type(reward) is float
+                and isfinite(reward)
+                and type(terminated) is type(truncated) is bool
+                and type(info) is dict
+            ):
+                if terminated or truncated:
+                    self._live = False
+                return result
+        return self.after_step(action, result)
 
     def before_step(self, action: str) -> str:
         """Refuse a step outside an episode."""
@@ -266,9 +275,19 @@ class Guard(Wrapper):
         return action
 
     def after_step(self, action: str, result: StepResult) -> StepResult:
-        """Note the end of the episode."""
+        """Refuse a result that is none, and note the end of the episode."""
+        result = self._checked(checked_result, result)
         if result[2] or result[3]:
             self._live = False
+        return result
+
+    def _checked(self, check: Callable[[object], Any], result: Any) -> Any:
+        if not self.checks_results:
+            return result
+        try:
+            check(result)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"{type(self.unwrapped).__name__}: {error}") from None
         return result
 
     def _get_state(self) -> dict[str, Any]:

@@ -167,7 +167,7 @@ def test_reset_that_forgets_its_info_is_named() -> None:
             return super().reset(seed)[0]
 
     gem.register("test:Forgetful-v0", Forgetful)
-    with pytest.raises(TypeError, match=r"Forgetful\.reset must return \(observation, info\), not 'Guess a number"):
+    with pytest.raises(TypeError, match=r"Forgetful: reset must return \(observation, info\), not 'Guess a number"):
         gem.make("test:Forgetful-v0").reset(seed=1)
 
 

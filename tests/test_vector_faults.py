@@ -69,7 +69,7 @@ def stepped(env_id: str, backend: Any, word: str, **options: Any) -> tuple[dict[
         ("cancel", "step raised CancelledError()"),
         ("recurse", "step raised RecursionError: maximum recursion depth exceeded"),
         ("nothing", "step raised TypeError: step must return"),
-        ("no reward", "step raised ValueError: could not convert string to float: 'much'"),
+        ("no reward", "step raised ValueError: the reward must be a finite number, not 'much'"),
         ("nan", "step raised ValueError: the reward must be a finite number, not nan"),
     ],
 )

@@ -13,8 +13,8 @@ from gem_core.episode_loop import new_episode
 from gem_core.episodes import Episode, Transition
 from gem_core.errors import ArgumentError, NotSupportedError, SamplingNotSupported, StateNotSupported
 from gem_core.plans import Draw, DrawSource, PlanItem
+from gem_core.results import checked_result
 from gem_core.types import Info, Observation, Response
-from gem_core.vector.commands import checked_result
 from gem_core.wrapper import AnyEnv, Wrapper
 from gem_core.wrappers.views import told_apart
 

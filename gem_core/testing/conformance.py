@@ -11,7 +11,6 @@ from gem_core.errors import ArgumentError, GemError
 from gem_core.specs import EnvSpec
 from gem_core.suggestions import did_you_mean
 from gem_core.testing import promises_actions, promises_interface, promises_randomness, promises_state
-from gem_core.testing.comparing import shown
 from gem_core.testing.contract import PROMISES, ContractError, NotTriedError, Promise, Report
 from gem_core.testing.global_random import preserved
 from gem_core.testing.subject import Limits, Subject
@@ -146,4 +145,4 @@ def _sightings(promise: Promise, subject: Subject) -> Iterator[str]:
         if not found:
             raise
     except (Exception, SystemExit) as error:  # noqa: BLE001 - foreign code: whatever it raises breaks the promise
-        yield f"{subject.watch.last_call} raised {type(error).__name__}: {shown(str(error))}"
+        yield f"{subject.watch.last_call} raised {subject.told(error)}"

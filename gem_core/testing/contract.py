@@ -78,7 +78,9 @@ class Report:
             lines = [f"{self.name} keeps all {tried} promises that were tried"]
         for slug, seen in self.broken.items():
             lines.append(f"  {slug}: {PROMISES[slug].sentence} Seen: {seen}. To mend it: {PROMISES[slug].mend}")
-        lines += [f"  not tried, {slug}: {reason}" for slug, reason in self.skipped.items()]
+        for reason in dict.fromkeys(self.skipped.values()):
+            slugs = [slug for slug, why in self.skipped.items() if why == reason]
+            lines.append(f"  not tried, {', '.join(slugs)}: {reason}")
         lines += [f"  note: {note}" for note in self.notes]
         return "\n".join(lines)
 

@@ -18,6 +18,7 @@ from gem_core.wrapper import AnyEnv
 @promise("override sample_random_action, and return text that the task understands in its present state.")
 def valid_sample(subject: Subject) -> Iterator[str]:
     """A random action can be sampled at every turn, and is a valid one."""
+    subject.need_episodes()
     env = subject.new()
     for seed in subject.seeds[:-1]:
         subject.reset(env, seed)
@@ -65,7 +66,7 @@ def hostile_actions_(subject: Subject) -> Iterator[str]:
         try:
             result = subject.step(env, action)
         except (Exception, SystemExit) as error:  # noqa: BLE001 - foreign code, and no error is allowed
-            yield f"step({shown(action)}) raised {type(error).__name__}: {shown(str(error))}"
+            yield f"step({shown(action)}) raised {subject.told(error)}"
             env = subject.new()
             subject.reset(env, number)
             continue

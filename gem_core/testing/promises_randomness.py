@@ -134,6 +134,7 @@ def seed_stream(subject: Subject) -> Iterator[str]:
 @promise("draw sampled actions from self.action_random, and change nothing else.")
 def action_sampling(subject: Subject) -> Iterator[str]:
     """Sampling actions changes nothing of the episode, and the same seed samples the same actions."""
+    subject.need_episodes()
     if not subject.can_sample():
         raise NotTriedError("it gives no random actions; see 'valid-sample'")
     samples: list[list[str]] = []

@@ -11,6 +11,7 @@ from gem_core.env import Env
 from gem_core.errors import StateNotSupported
 from gem_core.testing.comparing import first_difference, json_loss, plain, shown
 from gem_core.testing.contract import NotTriedError, promise
+from gem_core.testing.handing_over import unchecked
 from gem_core.testing.helper import HelperError
 from gem_core.testing.subject import Record, Script, Subject
 from gem_core.wrapper import AnyEnv
@@ -36,6 +37,7 @@ def state_json(subject: Subject) -> Iterator[str]:
 @promise("put all that decides the rest of the episode into _get_state, and copy it in _set_state.")
 def state_instance(subject: Subject) -> Iterator[str]:
     """Another instance goes on from a saved state as the first one does, as often as wanted."""
+    subject.need_episodes()
     sampling = subject.can_sample()
     for script, expected in subject.references:
         for steps in subject.cuts(script):
@@ -137,4 +139,4 @@ def _carried(state: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _spawned(subject: Subject, env: AnyEnv, **options: bool) -> AnyEnv:
-    return subject.own(subject.called("spawn()", cast("Env", env).spawn, **options))
+    return subject.own(unchecked(subject.called("spawn()", cast("Env", env).spawn, **options)))

@@ -19,6 +19,7 @@ from gem_core.testing.contract import NotTriedError
 from gem_core.testing.handing_over import guarded, layers_of, recipe_of, remade
 from gem_core.testing.helper import other_process
 from gem_core.testing.hostile import hostile_actions
+from gem_core.testing.places import place_of
 from gem_core.testing.watch import Watch
 from gem_core.wrapper import AnyEnv, Wrapper
 
@@ -81,6 +82,10 @@ class Subject:
         self.notes: list[str] = []
         self.name, self._make = self._maker(target)
         self._instances: list[AnyEnv] = []
+        self.runs = False
+        """Whether an episode can be begun and stepped without an exception."""
+        self.package = ""
+        """The module of the task's class."""
         self._scripts: list[Script] | None = None
         self._references: list[list[Record]] | None = None
 
@@ -91,6 +96,7 @@ class Subject:
         env = self._limited(lambda: f"making {self.name}", self.limits.reset_timeout_s, self._make)
         if not isinstance(env, Env | Wrapper):
             raise ArgumentError(f"{self.name} is a {type(env).__name__}, which does not derive from gem_core.Env")
+        self.package = type(env.unwrapped).__module__
         return self.own(guarded(env))
 
     def own(self, env: AnyEnv) -> AnyEnv:
@@ -145,8 +151,17 @@ class Subject:
     def scripts(self) -> list[Script]:
         """Episodes to repeat: sampled actions, and in the last one what an agent says that does not know the task."""
         if self._scripts is None:
-            raise NotTriedError("no episode could be played; see 'episode'")
+            raise NotTriedError(f"no episode could be played; see '{'episode' if self.runs else 'runs'}'")
         return self._scripts
+
+    def need_episodes(self) -> None:
+        """Refuse what needs an episode where none can be played."""
+        len(self.scripts)
+
+    def told(self, error: BaseException) -> str:
+        """Return an exception with its text and its place in the author's file."""
+        place = place_of(error, self.package)
+        return f"{type(error).__name__}: {shown(str(error))}" + (f" ({place})" if place else "")
 
     def record_scripts(self) -> None:
         """Play the episodes that the other promises repeat."""
@@ -197,6 +212,7 @@ class Subject:
     @property
     def references(self) -> list[tuple[Script, list[Record]]]:
         """Every script with what it gives, known to be the same each time."""
+        self.need_episodes()
         self.expect_determinism()
         if self._references is None:
             raise NotTriedError("the same seed and actions do not repeat; see 'determinism'")

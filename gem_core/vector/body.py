@@ -9,9 +9,10 @@ from math import isfinite
 from typing import Any, cast
 
 from gem_core.background import in_thread
+from gem_core.results import checked_reset, checked_result
 from gem_core.seeding import checked_seed
 from gem_core.types import Concurrency, Observation, ResetResult, StepResult
-from gem_core.vector.commands import Command, Failure, Outcome, Rebuild, Rebuilt, Reset, checked_reset, checked_result
+from gem_core.vector.commands import Command, Failure, Outcome, Rebuild, Rebuilt, Reset
 from gem_core.wrapper import AnyEnv, Guard, concurrency_of, reset_async, step_async
 
 logger = logging.getLogger("gem_core")
@@ -56,8 +57,11 @@ class Body:
         except BaseException as error:  # noqa: BLE001 - see _check_contained
             _check_contained(error)
             return Failure.of(error, "reset", making=True)
-        # The guard refuses a step outside an episode, which a slot never asks for.
-        self._step = (env.env if type(env) is Guard and env is not self.borrowed else env).step
+        # The guard refuses a step outside an episode, which a slot never asks for, and results that are refused here.
+        guard = env if type(env) is Guard and env is not self.borrowed else None
+        if guard is not None:
+            guard.checks_results = False
+        self._step = (env if guard is None else guard.env).step
         self.env, self.made_for = env, (env_id, kwargs)
         return None
 

@@ -58,12 +58,12 @@ class Call:
     def wait_for(self, batch: Batch, order: Iterable[int]) -> None:
         """Wait in plain code until all slots of a batch have a result."""
         self._batch, self._order = batch, order
-        self.wait(self._engine.until(batch.is_over, closings=batch.closings), batch.signal)
+        self.wait(self._engine.until(batch.is_over), batch.signal)
         self._batch = None
 
     async def wait_for_async(self, batch: Batch, order: Iterable[int]) -> None:
         """Wait in a coroutine until all slots of a batch have a result."""
         self._batch, self._order = batch, order
-        until = self._engine.until(batch.is_over, blocking=False, closings=batch.closings)
+        until = self._engine.until(batch.is_over, blocking=False)
         await self.wait_async(until, batch.signal)
         self._batch = None

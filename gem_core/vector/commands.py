@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,8 +21,6 @@ HOPELESS = (UsageError, RegistrationError, MissingRequirementError, EntryPointEr
 """Errors of making an environment that trying again, or another episode, does not mend."""
 
 _LONGEST_MESSAGE = 2000
-
-_OBSERVATIONS = (str, list)
 
 
 class Reset(NamedTuple):
@@ -115,45 +112,6 @@ Command = str | Reset | Rebuild
 
 Outcome = ResetResult | StepResult | Rebuilt | Failure
 """What comes back, by the kind of command."""
-
-
-def checked_result(result: object) -> StepResult:
-    """Return a step's result if it is one.
-
-    Raises:
-        TypeError: It is not five values, or a value has a wrong type.
-        ValueError: The reward is not finite.
-
-    The info is copied: what the environment does with its own dictionary later changes nothing that was recorded.
-    """
-    if not isinstance(result, tuple) or len(result) != 5:
-        raise TypeError(f"step must return (observation, reward, terminated, truncated, info), not {result!r:.200}")
-    observation, reward, terminated, truncated, info = result
-    reward = float(reward)
-    if not math.isfinite(reward):
-        raise ValueError(f"the reward must be a finite number, not {reward}")
-    _check_types(observation, info)
-    return observation, reward, bool(terminated), bool(truncated), info.copy()
-
-
-def checked_reset(result: object) -> ResetResult:
-    """Return a reset's result if it is one, its info copied as by ``checked_result``.
-
-    Raises:
-        TypeError: It is not two values, or a value has a wrong type.
-    """
-    if not isinstance(result, tuple) or len(result) != 2:
-        raise TypeError(f"reset must return (observation, info), not {result!r:.200}")
-    observation, info = result
-    _check_types(observation, info)
-    return observation, info.copy()
-
-
-def _check_types(observation: object, info: object) -> None:
-    if type(observation) is not str and not isinstance(observation, _OBSERVATIONS):
-        raise TypeError(f"an observation must be text or a list, not {type(observation).__name__}")
-    if not isinstance(info, dict):
-        raise TypeError(f"info must be a dictionary, not {type(info).__name__}")
 
 
 def _travels(error: BaseException) -> bool:

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any, cast
 
 from gem_core.background import on_background_loop
-from gem_core.errors import ArgumentError, BridgeError, ResetNeededError
+from gem_core.errors import ArgumentError, BridgeError, ClosedError
 from gem_core.vector.body import Body
 from gem_core.vector.commands import Command, Failure, Outcome, Reset
 from gem_core.vector.host import Host, Launch, free
@@ -53,8 +53,7 @@ class Engine:
         for host in hosts:
             host.engine = self
         self.signal = Signal()
-        self.closings = 0
-        """How often it was closed."""
+        self.closed = False
         # Under the lock: which tickets are out, who waits for what, and what is done.
         self._lock = threading.RLock()
         self._tickets = [0] * len(ids)
@@ -218,7 +217,7 @@ class Engine:
     def leave(self, batch: Batch, order: Iterable[int]) -> None:
         """Leave what a call waited for, which was cancelled or interrupted, to ``recv``; nothing of it is lost."""
         with self._lock:
-            if batch.closings != self.closings:
+            if self.closed:
                 return
             self.sent.update(order)
             self.done += [index for index in order if index not in self._batches]
@@ -264,13 +263,11 @@ class Engine:
         deadline: float | None = None,
         *,
         blocking: bool = True,
-        closings: int | None = None,
     ) -> Iterator[float | None]:
         """Yield in how many seconds to look again, until something is over; see to what takes too long."""
-        closings = self.closings if closings is None else closings
         while not over() or time.monotonic() >= self._look_again:
-            if closings != self.closings:
-                raise ResetNeededError("the vector environment was closed while it was waited for; call reset()")
+            if self.closed:
+                raise ClosedError("the vector environment was closed while it was waited for; make another")
             if blocking and on_background_loop() and not over():
                 raise BridgeError(
                     "a vector environment was waited for on the library's own event loop, where it would wait for "
@@ -314,7 +311,7 @@ class Engine:
             return order
 
     def close(self) -> None:
-        """Cancel what is under way, and close every host."""
+        """Cancel what is under way, and close every host for good."""
         self._forget()
         for slot in self.slots:
             slot.phase = NEW
@@ -329,7 +326,7 @@ class Engine:
             self._quick = [None] * len(self.slots)
             waiting = [self.signal, *(batch.signal for batch in self._batches.values())]
             self._batches, self.sent, self.done = {}, set(), []
-            self.closings += 1
+            self.closed = True
         for signal in waiting:
             signal.set()
 
@@ -399,11 +396,9 @@ class Batch:
 
     Args:
         size: Number of slots.
-        closings: How often the engine had been closed when the call began.
     """
 
-    def __init__(self, size: int, closings: int) -> None:
-        self.closings = closings
+    def __init__(self, size: int) -> None:
         self.signal = _NEVER
         """What is set when all have a result; there is one once there is something to wait for."""
         self.left = size

@@ -11,7 +11,7 @@ from typing import Any, Self, cast
 
 import numpy as np
 
-from gem_core.errors import ArgumentError, BridgeError, EnvFaultError, NotSupportedError
+from gem_core.errors import ArgumentError, BridgeError, ClosedError, EnvFaultError, NotSupportedError
 from gem_core.plans import Draw, DrawSource
 from gem_core.registry import registry
 from gem_core.types import Info, Observation
@@ -63,6 +63,7 @@ class VectorEnv:
         if any(host.replays for host in hosts):
             rules.replayable = lambda env_id: env_id is not None and registry().env(env_id).deterministic
         self._own_source = rules.source
+        self._closed = False
         self._engine = Engine(self.ids, setup.slot_kwargs, rules, hosts, host_of)
 
     @classmethod
@@ -348,8 +349,9 @@ class VectorEnv:
         return len(self._engine.sent)
 
     def close(self) -> None:
-        """Close every environment; ``reset`` would make them again."""
-        with self._call():
+        """Close every environment for good: what is asked afterwards raises ``ClosedError``."""
+        self._closed = True
+        with Call(self._engine, self._start_anew):
             self._engine.close()
 
     def __enter__(self) -> Self:
@@ -390,7 +392,7 @@ class VectorEnv:
         else:
             self._rules.source = source
             self._rules.budget.finished()
-        batch = Batch(len(chosen), self._engine.closings)
+        batch = Batch(len(chosen))
         self._engine.run_all(
             ((self._slots[index], partial(self._slots[index].begin, options)) for index in chosen), batch
         )
@@ -398,7 +400,7 @@ class VectorEnv:
 
     def _start_step(self, actions: Actions) -> tuple[Batch, list[int]]:
         pairs = self._checked(actions)
-        batch = Batch(len(pairs), self._engine.closings)
+        batch = Batch(len(pairs))
         self._engine.act(pairs, batch)
         return batch, [index for index, _ in pairs]
 
@@ -421,6 +423,8 @@ class VectorEnv:
         return lambda: len(engine.done) >= wanted, None if timeout is None else time.monotonic() + timeout
 
     def _call(self) -> Call:
+        if self._closed:
+            raise ClosedError("the vector environment is closed; make another with make_vec")
         return Call(self._engine, self._start_anew)
 
     def _start_anew(self) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from gem_core.entry_points import load_entry_point
 from gem_core.errors import ArgumentError
-from gem_core.making import Wrappers, make_from, makers_of
+from gem_core.making import Wrappers, check_choices, make_from, makers_of
 from gem_core.plans import DrawSource, PlanItem
 from gem_core.registry import registry
 from gem_core.types import Concurrency
@@ -63,7 +63,8 @@ class VectorSetup:
         """Return the setup for what was asked for: the slots take the ids in turn; see ``make_vec``.
 
         Raises:
-            ArgumentError: There is no id, or one has not the form ``id`` or ``(id, {keyword: value})``.
+            ArgumentError: There is no id, or one has not the form ``id`` or ``(id, {keyword: value})``; or there is no
+                such keyword, or option of a wrapper.
             UnknownEnvError: There is no such environment.
         """
         if not isinstance(ids, Iterable):
@@ -74,14 +75,16 @@ class VectorSetup:
         entries = [_entry(one) for one in given]
         if not entries:
             raise ArgumentError("make_vec needs at least one environment id")
-        for env_id, _ in entries:
-            registry().env(env_id)
         count = len(entries) if num_envs is None else num_envs
         if not isinstance(count, int) or count < 1:
             raise ArgumentError(f"num_envs must be a positive whole number, not {count!r}")
         own = [entries[slot % len(entries)] for slot in range(count)]
         distinct = [entry for place, entry in enumerate(entries) if entry not in entries[:place]]
-        return cls([env_id for env_id, _ in own], [kwargs for _, kwargs in own], distinct, **options)
+        setup = cls([env_id for env_id, _ in own], [kwargs for _, kwargs in own], distinct, **options)
+        for env_id, kwargs in distinct:
+            record = registry().env(env_id)
+            check_choices(record, {**setup.kwargs, **kwargs}, setup.wrappers, registry().wrapper)
+        return setup
 
     @property
     def all_ids(self) -> list[str]:

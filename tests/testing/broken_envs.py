@@ -38,7 +38,18 @@ class UnmakeableEnv(GoodEnv):
         raise ValueError("no luck")
 
 
-@breaks("episode", "gymnasium")
+@breaks("runs")
+class RaisingEnv(GoodEnv):
+    """Its step raises, a function further in."""
+
+    def step(self, action: str) -> Any:
+        return self.answer_to(int(action))
+
+    def answer_to(self, number: int) -> Any:
+        return super().step(str(number))
+
+
+@breaks("episode")
 class OldStepEnv(GoodEnv):
     """Its step returns four values, as in the old Gym."""
 

@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from broken_envs import BROKEN, BacktrackingEnv, DyingEnv, NullHangsEnv, UnrepeatableEnv
+from broken_envs import BROKEN, BacktrackingEnv, DyingEnv, NullHangsEnv, RaisingEnv, UnrepeatableEnv
 from reference_envs import CountingWrapper, GoodAsyncEnv, GoodEnv, PictureEnv, ReverseStringEnv, ThreadEnv
 
 from gem_core import register
@@ -54,6 +54,20 @@ def test_broken_promise_is_named(maker: Any) -> None:
     assert [line.split(":")[0].strip() for line in lines[1:] if not line.startswith(("  not", "  note"))] == [
         *report.broken
     ]
+
+
+def test_a_step_that_raises_is_said_first_with_its_place() -> None:
+    """One line says what raises and where in the author's file, and one what could not be tried for that reason."""
+    with pytest.raises(ContractError) as caught:
+        check_env(RaisingEnv)
+    line = RaisingEnv.answer_to.__code__.co_firstlineno - 2  # where step converts the action
+    first, raised, untried = str(caught.value).splitlines()
+    assert first == "RaisingEnv breaks 1 of 4 promises:"
+    assert raised.startswith("  runs: Reset and step can be called: they raise nothing, whatever is answered. Seen: ")
+    assert "step('') raised ValueError: \"invalid literal for int() with base 10: ''\" (" in raised
+    assert f"broken_envs.py:{line})" in raised
+    assert untried.startswith("  not tried, episode, types, ")
+    assert untried.endswith(": no episode could be played; see 'runs'")
 
 
 def test_every_promise_can_be_broken() -> None:

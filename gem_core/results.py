@@ -1,0 +1,71 @@
+"""What an environment's ``reset`` and ``step`` return, and what it is stepped with, checked."""
+
+from __future__ import annotations
+
+import math
+from typing import NoReturn
+
+import numpy as np
+
+from gem_core.errors import ArgumentError
+from gem_core.types import ResetResult, StepResult
+
+_OBSERVATIONS = (str, list)
+
+
+def checked_result(result: object) -> StepResult:
+    """Return a step's result if it is one.
+
+    Raises:
+        TypeError: It is not five values, or a value has a wrong type.
+        ValueError: The reward is not finite.
+
+    The info is copied: what the environment does with its own dictionary later changes nothing that was recorded.
+    """
+    if not isinstance(result, tuple) or len(result) != 5:
+        raise TypeError(f"step must return (observation, reward, terminated, truncated, info), not {result!r:.200}")
+    observation, reward, terminated, truncated, info = result
+    try:
+        number = math.nan if isinstance(reward, str | bytes) else float(reward)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise TypeError(f"the reward must be a finite number, not {reward!r:.200}") from error
+    if not math.isfinite(number):
+        raise ValueError(f"the reward must be a finite number, not {reward!r:.200}")
+    _check_types(observation, info)
+    return observation, number, _flag("terminated", terminated), _flag("truncated", truncated), info.copy()
+
+
+def checked_reset(result: object) -> ResetResult:
+    """Return a reset's result if it is one, its info copied as by ``checked_result``.
+
+    Raises:
+        TypeError: It is not two values, or a value has a wrong type.
+    """
+    if not isinstance(result, tuple) or len(result) != 2:
+        raise TypeError(f"reset must return (observation, info), not {result!r:.200}")
+    observation, info = result
+    _check_types(observation, info)
+    return observation, info.copy()
+
+
+def refuse_action(action: object) -> NoReturn:
+    """Raise the error of an action that is no text.
+
+    Raises:
+        ArgumentError: Always.
+    """
+    raise ArgumentError(f"an action is a str or a Response, not {action!r:.100} of type {type(action).__name__}")
+
+
+def _check_types(observation: object, info: object) -> None:
+    if type(observation) is not str and not isinstance(observation, _OBSERVATIONS):
+        raise TypeError(f"an observation must be text or a list, not {type(observation).__name__}")
+    if not isinstance(info, dict):
+        raise TypeError(f"info must be a dictionary, not {type(info).__name__}")
+
+
+def _flag(name: str, flag: object) -> bool:
+    # Any other object would be true without a word.
+    if isinstance(flag, bool | np.bool_) or (isinstance(flag, int | np.integer) and flag in (0, 1)):
+        return bool(flag)
+    raise TypeError(f"{name} must be True or False, not {flag!r:.200}")
