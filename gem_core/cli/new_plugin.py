@@ -16,7 +16,7 @@ from gem_core.errors import ArgumentError
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
-KINDS = ("env", "tool", "wrapper", "dataset")
+KINDS = ("env", "tool", "wrapper", "dataset", "agent", "command", "backend")
 LICENSES = ("Apache-2.0", "none")
 
 _NAME = re.compile(r"[a-z][a-z0-9]*([-_.]?[a-z0-9]+)*", re.ASCII)
@@ -27,8 +27,28 @@ _OFFERS = {
     "tool": ("the tool `@slug@_note`, which keeps notes during an episode.", "tool.py", "the tool"),
     "wrapper": ("the wrapper `@slug@_length`: long responses cost a part of the reward.", "wrapper.py", "the wrapper"),
     "dataset": ("`@name@:Capitals-v0`, a data set of questions.", "dataset.py", "the data set, with `capitals.jsonl`"),
+    "agent": ("the agent `@slug@_last`, which answers with the last word that it reads.", "agent.py", "the agent"),
+    "command": ("the command `gem @name@-returns`: what the episodes of a file came to.", "command.py", "the command"),
+    "backend": ("the vector backend `@slug@_threads`, a fixed number of threads.", "backend.py", "the vector backend"),
 }
-_NOUNS = {"env": "an environment", "tool": "a tool", "wrapper": "a wrapper", "dataset": "a data set"}
+_NOUNS = {
+    "env": "an environment",
+    "tool": "a tool",
+    "wrapper": "a wrapper",
+    "dataset": "a data set",
+    "agent": "an agent",
+    "command": "a command",
+    "backend": "a vector backend",
+}
+_SPECS = {
+    "env": "EnvSpec",
+    "dataset": "EnvSpec",
+    "tool": "ToolSpec",
+    "wrapper": "WrapperSpec",
+    "agent": "AgentSpec",
+    "command": "CommandSpec",
+    "backend": "VectorBackendSpec",
+}
 _ENV_SPECS = {
     "env": ("Letters", "env:LettersEnv", "Find a hidden word, letter by letter."),
     "dataset": ("Capitals", "dataset:CapitalsEnv", "Name the capital of a country."),
@@ -136,15 +156,14 @@ def _wrappers(names: Names, kinds: Sequence[str]) -> list[str]:
 
 
 def _words(names: Names, folder: Traversable, kinds: Sequence[str], license_name: str) -> dict[str, str]:
-    specs = sorted(
-        {{"env": "EnvSpec", "dataset": "EnvSpec", "tool": "ToolSpec", "wrapper": "WrapperSpec"}[kind] for kind in kinds}
-    )
+    specs = sorted({_SPECS[kind] for kind in kinds})
     envs = [
         f'EnvSpec(\n    id="@name@:{env}-v0",\n    entry_point="@package@.{entry_point}",\n    summary="{summary}",\n),'
         for env, entry_point, summary in (_ENV_SPECS[kind] for kind in kinds if kind in _ENV_SPECS)
     ]
-    hooks = [kind for kind in ("env", "tool", "wrapper") if kind in kinds or (kind == "env" and envs)]
-    dependencies = ['"gem-core>=0.1"', *(['"pydantic>=2.8"'] if "tool" in kinds else [])]
+    hooks = [kind for kind in KINDS if kind != "dataset" and (kind in kinds or (kind == "env" and envs))]
+    dependencies = ['"gem-core>=0.1"', *(['"click>=8.1"'] if "command" in kinds else [])]
+    dependencies += ['"pydantic>=2.8"'] if "tool" in kinds else []
     nouns = [_NOUNS[kind] for kind in kinds]
     described = nouns[0] if len(nouns) == 1 else f"{', '.join(nouns[:-1])} and {nouns[-1]}"
     return {
@@ -164,9 +183,18 @@ def _words(names: Names, folder: Traversable, kinds: Sequence[str], license_name
 def _test_imports(names: Names, kinds: Sequence[str]) -> str:
     checks = {"check_plugin"}
     checks |= {{"dataset": "check_env"}.get(kind, f"check_{kind}") for kind in kinds}
-    froms = [f"from gem_core.testing import {', '.join(sorted(checks))}"]
+    listed = ", ".join(sorted(checks))
+    wrapped = "(\n    " + listed.replace(", ", ",\n    ") + ",\n)"
+    froms = [f"from gem_core.testing import {listed if len(listed) < 90 else wrapped}"]
     if "wrapper" in kinds:
         froms.append(f"from {names.package}.wrapper import LengthPenalty")
-    lines = ["import pytest\n"] if "env" in kinds else []
-    lines += ["import gem_core as gem", *sorted(froms)]
-    return "\n".join(lines)
+    if "agent" in kinds:
+        froms.append("from gem_core.agents.base import load_agent")
+    if "command" in kinds:
+        froms.append(f"from {names.package}.command import command")
+    others = ["import pytest"] if {"env", "backend"} & set(kinds) else []
+    others += ["from click.testing import CliRunner"] if "command" in kinds else []
+    lines = ["\n".join(others) + "\n"] if others else []
+    if {"env", "tool", "wrapper", "dataset", "command", "backend"} & set(kinds):
+        lines.append("import gem_core as gem")
+    return "\n".join([*lines, *sorted(froms)])

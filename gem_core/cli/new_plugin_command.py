@@ -31,6 +31,9 @@ Exit code: 0 if it was written, 2 where NAME or the folder cannot be used. Nothi
 @click.option("--tool", "kinds", flag_value="tool", multiple=True, help="A tool with a session.")
 @click.option("--wrapper", "kinds", flag_value="wrapper", multiple=True, help="A wrapper that changes rewards.")
 @click.option("--dataset", "kinds", flag_value="dataset", multiple=True, help="Questions in a JSONL file, graded.")
+@click.option("--agent", "kinds", flag_value="agent", multiple=True, help="An agent, for 'gem run --agent'.")
+@click.option("--command", "kinds", flag_value="command", multiple=True, help="A subcommand of gem.")
+@click.option("--backend", "kinds", flag_value="backend", multiple=True, help="A backend of vector environments.")
 @click.option("--into", type=click.Path(file_okay=False, path_type=Path), help="Folder to write.  [default: gem-NAME]")
 @click.option("--license", "license_name", type=click.Choice(LICENSES), default=LICENSES[0], show_default=True)
 def command(name: str, kinds: tuple[str, ...], into: Path | None, license_name: str) -> None:

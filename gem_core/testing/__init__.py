@@ -7,7 +7,8 @@
     def test_my_env_keeps_the_contract():
         check_env("mine:MyEnv-v0")
 
-``check_tool``, ``check_wrapper`` and ``check_plugin`` do the same for what they are called after, and
+``check_tool``, ``check_wrapper``, ``check_agent``, ``check_command``, ``check_backend`` and ``check_plugin`` do the
+same for what they are called after, and
 ``pytest --gem-envs 'mine:*'`` runs ``check_env`` on each environment that matches.
 
 Neither pytest nor hypothesis is needed. Every promise is one small function: see ``promises_*.py``.
@@ -19,6 +20,9 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from gem_core.testing.agent_check import check_agent
+    from gem_core.testing.backend_check import check_backend
+    from gem_core.testing.command_check import check_command
     from gem_core.testing.conformance import check_env
     from gem_core.testing.contract import ContractError, Report
     from gem_core.testing.findings import CheckError
@@ -28,6 +32,9 @@ if TYPE_CHECKING:
     from gem_core.testing.wrapper_check import check_wrapper
 
 _MODULE_OF = {
+    "check_agent": "agent_check",
+    "check_backend": "backend_check",
+    "check_command": "command_check",
     "check_env": "conformance",
     "check_plugin": "plugin_check",
     "check_tool": "tool_check",
@@ -42,6 +49,9 @@ __all__ = [
     "CheckError",
     "ContractError",
     "Report",
+    "check_agent",
+    "check_backend",
+    "check_command",
     "check_env",
     "check_plugin",
     "check_tool",

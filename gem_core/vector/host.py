@@ -97,9 +97,10 @@ class Host(ABC):
         """Return what ``info["error"]`` says of a command that took too long."""
         return Failure("timeout", "it took longer than step_timeout")
 
-    @abstractmethod
     def abandon(self, slot: int, failure: Failure) -> Failure:
         """See to it that a slot's command does no more harm, and that the slot can be used again.
+
+        Asked only of a host whose ``overdue`` returns slots.
 
         Returns:
             What happened, as it is to be reported; a host that kills a process calls ``engine.lose`` for the others.
@@ -107,6 +108,7 @@ class Host(ABC):
         Raises:
             FaultBudgetError: Too much has been abandoned.
         """
+        raise NotImplementedError(f"{type(self).__name__} says what is overdue, and does not define abandon")
 
     @abstractmethod
     def close(self) -> None:

@@ -28,15 +28,60 @@ _DIRECTIONS = frozenset({"up", "down", "left", "right"})
 
 
 class Game(Env):
-    r"""A game of turns, won or lost within ``max_turns``.
+    r"""A game of turns, won or lost within ``max_turns``; the base of one's own, here and in other plugins.
 
-    A game defines ``_deal``, ``_rules``, ``_situation``, ``_read``, ``_play``, ``_solution``, ``_random_answer`` and
-    ``_drawing``. ``_play`` gets what ``_read`` makes of the last ``\boxed{}`` that it can read, and returns the verdict
-    on it: ``_invalid``, ``_move`` or ``_win``. An observation is ``info["feedback"]``, what happened, followed by
-    ``info["suffix"]``, how things stand.
+    A game sets ``max_turns``, and defines ``_deal``, ``_rules``, ``_situation``, ``_read``, ``_play``,
+    ``_random_answer``, ``_drawing`` and, with what it remembers, ``_get_state`` and ``_set_state``. ``_play`` gets what
+    ``_read`` makes of the last ``\boxed{}`` that it can read, and returns the verdict on it: ``_invalid``, ``_move`` or
+    ``_win``. ``reset``, ``step``, sampling and rendering are made from these. An observation is ``info["feedback"]``,
+    what happened, followed by ``info["suffix"]``, how things stand. For example::
+
+        from gem_games.game import Game, painted, quote
+
+        class ParityEnv(Game):
+            def __init__(self, max_turns: int = 3, *, format_error_ends: bool = True) -> None:
+                super().__init__(format_error_ends=format_error_ends)
+                self.max_turns = max_turns
+                self.number = 0
+
+            def _deal(self, draws):  # all that is drawn at a reset
+                self.number = 1 + draws.below(100)
+
+            def _rules(self):
+                return "A hidden number from 1 to 100 is even or odd: say which."
+
+            def _situation(self):
+                return "\n" + self._turns_left("Answer \\boxed{even} or \\boxed{odd}.")
+
+            unreadable = "is not a number or a word."
+
+            def _read(self, answer):  # None is no answer, which ends the game
+                return answer.lower() if answer.isalnum() else None
+
+            def _play(self, answer):
+                if answer not in ("even", "odd"):
+                    return self._invalid(f"{quote(answer)} is neither even nor odd.")
+                if answer == ("odd" if self.number % 2 else "even"):
+                    return self._win(answer, "Right.")
+                return self._move(answer, "Wrong.", 0.0, 0.0)  # reward, and reward in the last turn
+
+            def _solution(self):
+                return f" It was {self.number}."
+
+            def _random_answer(self):
+                return ("even", "odd")[int(self.action_random.integers(2))]
+
+            def _drawing(self):  # for a person: what gem play shows
+                return painted("?" if self.outcome == "playing" else str(self.number), "bold")
+
+            def _get_state(self):
+                return {**super()._get_state(), "number": self.number}
+
+            def _set_state(self, state):
+                super()._set_state(state)
+                self.number = int(state["number"])
 
     Args:
-        max_turns: Turns after which the game is lost. The task announces it, so the last turn is ``terminated``.
         format_error_ends: Whether a response that cannot be read ends the game; otherwise it costs a turn.
 
     Source: the reward of each case is that of https://github.com/axon-rl/gem.
@@ -48,7 +93,9 @@ class Game(Env):
     unreadable: str = "cannot be read."
     """Says, behind the content of a box, why ``_read`` made nothing of it."""
     max_turns: int
+    """Turns after which the game is lost. The task announces it, so the last turn is ``terminated``."""
     turn: int = 0
+    """Turns taken so far."""
     outcome: str = _NOT_BEGUN
     """``"not begun"``, ``"playing"``, ``"won"`` or ``"lost"``."""
 

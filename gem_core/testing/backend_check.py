@@ -1,0 +1,98 @@
+"""``check_backend``: runs small tasks by a vector backend, and compares with one environment after another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from gem_core.errors import ClosedError
+from gem_core.registry import make_vec, register
+from gem_core.testing.comparing import plain
+from gem_core.testing.findings import Findings
+from gem_core.testing.wrapper_check import SmallTask
+from gem_core.types import StepResult
+
+FRAGILE = "check:Fragile-v0"
+"""The small task: three turns, and what ends it by an exception is the action ``"break"``."""
+
+_SLOTS = 3
+_ROUNDS = [["say 3", "hello", "say 7"], ["", "say 1", "say 1"], ["a", "b", "c"], ["say 5"] * 3]
+_BREAKING = ["hello", "break", "hello"]
+
+
+class FragileTask(SmallTask):
+    """The small task, with an action that it does not survive."""
+
+    def step(self, action: str) -> StepResult:
+        """Fail, if that is asked for."""
+        if action == "break":
+            raise RuntimeError("broken on request")
+        return super().step(action)
+
+
+def register_small_tasks() -> None:
+    """Register what backends and agents are tried on."""
+    register(FRAGILE, f"{__name__}:FragileTask", summary="Three turns; made for checks.")
+
+
+def check_backend(backend: str | tuple[str, Mapping[str, Any]]) -> list[str]:
+    """Try what a vector backend promises, on a small task in three slots.
+
+    Args:
+        backend: The name that it is registered by, or (name, {option: value}).
+
+    Returns:
+        The promises that were kept, in one sentence each.
+
+    Raises:
+        CheckError: Promises are broken; the message names each, with what was seen.
+        UnknownBackendError: There is no backend of this name.
+    """
+    register_small_tasks()
+    findings = Findings(f"backend {backend!r}")
+    vector, model = (make_vec(FRAGILE, _SLOTS, backend=each, seed=1) for each in (backend, "sync"))
+    try:
+        theirs, ours = _played(vector, _ROUNDS), _played(model, _ROUNDS)
+        seen = f"{theirs!r:.300} and {ours!r:.300}"
+        findings.expect("The same seed and actions give what backend 'sync' gives.", theirs == ours, seen)
+        theirs, ours = _played(vector, [_BREAKING, *_ROUNDS]), _played(model, [_BREAKING, *_ROUNDS])
+        seen = f"{theirs!r:.300} and {ours!r:.300}"
+        findings.expect("An environment that fails costs its own episode, and is replaced.", theirs == ours, seen)
+        findings.attempt("It gives random actions, and says what stands in a slot.", lambda: _asked(vector))
+        vector.reset(seed=2)
+        vector.send({0: "a", 2: "b"})
+        received: list[int] = []
+        while len(received) < 2:
+            received += vector.recv(1).slots
+        findings.expect("What was sent is received.", sorted(received) == [0, 2], repr(received))
+        vector.send(["a"] * _SLOTS)
+    finally:
+        model.close()
+        findings.attempt("It can be closed while something is under way, and once more.", lambda: _closed(vector))
+    try:
+        vector.reset()
+        findings.expect("What is closed stays closed.", False, "reset() after close() began an episode")
+    except ClosedError:
+        findings.expect("What is closed stays closed.", True)
+    return findings.result()
+
+
+def _played(vector: Any, rounds: list[list[str]]) -> list[Any]:
+    seen: list[Any] = [plain(each) for each in vector.reset(seed=1)]
+    for actions in rounds:
+        step = vector.step(actions)
+        flags = (step.rewards.tolist(), step.terminated.tolist(), step.truncated.tolist())
+        seen += [plain(step.observations), *flags, plain(step.infos)]
+    return seen
+
+
+def _asked(vector: Any) -> None:
+    for slot in range(_SLOTS):
+        action, described = vector.sample_random_action(slot), vector.describe(slot)
+        if not action.startswith("say ") or described["id"] != FRAGILE:
+            raise ValueError(f"slot {slot} answered {action!r} and {described!r}")
+
+
+def _closed(vector: Any) -> None:
+    vector.close()
+    vector.close()
