@@ -169,8 +169,8 @@ def test_nothing_is_left_after_close() -> None:
     gc.collect()
     assert eventually(lambda: not named_threads())
     files = len(os.listdir("/proc/self/fd"))
-    vector = gem.make_vec(INLINE, 4, backend=("process", {"workers": 2}), seed=1, length=3)
     for _ in range(2):
+        vector = gem.make_vec(INLINE, 4, backend=("process", {"workers": 2}), seed=1, length=3)
         vector.reset()
         vector.step(["!exit", "a", "a", "a"])
         os.kill(pids_of(vector)[0], signal.SIGKILL)

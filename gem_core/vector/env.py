@@ -176,7 +176,7 @@ class VectorEnv:
         try:
             with self._call():
                 return cast("str", self._engine.at[slot].ask(slot, "sample", seed, current.rebuilding))
-        except (NotSupportedError, BridgeError):
+        except (NotSupportedError, BridgeError, ClosedError):
             raise
         except Exception as error:
             what = error if isinstance(error, EnvFaultError) else Failure.of(error, "sample_random_action").message

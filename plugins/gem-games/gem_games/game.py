@@ -48,7 +48,7 @@ class Game(Env):
                 self.number = 1 + draws.below(100)
 
             def _rules(self):
-                return "A hidden number from 1 to 100 is even or odd: say which."
+                return "A hidden number from 1 to 100 is even or odd: say which.\n"
 
             def _situation(self):
                 return "\n" + self._turns_left("Answer \\boxed{even} or \\boxed{odd}.")
