@@ -38,7 +38,7 @@ def test_the_documented_game_is_won_lost_and_drawn(game: type[Game]) -> None:
     observation, _ = env.reset(seed=1)
     assert observation == (
         "A hidden number from 1 to 100 is even or odd: say which.\nOnly the last box that can be read counts. "
-        "A response without one ends the game; an answer that breaks a rule costs a turn. You have 3 turns.\n"
+        "A response without one ends the game; an answer that breaks a rule costs a turn. You have 3 turns.\n\n"
         "Turns left: 3. Answer \\boxed{even} or \\boxed{odd}."
     )
     assert "turn 0 of 3" in str(env.render())
