@@ -190,7 +190,9 @@ def test_tricks_with_files_in_the_folder(watched: Watched) -> None:
     code = """
 import os, socket
 os.symlink("/", "root"); os.symlink("loop", "loop"); os.mkfifo("pipe"); os.link("pipe", "pipe2")
-s = socket.socket(socket.AF_UNIX); s.bind("sock")
+s = socket.socket(socket.AF_UNIX)
+try: s.bind("sock")
+except PermissionError: pass  # only where sockets have addresses
 top = os.open(".", os.O_RDONLY)
 for _ in range(2000):
     os.mkdir("d"); os.chdir("d")

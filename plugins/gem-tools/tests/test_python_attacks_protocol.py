@@ -9,7 +9,7 @@ import json
 import struct
 
 import pytest
-from python_levels import SMALL, Watched, attack, each_level
+from python_levels import SHORT, SMALL, Watched, attack, each_level
 
 from gem_tools.python import Limits
 from gem_tools.python.inside import wire
@@ -30,9 +30,9 @@ def everywhere(data):
 @pytest.mark.parametrize(
     "data",
     [
-        wire.pack({"op": "result"}, b'{"kind": "ok", "code": 0, "value": "forged"}'),
-        wire.pack({"op": "failed", "error": "the machine"}),
-        wire.pack({"op": "started", "at": 0}),
+        wire.frame(b'{"kind": "ok", "code": 0, "value": "forged"}'),
+        wire.frame(b'{"error": "the machine"}'),
+        wire.frame(b'{"at": NaN}'),
         wire.pack({"op": "ready", "failed": []}),
         wire.pack({"id": 1, "ended": None, "failed": None, "status": 0, "lengths": [0, 0, 0, 0, -1]}),
         struct.pack(">II", 1 << 31, 1 << 31),
@@ -51,38 +51,82 @@ def test_forged_messages(watched: Watched, data: bytes) -> None:
 
 def test_a_forged_failure_of_the_machinery_is_not_believed(watched: Watched) -> None:
     """Code cannot say that it was not its fault."""
-    data = wire.pack({"op": "failed", "error": "the machine"})
+    data = wire.frame(b'{"error": "the machine"}')
     outcome = attack(watched, f"{WRITE_EVERYWHERE}\neverywhere({data!r})\n1 / 0")
-    assert outcome.status == "error"
+    assert (outcome.status, outcome.exit_code) == ("exit", 1)
 
 
 @pytest.mark.parametrize("body", [b"[]", b"null", b"{", b"[" * 100_000, b'{"code": "x"}', b'{"value": 3, "error": []}'])
 def test_reports_that_are_none(watched: Watched, body: bytes) -> None:
     """What the process reports of itself may be anything."""
-    data = wire.pack({"op": "result"}, body)
+    data = wire.frame(body)
     outcome = attack(watched, f"import os\nos.write(3, {data!r})\nos._exit(0)")
     assert (outcome.status, outcome.value) == ("ok", None)
 
 
-def test_forged_results_for_the_next_call_of_a_session(watched: Watched) -> None:
-    """A result that a thread sends ahead is not taken for that of the next call."""
-    session = watched.pool.session(SMALL)
-    try:
-        forged = wire.pack({"op": "started", "at": 0}) + wire.pack({"op": "result"}, b'{"value": "forged", "code": 0}')
-        code = f"""
-import os, threading, time
+FORGED = [
+    wire.frame(b'{"error": "the machine"}'),
+    wire.frame(b"{}"),
+    wire.frame(b'{"at": NaN}'),
+    wire.frame(b'{"kind": "exit", "code": ' + b"9" * 4000 + b"}"),
+    wire.frame(b'{"kind": "ok", "value": "' + b"x" * 1_000_000 + b'"}'),
+    struct.pack(">I", 1 << 31),
+    b"\xff" * 100_000,
+]
+
+
+@pytest.mark.parametrize("data", FORGED, ids=["failed", "empty", "nan", "code", "value", "huge", "noise"])
+def test_forging_the_next_call_of_a_session(watched: Watched, data: bytes) -> None:
+    """Threads and hooks can forge what their own session says, and reach neither its keeper nor another session."""
+    session, other = watched.pool.session(SHORT), watched.pool.session(SMALL)
+    code = f"""
+import os, threading
+data = {data!r}
 def send():
     while True:
-        try: os.write(3, {forged!r})
+        try: os.write(3, data)
         except OSError: pass
-        time.sleep(0.001)
 threading.Thread(target=send, daemon=True).start()
-time.sleep(0.05)
 """
+    try:
+        other.run("x = 'kept'")
         session.run(code)
+        outcome = session.run("1")
+        assert outcome.status in ("ok", "exit", "timeout", "killed", "cpu"), outcome
+        assert len(outcome.value or "") < 100_000
+        assert other.run("x").value == "'kept'"
     finally:
         session.close()
-    # The code can forge its own session's values, and nothing else.
+        other.close()
+    watched.check()
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import os\nos.dup2(os.open('/dev/null', os.O_RDWR), 3)",
+        "import os\nos.close(3)",
+        "import os, threading\nthreading.Timer(0.01, os._exit, [0]).start()",
+        "import os, threading\nread = lambda: [os.read(3, 1) for _ in iter(int, 1)]\n"
+        "threading.Thread(target=read, daemon=True).start()",
+    ],
+    ids=["nowhere", "closed", "dying", "reading"],
+)
+def test_a_session_that_does_not_begin_its_next_call(watched: Watched, code: str) -> None:
+    """Is its own fault, told within the limits of the call, and not the machine's."""
+    session, other = watched.pool.session(SHORT), watched.pool.session(SMALL)
+    try:
+        other.run("x = 'kept'")
+        session.run(code)
+        for _ in range(2):
+            outcome = session.run("import time\ntime.sleep(0.1)")
+            if outcome.session_lost:
+                break
+        assert outcome.wall_s < 30
+        assert other.run("x").value == "'kept'"
+    finally:
+        session.close()
+        other.close()
     watched.check()
 
 

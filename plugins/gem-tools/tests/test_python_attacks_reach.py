@@ -14,7 +14,7 @@ import threading
 from collections.abc import Iterator
 
 import pytest
-from python_levels import SHORT, Watched, attack, each_level
+from python_levels import SHORT, SMALL, Watched, attack, each_level
 
 from gem_tools.python import Limits, Outcome
 
@@ -109,6 +109,67 @@ os.wait()
 print("left one")
 """
     assert attack(watched, code).stdout == "left one\n"
+
+
+def test_daemons_that_fork_without_an_end(watched: Watched) -> None:
+    """Each new process has lost its parent before it can be found: none is left when the call, or a session, rests."""
+    code = """
+import os
+for _ in range(3):
+    if os.fork() == 0:
+        os.setsid()
+        while True:
+            if os.fork(): os._exit(0)
+print("left some")
+"""
+    for _ in range(5):
+        assert attack(watched, code).stdout == "left some\n"
+    session = watched.pool.session(SMALL)
+    try:
+        assert session.run(f"x = 1\n{code}").stdout == "left some\n"
+        assert session.run("x").value == "1"
+    finally:
+        session.close()
+    watched.check()
+
+
+def test_sockets_of_one_session_are_out_of_reach_of_others(watched: Watched) -> None:
+    """Abstract names and ports are each session's own, or are not to be had at all."""
+    names = '((socket.AF_UNIX, "\\0name"), (socket.AF_INET, ("127.0.0.1", 8000)), (socket.AF_INET6, ("::1", 8000)))'
+    listen = f"""
+import socket
+kept = []
+for family, name in {names}:
+    try:
+        server = socket.socket(family)
+        server.bind(name)
+        server.listen()
+        socket.socket(family).connect(name)
+        kept.append(server)
+    except OSError: pass
+len(kept)
+"""
+    reach = f"""
+import socket
+reached = []
+for family, name in {names}:
+    try:
+        socket.socket(family).connect(name)
+        reached.append(name)
+    except OSError: pass
+reached
+"""
+    first, second = watched.pool.session(SMALL), watched.pool.session(SMALL)
+    try:
+        kept = first.run(listen).value
+        assert kept in (("2", "3") if watched.pool.level == "bubblewrap" else ("0",))
+        assert second.run(reach).value == "[]"
+        assert second.run(listen).value == kept
+        assert watched.pool.run(reach, value=True).value == "[]"
+    finally:
+        first.close()
+        second.close()
+    watched.check()
 
 
 def test_programs_that_are_started_end_too(watched: Watched) -> None:

@@ -270,8 +270,9 @@ def _process_ways() -> list[Callable[[Mapping[str, Any]], Launch]]:
 def _process(options: Mapping[str, Any]) -> Launch:
     if not sys.platform.startswith("linux"):
         raise Unavailable(f"the sandboxes need Linux, and this is {sys.platform}")
+    # One more that no call has, to signal the others as.
     uids = 1000
-    uid = _spare_uid(uids) if os.geteuid() == 0 else None
+    uid = _spare_uid(uids + 1) if os.geteuid() == 0 else None
     hidden, shown = _to_hide() if uid is not None else ("", [])
     base = os.path.join(tempfile.gettempdir(), f"gem-python-{os.getpid()}-{secrets.token_hex(8)}")
     counts = "own" if uid is not None else "shared"

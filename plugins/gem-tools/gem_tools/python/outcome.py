@@ -72,7 +72,7 @@ def outcome_from(header: dict[str, Any], body: bytes, limits: dict[str, Any], sa
     dropped = tuple(
         total - len(parts[2 * place]) - len(parts[2 * place + 1]) for place, total in enumerate(header["totals"])
     )
-    report = _report(parts[4]) if lengths[4] >= 0 else {}
+    report = _report(parts[4], limits["value_chars"]) if lengths[4] >= 0 else {}
     status, code, killer, error = _status(header, report, limits)
     told = report if status in ("ok", "error", "exit", "memory") else {}
     return Outcome(
@@ -127,6 +127,10 @@ _WHY = {
 }
 
 
+_NOTE = 100
+"""Characters of the line that tells how many were left out."""
+
+
 def _signal_name(number: int) -> str:
     try:
         return signal.Signals(number).name
@@ -134,15 +138,15 @@ def _signal_name(number: int) -> str:
         return f"signal {number}"
 
 
-def _report(data: bytes) -> dict[str, Any]:
-    """Return what the process of the code said, which may be anything."""
+def _report(data: bytes, most: int) -> dict[str, Any]:
+    """Return what the process of the code said, which may be anything, and of any length."""
     try:
         report = json.loads(data)
     except (ValueError, RecursionError):
         return {}
-    if not isinstance(report, dict) or type(report.get("code", 0)) is not int:
+    if not isinstance(report, dict) or type(code := report.get("code", 0)) is not int or not 0 <= code <= 255:
         return {}
-    return report
+    return {name: value[: most + _NOTE] if isinstance(value, str) else value for name, value in report.items()}
 
 
 def _text(value: object) -> str | None:

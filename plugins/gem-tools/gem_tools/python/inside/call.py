@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import select
 import time
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 _PIECE = 1 << 16
 _FIRST_LOOK_S, _NEXT_LOOK_S = 0.02, 0.05
 _ENDING_S = 2.0
+_MAX_RESULT = 1 << 24
 _SETUP_S = 30.0
 """Limit of what happens before code begins; what takes longer is a fault of ours."""
 
@@ -72,12 +74,15 @@ class Call:
         self.result: bytes | None = None
         self.failed: str | None = None
         self.ended: str | None = None
-        self.started: float | None = None
         self.began = time.monotonic()
+        # No process of a session says when a later call begins: by then it has run code, which may say anything.
+        self.started = None if child.fresh else self.began
+        child.fresh = False
+        self.told = bytearray()
         self.cpu_before = self.cpu_s = 0.0
         self.wall_s = 0.0
         self.peak_bytes = 0
-        self.next_look = 0.0
+        self.next_look = self.began + _FIRST_LOOK_S
         self.done = False
         self.lost_after = float("inf")
 
@@ -173,36 +178,34 @@ class Call:
             self.poller.modify(self.child.job, select.POLLIN)
 
     def read_job(self) -> None:
-        """Read what the process reports; after its result nothing more is read, whatever it writes."""
+        """Read what the process says: at first that it is ready, or why not; then its result, and nothing more."""
         try:
             data = self.child.job.recv(_PIECE)
-            messages = self.child.reader.feed(data)
+            self.told += data
+            if self.started is None and (ready := wire.framed(self.told, _MAX_RESULT)) is not None:
+                self.begin(json.loads(ready))
+            if self.started is not None and self.result is None:
+                self.result = wire.framed(self.told, _MAX_RESULT)
         except BlockingIOError:
             return
         except (OSError, wire.WireError):
-            data, messages = b"", []
-        for header, body in messages:
-            self.reported(header, body)
+            data = b""
+        if self.result is not None:
+            self.done = self.session
         if not data or self.result is not None:
             self.forget(self.child.job)
             if not data and self.session and self.result is None:
                 # Its end follows at once, if it is ending.
                 self.lost_after = min(self.lost_after, time.monotonic() + _ENDING_S)
 
-    def reported(self, header: dict[str, Any], body: bytes) -> None:
-        """Note what the process says of itself."""
-        operation = header.get("op")
-        if self.started is None:
-            if operation == "started":
-                # One clock for all processes of a machine; written before any code ran.
-                self.started = min(time.monotonic(), float(header["at"]))
-                self.next_look = self.started + _FIRST_LOOK_S
-            elif operation == "failed":
-                # Only before any code ran: code itself cannot lay its failure at our door.
-                self.failed = str(header.get("error"))[:1000]
-        elif operation == "result" and self.result is None:
-            self.result = body
-            self.done = self.session
+    def begin(self, ready: dict[str, Any]) -> None:
+        """Note what a process says before it has seen any code, and can be believed."""
+        if "error" in ready:
+            self.failed = str(ready["error"])[:1000]
+        else:
+            # One clock for all processes of a machine.
+            self.started = min(time.monotonic(), ready["at"])
+            self.next_look = self.started + _FIRST_LOOK_S
 
     def read_output(self, descriptor: int, *, to_the_end: bool = False) -> bool:
         """Take in what a stream holds now; False at its end."""

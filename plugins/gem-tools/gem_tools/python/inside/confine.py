@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import resource
+import signal
+import socket
+import struct
 from typing import TYPE_CHECKING, Any
 
 from gem_tools.python.inside import kernel
@@ -15,6 +19,7 @@ if TYPE_CHECKING:
 FOLDER = "/tmp"
 INSIDE_ID = 1000
 _MB = 1 << 20
+_SET_INTERFACE_FLAGS, _UP = 0x8914, 1
 
 
 def hide(folder: str, shown: list[str]) -> None:
@@ -72,10 +77,12 @@ def enter(settings: dict[str, Any], proc: int | None, uid: int | None) -> None:
         kernel.prctl(kernel.PR_SET_PDEATHSIG, 9)
 
 
-def private_folder(limits: dict[str, Any]) -> None:
-    """Mount a folder that only this process and its children see, for a session."""
-    kernel.unshare(kernel.NEWNS)
+def leave_others(limits: dict[str, Any]) -> None:
+    """Give a session a folder and a network that only its own processes see; calls come one after another."""
+    kernel.unshare(kernel.NEWNS | kernel.NEWNET)
     mount_folder(limits, "")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        fcntl.ioctl(any_socket, _SET_INTERFACE_FLAGS, struct.pack("16sh14x", b"lo", _UP))
 
 
 def mount_folder(limits: dict[str, Any], owner: str) -> None:
@@ -119,6 +126,26 @@ def give_up_rights(calls: syscalls.Filter, settings: dict[str, Any]) -> None:
     kernel.drop_capabilities()
     if settings["filtered"] and not calls.set():
         raise OSError("the filter of system calls could not be set")
+
+
+def open_many() -> None:
+    """Let this process open as many files as it may: each session takes some."""
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+
+
+def kill_user(uid: int, nobody: int) -> None:
+    """Kill all processes of a user, in one step of the kernel: while it looks, none of them can fork.
+
+    Args:
+        uid: The user.
+        nobody: A user without any process. This process takes its id, so that those of ``uid`` cannot signal it.
+    """
+    os.setresuid(nobody, uid, 0)
+    try:
+        os.kill(-1, signal.SIGKILL)
+    finally:
+        os.setresuid(0, 0, 0)
 
 
 def own_tasks() -> int:

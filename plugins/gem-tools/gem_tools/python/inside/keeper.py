@@ -22,7 +22,6 @@ from gem_tools.python.inside.watch import descendants
 from gem_tools.python.inside.zygote import Zygote
 
 _PIECE = 1 << 18
-_MAX_RESULT = 1 << 24
 
 
 class Child:
@@ -34,7 +33,7 @@ class Child:
         self.exit: dict[str, Any] | None = None
         self.ended = False
         self.error: str | None = None
-        self.reader = wire.Reader(_MAX_RESULT)
+        self.fresh = True
 
     def close(self) -> None:
         """Close its streams."""
@@ -186,7 +185,12 @@ class Keeper:
         job_in.close()
 
     def take_spare(self) -> Child:
-        """Return a process that waits for code and has not ended."""
+        """Return a process that waits for code.
+
+        Raises:
+            OSError: None can be made.
+        """
+        reason = "it ended"
         for _ in range(3):
             if self.spare is None:
                 self.spawn()
@@ -195,7 +199,10 @@ class Keeper:
                 self.noted(self.from_zygote())
             if child is not None and child.error is None and child.exit is None:
                 return child
-        self.quit(1)
+            if child is not None:
+                reason = child.error or reason
+                child.close()
+        raise OSError(f"no process could be forked: {reason}")
 
     def serve(self, header: dict[str, Any], body: bytes) -> None:
         """Do what is asked."""
@@ -214,11 +221,17 @@ class Keeper:
             self.wake(child)
         else:
             self.fit_folder(header["limits"])
-            child = self.take_spare()
+            try:
+                child = self.take_spare()
+            except OSError as error:
+                self.send(wire.pack({"id": header["id"], "failed": str(error)}))
+                return
         call = Call(self, child, header, body)
         self.call = (header["id"], call)
         try:
             call.run()
+        except Exception as error:  # noqa: BLE001 - whatever fails, fails for this call alone
+            call.failed = f"{type(error).__name__}: {error}"
         finally:
             self.call = None
         if child.exit is None and session is not None and call.failed is None:
@@ -257,7 +270,6 @@ class Keeper:
                     break
             except OSError:
                 break
-        child.reader = wire.Reader(_MAX_RESULT)
         self.tell({"op": "continue", "pid": child.pid})
 
     def fit_folder(self, limits: dict[str, Any]) -> None:
@@ -298,6 +310,7 @@ def main(settings: dict[str, Any]) -> None:
     if not settings["namespaces"]:
         confine.leave_network()
     kernel.prctl(kernel.PR_SET_DUMPABLE, 0)
+    confine.open_many()
     # Python's own streams stay as they are, on what is nowhere now; a forked process puts others in their place, and no
     # file that closes its descriptor must go with them.
     Keeper(settings, incoming, outgoing).main()

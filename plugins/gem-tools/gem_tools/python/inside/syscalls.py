@@ -36,6 +36,8 @@ class Machine(NamedTuple):
     socket: int
     socketpair: int
     connect: int
+    bind: int
+    timer_create: int
     fcntl: int
     ioctl: int
     signalling: tuple[int, ...]
@@ -66,6 +68,8 @@ _X86_64 = Machine(
     socket=41,
     socketpair=53,
     connect=42,
+    bind=49,
+    timer_create=222,
     fcntl=72,
     ioctl=16,
     signalling=(62, 200, 234, 129, 297, 302, 434, 203, 142, 144, 314),
@@ -90,6 +94,8 @@ _AARCH64 = Machine(
     socket=198,
     socketpair=199,
     connect=203,
+    bind=200,
+    timer_create=107,
     fcntl=25,
     ioctl=29,
     signalling=(129, 130, 131, 138, 240, 261, 434, 122, 118, 119, 274),
@@ -101,13 +107,13 @@ MACHINES = {"x86_64": _X86_64, "aarch64": _AARCH64}
 Instruction = tuple[int, int, int, int]
 
 
-def program(machine: Machine, *, sockets: bool, connect: bool, own_pid: int | None) -> list[Instruction]:
+def program(machine: Machine, *, sockets: bool, own_pid: int | None) -> list[Instruction]:
     """Return the filter.
 
     Args:
         machine: Numbers of the processor.
-        sockets: Whether sockets other than those of one machine's processes may be made, as behind a network namespace.
-        connect: Whether sockets may be connected by name: those of this machine's services lie in its file system.
+        sockets: Whether sockets of every usual kind may be made and have addresses, as in a network namespace of its
+            own. Elsewhere only pairs are of use: names of sockets lead to this machine's services, and to other calls.
         own_pid: The only process that may be reached by signals; None where other processes are out of sight anyway.
     """
     refuse = [(_RETURN, 0, 0, _FAIL | errno.EPERM)]
@@ -115,8 +121,9 @@ def program(machine: Machine, *, sockets: bool, connect: bool, own_pid: int | No
     lines.append((_LOAD, 0, 0, _NUMBER))
     if machine.x32:
         lines += [(_AT_LEAST, 0, 1, _X32), *refuse]
-    # Programs fall back to clone, whose flags can be looked at.
-    lines += [(_EQUAL, 0, 1, machine.clone3), (_RETURN, 0, 0, _FAIL | errno.ENOSYS)]
+    # Programs fall back to clone, whose flags can be looked at; and to timers that cannot wake a stopped process.
+    for number in (machine.clone3, machine.timer_create):
+        lines += [(_EQUAL, 0, 1, number), (_RETURN, 0, 0, _FAIL | errno.ENOSYS)]
     lines += [(_EQUAL, 0, 3, machine.clone), (_LOAD, 0, 0, _FIRST_ARGUMENT), (_ANY_BIT, 0, 1, _NEW_NAMESPACE), *refuse]
     lines.append((_LOAD, 0, 0, _NUMBER))
     families = _FAMILIES if sockets else (_AF_UNIX,)
@@ -124,10 +131,10 @@ def program(machine: Machine, *, sockets: bool, connect: bool, own_pid: int | No
     lines += [(_EQUAL, 0, len(known) + 2 + 1, machine.socket), (_LOAD, 0, 0, _FIRST_ARGUMENT), *known, *refuse]
     # Loaded anew for the checks below, which look at sockets too.
     lines.append((_LOAD, 0, 0, _NUMBER))
-    if not connect:
+    if not sockets:
         for number in (machine.socket, machine.socketpair):
             lines += _second(number, [(_ANY_BIT, 0, 1, _ADDRESSED), *refuse])
-        lines += [(_EQUAL, 0, 1, machine.connect), *refuse]
+        lines += [line for number in (machine.connect, machine.bind) for line in ((_EQUAL, 0, 1, number), *refuse)]
     if own_pid is not None:
         for number, values in ((machine.fcntl, _OWNERS), (machine.ioctl, _IOCTL_OWNERS)):
             lines += _second(number, [line for value in values for line in ((_EQUAL, 0, 1, value), *refuse)])
@@ -154,18 +161,17 @@ class Filter:
     """A filter that is made ahead and set in each process that runs code.
 
     Args:
-        sockets: Whether sockets other than those of one machine's processes may be made.
-        connect: Whether sockets may be connected by name.
+        sockets: Whether sockets may have addresses.
         only_own: Whether signals reach no other process.
     """
 
-    def __init__(self, *, sockets: bool, connect: bool, only_own: bool) -> None:
+    def __init__(self, *, sockets: bool, only_own: bool) -> None:
         self._machine = MACHINES.get(platform.machine())
-        self._sockets, self._connect, self._only_own = sockets, connect, only_own
+        self._sockets, self._only_own = sockets, only_own
         self._made = None if self._machine is None or only_own else self._make(self._machine, None)
 
     def _make(self, machine: Machine, own_pid: int | None) -> kernel.Program:
-        return kernel.Program(program(machine, sockets=self._sockets, connect=self._connect, own_pid=own_pid))
+        return kernel.Program(program(machine, sockets=self._sockets, own_pid=own_pid))
 
     def works(self) -> bool:
         """Try it in a process of its own."""

@@ -29,6 +29,11 @@ def read(proc: int, path: str) -> bytes:
         os.close(descriptor)
 
 
+def has(proc: int, path: str) -> bool:
+    """Whether a file of ``/proc`` is there."""
+    return os.access(path, os.R_OK, dir_fd=proc)
+
+
 def parents(proc: int) -> dict[int, int]:
     """Return the parent of every process that is alive; zombies are not."""
     found = {}
@@ -39,6 +44,34 @@ def parents(proc: int) -> dict[int, int]:
             if len(fields) > 1 and fields[0] not in (b"Z", b"X"):
                 found[int(name)] = int(fields[1])
     return found
+
+
+def children(proc: int, parent: int) -> list[int]:
+    """Return the living children of a process, those that have lost their own parent to it included."""
+    tasks = _names(proc, f"{parent}/task")
+    if not any(has(proc, f"{parent}/task/{task}/children") for task in tasks):
+        # A kernel that was built without these lists.
+        return [pid for pid, above in parents(proc).items() if above == parent]
+    found = []
+    for task in tasks:
+        for pid in read(proc, f"{parent}/task/{task}/children").split():
+            fields = read(proc, f"{int(pid)}/stat").rpartition(b") ")[2].split()
+            if fields and fields[0] not in (b"Z", b"X"):
+                found.append(int(pid))
+    return found
+
+
+def _names(proc: int, path: str) -> list[str]:
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC, dir_fd=proc)
+    except OSError:
+        return []
+    try:
+        return os.listdir(descriptor)
+    except OSError:
+        return []
+    finally:
+        os.close(descriptor)
 
 
 def descendants(proc: int, root: int, without: frozenset[int] = frozenset()) -> list[int]:

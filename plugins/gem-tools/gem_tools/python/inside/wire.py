@@ -6,7 +6,7 @@ import json
 import struct
 from typing import Any
 
-_LENGTHS = struct.Struct(">II")
+_LENGTH, _LENGTHS = struct.Struct(">I"), struct.Struct(">II")
 MAX_HEADER = 1 << 20
 MAX_BODY = 1 << 30
 
@@ -15,6 +15,30 @@ def pack(header: dict[str, Any], body: bytes = b"") -> bytes:
     """Return a message as bytes: two lengths, the header as JSON, and the body."""
     head = json.dumps(header, separators=(",", ":")).encode("ascii")
     return b"".join((_LENGTHS.pack(len(head), len(body)), head, body))
+
+
+def frame(data: bytes) -> bytes:
+    """Return bytes with their length ahead: all that a process that runs code says to its keeper."""
+    return _LENGTH.pack(len(data)) + data
+
+
+def framed(buffer: bytearray, most: int) -> bytes | None:
+    """Take the first framed bytes out of a buffer; None while they are not complete.
+
+    Raises:
+        WireError: They are more than ``most``.
+    """
+    if len(buffer) < _LENGTH.size:
+        return None
+    (length,) = _LENGTH.unpack_from(buffer)
+    if length > most:
+        raise WireError(f"a frame of {length} bytes")
+    end = _LENGTH.size + length
+    if len(buffer) < end:
+        return None
+    data = bytes(buffer[_LENGTH.size : end])
+    del buffer[:end]
+    return data
 
 
 class WireError(Exception):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import importlib
+import itertools
 import json
 import os
 import select
@@ -19,6 +20,7 @@ from gem_tools.python.inside import confine, folders, kernel, runner, syscalls, 
 
 _JOB = 3
 _SHARED = "/dev/shm"
+_REST_S = 2.0
 _GIVE_UP_S = 10.0
 _INPUT_NAMES = ("/dev/stdin", "/dev/fd/")
 
@@ -36,13 +38,14 @@ class Zygote:
         self.settings, self.control, self.proc = settings, control, proc
         self.namespaces: bool = settings["namespaces"]
         self.folders = None if self.namespaces else _folders(settings["base"])
-        self.next_uid: int | None = settings["uid"]
-        self.children: dict[int, str] = {}
+        self.uid: int | None = settings["uid"]
+        self.nobody = 0 if self.uid is None else self.uid + settings["uids"]
+        self.uids = itertools.cycle(range(self.nobody - settings["uids"], self.nobody))
+        self.children: dict[int, tuple[str, int | None]] = {}
         self.folder_limits = {"folder_mb": settings["folder_mb"], "folder_files": settings["folder_files"]}
         self.clean: object = None
         self.base_bytes = 0
-        apart = self.namespaces or settings["own_machine"]
-        self.calls = syscalls.Filter(sockets=self.namespaces, connect=apart, only_own=settings["same_user"])
+        self.calls = syscalls.Filter(sockets=self.namespaces, only_own=settings["same_user"])
         self.wake, wake_in = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.signal(signal.SIGCHLD, lambda *_: None)
         signal.set_wakeup_fd(wake_in, warn_on_full_buffer=False)
@@ -123,9 +126,7 @@ class Zygote:
 
     def spawn(self, descriptors: list[int]) -> None:
         """Fork a process that waits for its code."""
-        uid = self.next_uid
-        if uid is not None and not self.namespaces:
-            self.next_uid = self.settings["uid"] + (uid - self.settings["uid"] + 1) % self.settings["uids"]
+        uid = self.free_uid()
         folder = confine.FOLDER if self.folders is None else self.folders.make(uid)
         pid = -1
         try:
@@ -141,8 +142,15 @@ class Zygote:
         for descriptor in descriptors:
             os.close(descriptor)
         if pid > 0:
-            self.children[pid] = folder
+            self.children[pid] = folder, uid
             self.tell({"op": "spawned", "pid": pid})
+
+    def free_uid(self) -> int | None:
+        """Return the user that the next process runs as: its own one, but where a namespace keeps it apart."""
+        if self.uid is None or self.namespaces:
+            return self.uid
+        taken = {uid for _, uid in self.children.values()}
+        return next(uid for uid in self.uids if uid not in taken)
 
     def reap(self) -> None:
         """Tell of the processes that have ended, each after all that it started."""
@@ -153,53 +161,67 @@ class Zygote:
                 return
             if pid == 0:
                 return
-            folder = self.children.pop(pid, None)
-            if folder is None:
+            known = self.children.pop(pid, None)
+            if known is None:
                 continue  # a stray of some call, which has no parent any more
+            folder, uid = known
             at = time.monotonic()
             if self.folders is not None:
-                folder_uid = os.lstat(folder).st_uid
                 # Clearing up may take long, and is not part of the call's time.
                 self.tell({"op": "ended", "pid": pid, "at": at})
-                self.kill_strays()
+                self.end_strays(uid)
                 self.folders.remove(folder)
-                if self.settings["uid"] is not None:
-                    clear_shared(folder_uid)
+                if uid is not None:
+                    clear_shared(uid)
             elif self.folder_state() != self.clean:
                 self.mount_folder()
             cpu_s = used.ru_utime + used.ru_stime
             facts = {"status": status, "cpu_s": cpu_s, "maxrss_kb": used.ru_maxrss, "at": at}
             self.tell({"op": "exited", "pid": pid, **facts})
 
-    def kill_strays(self) -> None:
-        """Kill the processes that are left without a parent of ours; where there are namespaces, the kernel does."""
-        own = os.getpid()
-        children = watch.read(self.proc, f"{own}/task/{own}/children")
-        if children and set(map(int, children.split())) <= set(self.children):
-            return  # the usual case, without a look at every process of the machine
-        self.kill_all(lambda: watch.descendants(self.proc, os.getpid(), frozenset(self.children)))
+    def strays(self) -> list[int]:
+        """Return the processes that have lost their own parent to this one; where there are namespaces, none does."""
+        known = self.children
+        return [pid for pid in watch.children(self.proc, os.getpid()) if pid not in known]
 
-    def kill_all(self, living: Any) -> None:
-        """Kill processes until there are none: while some are killed, others may fork."""
-        until = time.monotonic() + _GIVE_UP_S
-        while pids := living():
-            if time.monotonic() > until:
-                os._exit(1)  # the keeper sees that and ends; the whole sandbox is made anew
-            for pid in pids:
-                with contextlib.suppress(ProcessLookupError, PermissionError):
+    def end_strays(self, uid: int | None) -> None:
+        """Kill what a call has left, until there is nothing.
+
+        Whoever loses its parent becomes a child of this process, and leaves its own children to it when it dies. So
+        nothing is left once this process has no child that it does not know.
+
+        Args:
+            uid: The user that no process but those of the call has; None where there is none.
+        """
+        while strays := self.strays():
+            if uid is not None:
+                confine.kill_user(uid, self.nobody)
+            for pid in strays:
+                with contextlib.suppress(ProcessLookupError, ChildProcessError):
                     os.kill(pid, signal.SIGKILL)
-            with contextlib.suppress(ChildProcessError):
-                for pid in pids:
-                    if pid not in self.children:
-                        os.waitpid(pid, os.WNOHANG)
+                    os.waitpid(pid, 0)
 
     def still(self, pid: int) -> None:
-        """Stop a session between its calls, and kill what it started."""
-        if pid in self.children:
+        """Stop a session between its calls, and kill what it started; one that will not rest is ended."""
+        until, rested = time.monotonic() + _REST_S, 0
+        # Looked at twice: a list of children may miss one while another is taken off it.
+        while pid in self.children and rested < 2:
+            if time.monotonic() > until:
+                os.kill(pid, signal.SIGKILL)
+                break
             os.kill(pid, signal.SIGSTOP)
-            self.kill_all(lambda: watch.descendants(self.proc, pid))
-            if self.folders is not None:
-                self.kill_strays()
+            ended = os.waitid(os.P_PID, pid, os.WSTOPPED | os.WEXITED | os.WNOHANG | os.WNOWAIT)
+            if ended is None:
+                time.sleep(0.0001)
+                continue
+            if ended.si_code != os.CLD_STOPPED:
+                break
+            # Stopped, it cannot fork. Those that it started can, and can wake it: then all begins again.
+            busy = [*watch.children(self.proc, pid), *([] if self.namespaces else self.strays())]
+            rested = 0 if busy else rested + 1
+            for each in busy:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(each, signal.SIGKILL)
         self.tell({"op": "still", "pid": pid})
 
     def folder_state(self) -> object:
@@ -222,6 +244,7 @@ class Zygote:
 
     def quit(self) -> None:
         """End every process and remove every folder."""
+        uids = {uid for _, uid in self.children.values()}
         for pid in list(self.children):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
@@ -230,7 +253,8 @@ class Zygote:
             with contextlib.suppress(ChildProcessError):
                 self.children.pop(os.waitpid(-1, 0)[0], None)
         if self.folders is not None:
-            self.kill_strays()
+            for uid in uids:
+                self.end_strays(uid)
             self.folders.remove_all()
 
 
@@ -309,10 +333,10 @@ class Child:
         try:
             self.set_up(limits, job)
         except BaseException as error:  # noqa: BLE001 - told as a failure of ours, not of the code
-            self.job.sendall(wire.pack({"op": "failed", "error": f"{type(error).__name__}: {error}"}))
+            self.say({"error": f"{type(error).__name__}: {error}"})
             return 1
         program = runner.Program()
-        self.job.sendall(wire.pack({"op": "started", "at": time.monotonic()}))
+        self.say({"at": time.monotonic()})
         while True:
             outcome = program.run(job["code"], wants_value=job["value"], most=job["most"])
             if not limits["session"]:
@@ -328,7 +352,6 @@ class Child:
             reap_zombies()
             job = json.loads(message[1])
             self.next_input(job)
-            self.job.sendall(wire.pack({"op": "started", "at": time.monotonic()}))
 
     def make_walls(self) -> None:
         """Make the walls ahead; a failure is told once there is someone to tell it to."""
@@ -341,7 +364,7 @@ class Child:
     def set_up(self, limits: dict[str, Any], job: dict[str, Any]) -> None:
         """Get ready for code that nobody trusts."""
         if limits["session"] and self.settings["namespaces"]:
-            confine.private_folder(limits)
+            confine.leave_others(limits)
         os.chdir(self.folder)
         if not self.settings["namespaces"]:
             at_home(self.folder)
@@ -362,11 +385,15 @@ class Child:
         """Tell whether code asks for its input by a name; a file that most never look at would cost them time."""
         return bool(self.settings["namespaces"]) and any(name in job["code"] for name in _INPUT_NAMES)
 
+    def say(self, what: dict[str, Any]) -> None:
+        """Tell the keeper something: that this process is ready, or why not, and then each result."""
+        self.job.sendall(wire.frame(runner.as_json(what)))
+
     def report(self, outcome: dict[str, Any]) -> None:
         """Send what became of the code; a socket that the code has closed tells nothing."""
         with contextlib.suppress(BaseException):
             self.job.setblocking(True)
-            self.job.sendall(wire.pack({"op": "result"}, runner.as_json(outcome)))
+            self.say(outcome)
 
 
 def at_home(folder: str) -> None:
