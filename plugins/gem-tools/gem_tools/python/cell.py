@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from typing import IO, Any
 
+from gem_tools.python import groups
 from gem_tools.python.errors import SandboxError
 from gem_tools.python.inside import wire
 from gem_tools.python.levels import Launch, bootstrap
@@ -56,21 +57,30 @@ class Cell:
             SandboxError: It did not start; the message ends with what it wrote.
         """
         loop = asyncio.get_running_loop()
+        files, command = [], self.launch.command
+        if self.launch.group is not None:
+            with contextlib.suppress(OSError):
+                files = groups.make(self.launch.group)
+                command = groups.joining(self.launch.group, command)
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the sandbox
         # In a session of its own: the Ctrl-C of a terminal is for this process, which ends it.
         try:
             self.process = subprocess.Popen(
-                self.launch.command,
+                command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._errors,
                 start_new_session=True,
                 bufsize=0,
+                pass_fds=files,
                 **self.launch.popen,
             )
         except (OSError, ValueError, subprocess.SubprocessError) as error:
             self._errors.close()
             raise SandboxError(f"the sandbox did not start: {error}") from error
+        finally:
+            for file in files:
+                os.close(file)
         self._in, self._out = self.process.stdin, self.process.stdout
         for stream in (self._in, self._out):
             os.set_blocking(stream.fileno(), False)  # type: ignore[union-attr]
@@ -78,7 +88,7 @@ class Cell:
         self._loop = loop
         loop.add_reader(self._fd(self._out), self._read)
         self._answer = loop.create_future()
-        self._write(bootstrap(self.launch.settings))
+        self._write(bootstrap({**self.launch.settings, "memory_files": files}))
         try:
             header, _ = await asyncio.wait_for(asyncio.shield(self._answer), START_S)
         except TimeoutError:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gem_tools.python import docker, inside
+from gem_tools.python import docker, groups, inside
 from gem_tools.python.errors import Unavailable
 from gem_tools.python.hidden import hidden_folders
 from gem_tools.python.inside.runner import NAMED_INPUT
@@ -24,7 +24,8 @@ LEVELS = ("bubblewrap", "docker", "process")
 DOCKER_IMAGE = f"python:{sys.version_info[0]}.{sys.version_info[1]}-slim"
 
 # In the order in which they need one another.
-_MODULES = ("wire", "kernel", "syscalls", "walls", "confine", "runner", "watch", "folders", "zygote", "call", "keeper")
+_MODULES: tuple[str, ...] = ("wire", "kernel", "syscalls", "walls", "confine", "runner", "watch", "memory")
+_MODULES += ("folders", "zygote", "call", "keeper")
 _PACKAGE = inside.__name__
 _BOOT = """
 import json, os, sys, types
@@ -78,6 +79,7 @@ class Launch:
         base: Folder on disk that the sandbox owns; None where it has none.
         note: What is special about this way of the level, in a few words.
         container: Name of the container that it is; None where it is none.
+        group: Control group to make for it; None where none can be made, or it has one by itself.
     """
 
     level: str
@@ -87,6 +89,7 @@ class Launch:
     base: str | None = None
     note: str = ""
     container: str | None = None
+    group: str | None = None
 
 
 def bootstrap(settings: Mapping[str, Any]) -> bytes:
@@ -128,10 +131,12 @@ def _bubblewrap_as_root(options: Mapping[str, Any]) -> Launch:
     uid = _spare_uid(1)
     if uid is None:
         raise Unavailable("no other user id can be taken here")
-    powers = ("SYS_ADMIN", "SETUID", "SETGID", "KILL", "CHOWN", "DAC_OVERRIDE", "FOWNER", "SYS_RESOURCE")
+    powers = ("SYS_ADMIN", "SYS_PTRACE", "SETUID", "SETGID", "KILL", "CHOWN", "DAC_OVERRIDE", "FOWNER", "SYS_RESOURCE")
     capabilities = [word for power in powers for word in ("--cap-add", f"CAP_{power}")]
     settings = _settings(options, namespaces=True, uid=uid, counts="own")
-    return Launch("bubblewrap", [*_bubblewrap(), *capabilities, "--", *_venv_python()], settings)
+    return Launch(
+        "bubblewrap", [*_bubblewrap(), *capabilities, "--", *_venv_python()], settings, group=groups.new_path()
+    )
 
 
 def _bubblewrap_as_user(options: Mapping[str, Any]) -> Launch:
@@ -143,8 +148,16 @@ def _bubblewrap_as_user(options: Mapping[str, Any]) -> Launch:
             raise Unavailable("no other user id can be taken here")
         popen = {"user": uid, "group": uid, "extra_groups": []}
     user = ["--unshare-user", "--uid", "1000", "--gid", "1000", "--cap-add", "CAP_SYS_ADMIN"]
+    # To see how much of their memory processes share.
+    user += ["--cap-add", "CAP_SYS_PTRACE"]
     settings = _settings(options, namespaces=True, uid=None, counts="own")
-    return Launch("bubblewrap", [*_bubblewrap(), *user, "--", *_venv_python()], settings, popen)
+    return Launch(
+        "bubblewrap",
+        [*_bubblewrap(), *user, "--", *_venv_python()],
+        settings,
+        popen,
+        group=None if popen else groups.new_path(),
+    )
 
 
 def _bubblewrap() -> list[str]:
@@ -281,7 +294,9 @@ def _process(options: Mapping[str, Any]) -> Launch:
     )
     popen = {"env": _environment(), "cwd": "/"}
     note = "each call as a user of its own" if uid is not None else "as your own user"
-    return Launch("process", [sys.executable, *_OPTIONS, "-c", _BOOT], settings, popen, base, note)
+    return Launch(
+        "process", [sys.executable, *_OPTIONS, "-c", _BOOT], settings, popen, base, note, group=groups.new_path()
+    )
 
 
 def _to_hide() -> tuple[str, list[str]]:
@@ -323,6 +338,7 @@ def _settings(
         "counts": counts,
         "same_user": not namespaces and uid is None,
         "own_machine": False,
+        "memory_files": [],
         "base": "",
         "hidden": "",
         "shown": [],

@@ -21,7 +21,8 @@ class Limits:
         cpu_s: Seconds of processor time of all its processes together; None for as many as ``wall_s``. Looked at
             twenty times a second.
         memory_mb: Megabytes (2**20 bytes) beyond what the interpreter has at its start: exact as the address space of
-            each process, and looked at twenty times a second for all together. Files in the folder count apart.
+            each process, and looked at twenty times a second for all together, with shared memory, buffers of sockets
+            and files in a folder in memory.
         processes: Processes and threads at once, the first included.
         open_files: Open files of a process, streams included.
         output_bytes: Bytes that are kept of standard output, and as many of standard error: the first half and the

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from gem_core.errors import ArgumentError, MissingRequirementError
-from gem_tools.python import docker
+from gem_tools.python import docker, groups
 from gem_tools.python.cell import Cell, wait_for_end
 from gem_tools.python.errors import SandboxError, Unavailable
 from gem_tools.python.levels import DOCKER_IMAGE, LEVELS, Launch, launches
@@ -200,7 +200,7 @@ def _advice(level: str, error: str) -> str:
 
 def end_of(cell: Cell) -> None:
     """See a sandbox that is gone to its end, without waiting."""
-    if cell.process is not None and (cell.launch.base is not None or cell.launch.container is not None):
+    if cell.process is not None and any((cell.launch.base, cell.launch.container, cell.launch.group)):
         ending = (cell.process, cell.launch, _ANSWER_S)
         threading.Thread(target=wait_and_clear, args=ending, name="gem-python-end", daemon=True).start()
 
@@ -213,5 +213,7 @@ def wait_and_clear(process: subprocess.Popen[bytes], launch: Launch, limit_s: fl
 
         with contextlib.suppress(OSError):
             Folders(launch.base).remove_all()
+    if launch.group is not None:
+        groups.remove(launch.group)
     if launch.container is not None and process.returncode:
         docker.remove(launch.container)

@@ -8,7 +8,7 @@ import select
 import time
 from typing import TYPE_CHECKING, Any
 
-from gem_tools.python.inside import watch, wire
+from gem_tools.python.inside import confine, memory, watch, wire
 
 if TYPE_CHECKING:
     import socket
@@ -82,6 +82,7 @@ class Call:
         self.cpu_before = self.cpu_s = 0.0
         self.wall_s = 0.0
         self.peak_bytes = 0
+        self.group_before = 0 if keeper.group is None else keeper.group.memory()
         self.next_look = self.began + _FIRST_LOOK_S
         self.done = False
         self.lost_after = float("inf")
@@ -89,7 +90,7 @@ class Call:
     def run(self) -> None:
         """Watch until the process has ended, or until a session has answered."""
         if self.session:
-            self.cpu_before = watch.usage(self.keeper.proc, [self.child.pid], 0).cpu_s
+            self.cpu_before = watch.cpu_s(self.keeper.proc, [self.child.pid])
         poller = self.keeper.poller
         for descriptor in (self.child.out, self.child.err):
             poller.register(descriptor, select.POLLIN)
@@ -106,8 +107,9 @@ class Call:
             for descriptor in self.outputs:
                 self.forget(descriptor)
         if self.session and self.child.exit is None:
-            self.cpu_s = watch.usage(self.keeper.proc, [self.child.pid], 0).cpu_s - self.cpu_before
+            self.cpu_s = watch.cpu_s(self.keeper.proc, [self.child.pid]) - self.cpu_before
             self.keeper.still(self.child)
+            self.child.held_bytes = self.grown()
         elif self.child.exit is not None:
             self.cpu_s = max(0.0, self.child.exit["cpu_s"] - self.cpu_before)
             self.peak_bytes = max(self.peak_bytes, self.child.exit["maxrss_kb"] * 1024 - self.keeper.base_bytes)
@@ -158,12 +160,28 @@ class Call:
 
     def look(self) -> None:
         """Add up what all processes of the call use."""
-        usage = watch.usage(self.keeper.proc, self.keeper.members(self.child), self.keeper.base_bytes)
-        self.peak_bytes = max(self.peak_bytes, usage.memory_bytes)
-        if usage.memory_bytes > self.limits["memory_mb"] << 20:
+        pids, most = self.keeper.members(self.child), self.limits["memory_mb"] << 20
+        used = self.grown() if self.keeper.group is not None else self.added_up(pids)
+        if used > most and self.keeper.group is None:
+            # While processes end, what they shared is counted for each of those that are left: look again.
+            pids = self.keeper.members(self.child)
+            used = min(used, self.added_up(pids))
+        self.peak_bytes = max(self.peak_bytes, used)
+        if used > most:
             self.end("memory")
-        elif usage.cpu_s - self.cpu_before > self.limits["cpu_s"]:
+        elif watch.cpu_s(self.keeper.proc, pids) - self.cpu_before > self.limits["cpu_s"]:
             self.end("cpu")
+
+    def grown(self) -> int:
+        """Return what the sandbox holds more than before this call, and what a session held from earlier ones."""
+        group = self.keeper.group
+        return 0 if group is None else max(0, self.child.held_bytes + group.memory() - self.group_before)
+
+    def added_up(self, pids: list[int]) -> int:
+        """Add up what the processes and the folder hold, where no group counts it."""
+        keeper = self.keeper
+        files = memory.folder_bytes(keeper.proc, self.child.pid, confine.FOLDER) if keeper.settings["namespaces"] else 0
+        return files + memory.added_up(keeper.proc, pids, keeper.base_bytes)
 
     def send_job(self) -> None:
         """Hand over the code and its input, as fast as it is read."""

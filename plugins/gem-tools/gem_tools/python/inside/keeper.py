@@ -16,7 +16,7 @@ import signal
 import socket
 from typing import Any, NoReturn
 
-from gem_tools.python.inside import confine, kernel, wire
+from gem_tools.python.inside import confine, kernel, memory, wire
 from gem_tools.python.inside.call import Call
 from gem_tools.python.inside.watch import descendants
 from gem_tools.python.inside.zygote import Zygote
@@ -34,6 +34,7 @@ class Child:
         self.ended = False
         self.error: str | None = None
         self.fresh = True
+        self.held_bytes = 0
 
     def close(self) -> None:
         """Close its streams."""
@@ -70,6 +71,7 @@ class Keeper:
         self.stilled: set[int] = set()
         self.call: tuple[int, Call] | None = None
         self.base_bytes = 0
+        self.group = memory.group(settings["memory_files"], own_machine=settings["own_machine"])
         self.folder = {"folder_mb": settings["folder_mb"], "folder_files": settings["folder_files"]}
         self.folder_set = True
 
@@ -79,6 +81,8 @@ class Keeper:
             self.control.close()
             os.close(self.incoming)
             os.close(self.outgoing)
+            for file in self.settings["memory_files"]:
+                os.close(file)
             Zygote(self.settings, control, self.proc).main()
             code = 0
         finally:

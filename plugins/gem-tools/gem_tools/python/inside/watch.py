@@ -3,16 +3,8 @@
 from __future__ import annotations
 
 import os
-from typing import NamedTuple
 
 _TICKS = os.sysconf("SC_CLK_TCK")
-
-
-class Usage(NamedTuple):
-    """What some processes use together."""
-
-    memory_bytes: int
-    cpu_s: float
 
 
 def read(proc: int, path: str) -> bytes:
@@ -48,7 +40,7 @@ def parents(proc: int) -> dict[int, int]:
 
 def children(proc: int, parent: int) -> list[int]:
     """Return the living children of a process, those that have lost their own parent to it included."""
-    tasks = _names(proc, f"{parent}/task")
+    tasks = names(proc, f"{parent}/task")
     if not any(has(proc, f"{parent}/task/{task}/children") for task in tasks):
         # A kernel that was built without these lists.
         return [pid for pid, above in parents(proc).items() if above == parent]
@@ -61,7 +53,8 @@ def children(proc: int, parent: int) -> list[int]:
     return found
 
 
-def _names(proc: int, path: str) -> list[str]:
+def names(proc: int, path: str) -> list[str]:
+    """Return what is in a folder of ``/proc``; nothing where the process is gone."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC, dir_fd=proc)
     except OSError:
@@ -89,26 +82,14 @@ def descendants(proc: int, root: int, without: frozenset[int] = frozenset()) -> 
     return found
 
 
-def usage(proc: int, pids: list[int], base_bytes: int) -> Usage:
-    """Add up what processes use.
-
-    Args:
-        proc: File descriptor of ``/proc``.
-        pids: The processes.
-        base_bytes: Memory that each shares with the process that it was forked from.
-    """
-    memory, ticks, shared = 0, 0, 0
+def cpu_s(proc: int, pids: list[int]) -> float:
+    """Add up the processor time of processes, and of those that they have waited for."""
+    ticks = 0
     for pid in pids:
         fields = read(proc, f"{pid}/stat").rpartition(b") ")[2].split()
         if len(fields) > 14:
             ticks += sum(int(field) for field in fields[11:15])
-        for line in read(proc, f"{pid}/status").splitlines():
-            if line.startswith((b"RssAnon:", b"VmSwap:")):
-                memory += int(line.split()[1]) * 1024
-            elif line.startswith(b"RssShmem:"):
-                shared = max(shared, int(line.split()[1]) * 1024)
-        memory -= base_bytes
-    return Usage(max(memory, 0) + shared, ticks / _TICKS)
+    return ticks / _TICKS
 
 
 def own_memory(pid: str = "self") -> tuple[int, int]:

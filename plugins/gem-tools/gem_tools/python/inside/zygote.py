@@ -323,6 +323,9 @@ class Child:
     def main(self) -> int:
         """Return the exit code."""
         warm_up()
+        if not (self.settings["same_user"] and self.settings["walled"]):
+            # Where each call is behind walls, its keeper may look into it, which needs no rights then.
+            kernel.prctl(kernel.PR_SET_DUMPABLE, 0)
         if self.settings["walled"]:
             self.make_walls()
         message = self.receive()
@@ -405,7 +408,6 @@ def at_home(folder: str) -> None:
 def warm_up() -> None:
     """Do ahead what every call needs, and touch the memory that every call does, which has to be copied first."""
     kernel.prctl(kernel.PR_SET_NO_NEW_PRIVS, 1)
-    kernel.prctl(kernel.PR_SET_DUMPABLE, 0)
     runner.as_json(runner.Program().run("None", wants_value=True, most=1))
     wire.Reader().feed(wire.pack({"op": "warm"}))
     runner.as_new()

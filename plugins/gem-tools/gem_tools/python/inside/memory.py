@@ -1,0 +1,115 @@
+"""What memory the processes of a call use: by the control group of the sandbox, or added up."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import stat
+
+from gem_tools.python.inside import watch
+
+_FIELDS = (b"rss", b"anon", b"shmem", b"swap", b"sock", b"kernel_stack", b"pagetables", b"slab_unreclaimable")
+_OWN_GROUPS = ("/sys/fs/cgroup/memory", "/sys/fs/cgroup")
+_OWN_FILES = ("memory.stat", "memory.kmem.usage_in_bytes", "memory.kmem.tcp.usage_in_bytes", "memory.swap.current")
+_SOCKET_BYTES = 4 * 212_992
+"""What the buffers of a socket of a machine's own may hold (``net.core.wmem_max``, twice, in both directions)."""
+
+
+class Group:
+    """A control group that holds this sandbox and nothing else. It counts sockets, pipes and files in memory as well.
+
+    Args:
+        files: Those that count its memory, open.
+    """
+
+    def __init__(self, files: list[int]) -> None:
+        self.files = files
+
+    def counts(self) -> bool:
+        """Whether this process is in it."""
+        try:
+            return self.memory() > 0
+        except (OSError, ValueError, IndexError):
+            return False
+
+    def memory(self) -> int:
+        """Return the bytes that its processes hold, without what the kernel has merely read for them."""
+        total = 0
+        for line in os.pread(self.files[0], 1 << 14, 0).splitlines():
+            name, _, value = line.partition(b" ")
+            if name in _FIELDS:
+                total += int(value)
+        return total + sum(int(os.pread(file, 64, 0)) for file in self.files[1:])
+
+
+def group(files: list[int], *, own_machine: bool) -> Group | None:
+    """Return the group that counts this sandbox; None where there is none."""
+    if own_machine:
+        for folder in _OWN_GROUPS:
+            with contextlib.suppress(OSError):
+                files = [os.open(f"{folder}/{_OWN_FILES[0]}", os.O_RDONLY | os.O_CLOEXEC)]
+                for name in _OWN_FILES[1:]:
+                    if os.path.exists(f"{folder}/{name}"):
+                        files.append(os.open(f"{folder}/{name}", os.O_RDONLY | os.O_CLOEXEC))
+                break
+    found = Group(files)
+    return found if found.counts() else None
+
+
+def added_up(proc: int, pids: list[int], base_bytes: int) -> int:
+    """Add up what processes hold, sockets included.
+
+    Args:
+        proc: File descriptor of ``/proc``.
+        pids: The processes.
+        base_bytes: Memory that each shares with the process that it was forked from.
+    """
+    total = -base_bytes if len(pids) > 1 else 0
+    for pid in pids:
+        # What a single process has it shares with no other of its call; to look at each page takes time.
+        part = _proportional(proc, pid) if len(pids) > 1 else None
+        total += _resident(proc, pid, base_bytes) if part is None else part
+    return max(0, total) + _SOCKET_BYTES * len(sockets(proc, pids))
+
+
+def _resident(proc: int, pid: int, base_bytes: int) -> int:
+    """Return the bytes that a process uses, alone or with others."""
+    found = -base_bytes
+    for line in watch.read(proc, f"{pid}/status").splitlines():
+        if line.startswith((b"RssAnon:", b"RssShmem:", b"VmSwap:")):
+            found += int(line.split()[1]) * 1024
+    return max(0, found)
+
+
+def _proportional(proc: int, pid: int) -> int | None:
+    """Return the bytes of a process, of those that it shares only its part; None where it cannot be looked into."""
+    fields = [line.split() for line in watch.read(proc, f"{pid}/smaps_rollup").splitlines()]
+    found = {words[0]: int(words[1]) * 1024 for words in fields if len(words) == 3}
+    if b"Pss_Anon:" not in found:
+        return None
+    return sum(found.get(name, 0) for name in (b"Pss_Anon:", b"Pss_Shmem:", b"SwapPss:"))
+
+
+def sockets(proc: int, pids: list[int]) -> set[int]:
+    """Return the sockets that processes have open, each once."""
+    found = set()
+    for pid in pids:
+        for name in watch.names(proc, f"{pid}/fd"):
+            with contextlib.suppress(OSError):
+                entry = os.stat(f"{pid}/fd/{name}", dir_fd=proc)
+                if stat.S_ISSOCK(entry.st_mode):
+                    found.add(entry.st_ino)
+    return found
+
+
+def folder_bytes(proc: int, pid: int, folder: str) -> int:
+    """Return what is in the folder of a process where that is a file system of its own, in memory."""
+    try:
+        descriptor = os.open(f"{pid}/root{folder}", os.O_PATH | os.O_DIRECTORY | os.O_CLOEXEC, dir_fd=proc)
+    except OSError:
+        return 0
+    try:
+        system = os.fstatvfs(descriptor)
+    finally:
+        os.close(descriptor)
+    return (system.f_blocks - system.f_bfree) * system.f_frsize

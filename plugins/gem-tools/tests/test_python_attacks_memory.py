@@ -1,0 +1,143 @@
+"""Memory that no process seems to hold, or that many hold together: it counts, and counts once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from python_levels import ALL, Watched, attack, pool_of
+
+from gem_tools.python import Limits, groups
+
+pytestmark = pytest.mark.thorough
+
+LIMITS = Limits(wall_s=20, cpu_s=60, memory_mb=96, processes=16, folder_mb=64, file_mb=64)
+
+TOUCH = """
+import mmap, os, sys, time
+def touched(size):
+    memory = mmap.mmap(-1, size)
+    for place in range(0, size, 4096): memory[place] = 1
+    return memory
+def wait(): sys.stdout.flush(); time.sleep(60)
+"""
+
+
+@pytest.fixture(scope="module", params=[*ALL, "bubblewrap without a group", "process without a group", "own user"])
+def watched(request: pytest.FixtureRequest) -> Iterator[Watched]:
+    """A pool of each level; where groups count memory, one without them too."""
+    from gem_tools.python import levels
+
+    level, _, without = request.param.partition(" ")
+    with pytest.MonkeyPatch.context() as patch:
+        if level == "own":
+            level = "process"
+            patch.setattr(levels, "_spare_uid", lambda count: None)
+        if without:
+            patch.setattr(groups, "new_path", lambda: None)
+        pool = pool_of(level)
+        yield Watched(pool)
+        pool.close()
+
+
+def has_group(watched: Watched) -> bool:
+    """Whether a control group counts the memory."""
+    launch = watched.pool._cells[0].launch
+    return launch.group is not None or launch.container is not None
+
+
+def test_shared_memory_of_many_processes(watched: Watched) -> None:
+    """Twelve with 24 MB each are 288, not 24."""
+    code = f"{TOUCH}\nfor _ in range(12):\n    if os.fork() == 0: kept = touched(24 << 20); wait()\nwait()"
+    outcome = attack(watched, code, LIMITS)
+    assert (outcome.status, outcome.error) == ("memory", "The limit of 96 MB of memory was reached.")
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "kept = touched(60 << 20)",
+        "kept = b'x' * (60 << 20)",
+        "kept = touched(40 << 20); more = bytearray(b'x') * (20 << 20)",
+    ],
+    ids=["mapped", "private", "both"],
+)
+def test_what_processes_share_counts_once(watched: Watched, code: str) -> None:
+    """Six that have the same 60 MB use 60."""
+    children = """
+for _ in range(5):
+    if os.fork() == 0:
+        seen = sum(kept[place] for place in range(0, len(kept), 4096))
+        time.sleep(0.5)
+        os._exit(0)
+for _ in range(5): os.wait()
+"""
+    outcome = attack(watched, f"{TOUCH}\n{code}\n{children}", LIMITS)
+    assert outcome.status == "ok", outcome
+
+
+def test_a_session_holds_what_it_took_in_earlier_calls(watched: Watched) -> None:
+    """And others that rest in the same sandbox do not count."""
+    sessions = [watched.pool.session(LIMITS) for _ in range(3)]
+    take = f"{TOUCH}\nkept = [touched(30 << 20)]"
+    try:
+        assert [session.run(take).status for session in sessions] == ["ok"] * 3
+        assert sessions[0].run("kept.append(touched(30 << 20))\ntime.sleep(0.1)").status == "ok"
+        more = "if os.fork() == 0:\n    kept.clear()\n    kept = touched(50 << 20)\n    wait()\nwait()"
+        assert sessions[0].run(more).status == "memory"
+        assert sessions[1].run("len(kept[0])\n").value == str(30 << 20)
+    finally:
+        for session in sessions:
+            session.close()
+    watched.check()
+
+
+def test_files_in_memory_count(watched: Watched) -> None:
+    """Those that are mapped by nobody, and those that have no name any more."""
+    if watched.pool.level == "process":
+        pytest.skip("the folder is on disk")
+    code = f"""{TOUCH}
+kept = touched(50 << 20)
+files = [open(str(number), "wb") for number in range(2)]
+os.unlink("1")
+for stream in files: stream.write(bytes(29 << 20)); stream.flush()
+wait()
+"""
+    assert attack(watched, code, LIMITS).status == "memory"
+
+
+def test_buffers_of_sockets_count(watched: Watched) -> None:
+    """The kernel holds them for the call."""
+    code = """
+import os, socket, time
+for _ in range(8):
+    if os.fork() == 0: break
+kept = []
+for _ in range(60):
+    for end in socket.socketpair():
+        kept.append(end)
+        end.setblocking(False)
+        try:
+            while True: end.send(bytes(1 << 16))
+        except BlockingIOError: pass
+time.sleep(60)
+"""
+    assert attack(watched, code, LIMITS).status == "memory"
+
+
+def test_pages_that_nobody_maps_any_more_count(watched: Watched) -> None:
+    """Of shared memory of which a page is kept, and of what a child has touched that has ended."""
+    if not has_group(watched):
+        pytest.skip("only a control group knows of them")
+    code = """
+import ctypes, time
+libc = ctypes.CDLL(None)
+libc.mmap.restype = ctypes.c_void_p
+libc.mmap.argtypes = libc.munmap.argtypes = None
+for _ in range(12):
+    place = libc.mmap(None, ctypes.c_size_t(24 << 20), 3, 0x21, -1, ctypes.c_long(0))
+    ctypes.memset(place, 1, 24 << 20)
+    libc.munmap(ctypes.c_void_p(place + 4096), ctypes.c_size_t((24 << 20) - 4096))
+time.sleep(60)
+"""
+    assert attack(watched, code, LIMITS).status == "memory"
