@@ -62,8 +62,9 @@ for place in places:
         done.append(place)
     except OSError: pass
     try:
-        os.chmod(place, 0o777)
-        done.append(place)
+        before = os.stat(place).st_mode
+        os.chmod(place, before ^ 0o022)
+        if os.stat(place).st_mode != before: done.append(place)
     except OSError: pass
 for place in [os.__file__, sys.executable, {str(precious)!r}, "/etc/passwd", "/usr/bin/env"]:
     for act in (os.unlink, lambda p: os.rename(p, p + "x"), lambda p: os.truncate(p, 0), lambda p: open(p, "r+b")):

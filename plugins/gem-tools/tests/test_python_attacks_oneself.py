@@ -109,6 +109,51 @@ print(done, os.listdir("a"))
     assert private.read_text("utf-8") == "kept"
 
 
+def test_permissions_owners_and_times_of_its_users_files(watched: Watched, tmp_path: Path) -> None:
+    """By name, by an open folder, by a file that may be read, by links: all stay."""
+    kept = tmp_path / "kept"
+    kept.write_text("kept", "utf-8")
+    code = f"""
+import fcntl, os, sys
+link = os.open({str(tmp_path)!r}, os.O_PATH)
+readable = os.open(os.__file__, os.O_RDONLY)
+os.symlink({str(kept)!r}, "link")
+places = [{str(tmp_path)!r}, {str(kept)!r}, "link", f"/proc/self/fd/{{link}}", os.__file__, sys.prefix, readable]
+for place in places:
+    for act in (lambda: os.chmod(place, 0o777), lambda: os.utime(place, (1, 1)), lambda: os.utime(place),
+                lambda: os.chown(place, os.getuid(), os.getgid()), lambda: os.setxattr(place, "user.gem", b"x"),
+                lambda: os.chmod("kept", 0o777, dir_fd=link), lambda: os.utime("kept", (1, 1), dir_fd=link),
+                lambda: fcntl.ioctl(place, 0x40086602, (0x40).to_bytes(8, "little"))):
+        try: act()
+        except (OSError, TypeError, ValueError): pass
+"""
+    places = [tmp_path, kept, Path(os.__file__), Path(sys.prefix)]
+    before = [(place.stat().st_mode, place.stat().st_mtime_ns, os.listxattr(place)) for place in places]
+    assert attack(watched, code).status == "ok"
+    assert [(place.stat().st_mode, place.stat().st_mtime_ns, os.listxattr(place)) for place in places] == before
+
+
+def test_honest_code_copies_and_unpacks_files(watched: Watched) -> None:
+    """Modes and times stay as they were made, and nothing fails."""
+    code = """
+import os, pathlib, shutil, subprocess, tarfile, tempfile, zipfile
+pathlib.Path("new").touch(); pathlib.Path("new").touch()
+os.makedirs("a/b"); pathlib.Path("a/b/c").write_text("c"); os.chmod("a/b/c", 0o600); os.utime("a/b/c", (1, 1))
+shutil.copy("a/b/c", "copied"); shutil.copy2("a/b/c", "copied2"); shutil.copytree("a", "tree")
+shutil.move("new", "moved")
+with tarfile.open("t.tar.gz", "w:gz") as tar: tar.add("a")
+with tarfile.open("t.tar.gz") as tar: tar.extractall("untarred")
+with zipfile.ZipFile("z.zip", "w") as archive: archive.write("a/b/c")
+with zipfile.ZipFile("z.zip") as archive: archive.extractall("unzipped")
+with tempfile.TemporaryDirectory() as folder: shutil.make_archive(folder + "/x", "zip", "a")
+subprocess.run("cp -a a copied3 && touch t && chmod +x t && tar xzf t.tar.gz -C tree", shell=True, check=True)
+print(*sorted(str(path) for path in pathlib.Path().rglob("c")), pathlib.Path("moved").exists())
+"""
+    expected = "a/b/c copied3/b/c tree/a/b/c tree/b/c untarred/a/b/c unzipped/a/b/c True\n"
+    outcome = attack(watched, code)
+    assert (outcome.stdout, outcome.stderr) == (expected, ""), outcome
+
+
 def test_another_session_of_the_same_user(watched: Watched) -> None:
     """Its folder cannot be opened, though its name be known, and its process cannot be looked into."""
     session = watched.pool.session(SMALL)

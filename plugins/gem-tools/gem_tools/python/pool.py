@@ -262,6 +262,7 @@ class Pool:
         try:
             if self.chosen is None:
                 self.chosen = await starting.chosen(self.sandbox, self.options)
+                starting.warn_of_process(self.chosen)
             cell = await self._started(self.chosen)
         except BaseException as error:
             self._starting -= 1

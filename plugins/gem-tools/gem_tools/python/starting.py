@@ -10,6 +10,7 @@ import functools
 import json
 import os
 import threading
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -33,6 +34,8 @@ _working: dict[tuple[str, str], int] = {}
 
 walled: dict[str, bool] = {}
 """Whether Landlock keeps code to its folder on the levels that have worked; those with namespaces do without."""
+
+_warned: list[str] = []
 
 filtered: dict[str, bool] = {}
 """Whether the levels that have worked filter system calls; a rare processor or an old kernel has no filter."""
@@ -190,6 +193,19 @@ def interpreter(sandbox: str, image: str | None) -> Interpreter | None:
         except MissingRequirementError:  # which every call tells
             return None
     return interpreters[_key(found.level, settings)]
+
+
+def warn_of_process(chosen: Chosen) -> None:
+    """Warn once that ``auto`` has come down to the weakest level."""
+    if chosen.level != LEVELS[-1] or not chosen.passed_over or _warned:
+        return
+    _warned.append(chosen.level)
+    reasons = "; ".join(f"{level}: {reason}" for level, reason in chosen.passed_over.items())
+    warnings.warn(
+        f"Python code of agents runs on the weakest level, {chosen.level!r} ({chosen.note}), for none that is stronger "
+        f"works here ({reasons}). Mend that, or name the level: sandbox={chosen.level!r}",
+        stacklevel=2,
+    )
 
 
 def _advice(level: str, error: str) -> str:

@@ -9,7 +9,7 @@ import stat
 from gem_tools.python.inside import watch
 
 _FIELDS = (b"rss", b"anon", b"shmem", b"swap", b"sock", b"kernel_stack", b"pagetables", b"slab_unreclaimable")
-_OWN_GROUPS = ("/sys/fs/cgroup/memory", "/sys/fs/cgroup")
+_V1, _V2 = "/sys/fs/cgroup/memory", "/sys/fs/cgroup"
 _OWN_FILES = ("memory.stat", "memory.kmem.usage_in_bytes", "memory.kmem.tcp.usage_in_bytes", "memory.swap.current")
 _SOCKET_BYTES = 4 * 212_992
 """What the buffers of a socket of a machine's own may hold (``net.core.wmem_max``, twice, in both directions)."""
@@ -45,7 +45,7 @@ class Group:
 def group(files: list[int], *, own_machine: bool) -> Group | None:
     """Return the group that counts this sandbox; None where there is none."""
     if own_machine:
-        for folder in _OWN_GROUPS:
+        for folder in _own_groups():
             with contextlib.suppress(OSError):
                 files = [os.open(f"{folder}/{_OWN_FILES[0]}", os.O_RDONLY | os.O_CLOEXEC)]
                 for name in _OWN_FILES[1:]:
@@ -54,6 +54,19 @@ def group(files: list[int], *, own_machine: bool) -> Group | None:
                 break
     found = Group(files)
     return found if found.counts() else None
+
+
+def _own_groups() -> list[str]:
+    """Return where the group of a container may show: below the machine's, or in the place of it."""
+    found = []
+    with contextlib.suppress(OSError), open("/proc/self/cgroup", encoding="utf-8") as stream:
+        for line in stream:
+            number, controllers, path = line.rstrip("\n").split(":", 2)
+            if number == "0":
+                found.append(_V2 + path)
+            elif "memory" in controllers.split(","):
+                found += [_V1 + path, _V1]
+    return found
 
 
 def added_up(proc: int, pids: list[int], base_bytes: int) -> int:

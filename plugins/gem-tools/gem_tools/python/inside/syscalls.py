@@ -16,7 +16,7 @@ from gem_tools.python.inside import kernel
 _LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
 _ALLOW, _FAIL, _KILL = 0x7FFF0000, 0x00050000, 0x80000000
 _NUMBER, _ARCH = 0, 4
-_FIRST_ARGUMENT, _SECOND_ARGUMENT = 16, 24  # their low halves, on little-endian machines
+_FIRST_ARGUMENT, _SECOND_ARGUMENT, _THIRD_ARGUMENT = 16, 24, 32  # their low halves, on little-endian machines
 _NEW_NAMESPACE = 0x7E020080  # CLONE_NEWTIME, NEWNS, NEWCGROUP, NEWUTS, NEWIPC, NEWUSER, NEWPID, NEWNET
 _X32 = 0x40000000
 _AF_UNIX = 1
@@ -24,6 +24,7 @@ _FAMILIES = (_AF_UNIX, 2, 10, 16)  # INET, INET6, NETLINK; others, as VSOCK, rea
 _ADDRESSED = 2  # the bit of the types of sockets that send to any address: DGRAM, RAW
 _OWNERS = (8, 10, 15)  # F_SETOWN, F_SETSIG, F_SETOWN_EX: a file that becomes ready signals its owner, whoever that is
 _IOCTL_OWNERS = (0x8901, 0x8902)  # FIOSETOWN, SIOCSPGRP
+_IOCTL_FLAGS = (0x40086602, 0x401C5820)  # FS_IOC_SETFLAGS, FS_IOC_FSSETXATTR
 
 
 class Machine(NamedTuple):
@@ -44,6 +45,11 @@ class Machine(NamedTuple):
     """Calls whose first argument is the process that they reach, by a signal, a limit, or its place on processors."""
     priorities: tuple[int, ...]
     """Calls that slow down all processes of a user."""
+    owning: tuple[int, ...]
+    """Calls that the owner of a file may make, wherever it is: they change its mode, its owner and its times."""
+    attributes: tuple[int, ...]
+    """Calls that change a file's extended attributes."""
+    utimensat: int
     x32: bool
 
 
@@ -74,6 +80,9 @@ _X86_64 = Machine(
     ioctl=16,
     signalling=(62, 200, 234, 129, 297, 302, 434, 203, 142, 144, 314),
     priorities=(141, 251),
+    owning=(90, 91, 268, 452, 92, 93, 94, 260, 132, 235, 261, 469),
+    attributes=(188, 189, 190, 197, 198, 199, 463, 466),
+    utimensat=280,
     x32=True,
 )
 _AARCH64 = Machine(
@@ -100,6 +109,9 @@ _AARCH64 = Machine(
     ioctl=29,
     signalling=(129, 130, 131, 138, 240, 261, 434, 122, 118, 119, 274),
     priorities=(140, 30),
+    owning=(52, 53, 452, 54, 55, 469),
+    attributes=(5, 6, 7, 14, 15, 16, 463, 466),
+    utimensat=88,
     x32=False,
 )
 MACHINES = {"x86_64": _X86_64, "aarch64": _AARCH64}
@@ -114,7 +126,8 @@ def program(machine: Machine, *, sockets: bool, own_pid: int | None) -> list[Ins
         machine: Numbers of the processor.
         sockets: Whether sockets of every usual kind may be made and have addresses, as in a network namespace of its
             own. Elsewhere only pairs are of use: names of sockets lead to this machine's services, and to other calls.
-        own_pid: The only process that may be reached by signals; None where other processes are out of sight anyway.
+        own_pid: The only process that may be reached by signals, where others are of the same user, whose files'
+            permissions and times stay as well; None where neither is in sight.
     """
     refuse = [(_RETURN, 0, 0, _FAIL | errno.EPERM)]
     lines: list[Instruction] = [(_LOAD, 0, 0, _ARCH), (_EQUAL, 1, 0, machine.arch), (_RETURN, 0, 0, _KILL)]
@@ -136,15 +149,30 @@ def program(machine: Machine, *, sockets: bool, own_pid: int | None) -> list[Ins
             lines += _second(number, [(_ANY_BIT, 0, 1, _ADDRESSED), *refuse])
         lines += [line for number in (machine.connect, machine.bind) for line in ((_EQUAL, 0, 1, number), *refuse)]
     if own_pid is not None:
-        for number, values in ((machine.fcntl, _OWNERS), (machine.ioctl, _IOCTL_OWNERS)):
+        for number, values in ((machine.fcntl, _OWNERS), (machine.ioctl, (*_IOCTL_OWNERS, *_IOCTL_FLAGS))):
             lines += _second(number, [line for value in values for line in ((_EQUAL, 0, 1, value), *refuse)])
         lines += [line for number in machine.priorities for line in ((_EQUAL, 0, 1, number), *refuse)]
         for number in machine.signalling:
             lines += [(_EQUAL, 0, 5, number), (_LOAD, 0, 0, _FIRST_ARGUMENT), (_EQUAL, 2, 0, own_pid)]
             lines += [(_EQUAL, 1, 0, 0), *refuse, (_RETURN, 0, 0, _ALLOW)]
+        lines += _files_kept(machine)
     count = len(machine.denied)
     lines += [(_EQUAL, count - place, 0, number) for place, number in enumerate(machine.denied)]
     return [*lines, (_RETURN, 0, 0, _ALLOW), *refuse]
+
+
+def _files_kept(machine: Machine) -> list[Instruction]:
+    """Return checks that leave modes, owners, attributes and times of all files as they are, which no Landlock does.
+
+    What copies and unpacks files changes modes and times as its last step: that does nothing, and does not fail.
+    ``Path.touch`` sets the present time by name, and makes a file where that fails: so it must.
+    """
+    nothing, refuse, unsupported = ((_RETURN, 0, 0, _FAIL | number) for number in (0, errno.EPERM, errno.ENOTSUP))
+    lines: list[Instruction] = []
+    for numbers, result in ((machine.owning, nothing), (machine.attributes, unsupported)):
+        lines += [line for number in numbers for line in ((_EQUAL, 0, 1, number), result)]
+    lines += [(_EQUAL, 0, 7, machine.utimensat), (_LOAD, 0, 0, _THIRD_ARGUMENT), (_EQUAL, 1, 0, 0), nothing]
+    return [*lines, (_LOAD, 0, 0, _SECOND_ARGUMENT), (_EQUAL, 0, 1, 0), nothing, refuse]
 
 
 def _second(number: int, checks: list[Instruction]) -> list[Instruction]:

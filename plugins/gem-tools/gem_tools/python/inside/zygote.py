@@ -323,9 +323,10 @@ class Child:
     def main(self) -> int:
         """Return the exit code."""
         warm_up()
-        if not (self.settings["same_user"] and self.settings["walled"]):
-            # Where each call is behind walls, its keeper may look into it, which needs no rights then.
-            kernel.prctl(kernel.PR_SET_DUMPABLE, 0)
+        # A keeper without root's rights may look into dumpable processes of its own user, and see how much memory they
+        # share; namespaces or walls keep other calls from doing so.
+        kept_apart = self.settings["namespaces"] or self.settings["walled"]
+        kernel.prctl(kernel.PR_SET_DUMPABLE, int(kept_apart and self.settings["uid"] is None))
         if self.settings["walled"]:
             self.make_walls()
         message = self.receive()
