@@ -97,7 +97,7 @@ def test_files_in_memory_count(watched: Watched) -> None:
     if watched.pool.level == "process":
         pytest.skip("the folder is on disk")
     code = f"""{TOUCH}
-kept = touched(50 << 20)
+kept = touched(70 << 20)
 files = [open(str(number), "wb") for number in range(2)]
 os.unlink("1")
 for stream in files: stream.write(bytes(29 << 20)); stream.flush()

@@ -161,7 +161,8 @@ class Call:
     def look(self) -> None:
         """Add up what all processes of the call use."""
         pids, most = self.keeper.members(self.child), self.limits["memory_mb"] << 20
-        used = self.grown() if self.keeper.group is not None else self.added_up(pids)
+        # A process may copy all that it shares with the one that it was forked from: that is the interpreter's own.
+        used = self.added_up(pids) if self.keeper.group is None else max(0, self.grown() - self.keeper.base_bytes)
         if used > most and self.keeper.group is None:
             # While processes end, what they shared is counted for each of those that are left: look again.
             pids = self.keeper.members(self.child)
