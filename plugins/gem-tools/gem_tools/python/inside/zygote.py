@@ -196,10 +196,16 @@ class Zygote:
         while strays := self.strays():
             if uid is not None:
                 confine.kill_user(uid, self.nobody)
-            for pid in strays:
-                with contextlib.suppress(ProcessLookupError, ChildProcessError):
+            # All at once, and none is waited for: while some are killed, others fork.
+            found = list(strays)
+            while found:
+                pid = found.pop()
+                with contextlib.suppress(ProcessLookupError, PermissionError):
                     os.kill(pid, signal.SIGKILL)
-                    os.waitpid(pid, 0)
+                found += watch.children(self.proc, pid)
+            with contextlib.suppress(ChildProcessError):
+                for pid in strays:
+                    os.waitpid(pid, os.WNOHANG)
 
     def still(self, pid: int) -> None:
         """Stop a session between its calls, and kill what it started; one that will not rest is ended."""
