@@ -168,7 +168,7 @@ class PythonTool(Tool):
         """Run the code and show what came of it."""
         code = arguments.code
         if code.lstrip().startswith("```"):  # in a JSON or native call; elsewhere it is taken off already
-            code = self._unfenced(code)
+            code = self.unfenced(code)
         if not code.strip():
             return ToolResult("There is no code to run.", failed=True)
         try:
