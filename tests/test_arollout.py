@@ -111,6 +111,7 @@ def test_agent_runs_on_the_loop_of_the_caller_whatever_the_environment(kind: str
 
 @pytest.mark.parametrize("agent", [sampling_agent, answer_a], ids=["plain", "asynchronous"])
 @pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.few(3)
 def test_episodes_are_those_of_rollout_in_every_backend(backend: str, agent: Any) -> None:
     """For a vector environment of each, with a wrapper, and with plain and asynchronous agents."""
     expected = by_key(list(gem.rollout(COUNTDOWN, agent, episodes=6, seed=5)))
@@ -123,6 +124,7 @@ def test_episodes_are_those_of_rollout_in_every_backend(backend: str, agent: Any
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.few(2)
 def test_an_id_several_ids_and_an_environment_are_taken(kind: str) -> None:
     """As by ``rollout``; the environment that was given stays open."""
     expected = by_key(list(gem.rollout(KINDS[kind], sampling_agent, episodes=3, seed=2)))
@@ -159,6 +161,7 @@ def opening(kind: str, tmp_path: Path) -> tuple[dict[str, Any], Callable[[], obj
 
 @pytest.mark.parametrize("wrappers", ["", "concat,episode_stats"], ids=["bare", "wrapped"])
 @pytest.mark.parametrize("kind", ["thread", "async", "process"])
+@pytest.mark.few(3)
 def test_the_loop_goes_on_while_environments_are_slow(kind: str, wrappers: str, tmp_path: Path) -> None:
     """Another task of the loop opens the gate that they wait for."""
     held, let_go = opening(kind, tmp_path)
@@ -497,34 +500,3 @@ def test_vector_environment_that_cannot_be_made_raises_in_the_caller() -> None:
     """By the first episode that is asked for."""
     with pytest.raises(gem.GemError, match="no environment 'toy:Nothing'"):
         run(collected(gem.arollout("toy:Nothing", answer_a)))
-
-
-def test_rollout_of_an_id_asks_an_asynchronous_agent_for_many_episodes_at_once() -> None:
-    """As many as it may be asked, or as ``num_envs`` says; a plain agent one at a time."""
-
-    class Counting:
-        def __init__(self) -> None:
-            self.open = self.most = 0
-
-        async def __call__(self, observation: gem.Observation) -> str:
-            self.open += 1
-            self.most = max(self.most, self.open)
-            for _ in range(100):
-                await asyncio.sleep(0)
-            self.open -= 1
-            return "a"
-
-    def most(**options: Any) -> int:
-        agent = Counting()
-        list(gem.rollout(COUNTDOWN, agent, episodes=70, seed=1, **options))
-        return agent.most
-
-    assert (most(), most(num_envs=3), most(max_requests=5)) == (64, 3, 5)
-    Counting.max_concurrency = 7  # type: ignore[attr-defined]
-    assert most() == 7
-
-
-def test_num_envs_is_for_ids() -> None:
-    """What is made already has its number."""
-    with pytest.raises(ArgumentError, match=r"num_envs goes with an id: what is made already has its number"):
-        list(gem.rollout(gem.make(COUNTDOWN), lambda observation: "a", episodes=1, num_envs=2))

@@ -398,6 +398,7 @@ def test_every_text_is_read(text: str) -> None:
 
 
 @pytest.mark.parametrize("piece", [piece for piece in PIECES if piece.strip()])
+@pytest.mark.few(25)
 def test_long_texts_of_any_piece_are_read(piece: str) -> None:
     """In time that grows with the length: where it grew with its square, this would take minutes."""
     text = piece * (200_000 // len(piece))

@@ -79,6 +79,7 @@ def test_every_entry_point_is_imported_and_file_and_line_are_named(tmp_path: Pat
     assert checked("dangling", site) == (1, [f"{name}: {site}/{problem}" for name, problem in DANGLING.items()])
 
 
+@pytest.mark.thorough
 def test_a_module_that_hangs_is_ended(tmp_path: Path) -> None:
     """It is named with the place of its record."""
     site = install("hangs", tmp_path)

@@ -115,6 +115,7 @@ def gem_on_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("gem run toy:Countdown-v0 --see", ["--seed"]),
     ],
 )
+@pytest.mark.few(2)
 def test_bash_completes_words_with_colons(gem_on_path: Path, tmp_path: Path, line: str, offered: list[str]) -> None:
     """The script as bash runs it: for bash the word begins behind the last colon."""
     script = tmp_path / "completion.bash"

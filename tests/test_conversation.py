@@ -195,6 +195,7 @@ def test_an_agent_that_reads_what_there_is_not_is_refused() -> None:
 
 @pytest.mark.parametrize("backend", ["sync", "async", "process"])
 @pytest.mark.parametrize("view", [[], ["latest"], ["concat"], [("messages", {"max_turns": 1})], ["concat_with_action"]])
+@pytest.mark.few(6)
 def test_every_view_and_backend_has_the_same_conversation(tmp_path: Path, backend: str, view: list[Any]) -> None:
     """For the agent while it acts, and afterwards for whoever reads the record or its file."""
     agent = Scripted()

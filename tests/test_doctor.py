@@ -82,6 +82,7 @@ def test_contested_ids_are_named_with_both_plugins(sites: dict[str, Path]) -> No
     ]
 
 
+@pytest.mark.thorough
 def test_record_of_a_missing_module_is_broken(sites: dict[str, Path]) -> None:
     """Without --quick, all that plugins point to is imported."""
     done = doctor("--json", paths=[sites["heavy_neighbour"]])

@@ -16,6 +16,7 @@ GUIDE = (Path(__file__).parent.parent / "docs" / "writing-a-plugin.md").read_tex
 COMMANDS = [line for block in extract_code_blocks(GUIDE, "console") for line in block.code.splitlines()]
 
 
+@pytest.mark.thorough
 def test_every_command_of_the_guide_works(tmp_path: Path) -> None:
     """In one empty folder and in this order; pip writes into a folder of the test, not into this environment."""
     for needed in ("hatchling", "editables", "pip"):

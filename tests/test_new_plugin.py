@@ -70,6 +70,7 @@ def test_what_is_written_is_formatted_and_clean(kinds: list[str], name: str, tmp
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("kinds", CHOICES, ids=ids)
+@pytest.mark.few(1)
 def test_generated_tests_pass(kinds: list[str], tmp_path: Path) -> None:
     """Installed, it is found, declares only, and keeps every promise that it is held to, without a warning."""
     folder = tmp_path / "gem-mine"

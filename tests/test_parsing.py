@@ -296,6 +296,7 @@ HOSTILE = [
 
 
 @pytest.mark.parametrize("unit", HOSTILE)
+@pytest.mark.few(6)
 def test_megabytes_of_one_unit_finish(unit: str) -> None:
     """A million characters of whatever is worst end; in quadratic time they would take hours."""
     text = unit * (MEGABYTE // len(unit))

@@ -147,6 +147,7 @@ def test_names_of_the_core_stay_the_core_s(sites: dict[str, Path]) -> None:
     assert gem_of([sites["takes_core"]], "plugins", "core", "--check")[0] == 0
 
 
+@pytest.mark.thorough
 def test_two_plugins_of_one_name_both_work(sites: dict[str, Path]) -> None:
     """Each is told of the other, and can be left out by the name of its distribution."""
     both = [sites["fine"], sites["same_name"]]

@@ -60,11 +60,12 @@ def test_failure_is_the_broken_promises_without_a_traceback(folder: pytest.Pytes
     """What check_env says, and no more."""
     result = folder.runpytest_subprocess("--gem-envs", "ill:Bad-v0")
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["collected 1 item", "ill:Bad-v0 breaks * promises:", "  episode: *To mend it: *"])
+    result.stdout.fnmatch_lines(["collected 1 item", "ill:Bad-v0 breaks * promises:", "  runs: *To mend it: *"])
     result.stdout.no_fnmatch_line("*Traceback*")
     result.stdout.no_fnmatch_line("*pytest_plugin.py*")
 
 
+@pytest.mark.thorough
 def test_items_are_selected_by_id_and_by_marker(folder: pytest.Pytester) -> None:
     """By -k, and by -m beside tests of other kinds."""
     folder.makepyfile("def test_other(): pass")
@@ -90,6 +91,7 @@ def test_unmet_requirement_is_a_skip_with_its_reason(folder: pytest.Pytester) ->
     )
 
 
+@pytest.mark.thorough
 def test_patterns_may_stand_in_the_configuration(folder: pytest.Pytester) -> None:
     """The command line stands in for them where it gives its own."""
     folder.makeini("[pytest]\ngem_envs =\n    fit:Good-v0\n    far:*\n")

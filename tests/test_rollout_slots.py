@@ -14,7 +14,7 @@ from toys import CountdownEnv, sampling_agent
 
 import gem_core as gem
 from gem_core.agents.base import Context
-from gem_core.errors import EnvFaultError, FaultBudgetError, RequestError, SamplingNotSupported
+from gem_core.errors import ArgumentError, EnvFaultError, FaultBudgetError, RequestError, SamplingNotSupported
 from gem_core.plans import PlanItem
 
 COUNTDOWN = "toy:Countdown-v0"
@@ -202,3 +202,34 @@ def test_looking_at_an_environment_does_not_disturb_it(backend: str) -> None:
     assert [episode.error for episode in episodes] == [None] * 6
     assert [episode.kwargs for episode in episodes] == [item.kwargs for item in plan]
     assert {str(episode.wrappers) for episode in episodes} == {"[['concat', {}], ['episode_stats', {}]]"}
+
+
+def test_rollout_of_an_id_asks_an_asynchronous_agent_for_many_episodes_at_once() -> None:
+    """As many as it may be asked, or as ``num_envs`` says; a plain agent one at a time."""
+
+    class Counting:
+        def __init__(self) -> None:
+            self.open = self.most = 0
+
+        async def __call__(self, observation: gem.Observation) -> str:
+            self.open += 1
+            self.most = max(self.most, self.open)
+            for _ in range(100):
+                await asyncio.sleep(0)
+            self.open -= 1
+            return "a"
+
+    def most(**options: Any) -> int:
+        agent = Counting()
+        list(gem.rollout(COUNTDOWN, agent, episodes=70, seed=1, **options))
+        return agent.most
+
+    assert (most(), most(num_envs=3), most(max_requests=5)) == (64, 3, 5)
+    Counting.max_concurrency = 7  # type: ignore[attr-defined]
+    assert most() == 7
+
+
+def test_num_envs_is_for_ids() -> None:
+    """What is made already has its number."""
+    with pytest.raises(ArgumentError, match=r"num_envs goes with an id: what is made already has its number"):
+        list(gem.rollout(gem.make(COUNTDOWN), lambda observation: "a", episodes=1, num_envs=2))

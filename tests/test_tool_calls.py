@@ -471,6 +471,7 @@ def test_no_text_around_a_call_takes_it_to_the_task(before: str, call: str, afte
         '{"name": "lookup", ',
     ],
 )
+@pytest.mark.few(5)
 def test_megabytes_of_any_piece_are_read(piece: str) -> None:
     """In time that grows with the length: where it grew with its square, this would take hours."""
     text = piece * (1_500_000 // len(piece))

@@ -108,6 +108,7 @@ def episodes_of(tool: Any, backend: Any, **options: Any) -> list[dict[str, Any]]
 
 @pytest.mark.parametrize("backend", BACKENDS, ids=["sync", "async", "process"])
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.few(4)
 def test_episodes_are_the_same_and_every_session_is_closed(kind: str, backend: Any, tmp_path: Path) -> None:
     """Whatever the kind of tool and the backend; a new episode has a new session."""
     expected = episodes_of((Logged, {"log": str(tmp_path / "expected")}), "sync")
@@ -128,6 +129,7 @@ def test_a_limit_on_calls_changes_no_episode(backend: Any, tmp_path: Path) -> No
 
 @pytest.mark.parametrize("backend", BACKENDS, ids=["sync", "async", "process"])
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.few(4)
 def test_sessions_are_closed_when_the_task_fails(kind: str, backend: Any, tmp_path: Path) -> None:
     """An environment that raises is replaced, and what it had open is closed."""
     vector = gem.make_vec(
@@ -172,6 +174,7 @@ if __name__ == "__main__":
 @pytest.mark.parametrize("end", ["interrupt", "error", "exit", "end"])
 @pytest.mark.parametrize("backend", [None, *BACKENDS], ids=["one", "sync", "async", "process"])
 @pytest.mark.parametrize("kind", ["inline", "async"])
+@pytest.mark.few(3)
 def test_sessions_are_closed_when_the_program_ends(kind: str, backend: Any, end: str, tmp_path: Path) -> None:
     """By its end, an error, an exit or Ctrl-C, without a word to close them."""
     log = tmp_path / "log"

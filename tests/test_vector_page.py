@@ -20,6 +20,7 @@ BLOCKS = extract_code_blocks(PAGE)
 
 
 @pytest.mark.parametrize("code", [block.code for block in BLOCKS], ids=range(len(BLOCKS)))
+@pytest.mark.few(3)
 def test_examples_run(code: str, tmp_path: Path) -> None:
     """Pasted into a file, in an empty folder, without a warning."""
     (tmp_path / "example.py").write_text(code, encoding="utf-8")

@@ -87,6 +87,7 @@ def test_good_tool_passes(tool) -> None:
         (Forgetful, "Its session is restored as it was. Seen: another state"),
     ],
 )
+@pytest.mark.few(2)
 def test_broken_promise_of_a_tool_is_named(tool, line: str) -> None:
     """In one line each, with what was seen."""
     with pytest.raises(CheckError) as caught:

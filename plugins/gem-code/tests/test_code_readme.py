@@ -31,6 +31,7 @@ def test_python_example_runs(code: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.few(1)
 def test_command_runs(command: str, tmp_path: Path) -> None:
     """Typed into a shell, in an empty folder."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"

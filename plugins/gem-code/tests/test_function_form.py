@@ -305,6 +305,7 @@ def test_tests_that_never_end_are_no_verdict(judge: Judge) -> None:
         judge("def f(x): return 1", "while True: pass\nassert f(1)", limits=ProgramLimits(wall_s=0.5, cpu_s=0.5))
 
 
+@pytest.mark.thorough
 def test_answers_that_keep_the_tests_from_ending_are_the_programs_fault(
     judge: Judge, monkeypatch: pytest.MonkeyPatch
 ) -> None:

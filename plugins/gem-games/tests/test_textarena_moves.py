@@ -56,6 +56,7 @@ def _play(env, seed, turns=TURNS):
 
 
 @pytest.mark.parametrize("spec", RUNNABLE, ids=lambda spec: spec.id)
+@pytest.mark.few(30)
 def test_random_players_make_no_invalid_moves(spec, refused):
     """All seats play random moves, which TextArena takes; it is invalid only to play where nothing is valid."""
     env = TextArenaEnv(**spec.kwargs)

@@ -219,6 +219,7 @@ def test_kiwix_has_no_such_article(serve: Any, title: str) -> None:
         KiwixArticles(serve(kiwix()).url, BOOK).article(title)
 
 
+@pytest.mark.thorough
 def test_kiwix_draws_the_same_article_for_a_seed(serve: Any) -> None:
     graph, other = (KiwixArticles(serve(kiwix()).url, BOOK) for _ in range(2))
     drawn = [graph.random_article(Draws(seed)).title for seed in range(100)]

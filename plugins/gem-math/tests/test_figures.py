@@ -241,6 +241,7 @@ def answers(observation: Any, context: Any) -> str:
 
 
 @pytest.mark.parametrize("backend", ["sync", "async", "process"])
+@pytest.mark.few(2)
 def test_images_go_through_every_backend(backend: str) -> None:
     """Unharmed, as an agent that knows them by their pixels shows."""
     vector = gem.make_vec("math:GeometrySample", 2, backend=backend, seed=1)

@@ -69,6 +69,7 @@ def test_math_verify_is_asked_and_answers():
 
 
 @pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.few(3)
 def test_hostile_answer_is_wrong_and_the_next_is_right(name: str):
     """An answer that would compute forever is wrong by the limit, and no verdict after it suffers."""
     before = time.process_time()
@@ -79,6 +80,7 @@ def test_hostile_answer_is_wrong_and_the_next_is_right(name: str):
 
 
 @pytest.mark.parametrize("name", QUICK)
+@pytest.mark.few(7)
 def test_long_and_odd_answers_are_wrong(name: str):
     """Without a process of its own: the work in this one is bounded too."""
     before = time.process_time()
@@ -88,6 +90,7 @@ def test_long_and_odd_answers_are_wrong(name: str):
 
 
 @pytest.mark.parametrize("name", ["tower", "long sum", "factorials", "binomial"])
+@pytest.mark.few(1)
 def test_hostile_gold_answer_is_compared_as_text(name: str):
     """Where it is the gold answer that takes too long, another answer is wrong, and the reason says so."""
     found = grade(boxed("6"), HOSTILE[name], timeout_s=0.5)
@@ -221,6 +224,7 @@ def children() -> int:
     return count
 
 
+@pytest.mark.thorough
 def test_process_that_was_killed_is_replaced():
     """Somebody else kills an idle process: the next pair is compared by another."""
     pool = Pool(size=1)
@@ -234,6 +238,7 @@ def test_process_that_was_killed_is_replaced():
         pool.close()
 
 
+@pytest.mark.thorough
 def test_processes_end_with_a_caller_that_is_killed():
     """A caller that is killed outright leaves no process, not even one that is in the middle of a tower of powers."""
     script = """

@@ -26,6 +26,7 @@ COMMANDS = [
 
 
 @pytest.mark.parametrize("code", PYTHON, ids=lambda code: code[:40])
+@pytest.mark.few(2)
 def test_python_example_runs(code: str, tmp_path: Path):
     """Pasted into a file, in an empty folder, without a warning."""
     (tmp_path / "example.py").write_text(code, encoding="utf-8")
@@ -49,6 +50,7 @@ def test_answers_of_the_examples_are_right(tmp_path: Path):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.few(1)
 def test_command_runs(command: str, tmp_path: Path):
     """Typed into a shell, in an empty folder."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"

@@ -116,6 +116,7 @@ def test_rows_are_those_of_the_library(theirs: dict[str, Any]) -> None:
             assert rounded(env.unwrapped._row["answer"]) == rounded(answer), name
 
 
+@pytest.mark.thorough
 def test_every_gold_answer_has_the_reward_1(theirs: dict[str, Any]) -> None:
     """Of every task whose rows bring one, in a tag; in a box where it has no braces."""
     without = []
@@ -134,6 +135,7 @@ def test_every_gold_answer_has_the_reward_1(theirs: dict[str, Any]) -> None:
     assert without == ["boxnet", "graph_color", "propositional_logic", "rubiks_cube", "rush_hour"]
 
 
+@pytest.mark.thorough
 def test_rows_do_not_depend_on_what_was_asked_before() -> None:
     """A process that was just started gives the rows that one in use gave, whichever came first."""
     slow = {"knight_swap", "futoshiki", "zebra_puzzles"}

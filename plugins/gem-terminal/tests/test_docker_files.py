@@ -69,6 +69,7 @@ def test_a_folder_is_replaced_whole(machine: DockerMachine, tests: Path) -> None
         "mkdir -p /tests/run.sh/folder",
     ],
 )
+@pytest.mark.few(2)
 def test_links_of_the_agents_are_replaced_and_not_followed(machine: DockerMachine, tests: Path, trap: str) -> None:
     """Whether the whole folder is put or a file on a path through them."""
     say(machine, f"cp /etc/passwd /before && {trap}")

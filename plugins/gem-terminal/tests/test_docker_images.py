@@ -115,6 +115,7 @@ def test_a_build_that_fails_ends_with_its_log(backend: DockerBackend, tmp_path: 
 
 
 @needs_engine
+@pytest.mark.thorough
 def test_a_build_that_takes_too_long_is_ended(backend: DockerBackend, tmp_path: Path) -> None:
     """Also when it says nothing; what ran for it runs no more."""
     dockerfile = "ARG BASE\nFROM ${BASE}\nRUN echo begin; sleep 1234\n"

@@ -113,6 +113,7 @@ def test_the_verifiers_files_are_the_judges_alone(machine: DockerMachine) -> Non
         assert judge.get("/app/late") == {}
 
 
+@pytest.mark.thorough
 def test_a_late_verifier_is_killed_alone(machine: DockerMachine) -> None:
     """The agent's processes live on."""
     say(machine, "sleep 2001 >/dev/null 2>&1 &")

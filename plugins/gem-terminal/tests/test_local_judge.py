@@ -105,6 +105,7 @@ def test_a_judge_ends_with_its_machine(machine: LocalMachine) -> None:
     judge.remove()
 
 
+@pytest.mark.thorough
 def test_a_judge_runs_though_the_agent_has_taken_all_processes(backend: LocalBackend, tmp_path: Path) -> None:
     with backend.start(write_task(tmp_path), Limits(processes=30)) as machine:
         machine.run(["bash", "-c", "while :; do sleep 1000 & done"], timeout_s=1.0)

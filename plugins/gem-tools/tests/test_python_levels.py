@@ -137,6 +137,7 @@ def test_a_bubblewrap_that_fails_is_passed_over(unknown: None, monkeypatch: pyte
         assert "bubblewrap" in chosen("auto").passed_over
 
 
+@pytest.mark.thorough
 def test_the_doctor_shows_the_level() -> None:
     """As the tool's status."""
     done = subprocess.run(
