@@ -494,9 +494,3 @@ def test_endless_plans_are_drawn_from_as_slots_need_them() -> None:
         await episodes.aclose()  # type: ignore[attr-defined]  # it is a generator
 
     run(main())
-
-
-def test_vector_environment_that_cannot_be_made_raises_in_the_caller() -> None:
-    """By the first episode that is asked for."""
-    with pytest.raises(gem.GemError, match="no environment 'toy:Nothing'"):
-        run(collected(gem.arollout("toy:Nothing", answer_a)))

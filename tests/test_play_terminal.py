@@ -35,6 +35,7 @@ def test_prompt_colours_and_another_episode(terminal, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("setting", [{"NO_COLOR": "1"}, {"TERM": "dumb"}])
+@pytest.mark.few(1)
 def test_no_colours_where_they_are_not_wanted(terminal, setting: dict[str, str]) -> None:
     """The prompt is there all the same."""
     session = terminal("play", SUMS, **setting)

@@ -233,3 +233,13 @@ def test_num_envs_is_for_ids() -> None:
     """What is made already has its number."""
     with pytest.raises(ArgumentError, match=r"num_envs goes with an id: what is made already has its number"):
         list(gem.rollout(gem.make(COUNTDOWN), lambda observation: "a", episodes=1, num_envs=2))
+
+
+def test_vector_environment_that_cannot_be_made_raises_in_the_caller() -> None:
+    """By the first episode that is asked for."""
+
+    async def main() -> None:
+        await anext(gem.arollout("toy:Nothing", lambda observation: "a"))
+
+    with pytest.raises(gem.GemError, match="no environment 'toy:Nothing'"):
+        asyncio.run(main())

@@ -36,6 +36,7 @@ def test_the_one_command_of_the_readme_wins_the_game(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("options", [["--fault", "broken"], ["--fault", "cut"], ["--fault", "empty"]])
+@pytest.mark.few(1)
 def test_the_scripted_server_can_fail(tmp_path: Path, options: list[str]) -> None:
     """And the run gets over it; with streams, too."""
     pytest.importorskip("gem_games")

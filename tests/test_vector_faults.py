@@ -165,6 +165,7 @@ def test_fault_in_close_loses_nothing(env_id: str, backend: str, caplog: pytest.
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize(("env_id", "backend"), TIMED)
+@pytest.mark.few(1)
 def test_hanging_step_is_given_up(env_id: str, backend: str) -> None:
     """After ``step_timeout`` seconds its slot is truncated; a deterministic neighbour goes on."""
     error, vector = stepped(env_id, backend, "hang", step_timeout=SHORT_S)
@@ -182,6 +183,7 @@ def test_hanging_step_is_given_up(env_id: str, backend: str) -> None:
         (THREAD, "process", PlanItem(options={"fault": "hang"})),
     ],
 )
+@pytest.mark.few(1)
 def test_hanging_reset_is_given_up(env_id: str, backend: str, item: PlanItem) -> None:
     """Also where the environment is made."""
     plan = [PlanItem(), item, PlanItem(), PlanItem()]
@@ -360,6 +362,7 @@ def begun(backend: str, **options: Any) -> None:
 
 
 @pytest.mark.parametrize(("env_id", "backend"), HOMES)
+@pytest.mark.few(3)
 def test_on_error_raise_raises_in_every_backend(env_id: str, backend: str) -> None:
     """What failed in a worker comes with its traceback as a note."""
     vector = gem.make_vec(env_id, 2, backend=backend, seed=1, length=3, on_error="raise")

@@ -359,6 +359,7 @@ WAITS = {
 @pytest.mark.few(3)
 @pytest.mark.parametrize("backend", ["async", "process"])
 @pytest.mark.parametrize("how", WAITS)
+@pytest.mark.few(2)
 def test_interrupt_ends_a_program_that_waits(how: str, backend: str) -> None:
     """With ``KeyboardInterrupt`` and nothing else, and without a worker."""
     env_id = THREAD if backend == "async" else INLINE

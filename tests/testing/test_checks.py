@@ -72,6 +72,7 @@ class Forgetful(Notes):
 
 
 @pytest.mark.parametrize("tool", [Notes, Notes()])
+@pytest.mark.few(1)
 def test_good_tool_passes(tool) -> None:
     """A class or an instance."""
     assert "A call succeeds." in check_tool(tool, {"text": "x"})

@@ -186,6 +186,7 @@ def test_reasons_of_failure_are_told_apart(judge: Judge, code: str, status: str)
     assert judge(code, calls).status == status
 
 
+@pytest.mark.thorough
 def test_a_call_that_does_not_end_leaves_those_before_it(judge: Judge) -> None:
     """The answers until then count; the rest is not run."""
     code = "def twice(x):\n    while x < 0: pass\n    return 2 * x"

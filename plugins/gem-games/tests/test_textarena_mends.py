@@ -62,6 +62,7 @@ def test_sudoku_counts_two_solutions_and_none() -> None:
     assert searches.count_solutions(None, grid, solutions) == 0
 
 
+@pytest.mark.thorough
 def test_rush_hour_deals_the_boards_that_it_did(own_draws) -> None:
     """The faster search says of each board what theirs says."""
     load("RushHour-v0")

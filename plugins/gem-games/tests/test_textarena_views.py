@@ -44,6 +44,7 @@ def seen(env_id: str, players: int, turns: int) -> tuple[list[str], list[str]]:
 
 
 @pytest.mark.parametrize("spec", FIRST, ids=lambda spec: spec.id)
+@pytest.mark.few(30)
 def test_no_seat_sees_its_own_response_or_the_reasons_of_another(spec: Any) -> None:
     observations, asked = seen(spec.id, spec.kwargs["players"], turns=12)
     everything = "\n".join([*observations, *asked])

@@ -446,6 +446,7 @@ def test_no_server_says_how_to_start_one(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.parametrize("backend", ["kiwix", "mediawiki"])
+@pytest.mark.few(1)
 def test_game_on_a_server_keeps_the_contract(serve: Any, backend: str) -> None:
     server = serve(kiwix() if backend == "kiwix" else mediawiki())
     url = server.url if backend == "kiwix" else server.url + "/w/api.php"

@@ -50,6 +50,7 @@ def test_rational_numbers_are_compared_exactly(one: Fraction, other: Fraction, w
 
 @settings(max_examples=60, deadline=None)
 @given(formulas(), formulas())
+@pytest.mark.thorough
 def test_evaluation_agrees_with_math_verify(one: str, other: str):
     """Where evaluation has a verdict, the one of math-verify is the same."""
     first, second = read_formula(one), read_formula(other)

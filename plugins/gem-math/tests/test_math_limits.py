@@ -170,6 +170,7 @@ for attempt in (lambda: os.system("touch {tmp_path}/a"), lambda: open("{tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.thorough
 def test_limit_holds_in_many_threads():
     """Hostile and good answers from many threads at once: each gets its own verdict."""
     jobs = [(boxed("9^{9^{9^{9}}}"), "6", False), (boxed(ASKED[0]), ASKED[1], True), (boxed("1/2"), "0.5", True)] * 4
@@ -269,6 +270,7 @@ def _is_zombie(pid: int) -> bool:
         return True
 
 
+@pytest.mark.thorough
 def test_grading_works_after_a_fork():
     """A forked process has its own processes, and the parent's go on."""
     assert grade(boxed(ASKED[0]), ASKED[1], timeout_s=60).correct

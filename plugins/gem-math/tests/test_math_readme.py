@@ -26,7 +26,7 @@ COMMANDS = [
 
 
 @pytest.mark.parametrize("code", PYTHON, ids=lambda code: code[:40])
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 def test_python_example_runs(code: str, tmp_path: Path):
     """Pasted into a file, in an empty folder, without a warning."""
     (tmp_path / "example.py").write_text(code, encoding="utf-8")
@@ -35,6 +35,7 @@ def test_python_example_runs(code: str, tmp_path: Path):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.thorough
 def test_answers_of_the_examples_are_right(tmp_path: Path):
     """The examples show what their text says."""
     (tmp_path / "example.py").write_text(PYTHON[0], encoding="utf-8")

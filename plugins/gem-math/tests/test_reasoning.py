@@ -153,6 +153,7 @@ def test_rows_do_not_depend_on_what_was_asked_before() -> None:
 
 
 @pytest.mark.parametrize("name", ["codeio", "list_functions", "pool_matrix"])
+@pytest.mark.few(1)
 def test_rows_from_global_generators_do_not_depend_on_others(name: str) -> None:
     """The library draws them from state that every row before has changed."""
     spec = {"task": name, "size": 500, "level": None, "levels": {}, "parameters": {}}

@@ -131,6 +131,7 @@ def test_a_command_that_fails_is_quoted_with_what_it_said(backend: LocalBackend,
     assert caught.value.log.endswith("broken")
 
 
+@pytest.mark.thorough
 def test_a_build_out_of_time_is_stopped(backend: LocalBackend, tmp_path: Path) -> None:
     task = write_task(tmp_path, "FROM debian\nRUN echo begun; sleep 1000\n", build_timeout_s=2.0)
     with pytest.raises(BuildError, match=r"the time for building was over \(build_timeout_s\)"):

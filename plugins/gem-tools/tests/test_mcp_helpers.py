@@ -99,7 +99,7 @@ def test_tools_resources_and_prompts(library):
     env.close()
 
 
-@pytest.mark.few(1)
+@pytest.mark.thorough
 def test_helpers_can_be_left_out_and_keep_what_a_tool_promises(library):
     assert [tool.name for tool in make_mcp(**library, resources=False, prompts=False)] == ["lend"]
     tools = {tool.name: tool for tool in make_mcp(**library, include=["*_resource*"])}

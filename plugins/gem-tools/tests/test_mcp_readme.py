@@ -7,12 +7,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from gem_core.parsing import extract_code_blocks
 from gem_tools.mcp.config import read_config
 
 README = (Path(__file__).parent.parent / "README.md").read_text("utf-8").partition("## MCP servers")[2]
 
 
+@pytest.mark.thorough
 def test_the_mcp_example_runs(tmp_path: Path) -> None:
     """And solves its task, after a call that the schema refuses."""
     server, agent = (block.code for block in extract_code_blocks(README, "python"))
