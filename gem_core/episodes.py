@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sized
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple, Self, cast
+from typing import Any, Literal, NamedTuple, Self, cast
 
 from gem_core.errors import EpisodeFileError
 from gem_core.jsonable import ImageFolder, from_plain, to_plain
@@ -135,9 +135,33 @@ class Episode:
 
     @property
     def success(self) -> bool | None:
-        """Whether the task was solved, as ``info["correct"]`` says at the end; None where it does not say."""
+        """Whether the task was solved, as ``info["correct"]`` says at the end.
+
+        False for an episode that was cut off without a word. None, for unknown, after an error, where the task ended
+        and did not say, and where ``reset`` already said ``info["correct"] = None``: this task never tells.
+        """
         correct = self.final_info.get("correct")
-        return None if correct is None or self.error is not None else bool(correct)
+        if self.error is not None:
+            return None
+        if correct is not None:
+            return bool(correct)
+        ended = bool(self.transitions) and self.transitions[-1].terminated
+        return None if ended or self.info.get("correct", False) is None else False
+
+    @property
+    def cut_off(self) -> Literal["turns", "tokens"] | None:
+        """What cut the episode off; None for one that ended by itself or in an error.
+
+        ``"tokens"``: its context overflowed, or its last response stopped at the model's token limit, whatever the task
+        made of that. ``"turns"``: a limit of turns, or any other reason of the environment's.
+        """
+        if self.error is not None:
+            return None
+        last = self.transitions[-1] if self.transitions else None
+        ended = last is not None and last.terminated
+        if (last is not None and last.action.cut_off) or (not ended and self.final_info.get("context_overflow")):
+            return "tokens"
+        return None if ended else "turns"
 
     @property
     def error(self) -> dict[str, Any] | None:

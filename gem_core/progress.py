@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
 _PLAIN_EVERY_S = 10.0
+_NARROW = 70  # columns
 
 
 class Progress:
@@ -62,13 +63,13 @@ class Progress:
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as RichProgress
 
+        console = Console(stderr=True)
+        count, status = MofNCompleteColumn(), TextColumn("{task.fields[status]}")
+        # Where it is narrow, rich would cut the count.
+        narrow = console.width < _NARROW
         self._bar = RichProgress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[status]}"),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
+            *([count, status] if narrow else [self._title, BarColumn(), count, status, TimeRemainingColumn()]),
+            console=console,
             # What is printed meanwhile stands above the bar; where it goes elsewhere, it is none of the bar's matter.
             redirect_stdout=sys.stdout.isatty(),
         )

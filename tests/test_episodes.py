@@ -79,7 +79,37 @@ def test_figures_of_an_episode() -> None:
     assert (episode().episode_return, episode().turns, episode().success, episode().error) == (1.5, 2, True, None)
     failed = episode(transitions=[], info={"error": {"kind": "x", "message": "y"}, "correct": True})
     assert (failed.success, failed.error) == (None, {"kind": "x", "message": "y"})
-    assert episode(transitions=[]).success is None
+
+
+def ended(last: dict[str, Any], first: dict[str, Any] | None = None, *, terminated: bool, **reported: Any) -> Episode:
+    """Return an episode of one turn, with the info of its reset and of its end."""
+    turn = Transition("o", Response("a", **reported), 0.0, terminated, not terminated, last)
+    return episode(transitions=[turn], info=first or {})
+
+
+@pytest.mark.parametrize(
+    ("record", "success", "cut_off"),
+    [
+        (ended({"correct": True}, terminated=True), True, None),
+        (ended({"correct": False}, terminated=True), False, None),
+        (ended({}, terminated=True), None, None),
+        (ended({}, terminated=False), False, "turns"),
+        (ended({"correct": True}, terminated=False), True, "turns"),
+        (ended({"correct": None}, terminated=False), False, "turns"),
+        (ended({}, {"correct": None}, terminated=False), None, "turns"),
+        (ended({}, {"correct": None}, terminated=True), None, None),
+        (ended({"context_overflow": True}, terminated=False), False, "tokens"),
+        (ended({"context_overflow": True, "correct": True}, terminated=True), True, None),
+        (ended({"correct": False}, terminated=True, finish_reason="length"), False, "tokens"),
+        (ended({}, terminated=False, finish_reason="length"), False, "tokens"),
+        (ended({"error": {"kind": "x", "message": "y"}}, terminated=False), None, None),
+        (episode(transitions=[], info={"context_overflow": True}), False, "tokens"),
+        (episode(transitions=[], info={}), False, "turns"),
+    ],
+)
+def test_an_episode_that_was_cut_off_is_not_solved(record: Episode, success: bool | None, cut_off: str | None) -> None:
+    """Unknown is only what the task never tells: it ended in silence, or said so at its beginning."""
+    assert (record.success, record.cut_off) == (success, cut_off)
 
 
 def test_durations_are_left_out_of_comparisons() -> None:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
 from gem_core.episodes import Episode, Transition
 from gem_core.summary import RunSummary
 from gem_core.types import Response
 
 
-def episode(env_id: str, reward: float, **info: Any) -> Episode:
-    turn = Transition("o", Response("a"), reward, True, False, info)
+def episode(env_id: str, reward: float, *, terminated: bool = True, **info: Any) -> Episode:
+    turn = Transition("o", Response("a"), reward, terminated, not terminated, info)
     return Episode(id=env_id, seed=1, observation="o", info={}, transitions=[turn])
 
 
@@ -31,6 +33,62 @@ def test_unknown_success_is_left_out_of_the_rate() -> None:
     assert summary.rows()[0].success_rate is None
     summary.add(episode("a:A", 0.5, correct=False))
     assert summary.rows()[0].success_rate == 0.0
+
+
+def test_episodes_that_were_cut_off_are_judged_and_not_solved() -> None:
+    """Also where not one of them ended, so that none was told."""
+    summary = RunSummary([])
+    for _ in range(3):
+        summary.add(episode("a:A", 0.0, terminated=False))
+    row = summary.rows()[0]
+    assert (row.success_rate, row.judged, row.cut_off_by_turns, row.cut_off_by_tokens) == (0.0, 3, 3, 0)
+    summary.add(episode("a:A", 1.0, correct=True))
+    summary.add(episode("a:A", 0.0, terminated=False, context_overflow=True))
+    assert (row.success_rate, row.judged, row.cut_off_by_turns, row.cut_off_by_tokens) == (0.2, 5, 3, 1)
+
+
+def test_a_task_that_ends_in_silence_never_tells() -> None:
+    """Its episodes that were cut off are unknown as well; those of another task beside it are not."""
+    summary = RunSummary([])
+    for _ in range(2):
+        summary.add(episode("a:Silent", 0.0, terminated=False))
+        summary.add(episode("b:Tells", 0.0, terminated=False))
+        summary.add(episode("a:Silent", 0.3))
+    summary.add(episode("b:Tells", 1.0, correct=True))
+    silent, tells, total = summary.rows()
+    assert (silent.judged, silent.success_rate, silent.cut_off_by_turns) == (0, None, 2)
+    assert (tells.judged, total.judged, total.successes, total.cut_off_by_turns) == (3, 3, 1, 4)
+
+
+@pytest.mark.parametrize(
+    ("solved", "judged", "rate_error", "return_error"),
+    [
+        (11, 50, 0.0583, 0.0592),
+        (50, 50, 0.0098, 0.0),
+        (0, 50, 0.0098, 0.0),
+        (1, 1, 0.25, None),
+        (5, 10, 0.1508, 0.1667),
+    ],
+)
+def test_rates_and_means_come_with_a_standard_error(
+    solved: int, judged: int, rate_error: float, return_error: float | None
+) -> None:
+    """Wilson's for the rate, which is certain of nothing; the sample's own for returns, where there are two."""
+    summary = RunSummary([])
+    for number in range(judged):
+        summary.add(episode("a:A", float(number < solved), correct=number < solved))
+    row = summary.to_dict(1.0)["environments"][0]
+    assert row["success_standard_error"] == pytest.approx(rate_error, abs=5e-5)
+    found = row["return_standard_error"]
+    assert found is return_error is None or found == pytest.approx(return_error, abs=5e-5)
+
+
+def test_the_spread_of_large_returns_is_not_lost() -> None:
+    """Squares of 1e9 hold no ones."""
+    summary = RunSummary([])
+    for reward in (1e9, 1e9 + 2):
+        summary.add(episode("a:A", reward))
+    assert summary.total.return_standard_error == pytest.approx(1.0)
 
 
 def test_several_environments_get_a_row_for_all() -> None:

@@ -9,8 +9,9 @@ from typing import Any
 import click
 
 from gem_core.cli.diagnosis import diagnose, listed
+from gem_core.cli.layout import output_width
 
-_WIDTH = 80
+_WIDTH = 80  # at most
 _INDENT = 4
 _COLOURS = {"met": "green", "unmet": "red", "untried": "yellow", "unknown": "yellow"}
 
@@ -143,7 +144,8 @@ def _heading(text: str) -> None:
 def _row(text: str, state: str = "", colour: str | None = None) -> None:
     margin = " " * _INDENT
     label = state.ljust(8)
-    first, *rest = textwrap.wrap(text, _WIDTH - _INDENT - len(label), break_on_hyphens=False) or [""]
+    width = min(output_width() or _WIDTH, _WIDTH) - _INDENT - len(label)
+    first, *rest = textwrap.wrap(text, width, break_on_hyphens=False, break_long_words=False) or [""]
     click.echo(f"{margin}{click.style(label, fg=colour) if colour else label}{first}")
     for line in rest:
         click.echo(f"{margin}{'':8}{line}")

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
-import sys
 
 import click
 
 from gem_core.cli import tool_info
 from gem_core.cli.completion import complete_env_ids
+from gem_core.cli.layout import cut_at_word, output_width
 from gem_core.cli.tool_info import KINDS
 from gem_core.errors import UnknownEnvError
 from gem_core.plugins import Plugin, Record
@@ -140,13 +139,11 @@ def _print_columns(records: list[EnvSpec]) -> None:
 
 def _print_rows(rows: list[tuple[str, str]]) -> None:
     # Plain lines, made without rich: importing it would take longer than all the rest.
-    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    width = output_width()
     first = max(len(name) for name, _ in rows)
     for name, text in rows:
-        rest = f"  {text}"
-        if width is not None and first + len(rest) > width:
-            rest = rest[: max(width - first - 1, 0)] + "…"
-        click.echo(f"{click.style(name.ljust(first) if text else name, fg='cyan')}{rest}".rstrip())
+        rest = text if width is None else cut_at_word(text, max(width - first - 2, 0))
+        click.echo(f"{click.style(name.ljust(first) if text else name, fg='cyan')}  {rest}".rstrip())
 
 
 def _is_plain(value: object) -> bool:

@@ -181,8 +181,8 @@ def ending_of(episode: Episode) -> str:
         cause = printable(str(episode.error.get("message", episode.error)))
         return f"Ended after {turns} by an error that was not yours: {cause}"
     verdict = {True: "Won", False: "Lost", None: "Over"}[episode.success]
-    if episode.transitions and episode.transitions[-1].truncated:
-        verdict = "Cut off" if episode.success is None else f"{verdict}, cut off"
+    if episode.transitions and not episode.transitions[-1].terminated:
+        verdict = "Won, cut off" if episode.success else "Cut off"
     return f"{verdict} after {turns}. Return {_number(episode.episode_return)}."
 
 

@@ -2,68 +2,63 @@
 
 from __future__ import annotations
 
-import sys
+import textwrap
+from functools import partial
 
 import click
 
+from gem_core.cli.layout import Layout, Style, output_width
 from gem_core.summary import EnvSummary, RunSummary
 
-_HEADERS = ("environment", "episodes", "success", "mean return", "mean turns", "turns/s", "errors")
-_TOKEN_HEADERS = ("tokens in", "tokens out")
+_HEADERS = (
+    "environment", "episodes", "judged", "success", "mean return", "mean turns", "out of turns", "out of tokens",
+    "errors", "turns/s", "tokens in", "tokens out",
+)  # fmt: skip
+_TOKENS = 10, 11
 _ERRORS = _HEADERS.index("errors")
+_DISPENSABLE = [
+    _HEADERS.index(name) for name in ("turns/s", "mean turns", "tokens in", "tokens out", "mean return")
+] + [_HEADERS.index(name) for name in ("out of tokens", "out of turns", "episodes", "judged")]
 
 
 def print_table(summary: RunSummary, seconds: float) -> None:
-    """Write the table of a run to standard output: drawn in a terminal, in plain columns otherwise.
+    """Write the table of a run to standard output, as wide as a terminal is.
 
     The tokens that a model read and wrote have columns where its server reports them.
     """
-    with_tokens = summary.total.prompt_tokens is not None or summary.total.completion_tokens is not None
-    headers = (*_HEADERS, *_TOKEN_HEADERS) if with_tokens else _HEADERS
-    rows = [_cells(row, seconds, with_tokens) for row in summary.rows()]
-    if sys.stdout.isatty():
-        _print_drawn(headers, rows)
-        return
-    widths = [max(map(len, column)) for column in zip(headers, *rows, strict=True)]
-    for row in (headers, *rows):
-        cells = [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
-        click.echo("  ".join(cells))
-
-
-def _print_drawn(headers: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console()
-    widths = [max(map(len, column)) for column in zip(headers, *rows, strict=True)]
-    # Where the frame does not fit, figures stay whole: no frame, headers of two lines and, if need be, ids folded.
-    fits = sum(widths) + 3 * len(widths) + 1 <= console.width
-    table = Table() if fits else Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for header, *column in zip(headers, *rows, strict=True):
-        if header == "environment":
-            table.add_column(header, overflow="fold")
-        else:
-            shown = header if fits else header.replace(" ", "\n")
-            least = max(map(len, [*shown.split("\n"), *column]))
-            table.add_column(shown, justify="right", no_wrap=True, min_width=least)
+    reported = summary.total.prompt_tokens is not None or summary.total.completion_tokens is not None
+    shown = len(_HEADERS) if reported else _TOKENS[0]
+    rows = [_cells(row, seconds)[:shown] for row in summary.rows()]
+    dispensable = [place for place in _DISPENSABLE if place < shown]
+    layout = Layout(_HEADERS[:shown], rows, output_width(), dispensable=dispensable)
+    for line in layout.header():
+        click.echo(click.style(line, bold=True))
     for row in rows:
-        style = "bold" if row[0] == "all" and len(rows) > 1 else None
-        errors = row[_ERRORS] if row[_ERRORS] == "0" else f"[red]{row[_ERRORS]}[/red]"
-        table.add_row(*row[:_ERRORS], errors, *row[_ERRORS + 1 :], style=style)
-    console.print(table)
+        styles: dict[int, Style] = {0: partial(click.style, fg="cyan")}
+        if row[_ERRORS] != "0":
+            styles[_ERRORS] = partial(click.style, fg="red")
+        for line in layout.row(row, styles):
+            click.echo(line)
+    if layout.left_out:
+        missing = f"Not shown here: {', '.join(layout.left_out)}."
+        for line in textwrap.wrap(missing, output_width() or len(missing), break_on_hyphens=False):
+            click.echo(click.style(line, dim=True))
 
 
-def _cells(row: EnvSummary, seconds: float, with_tokens: bool) -> tuple[str, ...]:
-    tokens = (_count(row.prompt_tokens), _count(row.completion_tokens)) if with_tokens else ()
+def _cells(row: EnvSummary, seconds: float) -> tuple[str, ...]:
     return (
         row.id,
         str(row.episodes),
-        _shown(row.success_rate, ".1%"),
-        _shown(row.mean_return, ".3f"),
+        str(row.judged),
+        _with_error(row.success_rate, row.success_standard_error, ".1%"),
+        _with_error(row.mean_return, row.return_standard_error, ".3f"),
         _shown(row.mean_turns, ".1f"),
-        _shown(row.turns_per_second(seconds), ",.0f"),
+        str(row.cut_off_by_turns),
+        str(row.cut_off_by_tokens),
         str(row.errors),
-        *tokens,
+        _shown(row.turns_per_second(seconds), ",.0f"),
+        _count(row.prompt_tokens),
+        _count(row.completion_tokens),
     )
 
 
@@ -73,6 +68,11 @@ def status_of(total: EnvSummary) -> str:
     if total.errors:
         parts.append(f"{total.errors} errors")
     return ", ".join(parts)
+
+
+def _with_error(number: float | None, error: float | None, form: str) -> str:
+    shown = _shown(number, form)
+    return shown if error is None else f"{shown} ± {format(error, form)}"
 
 
 def _shown(number: float | None, form: str) -> str:

@@ -143,7 +143,8 @@ def command(
     """Let an agent act in environments, and record its episodes.
 
     Each ID is an environment, or a glob in quotes such as 'game:*'. Prints a table; episodes with an error are counted
-    apart, and are in no mean.
+    apart, and are in no mean. One that was cut off is not solved. Behind ± stands the standard error, for success
+    Wilson's.
     """
     # Imported here, so that help and the completion of options need not wait for them.
     from gem_core.agents.base import load_agent

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, Self
 from gem_core.episodes import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
 
-FORM = 1
+FORM = 2
 """Version of the form of an index; another one is rebuilt."""
 
 INDEX_FROM_BYTES = 8_000_000

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from functools import partial
 from itertools import chain, islice
 
+from gem_core.cli.layout import Layout
 from gem_core.cli.viewing.index import Entry
 from gem_core.cli.viewing.terminal import Paint, one_line
 from gem_core.cli.viewing.turns import Part, TurnView, error_text, outcome_of, parts_of, start_of, turn_views
 from gem_core.episodes import Episode
 
 _HEADERS = ("number", "environment", "outcome", "return", "turns", "seed", "group", "error")
-_TO_THE_RIGHT = {0, 3, 4, 5}
+_OUTCOME = _HEADERS.index("outcome")
+_TO_THE_LEFT = ("environment", "outcome", "group", "error")
+_IF_ANY = ("group", "error")
+_DISPENSABLE = ("group", "seed", "turns", "return")
 # Columns get the width of the first so many rows; what comes later may stand out.
 _ROWS_AHEAD = 200
 _WIDEST = (8, 60, 7, 10, 6, 17, 24, 200)
@@ -26,25 +31,28 @@ def list_lines(entries: Iterable[Entry], paint: Paint, width: int | None = None)
     Args:
         entries: The episodes.
         paint: For colours.
-        width: Lines are cut to so many characters; None leaves them whole.
+        width: Characters in a line: columns are left out to fit, and errors cut; None leaves all whole.
     """
     rows = (_cells(entry) for entry in entries)
     first = list(islice(rows, _ROWS_AHEAD))
     if not first:
         return
-    used = [place for place in range(len(_HEADERS)) if place < 6 or any(row[place] for row in first)]
-    widths = [max(len(row[place]) for row in (_HEADERS, *first)) for place in range(len(_HEADERS))]
-    if width is not None:
-        # The group's column gives way first, then the environment's, before those behind them are cut off.
-        widths[6] = min(widths[6], max(width // 10, len(_HEADERS[6])))
-        others = sum(widths[place] + 2 for place in used if place not in (1, 7))
-        widths[1] = max(min(widths[1], width - others - (12 if 7 in used else 0)), 12)
-    yield paint(_joined(_HEADERS, used, widths, width), bold=True)
+    used = [place for place, name in enumerate(_HEADERS) if name not in _IF_ANY or any(row[place] for row in first)]
+    headers = [_HEADERS[place] for place in used]
+    layout = Layout(
+        headers,
+        [[row[place] for place in used] for row in first],
+        width,
+        left=[place for place, name in enumerate(headers) if name in _TO_THE_LEFT],
+        names=2,
+        dispensable=[headers.index(name) for name in _DISPENSABLE if name in headers],
+        tail=headers.index("error") if "error" in headers else None,
+    )
+    for line in layout.header():
+        yield paint(line, bold=True)
     for row in chain(first, rows):
-        line = _joined(row, used, widths, width)
-        if paint.colours:
-            line = line.replace(f" {row[2]} ", f" {paint(row[2], fg=OUTCOME_COLOURS[row[2]])} ", 1)
-        yield line
+        colour = OUTCOME_COLOURS[row[_OUTCOME]]
+        yield from layout.row([row[place] for place in used], {_OUTCOME: partial(paint, fg=colour)})
 
 
 def episode_lines(episode: Episode, number: int, paint: Paint, *, full: bool = False) -> Iterator[str]:
@@ -58,7 +66,8 @@ def episode_lines(episode: Episode, number: int, paint: Paint, *, full: bool = F
     """
     outcome = outcome_of(episode.success, None if episode.error is None else "")
     yield paint(f"Episode {number} · {one_line(episode.id)}", bold=True)
-    figures = f"return {episode.episode_return:g}, {_turns(episode.turns)}"
+    cut_off = "" if episode.cut_off is None else f", cut off by {episode.cut_off}"
+    figures = f"return {episode.episode_return:g}, {_turns(episode.turns)}{cut_off}"
     yield f"{paint(outcome, fg=OUTCOME_COLOURS[outcome])}, {figures}"
     for name, value in start_of(episode).items():
         yield paint(f"{name}: ", dim=True) + _short(value, full)
@@ -145,16 +154,3 @@ def _cells(entry: Entry) -> tuple[str, ...]:
         entry.error or "",
     )
     return tuple(one_line(cell, widest) for cell, widest in zip(cells, _WIDEST, strict=True))
-
-
-def _joined(row: tuple[str, ...], used: list[int], widths: list[int], width: int | None) -> str:
-    cells = []
-    for place in used:
-        cell = row[place] if place not in (1, 6) or width is None else _cut(row[place], widths[place])
-        cells.append(cell.rjust(widths[place]) if place in _TO_THE_RIGHT else cell.ljust(widths[place]))
-    line = "  ".join(cells).rstrip()
-    return line if width is None else _cut(line, width)
-
-
-def _cut(text: str, width: int) -> str:
-    return text if len(text) <= width else text[: width - 1] + "…"

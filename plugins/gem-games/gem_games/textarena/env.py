@@ -160,13 +160,13 @@ class TextArenaEnv(Env):
         cut_off = not table.done and not self._stalled and self._turns >= self._most_turns()
         if table.done:
             self._over = True
-            if self.seat in rewards and family not in _SCORES:
+            if self.seat in rewards and "correct" not in info:
                 full = _FULL_REWARDS.get(family, 1)
                 info["correct"] = reward >= full if self.players == 1 else 0 < reward == max(rewards.values())
         elif cut_off:
             self._over = True
             reward = table.progress() if self.players == 1 else 0.0
-            info["correct"] = False
+            info.setdefault("correct", False)
         if self._stalled:
             info["error"] = {"kind": "opponent", "message": _STALLED}
         return observation, reward, table.done, self._stalled or cut_off, info
@@ -244,6 +244,8 @@ class TextArenaEnv(Env):
         view = self.table.look(self.seat)
         suffix = _below(view.feedback, view.board)
         info: Info = {"feedback": view.feedback, "suffix": suffix, "textarena": self.table.report(self.seat)}
+        if self.game.partition("-")[0] in _SCORES:
+            info["correct"] = None  # said from the beginning: an episode that is cut off has not failed
         return view.feedback + suffix, info
 
     def sample_random_action(self) -> str:
