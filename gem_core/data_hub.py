@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import threading
 import urllib.parse
 import urllib.request
 from collections.abc import Iterator, Mapping
@@ -17,7 +16,6 @@ from gem_core.errors import DatasetError, MissingRequirementError
 from gem_core.suggestions import did_you_mean
 
 _NO_TELEMETRY = {"HF_HUB_DISABLE_TELEMETRY": "1", "HF_UPDATE_DOWNLOAD_COUNTS": "0"}
-_flags = threading.Lock()
 _BUILDERS = {".parquet": "parquet", ".arrow": "arrow"}
 
 
@@ -49,8 +47,10 @@ def load_dataset_rows(source: str | Path, *, split: str | None, config: str | No
     library = _library(source)
     with _quiet(library), _explained(library, source, config):
         if isinstance(source, str):
-            with _offline_without_network(library):
+            if _hub_has_an_address(library):
                 loaded = library.load_dataset(source, config, split=split, revision=revision)
+            else:
+                loaded = _from_cache(source, config).as_dataset(split)
         elif source.is_file():
             loaded = library.load_dataset(binary_kind(source), data_files=os.fspath(source))
         elif (source / "state.json").exists() or (source / "dataset_dict.json").exists():
@@ -131,8 +131,9 @@ class ArrowRow(Mapping[str, Any]):
 
 
 def _library(source: str | Path) -> Any:
-    for name, value in _NO_TELEMETRY.items():
-        os.environ.setdefault(name, value)  # read once, when the library is imported
+    # Read once, when the library is imported.
+    added = {name: value for name, value in _NO_TELEMETRY.items() if name not in os.environ}
+    os.environ.update(added)
     try:
         import datasets  # type: ignore[import-untyped]
     except ModuleNotFoundError as error:
@@ -141,6 +142,9 @@ def _library(source: str | Path) -> Any:
         raise MissingRequirementError(
             f"loading {os.fspath(source)!r} needs the package datasets: pip install 'gem-core[datasets]'"
         ) from error
+    finally:
+        for name in added:
+            os.environ.pop(name, None)
     return datasets
 
 
@@ -157,31 +161,34 @@ def _quiet(library: Any) -> Iterator[None]:
         library.enable_progress_bars()
 
 
-@contextmanager
-def _offline_without_network(library: Any) -> Iterator[None]:
-    """Take the library offline meanwhile where the hub's name cannot be looked up.
-
-    It would try for half a minute; offline, what is in the cache is found at once, and so is what is not.
-    """
-    from huggingface_hub import constants
-
+def _hub_has_an_address(library: Any) -> bool:
+    """Tell whether the hub's name can be looked up; without one, the library would try for half a minute."""
     host = urllib.parse.urlsplit(library.config.HF_ENDPOINT).hostname or ""
     try:
         if not urllib.request.getproxies():  # a proxy looks names up itself
             socket.getaddrinfo(host, None)
-        reachable = True
     except OSError:
-        reachable = False
-    if reachable:
-        yield
-        return
-    with _flags:
-        before = library.config.HF_HUB_OFFLINE, constants.HF_HUB_OFFLINE
-        library.config.HF_HUB_OFFLINE = constants.HF_HUB_OFFLINE = True
-        try:
-            yield
-        finally:
-            library.config.HF_HUB_OFFLINE, constants.HF_HUB_OFFLINE = before
+        return False
+    return True
+
+
+def _from_cache(source: str, config: str | None) -> Any:
+    """Return the builder of a data set in the cache, as the library does by itself in its offline mode.
+
+    To switch that mode on would take every other thread offline too.
+
+    Raises:
+        ConnectionError: It is not there.
+    """
+    from datasets.packaged_modules.cache.cache import Cache  # type: ignore[import-untyped]
+
+    name = source.rpartition("/")[2]
+    try:
+        return Cache(dataset_name=name, repo_id=source, config_name=config, version="auto", hash="auto")
+    except ValueError as error:
+        if not str(error).startswith("Couldn't find cache"):
+            raise
+        raise ConnectionError(str(error)) from error
 
 
 @contextmanager

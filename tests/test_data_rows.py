@@ -10,13 +10,16 @@ import pickle
 import socket
 import subprocess
 import sys
+import types
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import datasets
+import huggingface_hub.constants
 import pytest
+from datasets.packaged_modules.json.json import Json
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -293,18 +296,42 @@ def test_hub_that_is_not_reached_is_an_error_with_advice() -> None:
     assert second == first
 
 
-def test_hub_is_not_asked_where_its_name_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is in the cache would be found; the library's own settings are put back."""
+@pytest.fixture
+def no_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No name can be looked up."""
 
     def unknown(*_: object, **__: object) -> None:
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
     monkeypatch.setattr(socket, "getaddrinfo", unknown)
     monkeypatch.setattr(urllib.request, "getproxies", dict)
-    monkeypatch.setattr(datasets.config, "HF_HUB_OFFLINE", False)
+
+
+class Watched(types.ModuleType):
+    """A module whose settings are not to be changed, not even for a moment."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        assert name == "__class__", f"{name} was set to {value!r}"
+        super().__setattr__(name, value)
+
+
+@pytest.mark.usefixtures("no_network")
+def test_without_a_network_the_cache_is_read_and_nobody_taken_offline(
+    lines: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What another thread asks the hub meanwhile is none of our matter."""
+    builder = Json(dataset_name="sums", hash="0", data_files=str(lines))
+    builder.download_and_prepare()
+    made = Path(builder.cache_dir).parents[1]
+    made.rename(made.parent / "default")  # as the library names them for what is on the hub
+    made.parent.rename(made.parents[1] / "nobody___sums")
+    environment = dict(os.environ)
+    for module in (datasets.config, huggingface_hub.constants):
+        monkeypatch.setattr(module, "__class__", Watched)
+    assert list(load_rows("nobody/sums", split="train")) == list(load_rows(lines))
     with pytest.raises(DatasetError, match="nothing-of-that-name' is not in the cache, and the hub does not answer"):
         load_rows("nobody/nothing-of-that-name")
-    assert datasets.config.HF_HUB_OFFLINE is False
+    assert os.environ == environment
 
 
 def test_file_that_a_package_ships(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib
 import inspect
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -181,7 +182,7 @@ def load_agent(name: str, **options: Any) -> Agent:
     """Return the agent of a name: a registered one, or ``MODULE:CALLABLE``.
 
     What stands behind the colon is the argument of a registered agent; modules are also looked for in the current
-    folder.
+    folder, which is in ``sys.path`` only while they are imported.
 
     Args:
         name: As in ``"random"``, ``"openai:MODEL"``, ``"my_module:MyAgent"``.
@@ -206,7 +207,12 @@ def load_agent(name: str, **options: Any) -> Agent:
         raise UnknownAgentError(
             f"no agent {name!r}.{did_you_mean(name, registered)} There are: {listed}; or name one as MODULE:CALLABLE"
         )
-    target = _imported(name, head, rest, registered)
+    with current_folder_importable():  # a class may import more when it is made
+        return _agent_of_module(name, head, rest, registered, options)
+
+
+def _agent_of_module(name: str, module: str, path: str, registered: list[str], options: dict[str, Any]) -> Agent:
+    target = _imported(name, module, path, registered)
     if not callable(target):
         raise UnknownAgentError(
             f"no agent {name!r}: an agent is a callable of (observation, context), and this is {target!r:.100}"
@@ -221,10 +227,20 @@ def load_agent(name: str, **options: Any) -> Agent:
     return as_agent(target(**options))
 
 
-def _imported(name: str, module_name: str, path: str, registered: list[str]) -> Any:
+@contextmanager
+def current_folder_importable() -> Iterator[None]:
+    """Look for modules in the current folder as well, as long as this lasts."""
     here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.insert(0, here)
+    sys.path.insert(0, here)
+    try:
+        yield
+    finally:
+        # One of them: whoever put the same folder there, before or meanwhile, still finds it.
+        with suppress(ValueError):
+            sys.path.remove(here)
+
+
+def _imported(name: str, module_name: str, path: str, registered: list[str]) -> Any:
     try:
         target: Any = importlib.import_module(module_name)
     except ModuleNotFoundError as error:

@@ -147,7 +147,7 @@ def command(
     Wilson's.
     """
     # Imported here, so that help and the completion of options need not wait for them.
-    from gem_core.agents.base import load_agent
+    from gem_core.agents.base import current_folder_importable, load_agent
     from gem_core.cli.report import print_table, status_of
     from gem_core.cli.resumed_run import ResumedRun
     from gem_core.episodes import EpisodeWriter
@@ -159,6 +159,7 @@ def command(
     if resume is not None:
         _refuse_beside_resume({"--seed": seed is not None, "--out": out is not None, "--overwrite": overwrite})
     env_ids = _expanded(ids)
+    ctx.with_resource(current_folder_importable())  # an agent may import what stands beside it when it first acts
     acting = load_agent(agent, **given(options))
     stack = wrapper_stack(wrappers, tools, max_tool_uses, max_turns)
     interactive = getattr(acting, "interactive", False)
