@@ -19,7 +19,7 @@ from gem_core.errors import (
     UnknownWrapperError,
 )
 from gem_core.plugins import Plugin, Record, complain, load_plugins
-from gem_core.specs import AgentSpec, EntryPoint, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec
+from gem_core.specs import AgentSpec, EntryPoint, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
 from gem_core.suggestions import did_you_mean
 
 if TYPE_CHECKING:
@@ -287,9 +287,10 @@ class Registry:
             variants = sorted(name for name in self._envs if name.startswith(env_id))[:3] if env_id else []
             hint = f" Did you mean {' or '.join(map(repr, variants))}?" if variants else ""
         if not hint and not colon:
-            # What 'gem info' takes is an environment or a tool.
-            tool = did_you_mean(env_id, (tool.name for tool in self.named(ToolSpec)))
-            hint = tool.replace("Did you mean", "Did you mean the tool")
+            # 'gem info' takes these as well.
+            kinds = (ToolSpec, WrapperSpec, AgentSpec, VectorBackendSpec)
+            hints = ((kind.kind, did_you_mean(env_id, (each.name for each in self.named(kind)))) for kind in kinds)
+            hint = next((text.replace("mean", f"mean the {kind}", 1) for kind, text in hints if text), "")
         return f"no environment {env_id!r}.{hint}{failed} Run 'gem list{f' {namespace}' if colon else ''}'"
 
     def _how_to_get(self, namespace: str) -> str:

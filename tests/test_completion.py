@@ -42,6 +42,7 @@ def completed(*words: str) -> list[str]:
         (("--tra",), ["--traceback"]),
         (("info", ""), ["one:", "two:"]),
         (("info", "one:"), ["one:Alpha-v0", "one:Beta-v0"]),
+        (("info", "concat_w"), ["concat_with_action"]),
         (("info", "tw"), ["two:Alpha-v0"]),
         (("list", "one:B"), ["one:Beta-v0"]),
         (("run", "two:"), ["two:Alpha-v0"]),

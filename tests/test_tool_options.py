@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import gem_core as gem
-from gem_core.cli.tool_options import parsed_tools, wrapper_stack
+from gem_core.cli.tool_options import parsed_choices, wrapper_stack
 from gem_core.episodes import read_episodes
 from gem_core.errors import ArgumentError, UnknownToolError
 from gem_core.registry import registry
@@ -51,6 +51,14 @@ def agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
         ("box:url=http://localhost:8000/x?a=b", [("box", {"url": "http://localhost:8000/x?a=b"})]),
         ('box:on=true,limit=null,rate=0.5,text="7"', [("box", {"on": True, "limit": None, "rate": 0.5, "text": "7"})]),
         ("box:empty=", [("box", {"empty": ""})]),
+        (
+            'box:list=[1, [2]],text="a,b",more={"a": 1, "b": 2},vault',
+            [
+                ("box", {"list": [1, [2]], "text": "a,b", "more": {"a": 1, "b": 2}}),
+                ("vault", {}),
+            ],
+        ),
+        ("box:open=[1,count=2", [("box", {"open": "[1", "count": 2})]),
         ('["vault", ["box", {"prefix": "a,b"}]]', [("vault", {}), ("box", {"prefix": "a,b"})]),
         ('{"box": {"prefix": "a,b"}, "vault": {}}', [("box", {"prefix": "a,b"}), ("vault", {})]),
         ("", []),
@@ -58,7 +66,8 @@ def agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 )
 def test_tools_are_read(text: str, tools: list[Any]) -> None:
     """Names with options behind a colon, or JSON where a value holds commas."""
-    assert parsed_tools(text) == tools
+    assert parsed_choices(text, "--tools") == tools
+    assert parsed_choices(text, "--wrappers") == tools
 
 
 @pytest.mark.parametrize(
@@ -75,7 +84,7 @@ def test_tools_are_read(text: str, tools: list[Any]) -> None:
 def test_what_cannot_be_read_is_told_with_an_example(text: str, told: str) -> None:
     """In one line."""
     with pytest.raises(ArgumentError) as caught:
-        parsed_tools(text)
+        parsed_choices(text, "--tools")
     assert told in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -83,21 +92,53 @@ def test_what_cannot_be_read_is_told_with_an_example(text: str, told: str) -> No
 def test_unknown_tools_are_told_with_the_nearest() -> None:
     """A wrapper is no tool."""
     with pytest.raises(UnknownToolError, match="no tool 'valt'"):
-        parsed_tools("valt")
+        wrapper_stack((), ("valt",), None, None)
     with pytest.raises(UnknownToolError, match="concat"):
-        parsed_tools("concat")
+        wrapper_stack((), ("concat",), None, None)
 
 
 def test_the_limit_of_turns_stands_outside_the_tools_and_inside_the_views() -> None:
     """Tools are innermost, wherever they were named; without tools the limit is."""
-    limit = ("turn_limit", {"max_turns": 3})
-    assert wrapper_stack("concat", ("box",), None, 3) == [("box", {}), limit, "concat"]
-    assert wrapper_stack("concat,box", (), None, 3) == ["concat", "box", limit]
-    assert wrapper_stack("concat", (), None, 3) == [limit, "concat"]
+    limit, concat, box = ("turn_limit", {"max_turns": 3}), ("concat", {}), ("box", {})
+    assert wrapper_stack(("concat",), ("box",), None, 3) == [box, limit, concat]
+    assert wrapper_stack(("concat,box",), (), None, 3) == [concat, box, limit]
+    assert wrapper_stack(("concat",), (), None, 3) == [limit, concat]
     uses = ("tools", {"max_tool_uses": None})
-    assert wrapper_stack("concat,vault", ("box",), "none", None) == [uses, ("box", {}), "concat", "vault"]
+    assert wrapper_stack(("concat", "vault"), ("box",), "none", None) == [uses, box, concat, ("vault", {})]
     with pytest.raises(ArgumentError, match="--max-tool-uses is a limit of tools, and there are none"):
-        wrapper_stack("concat", (), 3, None)
+        wrapper_stack(("concat",), (), 3, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "wrappers"),
+    [
+        ("concat:max_turns=2,drop_thinking=true,episode_stats", [
+            ("concat", {"max_turns": 2, "drop_thinking": True}), ("episode_stats", {}),
+        ]),
+        ("my.views:Mine", [("my.views:Mine", {})]),
+        ("my.views:Mine:size=2,concat", [("my.views:Mine", {"size": 2}), ("concat", {})]),
+    ],
+)  # fmt: skip
+def test_wrappers_have_options_like_tools(text: str, wrappers: list[Any]) -> None:
+    """And may be named by module and class."""
+    assert parsed_choices(text, "--wrappers") == wrappers
+
+
+def test_run_and_play_pass_options_on_to_wrappers(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are in the record; one that the wrapper does not have is told with those that it has."""
+    words = ("run", COUNTDOWN, "-n", "1", "-s", "1", "-o", "x.jsonl", "-w", "concat:max_turns=2", "-w", "episode_stats")
+    assert run_gem(*words).code == 0
+    assert next(read_episodes("x.jsonl")).wrappers == [["concat", {"max_turns": 2}], ["episode_stats", {}]]
+    refused = run_gem("run", COUNTDOWN, "-n", "1", "-w", "concat:most=2")
+    assert refused.err.startswith("gem: wrapper 'concat': got an unexpected keyword argument 'most'.")
+    assert run_gem("run", COUNTDOWN, "-w", "concat:most").err == (
+        "gem: --wrappers: 'most' is no option of 'concat'; write 'concat:max_turns=2,episode_stats' or JSON as in "
+        '\'[["concat", {"max_turns": 2}]]\'\n'
+    )
+    monkeypatch.setattr(sys, "stdin", io.StringIO("7\n"))
+    played = run_gem("play", COUNTDOWN, "--seed", "1", "-w", "concat:max_turns=2", "-w", "episode_stats")
+    assert played.code == 0
+    assert "--seed 1 --wrappers concat:max_turns=2 --wrappers episode_stats\n" in played.out
 
 
 def test_run_with_tools_records_them(run_gem: RunGem, agent: str) -> None:
@@ -148,6 +189,7 @@ def test_info_describes_a_tool(run_gem: RunGem) -> None:
     assert done.code == 0
     assert done.out == (
         "box · Two tools.\n"
+        "  kind:         tool\n"
         "  options:      prefix=''\n"
         "  offered by:   gem-toolbox\n"
         "  entry point:  gem_toolbox_tools:make_box\n"
@@ -170,6 +212,35 @@ def test_info_of_a_tool_that_needs_options_says_so(run_gem: RunGem, monkeypatch:
     assert done.code == 0
     assert "  missing:      tool 'needy': missing a required argument: 'name'" in done.out
     assert "A tool of a list" in done.out
+
+
+@pytest.mark.parametrize(
+    ("name", "lines"),
+    [
+        ("concat", ["  kind:         wrapper", "  options:      max_turns: int | None = None"]),
+        ("openai", ["  argument:     model: str = '', as in openai:…", "  options:      base_url: str | None = None"]),
+        ("openai:some-model", ["  kind:         agent"]),
+        ("random", ["  kind:         agent", "  options:      none"]),
+        ("process", ["  kind:         vector backend", "  options:      workers: int | None = None"]),
+        (COUNTDOWN, ["  accepts:      longest: int = 4"]),
+    ],
+)
+def test_info_tells_the_options_of_what_has_a_name(run_gem: RunGem, name: str, lines: list[str]) -> None:
+    """With their types as they are written, one in each line."""
+    done = run_gem("info", name)
+    assert done.code == 0
+    assert [line for line in lines if line not in done.out.splitlines()] == []
+
+
+def test_info_shows_no_docstring_of_a_base_class(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tool or an environment that has none of its own says nothing."""
+    gem.list_envs()
+    bare = type("Bare", (gem.Tool,), {"name": "bare", "description": "Bare.", "call": lambda *_: "", "__doc__": None})
+    spec = gem.ToolSpec(name="bare", entry_point=bare)
+    monkeypatch.setitem(registry()._named, "wrapper", {**registry()._named["wrapper"], "bare": spec})
+    out = run_gem("info", "bare").out
+    assert "Bare." in out
+    assert str(gem.Tool.__doc__).strip().partition("\n")[0] not in out
 
 
 @pytest.mark.parametrize(

@@ -76,10 +76,17 @@ def complete_tools(ctx: click.Context, param: click.Parameter, incomplete: str) 
     return []
 
 
-def complete_ids_and_tools(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
-    """Return the ids that begin so, and the tools."""
-    ids = complete_env_ids(ctx, param, incomplete)
-    return [*ids, *complete_tools(ctx, param, incomplete)] if "," not in incomplete else ids
+def complete_ids_and_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
+    """Return the ids that begin so, and behind a first letter the tools, wrappers, agents and backends."""
+    from gem_core.cli.tool_info import KINDS
+
+    found = complete_env_ids(ctx, param, incomplete)
+    if not incomplete:
+        return found
+    with _quiet_registry() as known:
+        records = [record for kind in KINDS.values() for record in known.named(kind)]
+        found += _items(incomplete, ((record.name, record.summary) for record in records))
+    return found
 
 
 def complete_plugins(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:

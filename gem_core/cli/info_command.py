@@ -1,16 +1,14 @@
-"""``gem info``: one environment or tool described."""
+"""``gem info``: one environment, tool, wrapper, agent or backend described."""
 
 from __future__ import annotations
 
-import inspect
 import json
 
 import click
 
-from gem_core.arguments import signature_of
-from gem_core.cli.completion import complete_ids_and_tools
+from gem_core.cli.completion import complete_ids_and_names
 from gem_core.cli.list_command import described
-from gem_core.cli.tool_info import find_tool, print_tool
+from gem_core.cli.tool_info import all_about, find_named, option_lines, own_documentation, print_field, print_named
 from gem_core.errors import GemError
 from gem_core.registry import registry
 from gem_core.requirements import unmet
@@ -24,15 +22,24 @@ Examples:
   gem info game:GuessTheNumber-v0
   gem info game:Mastermind-v0-hard --json
   gem info search                     a tool: its options, and what an agent is told
+  gem info concat                     a wrapper; likewise an agent, as openai, or a backend
 """,
 )
-@click.argument("env_id", metavar="ID", shell_complete=complete_ids_and_tools)
+@click.argument("env_id", metavar="ID", shell_complete=complete_ids_and_names)
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON object.")
 def command(env_id: str, as_json: bool) -> None:
-    """Describe one environment: its task, its arguments, what it needs, and what an agent sees first; or one tool."""
-    tool = None if ":" in env_id else find_tool(env_id)
-    if tool is not None:
-        print_tool(tool, as_json)
+    """Describe one environment: its task, its arguments, what it needs, and what an agent sees first.
+
+    Or one tool, wrapper, agent or vector backend, with its options.
+    """
+    named = [all_about(record) for record in find_named(env_id)]
+    if named:
+        if as_json:
+            click.echo(json.dumps(named[0] if len(named) == 1 else named, indent=1))
+            return
+        for number, about in enumerate(named):
+            click.echo("\n" * (number > 0), nl=False)
+            print_named(about)
         return
     record = registry().env(env_id)
     facts = described(record)
@@ -42,9 +49,8 @@ def command(env_id: str, as_json: bool) -> None:
         return
     click.echo(click.style(record.id, bold=True) + (f" · {record.summary}" if record.summary else ""))
     for label, value in _lines(record, facts):
-        click.echo(f"  {label + ':':<14}{value}")
-    for advice in missing.values():
-        click.echo(f"  {'missing:':<14}{advice}")
+        print_field(label, value)
+    print_field("missing", list(missing.values()))
     if not missing:
         _print_class(record)
 
@@ -68,10 +74,8 @@ def _print_class(record: EnvSpec) -> None:
     from gem_core.registry import make
 
     maker = load_entry_point(record.entry_point, f"environment {record.id!r}")
-    signature = signature_of(maker) or inspect.Signature()
-    accepted = [str(parameter) for parameter in signature.parameters.values()]
-    click.echo(f"  {'accepts:':<14}{', '.join(accepted) or 'no arguments'}")
-    documented = inspect.getdoc(maker)
+    print_field("accepts", option_lines(maker) or "no arguments")
+    documented = own_documentation(maker)
     if documented:
         click.echo("\n" + documented)
     try:

@@ -70,9 +70,11 @@ Exit code: 0 at the end or at the end of input, 2 for a wrong argument, 130 afte
 @click.option(
     "-w",
     "--wrappers",
+    multiple=True,
+    metavar="NAMES",
     shell_complete=complete_wrappers,
-    help="Wrappers and tools by name, innermost first; each observation is then shown exactly as a model gets it. "
-    "With '' it is that of the bare environment.",
+    help="Wrappers and tools, innermost first, as in 'concat:max_turns=2'; each observation is then shown exactly as a "
+    "model gets it. With '' it is that of the bare environment.",
 )
 @tool_options
 @click.option("-r", "--raw", is_flag=True, help="Send answers as they are typed, without the expected form.")
@@ -85,7 +87,7 @@ def command(
     seed: int | None,
     episodes: int | None,
     max_turns: int | None,
-    wrappers: str | None,
+    wrappers: tuple[str, ...],
     tools: tuple[str, ...],
     max_tool_uses: int | str | None,
     raw: bool,
@@ -97,15 +99,15 @@ def command(
     Shows each observation and reads your answer, with the reward of each turn.
     """
     record = registry().env(env_id)
-    stack = wrapper_stack(wrappers or "", tools, max_tool_uses, max_turns)
+    stack = wrapper_stack(wrappers, tools, max_tool_uses, max_turns)
     path = None if out is None else free_path(out, overwrite)
     with closing(make(record, wrappers=stack)) as env, ExitStack() as files:
-        if wrappers is None:
+        if not wrappers:
             _draw_boards(env)
         terminal, session = Terminal(), PlaySession(env, seed)
         writer = None if path is None else files.enter_context(EpisodeWriter(path))
         images = None if path is None else ImageFolder.beside(path)
-        view = PlayView(session, terminal, exact=wrappers is not None, raw=raw, images=images)
+        view = PlayView(session, terminal, exact=bool(wrappers), raw=raw, images=images)
         player = _Player(session, view, terminal, writer, raw)
         interrupted = False
         try:
@@ -204,10 +206,10 @@ class _Player:
         raise EndOfInput
 
 
-def _again(max_turns: int | None, wrappers: str | None, raw: bool, tools: list[str]) -> str:
+def _again(max_turns: int | None, wrappers: tuple[str, ...], raw: bool, tools: list[str]) -> str:
     """Return the options without which the same seed would look different."""
     turns = [] if max_turns is None else ["--max-turns", str(max_turns)]
-    around = [] if wrappers is None else ["--wrappers", wrappers]
+    around = [word for text in wrappers for word in ("--wrappers", text)]
     return "".join(f" {shlex.quote(word)}" for word in [*turns, *around, *tools, *["--raw"] * raw])
 
 

@@ -43,7 +43,7 @@ class _AtLeast(click.IntRange):
 Examples:
   gem run game:GuessTheNumber-v0 --agent bisect --episodes 100
   gem run 'game:*-easy' --agent random --num-envs 16 --seed 7
-  gem run game:Mastermind-v0-easy --agent my_module:my_agent --wrappers concat_with_action
+  gem run game:Mastermind-v0-easy --agent my_module:my_agent --wrappers concat_with_action:max_turns=4
   gem run math:GSM8K --agent openai:gpt-5-mini --tools python,search:top_k=2 --max-tool-uses 10
   gem run game:GuessTheNumber-v0 --agent openai:gpt-5-mini --max-tokens 2000
   gem run game:GuessTheNumber-v0 --agent openai:my-model --base-url http://localhost:8000/v1
@@ -91,9 +91,11 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
 @click.option(
     "-w",
     "--wrappers",
-    default="",
+    multiple=True,
+    metavar="NAMES",
     shell_complete=complete_wrappers,
-    help="Wrappers and tools by name, innermost first: 'concat,episode_stats'. A view says what the agent is sent.",
+    help="Wrappers and tools, innermost first, with options behind a colon: 'concat:max_turns=2,episode_stats'. "
+    "Can be repeated; 'gem info NAME' shows the options. A view says what the agent is sent.",
 )
 @tool_options
 @click.option(
@@ -129,7 +131,7 @@ def command(
     num_envs: int | None,
     seed: int | None,
     max_turns: int | None,
-    wrappers: str,
+    wrappers: tuple[str, ...],
     tools: tuple[str, ...],
     max_tool_uses: int | str | None,
     backend: str,

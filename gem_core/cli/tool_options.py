@@ -12,7 +12,7 @@ import click
 from gem_core.cli.completion import complete_tools
 from gem_core.errors import ArgumentError
 from gem_core.registry import registry
-from gem_core.specs import ToolSpec
+from gem_core.specs import ToolSpec, WrapperSpec
 
 if TYPE_CHECKING:
     from gem_core.making import WrapperChoice
@@ -21,10 +21,13 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 NO_LIMIT = "none"
 
-# Before the first colon of a tool there is no equals sign, so that what has one goes on with the tool before it.
-_TOOL = re.compile(r"\s*([\w.-]+)\s*(?::(.*))?", re.ASCII | re.DOTALL)
+# Before the first colon of a name there is no equals sign, so that what has one goes on with the name before it.
+_NAME = re.compile(r"\s*([\w.-]+)\s*(?::(.*))?", re.ASCII | re.DOTALL)
 _OPTION = re.compile(r"\s*(\w+)\s*=(.*)", re.ASCII | re.DOTALL)
-_FORM = "'python,search:top_k=2' or JSON as in '[[\"search\", {\"top_k\": 2}]]'"
+_FORMS = {
+    "--tools": "'python,search:top_k=2' or JSON as in '[[\"search\", {\"top_k\": 2}]]'",
+    "--wrappers": "'concat:max_turns=2,episode_stats' or JSON as in '[[\"concat\", {\"max_turns\": 2}]]'",
+}
 
 
 def _uses(ctx: click.Context, param: click.Parameter, value: str | None) -> int | str | None:
@@ -61,18 +64,19 @@ def tool_options(command: Command) -> Command:
 
 
 def wrapper_stack(
-    wrappers: str, tools: tuple[str, ...], max_tool_uses: int | str | None, max_turns: int | None
+    wrappers: tuple[str, ...], tools: tuple[str, ...], max_tool_uses: int | str | None, max_turns: int | None
 ) -> list[WrapperChoice]:
     """Return what is put around an environment, innermost first.
 
     Raises:
-        ArgumentError: Tools cannot be read, or a limit is given for tools and there are none.
+        ArgumentError: Wrappers or tools cannot be read, or a limit is given for tools and there are none.
         UnknownWrapperError: No wrapper or tool of that name.
     """
-    names = [name.strip() for name in wrappers.split(",") if name.strip()]
-    chosen = [tool for text in tools for tool in parsed_tools(text)]
-    stack: list[Any] = [*chosen, *names]
-    place = next((number for number, name in enumerate(stack) if _is_tool(name)), None)
+    stack: list[Any] = [tool for text in tools for tool in parsed_choices(text, "--tools")]
+    for name, _ in stack:
+        registry().tool(name)
+    stack += [wrapper for text in wrappers for wrapper in parsed_choices(text, "--wrappers")]
+    place = next((number for number, (name, _) in enumerate(stack) if _is_tool(name)), None)
     if max_tool_uses is not None:
         if place is None:
             raise ArgumentError("--max-tool-uses is a limit of tools, and there are none; name some by --tools")
@@ -91,66 +95,74 @@ def options_again(tools: tuple[str, ...], max_tool_uses: int | str | None) -> li
     return [word for text in tools for word in ("--tools", text)] + uses
 
 
-def parsed_tools(text: str) -> list[tuple[str, dict[str, Any]]]:
-    """Return the tools of one ``--tools``, each with its options.
+def parsed_choices(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
+    """Return the tools or wrappers of one ``--tools`` or ``--wrappers``, each with its options.
 
-    A value of an option is JSON where it can be read as such, and text otherwise.
+    A value of an option is JSON where it can be read as such, commas included, and text otherwise.
 
     Raises:
         ArgumentError: It is neither a list of names nor JSON.
-        UnknownToolError: No such tool.
     """
-    tools = _from_json(text) if text.lstrip().startswith(("[", "{")) else _from_words(text)
-    for name, _ in tools:
-        registry().tool(name)
-    return tools
-
-
-def _from_words(text: str) -> list[tuple[str, dict[str, Any]]]:
-    tools: list[tuple[str, dict[str, Any]]] = []
-    for word in text.split(","):
-        option = _OPTION.fullmatch(word)
-        tool = _TOOL.fullmatch(word)
-        if option and tools:
-            tools[-1][1][option[1]] = _value(option[2])
-        elif tool:
-            tools.append((tool[1], {}))
-            first = None if tool[2] is None else _OPTION.fullmatch(tool[2])
-            if first:
-                tools[-1][1][first[1]] = _value(first[2])
-            elif tool[2] is not None:
-                raise ArgumentError(f"--tools: {tool[2]!r} is no option of {tool[1]!r}; write {_FORM}")
+    if text.lstrip().startswith(("[", "{")):
+        return _from_json(text, option)
+    choices: list[tuple[str, dict[str, Any]]] = []
+    words = text.split(",")
+    while words:
+        word = words.pop(0)
+        setting, named = _OPTION.fullmatch(word), _NAME.fullmatch(word)
+        if setting and choices:
+            choices[-1][1][setting[1]] = _value(setting[2], words)
+        elif named:
+            name, rest = named[1], named[2]
+            if rest is not None and option == "--wrappers" and not _OPTION.fullmatch(rest) and not _is_registered(name):
+                path, _, rest = rest.partition(":")  # "package.module:Class", with its options behind another colon
+                name, rest = f"{name}:{path}", rest or None
+            choices.append((name, {}))
+            if rest is not None:
+                setting = _OPTION.fullmatch(rest)
+                if setting is None:
+                    raise ArgumentError(f"{option}: {rest!r} is no option of {name!r}; write {_FORMS[option]}")
+                choices[-1][1][setting[1]] = _value(setting[2], words)
         elif word.strip():
-            raise ArgumentError(f"--tools: {word!r} is no name of a tool; write {_FORM}")
-    return tools
+            raise ArgumentError(f"{option}: {word!r} is no name of a {option[2:-1]}; write {_FORMS[option]}")
+    return choices
 
 
-def _from_json(text: str) -> list[tuple[str, dict[str, Any]]]:
+def _from_json(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ArgumentError(f"--tools is no valid JSON: {error}; write {_FORM}") from None
+        raise ArgumentError(f"{option} is no valid JSON: {error}; write {_FORMS[option]}") from None
     if isinstance(content, dict):  # {"search": {"top_k": 2}, "python": {}}
         content = list(content.items())
-    tools = [
+    choices = [
         (each, {}) if isinstance(each, str) else tuple(each) if isinstance(each, list | tuple) else ()
         for each in content
     ]
-    for tool in tools:
-        if len(tool) != 2 or not isinstance(tool[0], str) or not isinstance(tool[1], dict):
+    for choice in choices:
+        if len(choice) != 2 or not isinstance(choice[0], str) or not isinstance(choice[1], dict):
             raise ArgumentError(
-                f"--tools must be a list of names, or of names with options, not {text:.200}; write {_FORM}"
+                f"{option} must be a list of names, or of names with options, not {text:.200}; write {_FORMS[option]}"
             )
-    return tools
+    return choices
 
 
-def _value(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except (ValueError, RecursionError):
-        return text
+def _value(text: str, following: list[str]) -> Any:
+    """Return the value of an option; a list, an object or a text in quotes takes what it needs of what follows."""
+    most = len(following) if text.lstrip()[:1] in ("[", "{", '"') else 0
+    for count in range(most + 1):
+        try:
+            value = json.loads(",".join([text, *following[:count]]))
+        except (ValueError, RecursionError):
+            continue
+        del following[:count]
+        return value
+    return text
 
 
-def _is_tool(choice: object) -> bool:
-    name = choice[0] if isinstance(choice, tuple) else choice
-    return name == "tools" or isinstance(registry().wrapper(str(name)), ToolSpec)
+def _is_registered(name: str) -> bool:
+    return any(record.name == name for kind in (WrapperSpec, ToolSpec) for record in registry().named(kind))
+
+
+def _is_tool(name: str) -> bool:
+    return name == "tools" or (":" not in name and isinstance(registry().wrapper(name), ToolSpec))
