@@ -7,8 +7,10 @@ show.
 from __future__ import annotations
 
 import json
+import os
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sized
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
@@ -239,7 +241,7 @@ class EpisodeWriter:
 
     Args:
         path: The file; folders above it are made.
-        append: Go on behind what is there, instead of writing the file anew.
+        append: Go on behind what is there, instead of writing the file anew with the first episode.
 
     Raises:
         EpisodeFileError: The file cannot be written.
@@ -249,11 +251,13 @@ class EpisodeWriter:
         self.path = Path(path)
         self.count = 0
         self._images = ImageFolder.beside(self.path)
+        self._append = append
+        self._to_empty = not append
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             torn = append and _is_torn(self.path)
             # Without a buffer: a line is one system call, which Ctrl-C cannot cut in two.
-            self._file = self.path.open("ab" if append else "wb", buffering=0)
+            self._file = self.path.open("ab", buffering=0)
         except OSError as error:
             raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
         if torn:
@@ -272,13 +276,29 @@ class EpisodeWriter:
 
     def _write(self, data: bytes) -> None:
         try:
+            self._empty()
             while data:
                 data = data[self._file.write(data) :]
         except OSError as error:
             raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
 
+    def _empty(self) -> None:
+        if self._to_empty and os.fstat(self._file.fileno()).st_size:
+            self._file.truncate(0)
+        self._to_empty = False
+
+    def discard(self) -> None:
+        """Close the file of a run that wrote nothing: what was there before stays, and an empty file goes."""
+        self._to_empty = False
+        self.close()
+        with suppress(OSError):
+            if not self._append and self.path.is_file() and not self.path.stat().st_size:
+                self.path.unlink()
+
     def close(self) -> None:
         """Close the file; calling it again does nothing."""
+        if not self._file.closed:
+            self._empty()
         self._file.close()
 
     def __enter__(self) -> Self:

@@ -332,6 +332,18 @@ def table_in(output: str) -> list[str]:
     return [line for line in lines if line.strip() and " written to " not in line and "seed 1" not in line]
 
 
+@pytest.mark.parametrize("failure", ["KeyboardInterrupt", "RuntimeError('no')", "SystemExit(3)"])
+def test_a_run_that_ends_before_its_first_episode_leaves_no_file(run_gem, failure: str) -> None:
+    """And what it was to replace stays."""
+    Path("ends_at_once.py").write_text(f"def act(observation):\n    raise {failure}\n")
+    Path("old.jsonl").write_text("old\n")
+    run = ("run", COUNTDOWN, "-a", "ends_at_once:act", "-n", "2")
+    for words in ((), ("-o", "new.jsonl"), ("-o", "old.jsonl", "--overwrite")):
+        assert run_gem(*run, *words).code != 0
+    assert [str(path) for path in Path().rglob("*.jsonl")] == ["old.jsonl"]
+    assert Path("old.jsonl").read_text() == "old\n"
+
+
 def test_two_runs_in_one_second_have_files_of_their_own(run_gem, monkeypatch: pytest.MonkeyPatch) -> None:
     """The name holds the second and the seed; both may be equal."""
     monkeypatch.setattr("time.strftime", lambda form: "now")

@@ -109,7 +109,8 @@ def test_the_end_of_the_input_is_no_error(play) -> None:
     outcome = play(BOARD, "-o", "a.jsonl", typed="a\nb")
     assert (outcome.code, outcome.err) == (0, "")
     assert "Left unfinished after 2 turns, return 0.5; it is not recorded.\n" in outcome.out
-    assert list(read_episodes("a.jsonl")) == []
+    assert "No episode was finished, and no file written.\n" in outcome.out
+    assert not Path("a.jsonl").exists()
     assert "Left unfinished after 0 turns, return 0.\n" in play(BOARD).out
 
 

@@ -117,6 +117,8 @@ def command(
         except KeyboardInterrupt:
             interrupted = True
         finally:
+            if writer is not None and not writer.count:
+                writer.discard()
             if session.started:
                 view.farewell(
                     player.finished, out, _again(max_turns, wrappers, raw, options_again(tools, max_tool_uses))

@@ -111,7 +111,8 @@ class PlayView:
             mean = sum(episode.episode_return for episode in episodes) / len(episodes)
             show(f"{len(episodes)} episodes{solved}, mean return {_number(mean)}.")
         if path:
-            show(f"{len(episodes)} episode{'s' if len(episodes) != 1 else ''} written to {path}.")
+            counted = f"{len(episodes)} episode{'s' if len(episodes) != 1 else ''} written to {path}"
+            show(f"{counted if episodes else 'No episode was finished, and no file written'}.")
         show(f"The same again: gem play {session.env_id} --seed {session.seed}{options}", dim=True)
 
     def help(self) -> None:

@@ -27,6 +27,7 @@ from gem_core.specs import EnvSpec
 
 if TYPE_CHECKING:
     from gem_core.agents.base import Agent
+    from gem_core.summary import RunSummary
 
 _DEFAULT_SLOTS = 8
 
@@ -195,15 +196,18 @@ def command(
                 stopped_by = error
                 if isinstance(error, KeyboardInterrupt):
                     deaf.enter_context(_interrupts_ignored())
+            finally:
+                if not writer.count:
+                    writer.discard()
         seconds = time.perf_counter() - started
     if as_json:
-        click.echo(json.dumps({**summary.to_dict(seconds), "seed": vector.seed, "out": str(path)}, indent=1))
+        written = str(path) if path.exists() else None
+        click.echo(json.dumps({**summary.to_dict(seconds), "seed": vector.seed, "out": written}, indent=1))
     else:
         print_table(summary, seconds)
-        written = "written to" if resumed is None else f"added to the {before} in"
-        click.echo(f"{_counted(writer.count)} in {seconds:.1f} s (seed {vector.seed}), {written} {path}")
-    if summary.first_error is not None:
-        click.echo(f"gem: {_counted(summary.total.errors)} had an error; the first: {summary.first_error}", err=True)
+        ran = f"{_counted(writer.count)} in {seconds:.1f} s (seed {vector.seed})"
+        click.echo(f"{ran}, {_where(path, None if resumed is None else before)}")
+    _tell_errors(summary)
     if stopped_by is not None:
         _stop(ctx, stopped_by, before + writer.count, len(plan), path, deaf)
     ctx.exit(1 if summary.first_error is not None else 0)
@@ -243,6 +247,18 @@ def _refuse_beside_resume(given: dict[str, bool]) -> None:
     for option, is_given in given.items():
         if is_given:
             raise ArgumentError(f"--resume goes on with the seed and the file of the run; leave {option} out")
+
+
+def _tell_errors(summary: RunSummary) -> None:
+    if summary.first_error is not None:
+        click.echo(f"gem: {_counted(summary.total.errors)} had an error; the first: {summary.first_error}", err=True)
+
+
+def _where(path: Path, already: int | None) -> str:
+    """Say where the episodes are, and for a run that was resumed how many were there."""
+    if already is not None:
+        return f"added to the {already} in {path}"
+    return f"written to {path}" if path.exists() else "no file written"
 
 
 def _counted(episodes: int) -> str:
