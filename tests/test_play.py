@@ -86,6 +86,28 @@ def play(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest
     return call
 
 
+class StrictEnv(BoardEnv):
+    """Ends at what is no letter, and says that it did nothing with it; so does the second x."""
+
+    def step(self, action: str) -> Any:
+        answer = gem.extract_last_boxed_answer(action)
+        if answer is None or not answer.isalpha() or answer == "x":
+            self.letters = "gone"
+            return (
+                f"{answer} is no letter. The end: abcd.",
+                -1.0,
+                True,
+                False,
+                {"correct": False, "parsed_action": None},
+            )
+        observation, reward, terminated, truncated, info = super().step(action)
+        return observation, reward, terminated, truncated, info | {"parsed_action": answer}
+
+
+STRICT = "play:Strict-v0"
+gem.register(STRICT, StrictEnv)
+
+
 # Piped.
 
 
@@ -96,8 +118,8 @@ def test_a_piped_episode_from_beginning_to_end(play) -> None:
     before, _, after = outcome.out.partition("turn 2")
     assert before == (
         "\nplay:Board-v0 · episode 1\nWrite letters.\nAn answer is sent as \\boxed{…}. Type ? for help.\n"
-        "\nWrite a letter.\n\n  [    ]\n\nLetters: ''.\n\n"
-        "turn 1 · \\boxed{a} · reward 0.25 · return 0.25\n\nNoted.\n\n  [a   ]\n\nLetters: 'a'.\n\n"
+        "\nWrite a letter.\n\n  [    ]\n\n"
+        "turn 1 · \\boxed{a} · reward 0.25 · return 0.25\n\nNoted.\n\n  [a   ]\n\n"
     )
     assert after.endswith("\nWon after 4 turns. Return 1.\nThe same again: gem play play:Board-v0 --seed 1\n")
     assert "\x1b" not in outcome.out
@@ -112,6 +134,25 @@ def test_the_end_of_the_input_is_no_error(play) -> None:
     assert "No episode was finished, and no file written.\n" in outcome.out
     assert not Path("a.jsonl").exists()
     assert "Left unfinished after 0 turns, return 0.\n" in play(BOARD).out
+
+
+def test_a_typo_does_not_end_the_episode(play) -> None:
+    """It is taken back and asked again, and what the environment said of the end is not shown; --raw sends as it is."""
+    outcome = play(STRICT, "-o", "a.jsonl", typed="a\n7\nb\nx\nc\nd\n")
+    assert outcome.out.count("was not played: it cannot be read, or breaks the rules.") == 2
+    assert "The end" not in outcome.out
+    assert "Won after 4 turns. Return 1.\nTurns taken back, which are in no record: 2.\n" in outcome.out
+    (episode,) = read_episodes("a.jsonl")
+    assert [str(turn.action) for turn in episode.transitions] == [f"\\boxed{{{letter}}}" for letter in "abcd"]
+    assert "Lost after 1 turn. Return -1." in play(STRICT, "--raw", typed="a\n").out
+
+
+def test_a_picture_of_the_board_stands_in_the_place_of_its_text(play) -> None:
+    """One of them; where the two cannot be told apart, the observation alone."""
+    assert "Letters:" not in play(BOARD, typed="a\n").out
+    gem.register("play:Image-v0", BoardEnv, image=True)
+    shown = play("play:Image-v0", typed="a\n").out
+    assert ("[image 4x3]" in shown, "[a   ]" in shown) == (True, False)
 
 
 def test_episodes_are_those_of_a_run_with_the_same_seed(play) -> None:

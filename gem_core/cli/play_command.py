@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 
 import click
 
 from gem_core.cli import INTERRUPTED
 from gem_core.cli.completion import complete_env_ids, complete_wrappers
-from gem_core.cli.play_session import PlaySession
+from gem_core.cli.play_session import PlaySession, was_not_played
 from gem_core.cli.play_view import PlayView, in_one_line
 from gem_core.cli.run_command import free_path
 from gem_core.cli.terminal import EndOfInput, Terminal
@@ -41,11 +42,12 @@ Answers:
                everything with --raw.
   two lines    End a line with a backslash, or write a block between two lines of triple quotes.
   (nothing)    An empty line is passed over. Six quotes in a row are the empty answer.
+  a typo       What the environment could not read does not end an episode, but for --raw: answer again.
 
 \b
 Commands, which may be cut short as in !u:
   ?            the keys, the rules, and an example of a valid action
-  !undo        take the last turn back, where the environment can save its state
+  !undo        take the last turn back, where the environment can save its state; also behind the end
   !random      play a random valid action
   !restart     begin this episode again from the same start
   !next        leave this episode, and begin the next
@@ -150,15 +152,26 @@ class _Player:
         while True:
             self._session.begin()
             self._view.opening(summary)
+            goes_on = self._play_out(asks=episodes is None and self._terminal.interactive)
+            if not goes_on and (episodes is None or len(self.finished) >= episodes):
+                return
+
+    def _play_out(self, *, asks: bool) -> bool:
+        """Play the present episode to its end, and record it; return whether another is wanted, if that is asked."""
+        while True:
             while not self._session.over:
                 self._next_input()
             self._view.ending()
-            self._record(self._session.episode)
-            if episodes is not None:
-                if len(self.finished) >= episodes:
-                    return
-            elif not (self._terminal.interactive and self._terminal.confirm("Play another?")):
-                return
+            another: bool | None = False
+            try:
+                if asks:
+                    another = self._terminal.confirm("Play another?", other="!undo")
+            finally:
+                if another is not None:
+                    self._record(self._session.episode)
+            if another is not None:
+                return another
+            self._try(self._undo)
 
     def _record(self, episode: Episode) -> None:
         if self._writer is not None:
@@ -167,16 +180,29 @@ class _Player:
 
     def _next_input(self) -> None:
         typed = self._terminal.ask(f"turn {self._session.episode.turns + 1}> ")
+        if typed.is_command:
+            self._try(lambda: self._obey(typed.text))
+        else:
+            self._try(lambda: self._act(typed.text if self._raw else self._session.formed(typed.text)))
+
+    def _try(self, action: Callable[[], None]) -> None:
         try:
-            if typed.is_command:
-                self._obey(typed.text)
-            else:
-                self._act(typed.text if self._raw else self._session.formed(typed.text))
+            action()
         except (NotSupportedError, ArgumentError) as error:
             self._terminal.show(f"{error}.", fg="yellow")
 
     def _act(self, answer: str) -> None:
-        self._view.turn(self._session.act(answer))
+        turn = self._session.act(answer)
+        if not self._raw and self._session.over and self._session.can_undo and was_not_played(turn):
+            self._session.undo()
+            # Why is left out: the last words of a task may give its solution away.
+            self._terminal.show(
+                f"{in_one_line(answer)} was not played: it cannot be read, or breaks the rules. That would end the "
+                "episode, so it does not count: answer again, or type ? for help.",
+                fg="yellow",
+            )
+            return
+        self._view.turn(turn)
 
     def _obey(self, typed: str) -> None:
         found = [name for name in _COMMANDS if name.startswith(typed.casefold())] if typed else []

@@ -109,6 +109,11 @@ class PlaySession:
         self.episode.final_observation = observation
         return turn
 
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is a turn that can be taken back."""
+        return bool(self._states) and self._states[-1] is not None
+
     def undo(self) -> Transition:
         """Take the last turn back, and return it.
 
@@ -159,6 +164,11 @@ class PlaySession:
     def formed(self, answer: str) -> str:
         """Return a plain answer in the form that the environment expects."""
         return self.form().around(answer, self.tools)
+
+
+def was_not_played(turn: Transition) -> bool:
+    """Tell whether the environment says that it could do nothing with a response."""
+    return turn.info.get("parsed_action", "") is None and not turn.info.get("correct")
 
 
 def _endless_plan(env: AnyEnv) -> Iterator[PlanItem]:

@@ -97,6 +97,8 @@ class PlayView:
         show(ending_of(session.episode), bold=True, fg=_colour_of(session.episode))
         if session.taken_back:
             show(f"Turns taken back, which are in no record: {session.taken_back}.", dim=True)
+        if self._terminal.interactive and session.can_undo:
+            show("!undo takes the last turn back.", dim=True)
 
     def farewell(self, episodes: list[Episode], path: str | None, options: str = "") -> None:
         """Say what was played, what was left unfinished, and where the rest was written."""
@@ -143,7 +145,8 @@ class PlayView:
 
     def _laid_out(self, observation: Observation, info: Info) -> None:
         feedback, suffix = told_apart(observation, info)
-        board = self._board()
+        # The drawing shows to a person what the suffix tells a model.
+        board = self._board() if suffix else ""
         show = self._terminal.show
         if feedback and feedback != TERMINAL_STATE:
             show()
@@ -151,9 +154,9 @@ class PlayView:
         if board:
             show()
             self._terminal.show_drawing(textwrap.indent(board.strip("\n"), "  "))
-        if suffix:
+        elif suffix:
             show()
-            self._running(self._text(suffix).strip("\n"), dim=bool(board))
+            self._running(self._text(suffix).strip("\n"))
         show()
 
     def _board(self) -> str:

@@ -114,8 +114,12 @@ class Terminal:
             if self.interactive:
                 self.show(f"Type an answer, or ? for help. {BLOCK * 2} is the empty answer.", dim=True)
 
-    def confirm(self, question: str) -> bool:
+    def confirm(self, question: str, *, other: str) -> bool | None:
         """Ask for yes or no; Enter is yes.
+
+        Args:
+            question: What is asked.
+            other: A command, which may be cut short; None is returned for it.
 
         Raises:
             EndOfInput: There is nothing more.
@@ -126,7 +130,9 @@ class Terminal:
                 return True
             if answer in ("n", "no", "q", "!quit"):
                 return False
-            self.show("Type y or n; Enter is y.", dim=True)
+            if len(answer) > 1 and other.startswith(answer):
+                return None
+            self.show(f"Type y, n or {other}; Enter is y.", dim=True)
 
     def _line(self, prompt: str) -> str:
         if self._edited:

@@ -150,6 +150,8 @@ class TextArenaEnv(Env):
         observation, info = self._see()
         info["parsed_action"] = played
         info["invalid_move"] = invalid or bool(info["textarena"].get("invalid_move"))
+        if info["invalid_move"]:
+            info["parsed_action"] = None
         if failure:
             self._over = True
             info["error"] = {"kind": "opponent", "message": failure}
@@ -189,7 +191,7 @@ class TextArenaEnv(Env):
         info["invalid_move"] = agents_fault
         if agents_fault:
             info["feedback"] = f"The game could not read your response ({type(error).__name__}), and is lost."
-            info["correct"] = False
+            info |= {"correct": False, "parsed_action": None}
             return info["feedback"] + info["suffix"], -1.0, True, False, info
         info["error"] = {"kind": "judge" if judged else "textarena", "message": message}
         return observation, 0.0, False, True, info
