@@ -297,7 +297,7 @@ def test_unknown_and_ambiguous_commands_are_named(play) -> None:
 def test_help_shows_keys_rules_and_an_example(play) -> None:
     """Whatever happened since."""
     out = play(BOARD, typed="a\n?\n").out.partition("return 0.25")[2]
-    assert "!undo        take the last turn back" in out
+    assert "!undo      take the last turn back" in out
     assert re.search(r"A valid action, for example: \\boxed\{[abcd]\}\n\nWrite a letter\.\n", out)
     assert "The form of an answer: any text\n\nSay something.\n" in play(ECHO, typed="?\n").out
 

@@ -19,9 +19,12 @@ from gem_core.wrappers.views import told_apart
 _LONGEST_ACTION = 60
 
 KEYS = f"""\
-  ?            this help                     !random    play a random valid action
-  !undo        take the last turn back       !restart   begin this episode again
-  !next        leave it, begin the next      !quit      end, as Ctrl-D does
+  ?          this help
+  !undo      take the last turn back
+  !random    play a random valid action
+  !restart   begin this episode again
+  !next      leave it, begin the next
+  !quit      end, as Ctrl-D does
   Commands may be cut short, as in !u. An answer that begins with ! is typed with two.
   A line that ends in a backslash goes on in the next; {BLOCK} begins and ends a block of lines.
 """

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import sys
+import textwrap
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -71,16 +72,23 @@ class Terminal:
         return min(columns or _MOST_COLUMNS, _MOST_COLUMNS)
 
     def show(self, text: str = "", **style: Any) -> None:
-        """Write text of our own and a line break."""
+        """Write text of our own and a line break; in a terminal, long lines are broken between words."""
+        columns = self.columns
+        if columns is not None and "\x1b" not in text:
+            lines = (textwrap.wrap(line, columns, break_on_hyphens=False) or [""] for line in text.split("\n"))
+            text = "\n".join(piece for pieces in lines for piece in pieces)
+        self._echo(text, **style)
+
+    def _echo(self, text: str, **style: Any) -> None:
         click.echo(click.style(text, **style) if style else text, err=self._err, color=self.colours)
 
     def show_plainly(self, text: str, **style: Any) -> None:
         """Write text of an environment and a line break, with control characters made visible."""
-        self.show(printable(text), **style)
+        self._echo(printable(text), **style)
 
     def show_drawing(self, text: str) -> None:
         """Write what an environment drew, its colours included where there are colours."""
-        self.show(_CONTROLS_BUT_COLOURS.sub(_visible, text))
+        self._echo(_CONTROLS_BUT_COLOURS.sub(_visible, text))
 
     def show_exactly(self, text: str) -> None:
         """Write text to the letter, and a line break if it has none at its end.

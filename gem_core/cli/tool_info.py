@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import inspect
+import textwrap
 from collections.abc import Callable
 from typing import Any
 
 import click
 
 from gem_core.arguments import signature_of
+from gem_core.cli.layout import output_width
 from gem_core.entry_points import load_entry_point
 from gem_core.errors import GemError
 from gem_core.registry import registry
@@ -91,6 +93,9 @@ def print_named(facts: dict[str, Any]) -> None:
 def print_field(label: str, value: str | list[str] | None) -> None:
     """Show a fact behind its label, a list with a line for each; nothing where there is none."""
     lines = [value] if isinstance(value, str) else value or []
+    width = output_width()
+    if width is not None:
+        lines = [piece for line in lines for piece in textwrap.wrap(line, max(width - 16, 20), break_long_words=False)]
     for number, line in enumerate(lines):
         head = f"{label}:" if number == 0 else ""
         click.echo(f"  {head:<14}{line}")
