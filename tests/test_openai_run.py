@@ -43,12 +43,12 @@ def test_token_usage_is_in_the_table_and_in_the_json(run: Run) -> None:
     turns = sum(episode.turns for episode in read_episodes("a.jsonl"))
     header, row = out.splitlines()[:2]
     assert code == 0
-    assert header.endswith("errors  tokens in  tokens out")
+    assert header.endswith("errors  turns/s  tokens in  tokens out")
     assert row.split()[-2:] == [str(7 * turns), str(3 * turns)]
     report = json.loads(run(COUNTDOWN, "-n", "3", "--agent", "openai:toy-model", "--json")[1])
     counted = report["environments"][0]
     assert (counted["prompt_tokens"], counted["completion_tokens"]) == (7 * counted["turns"], 3 * counted["turns"])
-    assert "tokens" not in run(COUNTDOWN, "-n", "3")[1]
+    assert "tokens in" not in run(COUNTDOWN, "-n", "3")[1]
 
 
 def test_options_reach_the_server(server: ChatServer, run: Run) -> None:
@@ -144,4 +144,4 @@ def test_usage_that_is_no_count_is_left_out(server: ChatServer, run: Run) -> Non
     """Servers write what they like."""
     server.otherwise = Reply(completion() | {"usage": {"prompt_tokens": None, "completion_tokens": "many"}})
     code, out, _ = run(COUNTDOWN, "-n", "1", "--agent", "openai:toy-model")
-    assert (code, "tokens" in out) == (0, False)
+    assert (code, "tokens in" in out) == (0, False)
