@@ -103,7 +103,7 @@ def gem_add_commands() -> Iterable[CommandSpec]:
     """The subcommands of ``gem``, each in a module of its own that is imported when it is called."""
     summaries = {
         "list": "List the environments that can be made.",
-        "info": "Describe one environment.",
+        "info": "Describe one environment, tool, wrapper, agent or backend.",
         "play": "Play an environment yourself, in the terminal.",
         "run": "Let an agent act in environments and record its episodes.",
         "show": "Show recorded episodes: a list, one of them, two compared, or a page.",
