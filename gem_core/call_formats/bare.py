@@ -18,8 +18,8 @@ from gem_core.tools import CALL_CLOSE, CALL_OPEN, ToolCall
 
 _KEYS = "|".join((*NAMES, *ARGUMENTS, "type", "id", "tool_call_id"))
 _OBJECT = re.compile(rf"""\{{\s*+["'](?:{_KEYS})["']\s*+:""")
-_BEFORE = re.compile(r"\s*+(?:```\w*+\s*+)?+(?:\[\s*+)?+")
-_BEHIND = re.compile(r"(?:\s|[,;\]]|```)*+")
+_BEFORE = re.compile(r"\s*+(?:```\w*+\s*+)?(?:\[\s*+)?")
+_BEHIND = re.compile(r"(?:\s|[,;\]]|```)*")
 _PYTHONIC = re.compile(r"^[ \t]*+\[\s*+[A-Za-z_]", re.MULTILINE)
 _MOST_OBJECTS = 20
 
@@ -64,7 +64,7 @@ def _broken(text: str, start: int, tools: Tools) -> Call | None:
     names = "|".join(map(re.escape, tools))
     keys, given = "|".join(NAMES), "|".join(ARGUMENTS)
     known = re.compile(
-        rf"""\{{\s*+(?:["']type["']\s*+:\s*+["']function["']\s*+,\s*+)?+["'](?:{keys})["']\s*+:\s*+["'](?:{names})["']\s*+,"""
+        rf"""\{{\s*+(?:["']type["']\s*+:\s*+["']function["']\s*+,\s*+)?["'](?:{keys})["']\s*+:\s*+["'](?:{names})["']\s*+,"""
         rf"""\s*+["'](?:{given})["']"""
     )
     if not tools or known.match(text, start) is None:

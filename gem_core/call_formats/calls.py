@@ -13,7 +13,7 @@ from gem_core.tools import Tool, ToolCall
 Tools = Mapping[str, Tool]
 
 # Kimi numbers its calls, and harmony has a namespace for functions.
-_DECORATED = re.compile(r"(?:functions\.)?+(.*?)(?::\d+)?", re.DOTALL)
+_DECORATED = re.compile(r"(?:functions\.)?(.*?)(?::\d+)?", re.DOTALL)
 
 
 class Call(NamedTuple):

@@ -18,14 +18,14 @@ Reader = Callable[[str, int, int, Tools], Call | None]
 # Marks that may stand between the opening mark and the call.
 _MARKS = re.compile(
     r"(?:\s|<\|tool_calls?_section_begin\|>|<\|tool_call_begin\|>|<｜tool▁calls?▁begin｜>|<｜tool_calls?_begin｜>"
-    r"|function<｜tool_sep｜>|<\|plugin\|>|<tool_call(?::\w+)?>|<invoke>|\[TOOL_CALLS\]|```(?:json)?+(?=\s*+[\[{]))*+"
+    r"|function<｜tool_sep｜>|<\|plugin\|>|<tool_call(?::\w+)?>|<invoke>|\[TOOL_CALLS\]|```(?:json)?(?=\s*+[\[{]))*"
 )
 _NAMED = re.compile(
-    r"(?:call:|function<｜tool▁sep｜>(?=\w))?+([\w.:/-]{1,200}+)(?:\[CALL_ID\][\w-]{1,100}+)?+\s*+"
-    r"(?:\[ARGS\]|<｜tool▁sep｜>|<\|tool_call_argument_begin\|>|<tool_sep(?::\w+)?>)?+(?:\s|\\n)*+(```(?:json)?+\s*+)?+"
+    r"(?:call:|function<｜tool▁sep｜>(?=\w))?([\w.:/-]{1,200}+)(?:\[CALL_ID\][\w-]{1,100}+)?\s*+"
+    r"(?:\[ARGS\]|<｜tool▁sep｜>|<\|tool_call_argument_begin\|>|<tool_sep(?::\w+)?>)?(?:\s|\\n)*(```(?:json)?\s*+)?"
 )
 _FENCE_END = re.compile(r"\s*+```")
-_JSON_FENCE = re.compile(r"\s*+```(?:json)?+\s*+(?=[\[{])")
+_JSON_FENCE = re.compile(r"\s*+```(?:json)?\s*+(?=[\[{])")
 _BRACKET = re.compile(r"[\s*]*+([\w-]{1,100}+)\[(.+)\]\s*+")
 
 
@@ -135,7 +135,7 @@ def code_fence(text: str, start: int, at: int, tools: Tools) -> Call | None:
 def harmony(text: str, start: int, at: int, tools: Tools) -> Call | None:
     """gpt-oss: a message to a recipient, as JSON or, for a built-in tool, code as it is."""
     header = re.compile(
-        r"([\w.:-]{1,200}+)(?:\s|<\|constrain\|>|<\|channel\|>|\b(?:json|code|text|commentary|analysis)\b)*+(<\|message\|>)?+"
+        r"([\w.:-]{1,200}+)(?:\s|<\|constrain\|>|<\|channel\|>|\b(?:json|code|text|commentary|analysis)\b)*(<\|message\|>)?"
     ).match(text, at)
     if header is None or header[1] == "assistant" or text[max(0, start - 1) : start] not in ("", " ", "\n", ">"):
         return None

@@ -7,7 +7,7 @@ import re
 from gem_core.call_formats.calls import Call
 from gem_core.call_formats.values import arguments_at
 
-_CALL = re.compile(r"\s*+(?:\[\s*+)?+([A-Za-z_][\w-]{0,100}+(?:\.[A-Za-z_][\w-]{0,100}+){0,5}+)\s*+\(")
+_CALL = re.compile(r"\s*+(?:\[\s*+)?([A-Za-z_][\w-]{0,100}+(?:\.[A-Za-z_][\w-]{0,100}+){0,5})\s*+\(")
 
 
 def pythonic(text: str, at: int) -> Call | None:

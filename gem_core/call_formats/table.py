@@ -81,7 +81,7 @@ fenced blocks of the tools themselves are read by ``Tool.parse``; what has no ma
 _CLOSINGS = re.compile(
     r"(?:\s*+(?:[\]}]|</[\w:｜]{0,40}?(?:tool_calls?|function_calls?|function|invoke)(?::\w{1,40})?>"
     r"|<[|｜][\w▁]{0,40}?(?:end|END)[\w▁]{0,40}[|｜]>|<\|(?:call|eot|eot_id|eom_id|stop)\|>|<end_function_call>"
-    r"|<tool_call\|>|</s>))*+"
+    r"|<tool_call\|>|</s>))*"
 )
 _MOST_TRIES = 20
 """Marks of one kind that are looked at where they turn out to be none."""

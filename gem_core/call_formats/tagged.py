@@ -14,11 +14,11 @@ from gem_core.call_formats.json_calls import NO_JSON
 from gem_core.call_formats.values import Raw, loaded, skip_blanks, value_at
 
 # Some write a name before each tag, as in <steptml:invoke …>, or a mark.
-_MARK = r"(?:[A-Za-z]\w{0,20}+:|｜DSML｜)?+"
+_MARK = r"(?:[A-Za-z]\w{0,20}+:|｜DSML｜)?"
 _NAME = r"""["']?([^\s"'<>/=]{1,200}+)["']?"""
 _FUNCTION = re.compile(rf"<{_MARK}(?:function|invoke)(?:=|\s+name\s*=\s*){_NAME}\s*+>")
 _PARAMETER = re.compile(
-    rf'\s*+<{_MARK}parameter(?:=|\s+name\s*=\s*){_NAME}(?:\s+string\s*=\s*["\']?(true|false)["\']?)?+\s*+>'
+    rf'\s*+<{_MARK}parameter(?:=|\s+name\s*=\s*){_NAME}(?:\s+string\s*=\s*["\']?(true|false)["\']?)?\s*+>'
 )
 _VALUE_END = re.compile(
     rf"</{_MARK}parameter>(?=\s*+(?:<{_MARK}parameter[=\s]|</{_MARK}(?:function|invoke|tool_call)|<\||\Z))"
@@ -28,13 +28,13 @@ _FUNCTION_END = re.compile(rf"""\s*+</{_MARK}(?:function|invoke)>""")
 _TEXT_END = re.compile(rf"""</{_MARK}(?:function|invoke)>(?!["'`\\),;])""")
 
 # Hunyuan may write a suffix into each tag, and GLM a backslash and an n between two.
-_BETWEEN = r"(?:\s|\\n)*+"
+_BETWEEN = r"(?:\s|\\n)*"
 _KEY = re.compile(
     rf"{_BETWEEN}<arg_key(?::\w+)?>\s*+([^<]{{1,200}}?)\s*+</arg_key(?::\w+)?>{_BETWEEN}<arg_value(?::\w+)?>"
 )
 _KEYED_END = re.compile(rf"</arg_value(?::\w+)?>(?={_BETWEEN}(?:<arg_key|</?tool_call|\Z))")
 
-_TOOL_NAME = re.compile(r"\s*+<tool_name>([^<]{0,200})</tool_name>\s*+(<(?:arguments|parameters)>\s*+)?+")
+_TOOL_NAME = re.compile(r"\s*+<tool_name>([^<]{0,200})</tool_name>\s*+(<(?:arguments|parameters)>\s*+)?")
 _ELEMENT = re.compile(r"\s*+<(\w{1,100})>")
 _ELEMENTS_END = re.compile(r"\s*+</(?:arguments|parameters)>")
 

@@ -28,10 +28,10 @@ MOST_COMMAND = 1_000_000
 
 # Possessive throughout: no tag is tried twice. A tag and its attributes are at most a few hundred characters.
 _OPENING = re.compile(
-    r"""<(bash|keys)((?:\s++[\w-]{1,40}+\s*+=\s*+(?:"[^"<>]{0,100}+"|'[^'<>]{0,100}+'|[^\s"'<>]{1,100}+)){0,10}+)\s*+>"""
+    r"""<(bash|keys)((?:\s++[\w-]{1,40}+\s*+=\s*+(?:"[^"<>]{0,100}+"|'[^'<>]{0,100}+'|[^\s"'<>]{1,100}+)){0,10})\s*+>"""
 )
 _ATTRIBUTE = re.compile(r"""([\w-]+)\s*+=\s*+(?:"([^"]*+)"|'([^']*+)'|(\S++))""")
-_FINISH = re.compile(r"<finish\s*+(?:/\s*+>|>(?:\s*+</finish\s*+>)?+)")
+_FINISH = re.compile(r"<finish\s*+(?:/\s*+>|>(?:\s*+</finish\s*+>)?)")
 # A tag in quotation marks is spoken of, and is none.
 _QUOTED_TAG = re.compile(r"""([`'"])</?(?:bash|keys|finish|tool_call)\s*+/?+>\1""")
 _NUMBER = re.compile(r"\+?(?:\d{1,9}(?:\.\d{0,9})?|\.\d{1,9})\s*(?:s|sec|secs|seconds)?", re.ASCII)

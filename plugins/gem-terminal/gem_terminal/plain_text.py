@@ -18,7 +18,7 @@ _LONGEST = 4096
 # swallow everything behind one that is never ended.
 _IGNORED = re.compile(
     r"\x1b\[[0-?]*+[ -/]++[@-~]?+|\x1b\[[0-?]*+(?=[^ -~]|\Z)"
-    r"|\x1b[\]PX^_][^\x07\x1b\n]*+(?:\x07|\x1b\\)?+"
+    r"|\x1b[\]PX^_][^\x07\x1b\n]*+(?:\x07|\x1b\\)?"
     r"|\x1b[ -/]++[0-~]?+|\x1b[0-OQ-WYZ\\`-~]"
 )
 _CONTROLS = re.compile(r"[\x00-\x07\x0e-\x1a\x1c-\x1f\x7f\x80-\x9f]")

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 _MOST_BYTES = 200_000
 _INSTALLS = re.compile(
-    r"^[^#\n]*?\b(?P<what>apt(?:-get)?\s++(?:-\S++\s++){0,5}+(?:update|install)|apk\s++add|dnf\s++install|"
+    r"^[^#\n]*?\b(?P<what>apt(?:-get)?\s++(?:-\S++\s++){0,5}(?:update|install)|apk\s++add|dnf\s++install|"
     r"pip3?\s++install|uvx|uv\s++(?:run|add|sync|tool|pip|init)|npm\s++(?:install|ci)|npx|git\s++clone\s++https?|"
     r"(?:curl|wget)\b[^\n]{0,200}?https?://(?!localhost|127\.|\[::1\]|0\.0\.0\.0))",
     re.MULTILINE,
