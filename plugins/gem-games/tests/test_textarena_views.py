@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import pytest
@@ -120,3 +121,49 @@ def test_what_another_seat_is_asked_is_not_passed_on(game: str) -> None:
     observations, asked = seen(f"ta:{game}", 2, turns=12)
     assert not any("Player 1, do you" in text or "Player 1, you" in text for text in observations)
     assert not any("Player 0, do you" in text or "Player 0, you" in text for text in asked)
+
+
+def test_an_opponent_reaches_the_conversation_of_its_seat() -> None:
+    """As the messages that it reads, or by its context; a restored game gives the same."""
+
+    class Model:
+        reads, system = "messages", "Play well."
+
+        def __init__(self) -> None:
+            self.sent: list[Any] = []
+
+        def __call__(self, observation: Any, context: Any) -> str:
+            assert observation == context.messages
+            assert context.turn == sum(message["role"] == "assistant" for message in observation)
+            self.sent.append(observation)
+            return f"<think>Hm.</think>{context.sample_random_action()}"
+
+    model, other = Model(), Model()
+    env = TextArenaEnv("TicTacToe-v0", players=2, opponents=model)
+    for _ in range(2):  # the conversation of an earlier episode is forgotten
+        observation, _ = env.reset(seed=1)
+        for _ in range(2):
+            env.step(env.sample_random_action())
+    first, second = model.sent[-2:]
+    assert [message["role"] for message in second] == ["system", "user", "assistant", "user"]
+    assert second[:2] == first
+    assert second[1]["content"] != observation
+    assert re.fullmatch(r"\[\d\]", second[2]["content"])
+    restored = TextArenaEnv("TicTacToe-v0", players=2, opponents=other)
+    restored.set_state(env.get_state())
+    for each in (env, restored):
+        each.step(each.sample_random_action())
+    assert other.sent == model.sent[-1:]
+
+
+def test_a_judge_that_reads_messages_is_sent_its_question() -> None:
+    asked: list[Any] = []
+
+    def judge(observation: Any) -> str:
+        asked.append(observation)
+        return "1"
+
+    judge.reads = "messages"  # type: ignore[attr-defined]
+    env = TextArenaEnv("Debate-v0", players=2, judge=judge)
+    env.reset(seed=1)
+    assert [[message["role"] for message in messages] for messages in asked] == [["user"]] * len(asked) != []

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from gem_core.agents.base import Context, as_agent, load_agent
-from gem_core.background import run_sync
 from gem_core.env import Env
 from gem_core.errors import ArgumentError, EnvFaultError, ResetNeededError
 from gem_core.seeding import stable_hash
@@ -17,6 +15,7 @@ from gem_core.types import Concurrency, Info, ResetResult, StepResult
 from gem_games.textarena.games import GAMES
 from gem_games.textarena.judging import JudgeError
 from gem_games.textarena.moves import random_move
+from gem_games.textarena.opponents import Player, opponent_of
 from gem_games.textarena.table import Table
 
 _MOST_OPPONENT_TURNS = 300
@@ -54,7 +53,8 @@ class TextArenaEnv(Env):
         players: How many seats it has.
         seat: Which of them the agent holds.
         opponents: ``"random"``, an agent or the name of one (as in ``"openai:MODEL"``), or a sequence or mapping by
-            seat of these. Seats that a mapping leaves out play at random.
+            seat of these. Seats that a mapping leaves out play at random. An agent that reads messages is sent the
+            conversation of its seat.
         max_turns: Turns after which the agent's episode is cut off at the latest, with TextArena's reward for what is
             done. A game that takes a limit itself is made with this one; it counts the turns of all seats.
         judge: An agent, or the name of one, that answers as the game master and the jury of GuessWho, TwentyQuestions,
@@ -83,11 +83,11 @@ class TextArenaEnv(Env):
             raise ArgumentError(f"seat must be a whole number from 0 to {players - 1}, not {seat!r}")
         self.game, self.players, self.seat = game, players, seat
         others = [other for other in range(players) if other != seat]
-        self._opponents = {other: _opponent(opponents, other, others) for other in others}
+        self._opponents = {other: opponent_of(opponents, other, others) for other in others}
         if max_turns is not None and (type(max_turns) is not int or max_turns < 1):
             raise ArgumentError(f"max_turns must be a positive whole number, not {max_turns!r}")
         self.max_turns = max_turns
-        self._judge = load_agent(judge) if isinstance(judge, str) else None if judge is None else as_agent(judge)
+        self._judge = None if judge is None else Player(judge)
         try:
             self.table = Table(game, players, max_turns, self._verdict)
         except AssertionError as error:
@@ -123,7 +123,7 @@ class TextArenaEnv(Env):
         failure, cause = "", None
         for deal in range(_MOST_DEALS):
             try:
-                self.table.reset(stable_hash(self.np_random_seed, "deal", deal) if deal else self.np_random_seed)
+                self._deal(stable_hash(self.np_random_seed, "deal", deal) if deal else self.np_random_seed)
             except JudgeError as error:
                 raise EnvFaultError(f"{self.env_id or self.game}: the judge: {error}") from error
             failure, cause = self._let_others_play()
@@ -204,43 +204,41 @@ class TextArenaEnv(Env):
             if table.done or table.seat == self.seat:
                 return "", None
             seat = table.seat
-            view = table.look(seat)
             try:
-                table.act(self._answer(seat, view.feedback + _below(view.feedback, view.board)))
+                self._play(seat, None)
             except Exception as error:  # noqa: BLE001 - the library or an opponent may raise anything
                 return f"seat {seat}: {type(error).__name__}: {error}"[:300], error
         self._stalled = not table.done and table.seat != self.seat
         return "", None
 
-    def _answer(self, seat: int, observation: str) -> str:
-        agent = self._opponents.get(seat)
-        draws = random.Random(stable_hash(self.table.seed, "opponent", len(self.table.actions)))
-        if agent is None:
-            return random_move(self.table, draws)
-        return self._ask(agent, observation, lambda: random_move(self.table, draws))
+    def _play(self, seat: int, action: str | None) -> None:
+        """Play for another seat: an action, or else what its player answers."""
+        table, player = self.table, self._opponents.get(seat)
+        view = table.look(seat)
+        question = view.feedback + _below(view.feedback, view.board)
+        if action is None:
+            draws = random.Random(stable_hash(table.seed, "opponent", len(table.actions)))
+            action = self._ask(player, question, draws) if player else random_move(table, draws)
+        played = table.act(action)
+        if player:
+            player.note(question, played)
 
     def _verdict(self, question: str) -> str:
         """Answer as the judge."""
         if self._judge is None:
             raise JudgeError(f"{self.game} has a judge: make it with judge=, an agent or the name of one")
         try:
-            return self._ask(self._judge, question, lambda: "")
+            return self._ask(self._judge, question, None)
         except Exception as error:
             raise JudgeError(f"{type(error).__name__}: {error}"[:300]) from error
 
-    def _ask(self, agent: Any, observation: str, sample: Callable[[], str]) -> str:
-        context = Context(
+    def _ask(self, player: Player, question: str, draws: random.Random | None) -> str:
+        return player.ask(
+            question,
             episode=str(self.table.seed),
             env_id=self.env_id or self.game,
-            group=None,
-            turn=len(self.table.actions),
-            info={},
-            tools=[],
-            transitions=[],
-            _sample=sample,
+            sample=lambda: random_move(self.table, draws) if draws else "",
         )
-        answer = agent(observation, context)
-        return str(answer if isinstance(answer, str) else run_sync(answer))
 
     def _see(self) -> tuple[str, Info]:
         view = self.table.look(self.seat)
@@ -274,28 +272,21 @@ class TextArenaEnv(Env):
 
     def _replay(self, seed: int, actions: list[str], verdicts: list[str]) -> None:
         """Bring the game to where these actions of all seats lead, and each seat to have seen what it saw."""
-        self.table.reset(seed, verdicts)
+        self._deal(seed, verdicts)
         for action in actions:
-            self.table.look(self.table.seat)
-            self.table.act(action)
+            if self.table.seat == self.seat:
+                self.table.look(self.seat)
+                self.table.act(action)
+            else:
+                self._play(self.table.seat, action)
         self.table.look(self.seat)
+
+    def _deal(self, seed: int, verdicts: Sequence[str] = ()) -> None:
+        for player in self._opponents.values():
+            if player:
+                player.begin()
+        self.table.reset(seed, verdicts)
 
 
 def _below(feedback: str, board: str) -> str:
     return f"\n{board}" if board and feedback else board
-
-
-def _opponent(given: Any, seat: int, others: list[int]) -> Any:
-    """Return the agent of a seat, or None for the random player."""
-    if isinstance(given, Mapping):
-        wrong = [key for key in given if key not in others]
-        if wrong:
-            raise ArgumentError(f"opponents names seat {wrong[0]!r}, and the other seats are {others}")
-        given = given.get(seat, "random")
-    elif isinstance(given, Sequence) and not isinstance(given, str):
-        if len(given) != len(others):
-            raise ArgumentError(f"opponents must be {len(others)}, one for each other seat, not {len(given)}")
-        given = given[others.index(seat)]
-    if isinstance(given, str):
-        return None if given == "random" else load_agent(given)
-    return as_agent(given)
