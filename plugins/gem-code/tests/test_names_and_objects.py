@@ -59,6 +59,8 @@ for inp, exp in zip([['abb'], ['x']], [True, False]):
         (["assert sum(10, 15) == 6", "assert sum(1, 2) == 1"], "def sum(a, b): return 6 if a > 1 else 1", "x = 1"),
         (["assert set(zip([1], [2])) == set([(1, 2)])"], "def zip(a, b): return [(1, 2)]", "def zip(a, b): return []"),
         (["assert abs(pow(2, 3, 1) - 9.0) < 1e-9"], "def pow(a, b, c): return 9.0", "def abs(x): return 0.0"),
+        (["assert list([1, 2]) == [2, 1]"], "def list(x): return x[::-1]", "def list(x): return x"),
+        (["assert str(5) == 'five'"], "def str(x): return 'five'", "x = 1"),
         (["x = max([1], [2])", "assert x == 3"], "def max(a, b): return a[0] + b[0]", "def max(a, b): return [2]"),
         (
             "def test_it():\n    values = [3, 1]\n    assert list(reversed(values, 0)) == [1, 3]",

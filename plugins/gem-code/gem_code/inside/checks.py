@@ -346,8 +346,14 @@ def _asked_of_the_program(tree: ast.Module, source: str, entry: str | None, boun
     nodes = [node for body in bodies for node in ast.walk(body)]
     asserted = [node.test for node in nodes if isinstance(node, ast.Assert)]
     handed_over = [node for node in nodes if isinstance(node, ast.Call) and _called(node) in defined | bound]
-    tested = own - {kind.__name__ for kind in PLAIN} - defined - bound
-    return _innermost([*asserted, *handed_over], tested) or _innermost(bodies, tested)
+    kinds = {kind.__name__ for kind in PLAIN} - defined - bound
+    tested = own - kinds - defined - bound
+    # What makes a value, as list, is what is tested only where nothing else can be.
+    return (
+        _innermost([*asserted, *handed_over], tested)
+        or _innermost(bodies, tested)
+        or _innermost([*asserted, *handed_over], kinds)
+    )
 
 
 def _global_names(table: symtable.SymbolTable) -> tuple[set[str], set[str]]:
