@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from calling import (
     A1,
@@ -32,6 +34,11 @@ from calling import (
     v3,
     v31,
 )
+
+
+def prefixed(text: str) -> str:
+    return re.sub(r"<(/?)(?=\w)", r"<\1antml:", text)
+
 
 ONE_CALL = {
     "1 Hermes": f"<tool_call>\n{J1}\n</tool_call>",
@@ -131,6 +138,8 @@ ONE_CALL = {
     "27 Command-R": COMMAND_R,
     "28 invoke": f"<function_calls>\n{invoke()}\n</function_calls>",
     "28 without the outer tag": invoke(),
+    "28 with a prefix": prefixed(f"<function_calls>\n{invoke()}\n</function_calls>"),
+    "28 with a prefix, without the outer tag": prefixed(invoke()),
     "28 old": f"<function_calls>\n{OLD_INVOKE}\n</function_calls>",
     "28 old, without the outer tag": OLD_INVOKE,
     "29 OLMo 3": '<function_calls>python(code="print(6*7)")</function_calls>',

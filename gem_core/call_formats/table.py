@@ -41,6 +41,8 @@ FORMATS = (
     Format("Anthropic-like; OLMo 3", "<function_calls>", body, "</function_calls>"),
     Format("Anthropic-like", "<invoke>", body, "</invoke>"),
     Format("the same without its outer tag", "<invoke name=", function),
+    Format("the same with a prefix", "<antml:function_calls>", body, "</antml:function_calls>"),
+    Format("the same with a prefix, without its outer tag", "<antml:invoke name=", function),
     Format("Llama 3, Functionary v3.1; Qwen3-Coder without its outer tag", "<function=", function),
     Format("the same with an attribute", "<function name=", function),
     Format("MiniMax M2", "<minimax:tool_call>", body),
