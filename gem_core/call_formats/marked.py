@@ -26,6 +26,9 @@ _NAMED = re.compile(
 )
 _FENCE_END = re.compile(r"\s*+```")
 _JSON_FENCE = re.compile(r"\s*+```(?:json)?\s*+(?=[\[{])")
+_NUMBERED = re.compile(r"(?: ?\d{1,3}+)?:")
+_HEADING = re.compile(r"(?<![^\s*#])(?:Action(?: ?\d{1,3}+)?|✿FUNCTION✿):")
+_INPUT = re.compile(r"(?: ?\d{1,3}+(?=:))?[*: ]{0,3}+")
 _BRACKET = re.compile(r"[\s*]*+([\w-]{1,100}+)\[(.+)\]\s*+")
 
 
@@ -166,6 +169,10 @@ def functionary_v3(text: str, start: int, at: int, tools: Tools) -> Call | None:
 
 def action(text: str, start: int, at: int, tools: Tools) -> Call | None:
     """What stands behind ``Action:`` alone: Command-R's fenced list, or ``search[…]`` and ``search("…")`` of a tool."""
+    colon = _NUMBERED.match(text, at)
+    if colon is None:
+        return None
+    at = colon.end()
     fence = _JSON_FENCE.match(text, at)
     if fence is not None:
         return fenced_list(text, fence.end())
@@ -181,24 +188,27 @@ def action(text: str, start: int, at: int, tools: Tools) -> Call | None:
 def react(text: str, start: int, at: int, tools: Tools) -> Call | None:
     """ReAct, and Qwen-Agent's kin: the tool on one line, its input behind the next heading."""
     before = text[max(0, start - 400) : start].rstrip(" \t*#")
-    heading, _, name = before.rpartition("Action:" if "Action:" in before else "✿FUNCTION✿:")
-    name = name.strip(" \t\r\n*`[]")
-    if not name or "\n" in name or not before.endswith("\n") or (heading and heading[-1] not in " \n*#"):
+    heading = next(reversed([*_HEADING.finditer(before)]), None)
+    name = before[heading.end() :].strip(" \t\r\n*`[]") if heading else ""
+    if not name or "\n" in name or not before.endswith("\n"):
         return None
-    at += len(text[at : at + 3]) - len(text[at : at + 3].lstrip("*: "))
+    colon = _INPUT.match(text, at)
+    at = colon.end() if colon else at
     fence = _JSON_FENCE.match(text, at)
     stop = re.compile(r"\n[ \t*#]*+Observation|✿RESULT✿|\Z").search(text, at)
     return _json_or_text(name, text, fence.end() if fence else at, stop)
 
 
 def _json_or_text(name: str, text: str, at: int, stop: re.Match[str] | None) -> Call:
-    """Read an object of arguments, or else the text up to the mark that ends it."""
+    """Read an object of arguments, or else the text up to the mark that ends it, without quotation marks around it."""
     try:
-        given, end = value_at(text, at) if re.compile(r"\s*+\{").match(text, at) else (None, 0)
+        given, end = value_at(text, at) if re.compile(r'\s*+[{"]').match(text, at) else (None, 0)
     except ValueError:
         given, end = None, 0
     if isinstance(given, dict):
         return Call(name, given, end)
+    if isinstance(given, str) and not text[end : stop.start() if stop else len(text)].strip():
+        return Call(name, Raw(given), end)
     return _as_text(name, text, at, stop)
 
 

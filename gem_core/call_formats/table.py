@@ -59,7 +59,7 @@ FORMATS = (
     Format("Mistral", "[TOOL_CALLS]", body),
     Format("Phi-4-mini", "functools[", body, clear=False),
     Format("Cohere Command R7B and A", "<|START_ACTION|>", body),
-    Format("Command-R; ReAct as in its paper", "Action:", marked.action, clear=False),
+    Format("Command-R; ReAct as in its paper", "Action", marked.action, clear=False),
     Format("Llama 4", "<|python_start|>", marked.python_tag),
     Format("Llama 3", "<|python_tag|>", marked.python_tag),
     Format("FunctionGemma", "<start_function_call>", body),
