@@ -16,6 +16,9 @@ _DECLARED = re.compile(
     rf"(?:([a-zA-Z])\s*(?:\\in\s*{_INTEGERS}|(?:is|being)\s+(?:an|any|some)\s+(?:arbitrary\s+)?integer|(?:an|any)\s+integer)"
     r"|(?<=[a-z] )integers?\s+([a-zA-Z]))\s*\)?$"
 )
+_UNION = re.compile(
+    rf"(?:([a-zA-Z])\s*\\in\s*)?\\bigcup(?:\s*\\limits)?\s*_\s*\{{\s*([a-zA-Z])\s*\\in\s*{_INTEGERS}\s*\}}"
+)
 _USUAL = set("knmlj")
 _LETTER = re.compile(r"\\[a-zA-Z]+|[a-zA-Z]")
 _ANGLE = re.compile(r"\\pi|\\circ")
@@ -62,8 +65,11 @@ def parameter_of(gold: str, answer: str) -> Parameter | None:
 
 
 def _undeclared(text: str) -> tuple[str, str | None]:
-    """Return an answer without 'where k is an integer' at its end, and the letter that is said to be one."""
+    r"""Return an answer without 'where k is an integer' or \bigcup_{k \in Z}, and the letter that is said to be one."""
     flat = re.sub(r"\s+", " ", re.sub(r"\\text\s*\{([^{}]*)\}", r" \1 ", text)).strip()
+    union = _UNION.match(flat)
+    if union is not None and union[2] in _LETTER.findall(flat[union.end() :]):
+        return flat[union.end() :], union[2]
     start = max(0, len(flat) - _MAX_DECLARATION)
     match = _DECLARED.search(flat, start)
     if match is None or not match.start() or _WORDS.search(flat[: match.start()]):

@@ -58,6 +58,13 @@ _BARE_FUNCTION = re.compile(
 )
 # Minutes and seconds: there is nothing that these could be functions of.
 _UNIT_COMMAND = re.compile(r"(?<=\d)\s*\\(min|sec)(?=\s*(?:$|[,;.)]))")
+# What is left of the rows of an environment.
+_LINE_ENDS = re.compile(r"^(?:\\\\(?=[\s\d&.-])\s*|&\s*)+|(?:\\\\\s*|\\newline\s*|&\s*)+$")
+_GROUP = r"\\(?:text|mathrm|rm|textrm)\s*\{\s*"
+_UNIT_SIGN = re.compile(
+    rf"(?<=[\d}} ])(?:{_GROUP}([kM]?)\s*\\(Omega|AA)\s*\}}|(?:{_GROUP}([kM]?)\s*\}}\s*)?\\(Omega|AA)(?![a-zA-Z]))\s*$"
+)
+_MICRO = re.compile(rf"(?<=[\d}} ])(?:{_GROUP}\\mu\s*(?:\}}\s*{_GROUP})?|\\mu\s*{_GROUP})([a-zA-Z]{{1,3}})\s*\}}\s*$")
 _CHOOSE = re.compile(r"\{([^{}]{1,40})\\choose(?![a-zA-Z])([^{}]{1,40})\}")
 _UNIT_FRACTION = re.compile(r"\\frac\s*\{\s*\\text\s*\{([^{}]*)\}\s*\}\s*\{\s*\\text\s*\{([^{}]*)\}\s*\}")
 _JOINED_FUNCTION = re.compile(r"(?<![\\a-zA-Z])(sin|cos|tan|cot|sec|csc|ln|log)(?=[xy](?![a-zA-Z]))")
@@ -95,13 +102,14 @@ def clean(text: str) -> str:
     )
     if "\\\\" in text and "matrix" not in text and "array" not in text and "cases" not in text:
         text = re.sub(r"\\\\(?=[a-zA-Z({\[%$])", r"\\", text)  # models escape twice: \\frac is \frac
-    text = re.sub(r"(?:\\\\\s*)+$", "", text)  # the end of a line
+    text = _LINE_ENDS.sub("", text)
     text = _NOT.sub(r"\\ne ", text) if "\\not" in text else text
     text = _dollars(text)
     text = _SIZES.sub("", text)
     text = re.sub(r"\\big(cup|cap)(?![a-zA-Z]|\s*_)", r"\\\1", text)
     text = _MATH_MARKS.sub(" ", text)
     text = _SPACES.sub(" ", text)
+    text = _unit_signs(text)
     text = _COMMAND.sub(_command, text)
     text = _text_groups(_UNIT_COMMAND.sub(r"\\text{\1}", text))
     text = _BARE_FUNCTION.sub(lambda match: "\\" + {"infinity": "infty", "inf": "infty"}.get(match[1], match[1]), text)
@@ -111,6 +119,15 @@ def clean(text: str) -> str:
     text = _UNIT_VECTOR.sub(r"\1", text) if r"\hat" in text else text
     text = text.replace(r"\text{\infty}", r"\infty ")
     return _strip(_SHORT_FRACTION.sub(r"\\frac{\1}{\2}", text) if r"\frac" in text else text)
+
+
+def _unit_signs(text: str) -> str:
+    """Write ohm, angstrom and what begins with micro behind a number, which have signs of mathematics, as words."""
+    if not any(sign in text for sign in (r"\Omega", r"\AA", r"\mu")) or not re.match(r"\s*-?[\d.]", text):
+        return text
+    names = {"Omega": "ohm", "AA": "angstrom"}
+    text = _UNIT_SIGN.sub(lambda sign: rf"\text{{ {sign[1] or sign[3] or ''}{names[sign[2] or sign[4]]}}}", text)
+    return _MICRO.sub(r"\\text{ micro\1}", text)
 
 
 def _without_markup(text: str) -> str:

@@ -28,7 +28,8 @@ DOLLAR = Unit(frozenset({("dollar", 1)}))
 _TABLE: dict[str, tuple[str, Fraction]] = {}
 for _dimension, _names in {
     "length": "1 m meter metre|1/100 cm centimeter centimetre|1/1000 mm millimeter millimetre"
-    "|1000 km kilometer kilometre|127/5000 inch in|381/1250 foot feet ft|1143/1250 yard yd|201168/125 mile mi",
+    "|1000 km kilometer kilometre|127/5000 inch in|381/1250 foot feet ft|1143/1250 yard yd|201168/125 mile mi"
+    "|1/1000000 micrometer micrometre micron microm|1/10000000000 angstrom",
     "time": "1 s sec second|60 min minute|3600 h hr hour|86400 day|604800 week",
     "months": "1 month|12 year yr",
     "mass": "1 g gram gm|1000 kg kilogram|1/1000 mg milligram|45359237/100000 lb pound lbs|1000000 tonne",
@@ -43,6 +44,7 @@ for _dimension, _names in {
     "force": "1 N newton",
     "energy": "1 J joule",
     "power": "1 W watt",
+    "resistance": "1 ohm|1000 kohm kiloohm|1000000 Mohm megaohm",
     "frequency": "1 Hz hertz",
 }.items():
     for _line in _names.split("|"):
