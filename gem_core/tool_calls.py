@@ -42,8 +42,8 @@ class CallReader:
 
     What stands in a thinking block was thought and not called, unless the block is never closed, as where the server
     stopped at the call. What stands in a fenced block or a tag that is the task's answer is part of the answer, unless
-    that begins with a call. A lone tag in quotation marks, as in "`<search>`", is none; nor is a call in backticks, or
-    one in a sentence that holds the final answer already.
+    that begins with a call. A lone tag in quotation marks, as in "`<search>`", is none; nor is a call in backticks, one
+    in a sentence that holds the final answer already, or one within a fenced block beside the final answer.
 
     Args:
         tools: By name.
@@ -154,6 +154,10 @@ class CallReader:
             rest = text[end : stop if stop >= 0 else len(text)]
             if any(run[0] == mark for run in _BACKTICKS.finditer(rest)):
                 return text.strip().strip("`").strip() != text[call.start : call.end].strip()
+        # A block that shows a call, in a response that answers outside of it; what a fence itself calls begins with it.
+        for block in extract_code_blocks(text):
+            if block.start < call.start and end <= block.end:
+                return self._holds_answer(text[: block.start]) or self._holds_answer(text[block.end :])
         behind = [line.rfind(mark) for mark in ("\\boxed", *(f"</{tag}>" for tag in self._answer_tags))]
         if max(behind) < 0:
             return False

@@ -165,6 +165,8 @@ QUOTED = [
     f"The answer is \\boxed{{42}}.\n{J1}",
     f"{P1}\n\n<answer>42</answer>",
     '[python(code="print(6*7)")] \\boxed{42}',
+    "One calls it so:\n```xml\n<python>print(6*7)</python>\n```\nIt is \\boxed{42}.",
+    f"It is <answer>42</answer>.\n```\nFor example:\n<tool_call>{J1}</tool_call>\n```\n",
 ]
 
 
@@ -183,6 +185,8 @@ def test_a_quoted_call_is_not_executed(text: str) -> None:
         "It is `x`. <python>print(6*7)</python> `y`",
         "The answer may be \\boxed{42}. Let me check: <python>print(6*7)</python>",
         "It is \\boxed{42}, I think.\n<python>print(6*7)</python>",
+        "I call it:\n```xml\n<python>print(6*7)</python>\n```",
+        "```python\nprint(6*7)\n```\nSo it is \\boxed{42}.",
         "<python>print(6*7)</python> so it is \\boxed{42}",
         f"<tool_call>{J1}</tool_call> gives \\boxed{{42}}",
     ],
