@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from gem_core.call_formats import FORMATS, bare_call, format_call, format_calls
+from gem_core.call_formats import FORMATS, bare_call, format_call, format_calls, without_end_tokens
 from gem_core.call_formats.calls import unknown
 from gem_core.call_formats.values import loaded, value_at
 from gem_core.parsing import extract_code_blocks, extract_last_boxed_answer
@@ -75,7 +75,7 @@ class CallReader:
     def find(self, action: str) -> ToolCall | None:
         """Return the first complete call, or the first that is begun; None for an answer to the task."""
         cut_off = getattr(action, "finish_reason", None) == "length"
-        action = str.__str__(action)
+        action = without_end_tokens(str.__str__(action))
         thinking, opened_before = _thinking(action, self._thinking_tag)
         spoken = _blanked(action, thinking)
         answers = self._answers(spoken)

@@ -183,6 +183,14 @@ def test_a_call_is_read(text: str) -> None:
     assert called(f"<think>I might call `{J2}`.</think>\n{text}") == RUN
 
 
+@pytest.mark.parametrize("token", ["<end_code>", "<|im_end|>\n", "<|eot_id|>", " </s>", "<｜end▁of▁sentence｜>"])
+def test_a_token_at_the_end_of_a_turn_is_no_part_of_a_call(token: str) -> None:
+    """Where the server leaves it in."""
+    for text in (f"<code>\n{CODE}\n</code>", f"```py\n{CODE}\n```", f"<execute>{CODE}", f'python(code="{CODE}")'):
+        assert called(text + token) == RUN
+    assert called(f"Action: python\nAction Input: {CODE}{token}") == RUN
+
+
 TWO_CALLS = {
     "1": f"<tool_call>\n{J1}\n</tool_call>¦\n<tool_call>\n{J2}\n</tool_call>",
     "2": f"{qwen()}¦\n{qwen('print(1)')}",

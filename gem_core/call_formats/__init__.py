@@ -9,6 +9,16 @@ from __future__ import annotations
 
 from gem_core.call_formats.bare import bare_call
 from gem_core.call_formats.calls import Call, tool_call, tool_taking
-from gem_core.call_formats.table import FORMATS, Format, format_call, format_calls
+from gem_core.call_formats.table import FORMATS, Format, format_call, format_calls, without_end_tokens
 
-__all__ = ["FORMATS", "Call", "Format", "bare_call", "format_call", "format_calls", "tool_call", "tool_taking"]
+__all__ = [
+    "FORMATS",
+    "Call",
+    "Format",
+    "bare_call",
+    "format_call",
+    "format_calls",
+    "tool_call",
+    "tool_taking",
+    "without_end_tokens",
+]

@@ -85,6 +85,12 @@ _CLOSINGS = re.compile(
     r"|<[|｜][\w▁]{0,40}?(?:end|END)[\w▁]{0,40}[|｜]>|<\|(?:call|eot|eot_id|eom_id|stop)\|>|<end_function_call>"
     r"|<tool_call\|>|</s>))*"
 )
+_END_TOKENS = (
+    "<end_code>", "<end_of_turn>", "</s>", "<|im_end|>", "<|eot_id|>", "<|eom_id|>", "<|end|>", "<|return|>",
+    "<|endoftext|>", "<|end_of_text|>", "<｜end▁of▁sentence｜>",
+)  # fmt: skip
+"""What may stand at the end of a response whose server leaves such tokens in, and is no part of it."""
+_MOST_END_TOKENS = 5
 _MOST_TRIES = 20
 """Marks of one kind that are looked at where they turn out to be none."""
 
@@ -135,3 +141,14 @@ def _checked(form: Format, text: str, at: int, call: Call) -> Call:
         where = f"between {form.opening} and {form.closing}" if form.closing else f"behind {form.opening}"
         problem = f"{where} {problem}"
     return call._replace(problem=problem, end=max(end + len(form.closing), call.end) if end >= 0 else call.end)
+
+
+def without_end_tokens(text: str) -> str:
+    """Return a response without the tokens that end a turn."""
+    for _ in range(_MOST_END_TOKENS):
+        rest = text.rstrip()
+        token = next((token for token in _END_TOKENS if rest.endswith(token)), None)
+        if token is None:
+            break
+        text = rest.removesuffix(token)
+    return text
