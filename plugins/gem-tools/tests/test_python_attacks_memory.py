@@ -53,6 +53,23 @@ def test_shared_memory_of_many_processes(watched: Watched) -> None:
     assert (outcome.status, outcome.error) == ("memory", "The limit of 96 MB of memory was reached.")
 
 
+def test_processes_whose_first_thread_has_ended_count(watched: Watched) -> None:
+    """The kernel shows the memory of such a process by its other threads alone."""
+    code = f"""{TOUCH}
+import ctypes, threading
+for _ in range(4):
+    if os.fork() == 0:
+        def take():
+            time.sleep(0.1)
+            kept = touched(40 << 20)
+            wait()
+        threading.Thread(target=take).start()
+        ctypes.CDLL(None).pthread_exit(None)
+time.sleep(3)
+"""
+    assert attack(watched, code, LIMITS).status == "memory"
+
+
 @pytest.mark.parametrize(
     "code",
     [

@@ -14,7 +14,7 @@ import threading
 from collections.abc import Iterator
 
 import pytest
-from python_levels import SHORT, SMALL, Watched, attack, each_level
+from python_levels import SHORT, SMALL, Watched, attack, each_level, processes, until
 
 from gem_tools.python import Limits, Outcome
 
@@ -128,6 +128,28 @@ print("left some")
     try:
         assert session.run(f"x = 1\n{code}").stdout == "left some\n"
         assert session.run("x").value == "1"
+    finally:
+        session.close()
+    watched.check()
+
+
+def test_daemons_whose_first_thread_has_ended(watched: Watched) -> None:
+    """They look like zombies, and live."""
+    code = """
+import ctypes, os, threading, time
+for _ in range(3):
+    if os.fork() == 0:
+        os.setsid()
+        threading.Thread(target=time.sleep, args=(300,)).start()
+        ctypes.CDLL(None).pthread_exit(None)
+time.sleep(0.05)
+print("left some")
+"""
+    assert attack(watched, code).stdout == "left some\n"
+    session = watched.pool.session(SMALL)
+    try:
+        assert session.run(code).stdout == "left some\n"
+        assert until(lambda: len(processes(watched.pool)) == watched.count + 1)
     finally:
         session.close()
     watched.check()

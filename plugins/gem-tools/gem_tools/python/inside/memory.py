@@ -77,6 +77,7 @@ def added_up(proc: int, pids: list[int], base_bytes: int) -> int:
         pids: The processes.
         base_bytes: Memory that each shares with the process that it was forked from.
     """
+    pids = [watch.living_thread(proc, pid) for pid in pids]
     total = -base_bytes if len(pids) > 1 else 0
     for pid in pids:
         # What a single process has it shares with no other of its call; to look at each page takes time.

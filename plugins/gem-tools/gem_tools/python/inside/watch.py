@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 
 _TICKS = os.sysconf("SC_CLK_TCK")
+_STATE, _PARENT, _THREADS = 0, 1, 17
+_DEAD = (b"Z", b"X")
 
 
 def read(proc: int, path: str) -> bytes:
@@ -31,11 +33,32 @@ def parents(proc: int) -> dict[int, int]:
     found = {}
     for name in os.listdir(proc):
         if name.isdigit():
-            # The name of the program stands in brackets and may hold anything.
-            fields = read(proc, f"{name}/stat").rpartition(b") ")[2].split()
-            if len(fields) > 1 and fields[0] not in (b"Z", b"X"):
-                found[int(name)] = int(fields[1])
+            fields = _facts(proc, name)
+            if _lives(fields):
+                found[int(name)] = int(fields[_PARENT])
     return found
+
+
+def _facts(proc: int, path: str) -> list[bytes]:
+    """Return what ``stat`` tells of a process or thread, from its state on; nothing where it is gone."""
+    # The name of the program stands in brackets and may hold anything.
+    return read(proc, f"{path}/stat").rpartition(b") ")[2].split()
+
+
+def _lives(fields: list[bytes]) -> bool:
+    """Whether any thread of a process is left: the first may end, as a zombie, while others go on."""
+    return len(fields) > _THREADS and (fields[_STATE] not in _DEAD or int(fields[_THREADS]) > 1)
+
+
+def living_thread(proc: int, pid: int) -> int:
+    """Return a thread that shows the memory and the files of a process: the first, as long as that has not ended."""
+    fields = _facts(proc, str(pid))
+    if fields and fields[_STATE] in _DEAD:
+        for task in names(proc, f"{pid}/task"):
+            fields = _facts(proc, f"{pid}/task/{task}")
+            if fields and fields[_STATE] not in _DEAD:
+                return int(task)
+    return pid
 
 
 def children(proc: int, parent: int) -> list[int]:
@@ -46,10 +69,8 @@ def children(proc: int, parent: int) -> list[int]:
         return [pid for pid, above in parents(proc).items() if above == parent]
     found = []
     for task in tasks:
-        for pid in read(proc, f"{parent}/task/{task}/children").split():
-            fields = read(proc, f"{int(pid)}/stat").rpartition(b") ")[2].split()
-            if fields and fields[0] not in (b"Z", b"X"):
-                found.append(int(pid))
+        pids = map(int, read(proc, f"{parent}/task/{task}/children").split())
+        found += [pid for pid in pids if _lives(_facts(proc, str(pid)))]
     return found
 
 
@@ -86,7 +107,7 @@ def cpu_s(proc: int, pids: list[int]) -> float:
     """Add up the processor time of processes, and of those that they have waited for."""
     ticks = 0
     for pid in pids:
-        fields = read(proc, f"{pid}/stat").rpartition(b") ")[2].split()
+        fields = _facts(proc, str(pid))
         if len(fields) > 14:
             ticks += sum(int(field) for field in fields[11:15])
     return ticks / _TICKS
