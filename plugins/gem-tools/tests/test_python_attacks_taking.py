@@ -6,11 +6,14 @@ Each is really tried; afterwards the pool still serves, and no process, file or 
 from __future__ import annotations
 
 import dataclasses
+import os
+import tempfile
+from pathlib import Path
 
 import pytest
-from python_levels import SHORT, SMALL, Watched, attack, each_level
+from python_levels import SHORT, SMALL, Watched, attack, each_level, pool_of
 
-from gem_tools.python import Limits
+from gem_tools.python import Limits, groups
 
 pytestmark = pytest.mark.thorough
 
@@ -80,6 +83,34 @@ time.sleep(60)
 """
     outcome = attack(watched, code, Limits(wall_s=20, memory_mb=128, processes=16))
     assert (outcome.status, outcome.error) == ("memory", "The limit of 128 MB of memory was reached.")
+
+
+@pytest.mark.parametrize("place", ["folder", "shared", "unlinked"])
+def test_files_in_the_memory_of_the_machine_count(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, place: str) -> None:
+    """Without a group of its own: in shared memory, and in a folder in memory, as ``/tmp`` is on many systems."""
+    if not os.access("/dev/shm", os.W_OK) or "/dev/shm tmpfs" not in Path("/proc/mounts").read_text("utf-8"):
+        pytest.skip("there is no shared memory")
+    if place == "shared" and os.geteuid() != 0:
+        pytest.skip("only root's calls may use shared memory")
+    monkeypatch.setattr(groups, "new_path", lambda: None)
+    monkeypatch.setattr(tempfile, "tempdir", "/dev/shm")
+    watched = Watched(pool_of("process"))
+    try:
+        where = "/dev/shm/gem-" if place == "shared" else ""
+        code = f"""
+import os, time
+for number in range(12):
+    if os.fork() == 0:
+        with open(f"{where}{{number}}", "wb") as stream:
+            if {place == "unlinked"}: os.unlink(stream.name)
+            stream.write(bytes(24 << 20))
+            stream.flush()
+            time.sleep(60)
+time.sleep(60)
+"""
+        assert attack(watched, code, dataclasses.replace(SMALL, memory_mb=96, file_mb=64)).status == "memory"
+    finally:
+        watched.pool.close()
 
 
 @pytest.mark.parametrize(

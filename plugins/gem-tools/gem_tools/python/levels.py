@@ -24,7 +24,7 @@ LEVELS = ("bubblewrap", "docker", "process")
 DOCKER_IMAGE = f"python:{sys.version_info[0]}.{sys.version_info[1]}-slim"
 
 # In the order in which they need one another.
-_MODULES: tuple[str, ...] = ("wire", "kernel", "syscalls", "walls", "confine", "runner", "watch", "memory")
+_MODULES: tuple[str, ...] = ("wire", "kernel", "syscalls", "confine", "walls", "runner", "watch", "memory")
 _MODULES += ("folders", "zygote", "call", "keeper")
 _PACKAGE = inside.__name__
 _BOOT = """

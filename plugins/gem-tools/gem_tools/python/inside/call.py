@@ -179,9 +179,14 @@ class Call:
         return 0 if group is None else max(0, self.child.held_bytes + group.memory() - self.group_before)
 
     def added_up(self, pids: list[int]) -> int:
-        """Add up what the processes and the folder hold, where no group counts it."""
-        keeper = self.keeper
-        files = memory.folder_bytes(keeper.proc, self.child.pid, confine.FOLDER) if keeper.settings["namespaces"] else 0
+        """Add up what the processes, and files in memory, hold, where no group counts it."""
+        keeper, child = self.keeper, self.child
+        if keeper.settings["namespaces"]:
+            files = memory.folder_bytes(keeper.proc, child.pid, child.folder)
+        else:
+            files = memory.tree_bytes(child.folder)
+            if child.uid is not None:
+                files += memory.tree_bytes(confine.SHARED, child.uid)
         return files + memory.added_up(keeper.proc, pids, keeper.base_bytes)
 
     def send_job(self) -> None:

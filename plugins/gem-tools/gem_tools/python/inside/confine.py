@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from gem_tools.python.inside import syscalls
 
 FOLDER = "/tmp"
+SHARED = "/dev/shm"
+"""The machine's shared memory, by name."""
 INSIDE_ID = 1000
 _MB = 1 << 20
 _SET_INTERFACE_FLAGS, _UP = 0x8914, 1

@@ -29,6 +29,8 @@ class Child:
 
     def __init__(self, out: int, err: int, job: socket.socket) -> None:
         self.pid = 0
+        self.uid: int | None = None
+        self.folder = ""
         self.out, self.err, self.job = out, err, job
         self.exit: dict[str, Any] | None = None
         self.ended = False
@@ -144,7 +146,7 @@ class Keeper:
             if message["pid"] is None:
                 child.error = message["error"]
             else:
-                child.pid = message["pid"]
+                child.pid, child.uid, child.folder = message["pid"], message["uid"], message["folder"]
                 self.children[child.pid] = child
         elif operation == "ended":
             self.children[message["pid"]].ended = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import stat
 
@@ -83,7 +84,7 @@ def added_up(proc: int, pids: list[int], base_bytes: int) -> int:
         # What a single process has it shares with no other of its call; to look at each page takes time.
         part = _proportional(proc, pid) if len(pids) > 1 else None
         total += _resident(proc, pid, base_bytes) if part is None else part
-    return max(0, total) + _SOCKET_BYTES * len(sockets(proc, pids))
+    return max(0, total) + _open_bytes(proc, pids)
 
 
 def _resident(proc: int, pid: int, base_bytes: int) -> int:
@@ -104,16 +105,52 @@ def _proportional(proc: int, pid: int) -> int | None:
     return sum(found.get(name, 0) for name in (b"Pss_Anon:", b"Pss_Shmem:", b"SwapPss:"))
 
 
-def sockets(proc: int, pids: list[int]) -> set[int]:
-    """Return the sockets that processes have open, each once."""
-    found = set()
+def _open_bytes(proc: int, pids: list[int]) -> int:
+    """Return what the open files of processes hold in memory, each once: sockets, and files that have no name left."""
+    found = {}
     for pid in pids:
         for name in watch.names(proc, f"{pid}/fd"):
             with contextlib.suppress(OSError):
                 entry = os.stat(f"{pid}/fd/{name}", dir_fd=proc)
                 if stat.S_ISSOCK(entry.st_mode):
-                    found.add(entry.st_ino)
-    return found
+                    found[entry.st_dev, entry.st_ino] = _SOCKET_BYTES
+                elif not entry.st_nlink and entry.st_dev in _in_memory():
+                    found[entry.st_dev, entry.st_ino] = entry.st_blocks * 512
+    return sum(found.values())
+
+
+@functools.cache
+def _in_memory() -> frozenset[int]:
+    """Return the devices of the file systems that are in memory, and show here."""
+    with open("/proc/self/mountinfo", "rb") as stream:
+        lines = [line.split() for line in stream]
+    numbers = [words[2].split(b":") for words in lines if words[words.index(b"-") + 1] == b"tmpfs"]
+    return frozenset(os.makedev(int(major), int(minor)) for major, minor in numbers)
+
+
+def tree_bytes(folder: str, uid: int | None = None) -> int:
+    """Return what the files of a folder hold, where it is in memory and whatever is done to it meanwhile.
+
+    Args:
+        folder: Its path.
+        uid: Whose files count; None for all.
+    """
+    try:
+        if os.stat(folder).st_dev not in _in_memory():
+            return 0
+        top = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    except OSError:
+        return 0
+    found = {}
+    # By open folders: a link that is put in the place of one leads nowhere else.
+    for _, _, files, here in os.fwalk(dir_fd=top):
+        for name in files:
+            with contextlib.suppress(OSError):
+                entry = os.stat(name, dir_fd=here, follow_symlinks=False)
+                if uid in (None, entry.st_uid):
+                    found[entry.st_ino] = entry.st_blocks * 512
+    os.close(top)
+    return sum(found.values())
 
 
 def folder_bytes(proc: int, pid: int, folder: str) -> int:

@@ -14,7 +14,7 @@ import struct
 import sys
 import sysconfig
 
-from gem_tools.python.inside import kernel
+from gem_tools.python.inside import confine, kernel
 
 _CREATE, _ADD, _RESTRICT = 444, 445, 446  # the same on every processor
 _VERSION = 1
@@ -41,7 +41,6 @@ _ETC = (
 )
 _FACTS = ("/sys/devices/system/cpu", "/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/version")
 _DEVICES = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom")
-_SHARED = "/dev/shm"
 
 
 def version() -> int:
@@ -75,7 +74,7 @@ class Walls:
         for path in _DEVICES:
             self._allow(path, _READ_FILE | _WRITE_FILE | _TRUNCATE)
         if shared:
-            self._allow(_SHARED, writable)
+            self._allow(confine.SHARED, writable)
 
     def _allow(self, path: str, rights: int) -> None:
         try:

@@ -19,7 +19,6 @@ from typing import Any
 from gem_tools.python.inside import confine, folders, kernel, runner, syscalls, walls, watch, wire
 
 _JOB = 3
-_SHARED = "/dev/shm"
 _REST_S = 2.0
 _GIVE_UP_S = 10.0
 _INPUT_NAMES = ("/dev/stdin", "/dev/fd/")
@@ -143,7 +142,7 @@ class Zygote:
             os.close(descriptor)
         if pid > 0:
             self.children[pid] = folder, uid
-            self.tell({"op": "spawned", "pid": pid})
+            self.tell({"op": "spawned", "pid": pid, "uid": uid, "folder": folder})
 
     def free_uid(self) -> int | None:
         """Return the user that the next process runs as: its own one, but where a namespace keeps it apart."""
@@ -272,7 +271,7 @@ def _folders(base: str) -> folders.Folders:
 def clear_shared(uid: int) -> None:
     """Remove what a call has left in the machine's shared memory; each has a user id of its own."""
     with contextlib.suppress(OSError):
-        for entry in list(os.scandir(_SHARED)):
+        for entry in list(os.scandir(confine.SHARED)):
             with contextlib.suppress(OSError):
                 if entry.stat(follow_symlinks=False).st_uid == uid:
                     folders.remove(entry.path)
