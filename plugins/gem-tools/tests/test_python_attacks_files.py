@@ -15,11 +15,10 @@ from python_levels import SMALL, Watched, attack, each_level, new_pool
 from gem_tools.python import Limits
 from gem_tools.python.inside import folders, zygote
 
-pytestmark = pytest.mark.thorough
-
 watched = each_level()
 
 
+@pytest.mark.thorough
 def test_filling_the_folder(watched: Watched) -> None:
     """In a folder in memory the sum has an exact limit, and so has the number of files."""
     if watched.pool.level != "bubblewrap":
@@ -47,6 +46,7 @@ except OSError as error:
     assert attack(watched, code).stdout == "ENOSPC 16\nENOSPC True\nENOSPC\n"
 
 
+@pytest.mark.root
 def test_writing_and_deleting_outside_the_folder(watched: Watched, tmp_path: Path) -> None:
     """Neither the system's files nor those of whoever runs this change."""
     precious = tmp_path / "precious"
@@ -83,6 +83,7 @@ print(done)
     assert precious.read_text("utf-8") == "kept"
 
 
+@pytest.mark.thorough
 def test_deleting_everything(watched: Watched) -> None:
     """It deletes what is its own; the next call has the whole library."""
     code = "import os, shutil\nfor name in os.listdir('/usr'): shutil.rmtree('/usr/' + name, ignore_errors=True)"
@@ -90,6 +91,7 @@ def test_deleting_everything(watched: Watched) -> None:
     assert watched.pool.run("import decimal, sqlite3, xml.dom.minidom\nprint('there')").stdout == "there\n"
 
 
+@pytest.mark.thorough
 def test_reading_files_of_the_parent(watched: Watched, tmp_path: Path) -> None:
     """What only its owner may read stays unread, by its name, through links, and through /proc."""
     secret = secrets.token_hex(16)
@@ -113,6 +115,7 @@ print(found)
         assert attack(watched, code).stdout == "[]\n"
 
 
+@pytest.mark.thorough
 def test_reading_the_environment(watched: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
     """Variables of the library's process are nowhere in the process that runs code."""
     secret = secrets.token_hex(16)
@@ -141,6 +144,7 @@ while environ[place]:
         fresh.close()
 
 
+@pytest.mark.thorough
 def test_one_call_reads_another_ones_data(watched: Watched) -> None:
     """Neither files of an earlier call, nor its code or output, are in the memory or the folder of the next."""
     secret = secrets.token_hex(8)
@@ -162,6 +166,7 @@ print(seen, hits)
     assert attack(watched, code).stdout == "[] 0\n"
 
 
+@pytest.mark.root
 def test_a_session_is_out_of_reach_of_other_calls(watched: Watched) -> None:
     """Its folder, its processes and its memory."""
     session = watched.pool.session(SMALL)
@@ -186,6 +191,7 @@ for number in {{*range(2, 400)}} - {{os.getpid()}}:
     watched.check()
 
 
+@pytest.mark.thorough
 def test_tricks_with_files_in_the_folder(watched: Watched) -> None:
     """Links, pipes, sockets, deep folders and closed permissions go with the folder."""
     code = """
@@ -203,6 +209,7 @@ os.mkdir("closed"); open("closed/file", "w").close(); os.chmod("closed", 0); os.
     assert attack(watched, code).status == "ok"
 
 
+@pytest.mark.thorough
 def test_leaving_a_file_without_a_trace_in_times(watched: Watched) -> None:
     """A file made in the same tick of the kernel's clock as its folder, or with the times put back, goes as well."""
     if watched.pool.level != "bubblewrap":
@@ -223,6 +230,7 @@ def test_leaving_a_file_without_a_trace_in_times(watched: Watched) -> None:
     assert attack(watched, code).status == "ok"
 
 
+@pytest.mark.root
 def test_places_that_everyone_may_write_to(watched: Watched) -> None:
     """Nothing can be left in them for later calls or for others, and what is left in shared memory is removed."""
     if watched.pool.level == "process" and not watched.pool._cells[0].walled:
@@ -272,6 +280,7 @@ def test_removing_folders_of_any_depth_and_permission(tmp_path: Path) -> None:
     made.remove(top)
 
 
+@pytest.mark.thorough
 def test_files_are_not_handed_to_the_host(watched: Watched) -> None:
     """Names of files that lead out of the folder are refused before anything runs."""
     from gem_core.errors import ArgumentError

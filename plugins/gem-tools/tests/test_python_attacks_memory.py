@@ -9,8 +9,6 @@ from python_levels import ALL, Watched, attack, pool_of
 
 from gem_tools.python import Limits, groups
 
-pytestmark = pytest.mark.thorough
-
 LIMITS = Limits(wall_s=20, cpu_s=60, memory_mb=96, processes=16, folder_mb=64, file_mb=64)
 
 TOUCH = """
@@ -46,6 +44,7 @@ def has_group(watched: Watched) -> bool:
     return launch.group is not None or launch.container is not None
 
 
+@pytest.mark.root
 def test_shared_memory_of_many_processes(watched: Watched) -> None:
     """Twelve with 24 MB each are 288, not 24."""
     code = f"{TOUCH}\nfor _ in range(12):\n    if os.fork() == 0: kept = touched(24 << 20); wait()\nwait()"
@@ -53,6 +52,7 @@ def test_shared_memory_of_many_processes(watched: Watched) -> None:
     assert (outcome.status, outcome.error) == ("memory", "The limit of 96 MB of memory was reached.")
 
 
+@pytest.mark.thorough
 def test_processes_whose_first_thread_has_ended_count(watched: Watched) -> None:
     """The kernel shows the memory of such a process by its other threads alone."""
     code = f"""{TOUCH}
@@ -70,6 +70,7 @@ time.sleep(3)
     assert attack(watched, code, LIMITS).status == "memory"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "code",
     [
@@ -93,6 +94,7 @@ for _ in range(5): os.wait()
     assert outcome.status == "ok", outcome
 
 
+@pytest.mark.thorough
 def test_a_session_holds_what_it_took_in_earlier_calls(watched: Watched) -> None:
     """And others that rest in the same sandbox do not count."""
     sessions = [watched.pool.session(LIMITS) for _ in range(3)]
@@ -109,6 +111,7 @@ def test_a_session_holds_what_it_took_in_earlier_calls(watched: Watched) -> None
     watched.check()
 
 
+@pytest.mark.thorough
 def test_files_in_memory_count(watched: Watched) -> None:
     """Those that are mapped by nobody, and those that have no name any more."""
     if watched.pool.level == "process":
@@ -123,6 +126,7 @@ wait()
     assert attack(watched, code, LIMITS).status == "memory"
 
 
+@pytest.mark.thorough
 def test_buffers_of_sockets_count(watched: Watched) -> None:
     """The kernel holds them for the call."""
     code = """
@@ -142,6 +146,7 @@ time.sleep(60)
     assert attack(watched, code, LIMITS).status == "memory"
 
 
+@pytest.mark.thorough
 def test_pages_that_nobody_maps_any_more_count(watched: Watched) -> None:
     """Of shared memory of which a page is kept, and of what a child has touched that has ended."""
     if not has_group(watched):

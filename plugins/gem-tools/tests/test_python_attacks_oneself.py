@@ -20,8 +20,6 @@ from python_levels import SMALL, Watched, attack, pool_of
 
 from gem_tools.python import Limits, levels
 
-pytestmark = pytest.mark.thorough
-
 
 @pytest.fixture(scope="module")
 def watched() -> Iterator[Watched]:
@@ -176,6 +174,7 @@ print(seen)
     watched.check()
 
 
+@pytest.mark.thorough
 def test_signals_by_way_of_a_file(watched: Watched, bystander: subprocess.Popen[bytes]) -> None:
     """A file that becomes ready may signal any process of its user: it is given no other owner."""
     code = f"""
@@ -197,6 +196,7 @@ os.kill(os.getpid(), 0)
         bystander.wait(0.05)
 
 
+@pytest.mark.thorough
 def test_slowing_other_processes_down(watched: Watched, bystander: subprocess.Popen[bytes]) -> None:
     """Their processors, priorities and limits stay."""
     code = f"""
@@ -255,6 +255,7 @@ print(reached, there.recv(9))
             datagrams.recv(1)
 
 
+@pytest.mark.thorough
 def test_usual_code_does_not_notice(watched: Watched) -> None:
     """Imports, temporary files, other programs, threads, its own facts in /proc."""
     code = """
@@ -271,6 +272,7 @@ print("VmRSS" in open("/proc/self/status").read(), open("/dev/stdin").read(), op
     assert outcome.stdout == "1\n42\n\n2\n\n[1, 2]\n1 (2,) True\nTrue given True\n", outcome
 
 
+@pytest.mark.thorough
 def test_signals_to_itself(watched: Watched) -> None:
     """Are as usual."""
     outcome = attack(watched, "import signal\nsignal.raise_signal(signal.SIGTERM)")

@@ -14,8 +14,6 @@ from python_levels import SHORT, SMALL, Watched, attack, each_level
 from gem_tools.python import Limits
 from gem_tools.python.inside import wire
 
-pytestmark = pytest.mark.thorough
-
 watched = each_level()
 
 WRITE_EVERYWHERE = """
@@ -27,6 +25,7 @@ def everywhere(data):
 """
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     "data",
     [
@@ -49,6 +48,7 @@ def test_forged_messages(watched: Watched, data: bytes) -> None:
     assert outcome.wall_s < 10
 
 
+@pytest.mark.thorough
 def test_a_forged_failure_of_the_machinery_is_not_believed(watched: Watched) -> None:
     """Code cannot say that it was not its fault."""
     data = wire.frame(b'{"error": "the machine"}')
@@ -56,6 +56,7 @@ def test_a_forged_failure_of_the_machinery_is_not_believed(watched: Watched) -> 
     assert (outcome.status, outcome.exit_code) == ("exit", 1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("body", [b"[]", b"null", b"{", b"[" * 100_000, b'{"code": "x"}', b'{"value": 3, "error": []}'])
 def test_reports_that_are_none(watched: Watched, body: bytes) -> None:
     """What the process reports of itself may be anything."""
@@ -75,6 +76,7 @@ FORGED = [
 ]
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("data", FORGED, ids=["failed", "empty", "nan", "code", "value", "huge", "noise"])
 def test_forging_the_next_call_of_a_session(watched: Watched, data: bytes) -> None:
     """Threads and hooks can forge what their own session says, and reach neither its keeper nor another session."""
@@ -101,6 +103,7 @@ threading.Thread(target=send, daemon=True).start()
     watched.check()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "code",
     [
@@ -130,6 +133,7 @@ def test_a_session_that_does_not_begin_its_next_call(watched: Watched, code: str
     watched.check()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("descriptors", ["range(0, 256)", "(0, 1, 2)", "(3,)"])
 def test_closing_descriptors(watched: Watched, descriptors: str) -> None:
     """Without its streams a process still ends, and its end is told."""
@@ -139,6 +143,7 @@ def test_closing_descriptors(watched: Watched, descriptors: str) -> None:
     assert attack(watched, code).status in ("ok", "error")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("code", "status", "exit_code"),
     [
@@ -174,6 +179,7 @@ def test_endings(watched: Watched, code: str, status: str, exit_code: int | None
     assert (outcome.status, outcome.exit_code) == (status, exit_code), outcome
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "code",
     [
@@ -195,6 +201,7 @@ def test_what_hangs_at_the_end_is_ended(watched: Watched, code: str) -> None:
     watched.check()
 
 
+@pytest.mark.thorough
 def test_recursion_without_an_end(watched: Watched) -> None:
     """Deeper than any stack or memory."""
     code = "import sys\nsys.setrecursionlimit(10 ** 9)\ndef f(): f()\nf()"
@@ -202,6 +209,7 @@ def test_recursion_without_an_end(watched: Watched) -> None:
     assert attack(watched, code, Limits(wall_s=20, memory_mb=256)).status not in ("ok", "exit")
 
 
+@pytest.mark.thorough
 def test_huge_values_and_errors(watched: Watched) -> None:
     """They are cut, like output."""
     limits = Limits(value_chars=100)
@@ -215,6 +223,7 @@ def test_huge_values_and_errors(watched: Watched) -> None:
     watched.check()
 
 
+@pytest.mark.thorough
 def test_values_that_break(watched: Watched) -> None:
     """A representation that raises is the code's own failure; one that is no text as well."""
     run = watched.pool.run
@@ -228,6 +237,7 @@ def test_values_that_break(watched: Watched) -> None:
     watched.check()
 
 
+@pytest.mark.thorough
 def test_any_text_is_code(watched: Watched) -> None:
     """NULs, lone surrogates, megabytes, nothing."""
     for code in ("\0", "\ud800", "'\ud800'", "#" * 5_000_000, "", "\n", "\ufeffx = 1", "\x0c\t\r", "x" * 1_000_000):
@@ -235,6 +245,7 @@ def test_any_text_is_code(watched: Watched) -> None:
     watched.check()
 
 
+@pytest.mark.thorough
 def test_any_bytes_are_input_and_output(watched: Watched) -> None:
     """What is not UTF-8 goes in and comes out as such."""
     code = "import sys\ndata = sys.stdin.buffer.read()\nsys.stdout.buffer.write(data + b'\\xff\\x00')"
@@ -244,6 +255,7 @@ def test_any_bytes_are_input_and_output(watched: Watched) -> None:
     assert outcome.stdout == "4000000\n"
 
 
+@pytest.mark.thorough
 def test_what_the_code_wrote_is_kept_when_it_is_ended(watched: Watched) -> None:
     """Up to the limit that it reached."""
     outcome = attack(watched, "print('before', flush=True)\nwhile True: pass", Limits(wall_s=0.5))

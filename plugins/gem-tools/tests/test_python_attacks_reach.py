@@ -18,8 +18,6 @@ from python_levels import SHORT, SMALL, Watched, attack, each_level, processes, 
 
 from gem_tools.python import Limits, Outcome
 
-pytestmark = pytest.mark.thorough
-
 watched = each_level()
 
 
@@ -64,6 +62,7 @@ print(reached)
 # Other processes.
 
 
+@pytest.mark.root
 def test_killing_siblings_and_parents(watched: Watched) -> None:
     """No signal reaches any process but its own."""
     bystander = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
@@ -88,6 +87,7 @@ print(reached)
         bystander.wait()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("target", [0, -1])
 def test_killing_everything(watched: Watched, target: int) -> None:
     """Its own group, and all that it may signal: at most itself."""
@@ -95,6 +95,7 @@ def test_killing_everything(watched: Watched, target: int) -> None:
     attack(watched, f"import os, signal\nos.kill({target}, signal.SIGSTOP)", Limits(wall_s=1))
 
 
+@pytest.mark.thorough
 def test_daemons_do_not_stay(watched: Watched) -> None:
     """Forked twice, in a session of their own, with all files closed: they end with the call."""
     code = """
@@ -111,6 +112,7 @@ print("left one")
     assert attack(watched, code).stdout == "left one\n"
 
 
+@pytest.mark.root
 def test_daemons_that_fork_without_an_end(watched: Watched) -> None:
     """Each new process has lost its parent before it can be found: none is left when the call, or a session, rests."""
     code = """
@@ -133,6 +135,7 @@ print("left some")
     watched.check()
 
 
+@pytest.mark.root
 def test_daemons_whose_first_thread_has_ended(watched: Watched) -> None:
     """They look like zombies, and live."""
     code = """
@@ -194,12 +197,14 @@ reached
     watched.check()
 
 
+@pytest.mark.thorough
 def test_programs_that_are_started_end_too(watched: Watched) -> None:
     """Also those that another program runs."""
     code = "import subprocess\nsubprocess.Popen(['/bin/sh', '-c', 'sleep 600 & sleep 600'])\nprint('started')"
     assert attack(watched, code).stdout == "started\n"
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize(
     "call",
     [
@@ -238,6 +243,7 @@ print("refused" if result == -1 else result)
     assert attack(watched, code).stdout == "refused\n"
 
 
+@pytest.mark.thorough
 def test_capabilities_are_gone(watched: Watched) -> None:
     """A process has none, and cannot get any by starting a program that would give them."""
     code = """
@@ -251,6 +257,7 @@ print(list(data[:2]), libc.prctl(39, 0, 0, 0, 0))
     assert attack(watched, code).stdout == "[0, 0] 1\n"
 
 
+@pytest.mark.thorough
 def test_attacks_at_once(watched: Watched) -> None:
     """Calls that wait behind an attack are served after it."""
     outcomes: list[Outcome] = []

@@ -15,17 +15,17 @@ from python_levels import SHORT, SMALL, Watched, attack, each_level, pool_of
 
 from gem_tools.python import Limits, groups
 
-pytestmark = pytest.mark.thorough
-
 watched = each_level()
 
 
+@pytest.mark.thorough
 def test_fork_bomb(watched: Watched) -> None:
     """Processes that multiply as fast as they can reach the limit, and all end with the call."""
     code = "import os\nwhile True:\n    try:\n        os.fork()\n    except OSError:\n        pass"
     assert attack(watched, code, SHORT).status in ("timeout", "cpu")
 
 
+@pytest.mark.root
 def test_processes_are_counted(watched: Watched) -> None:
     """Exactly so many at once as the limit says, the first included."""
     code = """
@@ -45,6 +45,7 @@ except BlockingIOError:
     assert (outcome.status, outcome.stdout) == ("ok", "15\n")
 
 
+@pytest.mark.thorough
 def test_threads_count_as_processes(watched: Watched) -> None:
     """As the kernel counts them; each takes address space as well, of which there is enough here."""
     code = """
@@ -69,6 +70,7 @@ def test_memory_bomb(watched: Watched) -> None:
     assert outcome.peak_mb < 140
 
 
+@pytest.mark.thorough
 def test_memory_bomb_spread_over_processes(watched: Watched) -> None:
     """Several processes together cannot either."""
     code = """
@@ -85,8 +87,10 @@ time.sleep(60)
     assert (outcome.status, outcome.error) == ("memory", "The limit of 128 MB of memory was reached.")
 
 
+@pytest.mark.root
+@pytest.mark.few(2)
 @pytest.mark.parametrize("place", ["folder", "shared", "unlinked"])
-def test_files_in_the_memory_of_the_machine_count(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, place: str) -> None:
+def test_files_in_the_memory_of_the_machine_count(monkeypatch: pytest.MonkeyPatch, place: str) -> None:
     """Without a group of its own: in shared memory, and in a folder in memory, as ``/tmp`` is on many systems."""
     if not os.access("/dev/shm", os.W_OK) or "/dev/shm tmpfs" not in Path("/proc/mounts").read_text("utf-8"):
         pytest.skip("there is no shared memory")
@@ -113,6 +117,7 @@ time.sleep(60)
         watched.pool.close()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "code",
     [
@@ -140,6 +145,7 @@ def test_endless_output(watched: Watched) -> None:
     assert outcome.dropped_bytes < 10_000_000
 
 
+@pytest.mark.thorough
 def test_endless_output_of_a_child(watched: Watched) -> None:
     """Also from processes of its own, on the other stream, in raw bytes."""
     code = "import os\nos.fork()\nwhile True:\n    os.write(2, b'\\xff\\x00' * 5000)"
@@ -153,6 +159,7 @@ def test_endless_loop(watched: Watched) -> None:
     assert outcome.wall_s >= 0.5
 
 
+@pytest.mark.thorough
 def test_processor_time_of_all_processes(watched: Watched) -> None:
     """What children use counts."""
     code = "import os\nos.fork()\nos.fork()\nwhile True: pass"
@@ -160,11 +167,13 @@ def test_processor_time_of_all_processes(watched: Watched) -> None:
     assert (outcome.status, outcome.error) == ("cpu", "The limit of 0.4 s of processor time was reached.")
 
 
+@pytest.mark.thorough
 def test_sleep_ends_too(watched: Watched) -> None:
     """Time limits need no processor time."""
     assert attack(watched, "import time\ntime.sleep(60)", Limits(wall_s=0.3)).status == "timeout"
 
 
+@pytest.mark.thorough
 def test_signals_are_ignored(watched: Watched) -> None:
     """Code that blocks and ignores every signal ends as well."""
     code = """
@@ -181,6 +190,7 @@ while True:
     assert attack(watched, code, Limits(wall_s=0.5, cpu_s=60)).status == "timeout"
 
 
+@pytest.mark.thorough
 def test_raising_its_own_limits(watched: Watched) -> None:
     """Hard limits cannot be raised."""
     code = """
@@ -197,6 +207,7 @@ for name in ("AS", "NPROC", "CPU", "FSIZE", "NOFILE", "CORE"):
     assert attack(watched, code).stdout.split() == ["AS", "NPROC", "CPU", "FSIZE", "NOFILE", "CORE"]
 
 
+@pytest.mark.thorough
 def test_open_files_and_file_size(watched: Watched) -> None:
     """Both have their limits, exact ones."""
     code = """

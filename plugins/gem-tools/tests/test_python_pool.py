@@ -18,8 +18,6 @@ from python_levels import ALL, folders, pool_of, processes, until
 from gem_core.errors import BridgeError
 from gem_tools.python import Limits, Outcome, Pool, SandboxError, shared_pool
 
-pytestmark = pytest.mark.thorough
-
 
 @pytest.fixture(params=ALL)
 def pool(request: pytest.FixtureRequest) -> Iterator[Pool]:
@@ -70,6 +68,7 @@ if __name__ == "__main__":
     assert outcome.cpu_s > 0
 
 
+@pytest.mark.thorough
 def test_the_usual_libraries_work(pool: Pool) -> None:
     """Those that fork, start threads, use shared memory or temporary files as well."""
     if pool.level == "docker":
@@ -93,6 +92,7 @@ process = subprocess.Popen(["/bin/sleep", "60"]); process.terminate() if False e
     assert (outcome.status, outcome.stdout) == ("ok", "1\n[1, 2]\n[3, 4]\n(2,)\nhello\n\n"), outcome
 
 
+@pytest.mark.thorough
 def test_numpy_works_preloaded_or_not(pool: Pool) -> None:
     """And draws other numbers in each call."""
     code = "import numpy, random\nprint(numpy.random.random(), random.random(), numpy.ones((500, 500)).sum())"
@@ -110,12 +110,14 @@ def test_numpy_works_preloaded_or_not(pool: Pool) -> None:
     assert {outcome.stdout.split()[2] for outcome in outcomes} == {"250000.0"}
 
 
+@pytest.mark.thorough
 def test_the_order_of_sets_is_the_same_in_each_call(pool: Pool) -> None:
     """The same code gives the same output."""
     code = "print({f'word{i}' for i in range(50)})"
     assert len({pool.run(code).stdout for _ in range(4)}) == 1
 
 
+@pytest.mark.thorough
 def test_a_thousand_calls_at_once(pool: Pool) -> None:
     """All are answered, each with its own output, in the order of their coming."""
     finished: list[int] = []
@@ -139,6 +141,7 @@ def test_a_thousand_calls_at_once(pool: Pool) -> None:
     assert most_waiting <= 20
 
 
+@pytest.mark.thorough
 def test_from_many_threads_and_from_the_loops_of_others(pool: Pool) -> None:
     """Plain code blocks only its own thread."""
     with ThreadPoolExecutor(16) as threads:
@@ -191,6 +194,7 @@ def test_sessions_keep_their_variables_apart(pool: Pool) -> None:
     assert until(lambda: len(folders(pool)) <= 2)
 
 
+@pytest.mark.thorough
 def test_a_session_rests_between_its_calls(pool: Pool) -> None:
     """What it started is gone, and its threads stand still."""
     session = pool.session(Limits(wall_s=30))
@@ -217,6 +221,7 @@ child = True
     session.close()
 
 
+@pytest.mark.thorough
 def test_limits_hold_for_each_call_of_a_session(pool: Pool) -> None:
     """Time begins anew with each call."""
     session = pool.session(Limits(wall_s=10, cpu_s=1, output_bytes=100))
@@ -277,6 +282,7 @@ def test_a_sandbox_that_dies_is_replaced(pool: Pool) -> None:
         assert until(lambda base=cell.launch.base: base is None or not os.path.exists(base))
 
 
+@pytest.mark.thorough
 def test_a_session_in_a_sandbox_that_died_is_lost(pool: Pool) -> None:
     """Its next call says so, the one after that begins anew."""
     session = pool.session(Limits(wall_s=30))
@@ -306,6 +312,7 @@ def test_a_closed_pool_refuses_calls(pool: Pool) -> None:
     assert until(lambda: not any(map(alive, pids)))
 
 
+@pytest.mark.thorough
 def test_closing_a_pool_ends_the_calls_in_it(pool: Pool) -> None:
     """Those that run, and those that wait; nobody is left waiting."""
     outcomes: list[str] = []
@@ -326,6 +333,7 @@ def test_closing_a_pool_ends_the_calls_in_it(pool: Pool) -> None:
     assert sorted(outcomes) == ["the pool was closed"] * 2 + ["the sandbox was closed"] * 2
 
 
+@pytest.mark.thorough
 def test_a_sandbox_that_hangs_is_given_up(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its keeper is stopped here; the call fails as a fault of the machinery, and the next is served."""
     monkeypatch.setattr("gem_tools.python.cell.GRACE_S", 0.2)
@@ -339,6 +347,7 @@ def test_a_sandbox_that_hangs_is_given_up(pool: Pool, monkeypatch: pytest.Monkey
     assert pool.run("print('next')", limits=Limits(wall_s=60)).stdout == "next\n"
 
 
+@pytest.mark.thorough
 def test_a_forked_process_has_sandboxes_of_its_own(pool: Pool) -> None:
     """And leaves those of its parent alone."""
     assert pool.run("print(1)").ok
@@ -367,6 +376,7 @@ def test_a_forked_process_has_sandboxes_of_its_own(pool: Pool) -> None:
 # What is left.
 
 
+@pytest.mark.thorough
 def test_nothing_is_left_after_many_calls(pool: Pool) -> None:
     """No process, no file, no socket, no memory; neither here nor in the sandboxes."""
 
@@ -421,6 +431,7 @@ print(*[cell.launch.base for cell in pool._cells if cell.launch.base], flush=Tru
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("level", ALL)
 @pytest.mark.parametrize("how", ["end", "exception", "interrupt", "kill", "terminate"])
 def test_nothing_is_left_when_the_process_ends(level: str, how: str) -> None:
@@ -449,6 +460,7 @@ def test_nothing_is_left_when_the_process_ends(level: str, how: str) -> None:
     assert until(lambda: not any(map(os.path.exists, bases)))
 
 
+@pytest.mark.thorough
 def test_pools_are_shared_by_their_settings() -> None:
     """One set of sandboxes serves every tool with the same."""
     assert shared_pool() is shared_pool("auto")
