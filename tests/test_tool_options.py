@@ -184,7 +184,7 @@ def test_play_with_tools(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_info_describes_a_tool(run_gem: RunGem) -> None:
-    """Its options, who offers it, its docstring, and what an agent is told; also as JSON."""
+    """Its options, who offers it, what is in force here, its docstring, and what an agent is told; also as JSON."""
     done = run_gem("info", "box")
     assert done.code == 0
     assert done.out == (
@@ -193,6 +193,7 @@ def test_info_describes_a_tool(run_gem: RunGem) -> None:
         "  options:      prefix=''\n"
         "  offered by:   gem-toolbox\n"
         "  entry point:  gem_toolbox_tools:make_box\n"
+        "  here:         level: high, drawers: 2\n"
         "\nReturn two tools.\n"
         "\nWhat an agent is told, without options:\n"
         "- look: Looks at a lock. Call it with <look>lock</look>\n"
@@ -201,6 +202,7 @@ def test_info_describes_a_tool(run_gem: RunGem) -> None:
     facts = json.loads(run_gem("info", "box", "--json").out)
     assert [schema["function"]["name"] for schema in facts["schemas"]] == ["look", "count"]
     assert (facts["distribution"], facts["options"], facts["problem"]) == ("gem-toolbox", ["prefix=''"], None)
+    assert facts["status"] == {"level": "high", "drawers": 2}
 
 
 def test_info_of_a_tool_that_needs_options_says_so(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -128,12 +128,24 @@ def tool_statuses(found: Registry, timeout_s: float = 30.0) -> list[dict[str, An
     return [
         {"tool": record.name, "summary": record.summary, "status": status, "error": error}
         for record in found.named(ToolSpec)
-        for status, error in [_status_of(record, timeout_s)]
+        for status, error in [status_of(record, timeout_s)]
     ]
 
 
-def _status_of(record: ToolSpec, timeout_s: float) -> tuple[Any, str | None]:
-    """Return what a tool says of itself, and what is wrong with that."""
+def status_line(status: Any) -> str:
+    """Return what a tool says of itself as one line."""
+    if isinstance(status, dict):
+        status = ", ".join(f"{key}: {value}" for key, value in status.items())
+    return " ".join(str(status or "").split())
+
+
+def status_of(record: ToolSpec, timeout_s: float = 30.0) -> tuple[Any, str | None]:
+    """Return what a tool says of itself on this machine, and what is wrong with that.
+
+    Args:
+        record: Of the tool.
+        timeout_s: Seconds after which an answer is no longer waited for.
+    """
     from gem_core.entry_points import load_entry_point
 
     entry_point = record.status

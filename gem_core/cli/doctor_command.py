@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from gem_core.cli.diagnosis import diagnose, listed
+from gem_core.cli.diagnosis import diagnose, listed, status_line
 from gem_core.cli.layout import output_width
 
 _WIDTH = 80  # at most
@@ -83,9 +83,7 @@ def _print_plugins(found: dict[str, Any]) -> None:
 def _print_tools(tools: list[dict[str, Any]]) -> None:
     _heading("Tools")
     for tool in tools:
-        status = tool["status"]
-        if isinstance(status, dict):
-            status = ", ".join(f"{key}: {value}" for key, value in status.items())
+        status = status_line(tool["status"])
         text = " ".join(str(tool["error"] or status or tool["summary"]).split())
         state, colour = ("broken", "red") if tool["error"] else ("ok", "green") if status else ("", None)
         _row(f"{tool['tool']}: {text}" if text else tool["tool"], state, colour)

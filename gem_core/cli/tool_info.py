@@ -58,9 +58,11 @@ def all_about(record: NamedSpec) -> dict[str, Any]:
     facts["options"] = [_option(parameter) for parameter in parameters]
     facts["documentation"] = own_documentation(maker)
     if isinstance(record, ToolSpec):
-        facts |= {"schemas": [], "instructions": [], "problem": None}
+        from gem_core.cli.diagnosis import status_of
         from gem_core.tool_choices import tools_by_name
 
+        status, broken = status_of(record)
+        facts |= {"schemas": [], "instructions": [], "status": status, "problem": broken}
         try:
             tools = tools_by_name([record.name]).values()
         except GemError as error:  # it may need options, a key or a server; all else can be told without
@@ -81,6 +83,10 @@ def print_named(facts: dict[str, Any]) -> None:
     print_field("options", facts["options"] or "none")
     print_field("offered by", facts["distribution"] or "this program")
     print_field("entry point", facts["entry_point"])
+    if facts.get("status"):
+        from gem_core.cli.diagnosis import status_line
+
+        print_field("here", status_line(facts["status"]))
     print_field("missing", facts.get("problem"))
     if facts["documentation"]:
         click.echo(f"\n{facts['documentation']}")
