@@ -5,6 +5,8 @@ Everything that belongs to this user is tried: variables, files, processes, sock
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import os
 import secrets
 import signal
@@ -111,6 +113,12 @@ def test_permissions_owners_and_times_of_its_users_files(watched: Watched, tmp_p
     """By name, by an open folder, by a file that may be read, by links: all stay."""
     kept = tmp_path / "kept"
     kept.write_text("kept", "utf-8")
+
+    def version() -> bytes:
+        with open(os.__file__, "rb") as stream, contextlib.suppress(OSError):
+            return fcntl.ioctl(stream, 0x80087601, bytes(8))
+        return b""
+
     code = f"""
 import fcntl, os, sys
 link = os.open({str(tmp_path)!r}, os.O_PATH)
@@ -121,13 +129,16 @@ for place in places:
     for act in (lambda: os.chmod(place, 0o777), lambda: os.utime(place, (1, 1)), lambda: os.utime(place),
                 lambda: os.chown(place, os.getuid(), os.getgid()), lambda: os.setxattr(place, "user.gem", b"x"),
                 lambda: os.chmod("kept", 0o777, dir_fd=link), lambda: os.utime("kept", (1, 1), dir_fd=link),
-                lambda: fcntl.ioctl(place, 0x40086602, (0x40).to_bytes(8, "little"))):
+                lambda: fcntl.ioctl(place, 0x40086602, (0x40).to_bytes(8, "little")),
+                lambda: fcntl.ioctl(place, 0x40087602, (0x40).to_bytes(8, "little"))):
         try: act()
         except (OSError, TypeError, ValueError): pass
 """
     places = [tmp_path, kept, Path(os.__file__), Path(sys.prefix)]
     before = [(place.stat().st_mode, place.stat().st_mtime_ns, os.listxattr(place)) for place in places]
+    before_version = version()
     assert attack(watched, code).status == "ok"
+    assert version() == before_version
     assert [(place.stat().st_mode, place.stat().st_mtime_ns, os.listxattr(place)) for place in places] == before
 
 

@@ -229,7 +229,7 @@ def run_filter(program: list[syscalls.Instruction], number: int, arch: int, argu
 
 
 ALLOW, REFUSE, NOT_THERE, KILL = 0x7FFF0000, 0x00050001, 0x00050026, 0x80000000
-NOTHING, NOT_SUPPORTED = 0x00050000, 0x0005005F
+NOTHING, NOT_SUPPORTED, NO_IOCTL = 0x00050000, 0x0005005F, 0x00050019
 
 
 @pytest.mark.parametrize("name", sorted(syscalls.MACHINES))
@@ -242,7 +242,7 @@ def test_the_filter_refuses_what_it_should_and_nothing_else(name: str, own_pid: 
     assert len(program) < 250
     special = {machine.clone, machine.clone3, machine.timer_create, machine.socket, machine.socketpair}
     special |= {machine.connect, machine.bind, machine.utimensat}
-    special |= {machine.fcntl, machine.ioctl, *machine.signalling, *machine.priorities}
+    special |= {machine.fcntl, machine.ioctl, *machine.signalling, *machine.priorities, syscalls.PIDFD_SEND_SIGNAL}
     for number in range(480):
         if number in machine.denied:
             assert run_filter(program, number, machine.arch) == REFUSE, number
@@ -298,15 +298,19 @@ def test_the_filter_keeps_code_off_other_processes(name: str, own_pid: int | Non
             assert run_filter(program, number, machine.arch, (own,)) == ALLOW
         for other in (1, 78, -1, -77):
             assert run_filter(program, number, machine.arch, (other,)) == others
-    for number in machine.priorities:
+    for number in (*machine.priorities, syscalls.PIDFD_SEND_SIGNAL):
         assert run_filter(program, number, machine.arch, (2, 0)) == others
     for command, allowed in ((8, others), (10, others), (15, others), (1, ALLOW), (4, ALLOW), (1030, ALLOW)):
         assert run_filter(program, machine.fcntl, machine.arch, (0, command)) == allowed
     for path, times, result in ((1, 0, REFUSE), (0, 0, NOTHING), (1, 1, NOTHING), (0, 1, NOTHING)):
         expected = ALLOW if own_pid is None else result
         assert run_filter(program, machine.utimensat, machine.arch, (0, path, times)) == expected
-    for command, allowed in ((0x8901, others), (0x8902, others), (0x40086602, others), (0x5401, ALLOW)):
+    for command, allowed in ((0x8901, others), (0x8902, others), (0x541B, ALLOW), (0x5401, ALLOW), (0x8927, ALLOW)):
         assert run_filter(program, machine.ioctl, machine.arch, (0, command)) == allowed
+    for command in (0x40086602, 0x40087602, 0x40806685, 0x5000940F, 0, 0x53FF, 0x5500, 0x88FF, 0x8A00):
+        assert run_filter(program, machine.ioctl, machine.arch, (0, command)) == (
+            ALLOW if own_pid is None else NO_IOCTL
+        )
 
 
 def test_the_filter_is_in_force_here() -> None:

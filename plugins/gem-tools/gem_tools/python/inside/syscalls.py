@@ -24,7 +24,8 @@ _FAMILIES = (_AF_UNIX, 2, 10, 16)  # INET, INET6, NETLINK; others, as VSOCK, rea
 _ADDRESSED = 2  # the bit of the types of sockets that send to any address: DGRAM, RAW
 _OWNERS = (8, 10, 15)  # F_SETOWN, F_SETSIG, F_SETOWN_EX: a file that becomes ready signals its owner, whoever that is
 _IOCTL_OWNERS = (0x8901, 0x8902)  # FIOSETOWN, SIOCSPGRP
-_IOCTL_FLAGS = (0x40086602, 0x401C5820)  # FS_IOC_SETFLAGS, FS_IOC_FSSETXATTR
+PIDFD_SEND_SIGNAL = 424  # on every processor; any folder of /proc that can be opened will do
+_TERMINALS, _SOCKETS = 0x5400, 0x8900  # the first of 256 commands each, FIONREAD and FIONBIO among them
 
 
 class Machine(NamedTuple):
@@ -149,9 +150,11 @@ def program(machine: Machine, *, sockets: bool, own_pid: int | None) -> list[Ins
             lines += _second(number, [(_ANY_BIT, 0, 1, _ADDRESSED), *refuse])
         lines += [line for number in (machine.connect, machine.bind) for line in ((_EQUAL, 0, 1, number), *refuse)]
     if own_pid is not None:
-        for number, values in ((machine.fcntl, _OWNERS), (machine.ioctl, (*_IOCTL_OWNERS, *_IOCTL_FLAGS))):
-            lines += _second(number, [line for value in values for line in ((_EQUAL, 0, 1, value), *refuse)])
-        lines += [line for number in machine.priorities for line in ((_EQUAL, 0, 1, number), *refuse)]
+        for number, values, further in ((machine.fcntl, _OWNERS, []), (machine.ioctl, _IOCTL_OWNERS, _of_no_file())):
+            refused = [line for value in values for line in ((_EQUAL, 0, 1, value), *refuse)]
+            lines += _second(number, [*refused, *further])
+        others = (*machine.priorities, PIDFD_SEND_SIGNAL)
+        lines += [line for number in others for line in ((_EQUAL, 0, 1, number), *refuse)]
         for number in machine.signalling:
             lines += [(_EQUAL, 0, 5, number), (_LOAD, 0, 0, _FIRST_ARGUMENT), (_EQUAL, 2, 0, own_pid)]
             lines += [(_EQUAL, 1, 0, 0), *refuse, (_RETURN, 0, 0, _ALLOW)]
@@ -173,6 +176,17 @@ def _files_kept(machine: Machine) -> list[Instruction]:
         lines += [line for number in numbers for line in ((_EQUAL, 0, 1, number), result)]
     lines += [(_EQUAL, 0, 7, machine.utimensat), (_LOAD, 0, 0, _THIRD_ARGUMENT), (_EQUAL, 1, 0, 0), nothing]
     return [*lines, (_LOAD, 0, 0, _SECOND_ARGUMENT), (_EQUAL, 0, 1, 0), nothing, refuse]
+
+
+def _of_no_file() -> list[Instruction]:
+    """Return a check of ``ioctl``: those of file systems change a file, or its folder, that may merely be read."""
+    return [
+        (_AT_LEAST, 3, 0, _SOCKETS + 256),
+        (_AT_LEAST, 3, 0, _SOCKETS),
+        (_AT_LEAST, 1, 0, _TERMINALS + 256),
+        (_AT_LEAST, 1, 0, _TERMINALS),
+        (_RETURN, 0, 0, _FAIL | errno.ENOTTY),
+    ]
 
 
 def _second(number: int, checks: list[Instruction]) -> list[Instruction]:
