@@ -146,6 +146,33 @@ time.sleep(60)
     assert attack(watched, code, LIMITS).status == "memory"
 
 
+def test_buffers_of_connections_count(watched: Watched) -> None:
+    """A session may have a loopback of its own; what waits there to be read is the kernel's memory too."""
+    if watched.pool.level != "bubblewrap":
+        pytest.skip("there are no connections")
+    session = watched.pool.session(LIMITS)
+    code = """
+import os, socket, time
+for _ in range(8):
+    if os.fork() == 0: break
+kept = []
+server = socket.create_server(("127.0.0.1", 0))
+for _ in range(50):
+    kept += [socket.create_connection(server.getsockname()), server.accept()[0]]
+    for end in kept[-2:]:
+        end.setblocking(False)
+        try:
+            while True: end.send(bytes(1 << 16))
+        except BlockingIOError: pass
+time.sleep(5)
+"""
+    try:
+        assert session.run(code).status == "memory"
+    finally:
+        session.close()
+    watched.check()
+
+
 @pytest.mark.thorough
 def test_pages_that_nobody_maps_any_more_count(watched: Watched) -> None:
     """Of shared memory of which a page is kept, and of what a child has touched that has ended."""

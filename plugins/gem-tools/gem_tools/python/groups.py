@@ -11,6 +11,7 @@ from pathlib import Path
 
 _V1, _V2 = "/sys/fs/cgroup/memory", "/sys/fs/cgroup"
 _COUNTED = ("memory.stat", "memory.kmem.usage_in_bytes", "memory.kmem.tcp.usage_in_bytes", "memory.swap.current")
+_TCP_LIMIT = "memory.kmem.tcp.limit_in_bytes"
 _JOIN = 'echo $$ >"$0/cgroup.procs"; exec "$@"'
 _NAME = "gem-python-"
 
@@ -60,6 +61,9 @@ def _remove_left(parent: str) -> None:
 def make(path: str) -> list[int]:
     """Make a group; return its files that count memory, open."""
     os.mkdir(path)
+    with contextlib.suppress(OSError):
+        # The first version counts the buffers of TCP where they have a limit, and nowhere else.
+        Path(path, _TCP_LIMIT).write_text(str(1 << 40), "ascii")
     files = (os.path.join(path, name) for name in _COUNTED)
     return [os.open(file, os.O_RDONLY | os.O_CLOEXEC) for file in files if os.path.exists(file)]
 
