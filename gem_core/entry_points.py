@@ -28,10 +28,11 @@ def load_entry_point(entry_point: EntryPoint, owner: str) -> Callable[..., Any]:
                 f"{owner}: there is no module {error.name!r} (entry point {entry_point!r}); "
                 "correct the entry point, or install the distribution that has it"
             ) from error
-        raise EntryPointError(
-            f"{owner}: {module_name!r} needs the module {error.name!r}, which is not installed; "
-            f"try 'pip install {(error.name or '').partition('.')[0].replace('_', '-')}'"
-        ) from error
+        package = (error.name or "").partition(".")[0]
+        missing = f"{owner}: {module_name!r} needs the module {error.name!r}, which is not "
+        if package == module_name.partition(".")[0]:
+            raise EntryPointError(f"{missing}there; correct the import, or add the module") from error
+        raise EntryPointError(f"{missing}installed; try 'pip install {package.replace('_', '-')}'") from error
     except (Exception, SystemExit) as error:  # a module of somebody else's may fail in any way while it is imported
         raise EntryPointError(f"{owner}: importing {module_name!r} failed: {type(error).__name__}: {error}") from error
     for part in path.split("."):

@@ -313,6 +313,8 @@ def modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder on the path with modules that fail in different ways."""
     (tmp_path / "gemt_needs.py").write_text("import gemt_not_installed.deep\n")
     (tmp_path / "gemt_inside.py").write_text("from gem_core import gemt_nothing\n")
+    (tmp_path / "gemt_own").mkdir()
+    (tmp_path / "gemt_own" / "env.py").write_text("from gemt_own.gone import WordEnv\n")
     (tmp_path / "gemt_value.py").write_text("raise ValueError('bad day')\n")
     (tmp_path / "gemt_fine.py").write_text("class WordEnv:\n    size = 3\n")
     monkeypatch.syspath_prepend(tmp_path)
@@ -337,6 +339,11 @@ def modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             "gemt_needs:WordEnv",
             "'gemt_needs' needs the module 'gemt_not_installed', which is not installed; "
             "try 'pip install gemt-not-installed'",
+        ),
+        (
+            "gemt_own.env:WordEnv",
+            "'gemt_own.env' needs the module 'gemt_own.gone', which is not there; correct the import, or add the "
+            "module",
         ),
         ("gemt_value:WordEnv", "importing 'gemt_value' failed: ValueError: bad day"),
         (

@@ -12,7 +12,8 @@ import re
 import sys
 import threading
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +44,8 @@ def diagnose(*, quick: bool = False) -> dict[str, Any]:
     plugins = found.plugins()
     problems: list[str] = []
     with Progress(len(plugins), "plugins", unit="plugins", quiet=not sys.stderr.isatty()) as progress:
-        for number, plugin in enumerate(plugins):
-            problems += [f"{plugin}: {each}" for each in (plugin.conflicts if quick else problems_of(plugin))]
+        for number, (plugin, wrong) in enumerate(problems_of(plugins, quick=quick)):
+            problems += [f"{plugin}: {each}" for each in wrong]
             progress.advance(number + 1)
     broken = [
         f"{plugin} failed at stage '{plugin.failure.stage}': {plugin.failure.error}"
@@ -171,17 +172,30 @@ def status_of(record: ToolSpec, timeout_s: float = 30.0) -> tuple[Any, str | Non
         return None, f"it did not answer within {timeout_s:g} s"
 
 
-def problems_of(plugin: Plugin, timeout_s: float = TIMEOUT_S) -> list[str]:
-    """Return one line for each thing that is wrong with a plugin that loads; all it points to is imported for that.
+def problems_of(
+    plugins: Iterable[Plugin], timeout_s: float = TIMEOUT_S, *, quick: bool = False
+) -> Iterator[tuple[Plugin, list[str]]]:
+    """Yield each plugin with one line for each thing that is wrong with it, though it loads.
 
     Args:
-        plugin: What is tried, in an interpreter of its own.
-        timeout_s: Seconds that this may take.
+        plugins: What is tried, each in an interpreter of its own, as many at once as there are processors.
+        timeout_s: Seconds that the import of one entry point may take.
+        quick: Whether to import nothing, and tell of conflicts only.
     """
-    if plugin.failure is not None or plugin.disabled or plugin.is_core:
-        return plugin.conflicts
-    seen = imported(plugin.entry_point, timeout_s)
-    return [*plugin.conflicts, *([seen.failure] if seen.failure else seen.problems)]
+    stop = threading.Event()
+
+    def tried(plugin: Plugin) -> tuple[Plugin, list[str]]:
+        if quick or plugin.failure is not None or plugin.disabled or plugin.is_core:
+            return plugin, plugin.conflicts
+        seen = imported(plugin.entry_point, timeout_s, stop)
+        return plugin, [*plugin.conflicts, *([seen.failure] if seen.failure else seen.problems)]
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        try:
+            yield from pool.map(tried, plugins)
+        finally:  # where that is interrupted, nobody waits for the others
+            stop.set()
+            pool.shutdown(cancel_futures=True)
 
 
 def _load_quietly() -> list[str]:

@@ -35,7 +35,7 @@ line of what cannot be imported.
     default=TIMEOUT_S,
     show_default=True,
     metavar="SECONDS",
-    help="How long the imports of one plugin may take, with --check.",
+    help="How long the import of one entry point may take, with --check.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON list.")
 @click.pass_context
@@ -43,8 +43,7 @@ def command(ctx: click.Context, name: str | None, check: bool, timeout_s: float,
     """List the installed plugins, what each offers and how long it took to load."""
     plugins = registry().plugins() if name is None else registry().plugins_named(name)
     found: list[dict[str, Any]] = []
-    for plugin in plugins:
-        problems = problems_of(plugin, timeout_s) if check else plugin.conflicts
+    for plugin, problems in problems_of(plugins, timeout_s, quick=not check):
         found.append({**described(plugin), "problems": problems})
         if not as_json:
             _print(plugin, problems, with_traceback=check)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import faulthandler
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -26,8 +29,8 @@ from gem_core.requirements import unmet
 from gem_core.specs import CommandSpec, EnvSpec, NamedSpec, ToolSpec, WrapperSpec
 from gem_core.testing.places import place_of, shown_place
 
-TIMEOUT_S = 120.0
-"""How long the imports of one plugin may take, all together, by default."""
+TIMEOUT_S = 60.0
+"""How long the import of one entry point may take by default."""
 
 
 @dataclass
@@ -38,8 +41,8 @@ class Imported:
         failure: Why it could not be loaded, or None.
         packages: Top-level packages that declaring imported, beside the standard library and the core.
         printed: What declaring and importing wrote to standard output.
-        records: Of each record the ``name``, the ``summary``, the ``place`` (file and line where it is made) and the
-            ``error``, which is empty where its entry point can be used.
+        records: Of each record the ``name``, the ``module`` of its entry point, the ``summary``, the ``place`` (file
+            and line where it is made) and the ``error``, which is empty where its entry point can be used.
     """
 
     failure: str | None = None
@@ -60,42 +63,64 @@ class Imported:
         ]
 
 
-def imported(point: EntryPoint, timeout_s: float = TIMEOUT_S) -> Imported:
+def imported(point: EntryPoint, timeout_s: float = TIMEOUT_S, stop: threading.Event | None = None) -> Imported:
     """Load one plugin, without the others, and import every entry point that its records name.
 
-    An entry point that ends or hangs its interpreter is named, and those behind it are tried in another.
+    A module that ends or hangs its interpreter is named, and the others are tried in another.
 
     Args:
         point: The plugin.
-        timeout_s: Seconds for all of it.
+        timeout_s: Seconds that each import may take.
+        stop: Ends the imports when it is set.
     """
-    deadline = time.monotonic() + timeout_s
     seen: Imported | None = None
-    tried = 0
-    while seen is None or tried < len(seen.records):
-        if seen is not None and time.monotonic() >= deadline:
-            for record in seen.records[tried:]:
-                record["error"] = (
-                    f"{record['place']}: not tried, since the imports before it took more than {timeout_s:g} s"
-                )
-            break
-        ended, printed, said = _run(point, tried, deadline)
-        if not said:
-            return Imported(f"while it was loaded, {ended}", printed=printed)
-        loaded, *errors = said
-        seen = seen or Imported(**loaded, printed=printed)
-        for error in errors:
-            seen.records[tried]["error"] = error
-            tried += 1
-        if tried < len(seen.records):
-            record = seen.records[tried]
-            record["error"] = f"{record['place']}: while its entry point was imported, {ended}"
-            tried += 1
+    tried: list[int] = []
+    stop = stop or threading.Event()
+    while seen is None or (len(tried) < len(seen.records) and not stop.is_set()):
+        run = _run(point, tried, timeout_s, stop)
+        if not run.said:
+            return Imported(f"while it was loaded, {run.ended}", printed=run.printed)
+        loaded, *errors = run.said
+        seen = seen or Imported(**loaded, printed=run.printed)
+        for number, error in errors:
+            seen.records[number]["error"] = error
+            tried.append(number)
+        untried = [number for number in range(len(seen.records)) if number not in tried]
+        if untried:
+            first = seen.records[untried[0]]
+            place = run.place_in(first["module"]) or first["place"]
+            for number in untried:  # what else is in that module has the same fate
+                if seen.records[number]["module"] == first["module"]:
+                    seen.records[number]["error"] = f"{place}: while its entry point was imported, {run.ended}"
+                    tried.append(number)
     return seen
 
 
-def _run(point: EntryPoint, first: int, deadline: float) -> tuple[str, str, list[Any]]:
-    """Run an interpreter to its end, or to the deadline; return how it ended, what it printed, and what it said."""
+@dataclass
+class _Run:
+    """What one interpreter did.
+
+    Args:
+        ended: How it ended, in words.
+        printed: What it wrote to standard output.
+        complained: What it wrote to standard error.
+        said: What it reported: what it loaded, then of each record its number and what is wrong.
+    """
+
+    ended: str
+    printed: str
+    complained: str
+    said: list[Any]
+
+    def place_in(self, module: str) -> str:
+        """Return file and line where a module's package stood when the interpreter was ended, or crashed."""
+        package = re.escape(module.partition(".")[0])
+        stood = re.search(rf'File "(.*/{package}(?:/.*|\.py))", line (\d+) in ', self.complained)
+        return shown_place(stood[1], int(stood[2])) if stood else ""
+
+
+def _run(point: EntryPoint, tried: list[int], timeout_s: float, stop: threading.Event) -> _Run:
+    """Run an interpreter until it has imported all but what was tried, or an import takes too long."""
     own = _distribution(point)
     others = [other for other in entry_points(group=ENTRY_POINT_GROUP) if other != point]
     disabled = {name for other in others for name in (other.name, _distribution(other))} - {point.name, own}
@@ -106,7 +131,7 @@ def _run(point: EntryPoint, first: int, deadline: float) -> tuple[str, str, list
     }
     with tempfile.TemporaryDirectory(prefix="gem-check-") as folder:
         printed, complained, said = (Path(folder) / name for name in ("printed", "complained", "said"))
-        asked = {"name": point.name, "distribution": own, "first": first, "path": sys.path, "said": str(said)}
+        asked = {"name": point.name, "distribution": own, "tried": tried, "path": sys.path, "said": str(said)}
         said.touch()
         with printed.open("wb") as out, complained.open("wb") as err:
             # Files and not pipes, and a session of its own: what it starts may outlive it.
@@ -119,21 +144,38 @@ def _run(point: EntryPoint, first: int, deadline: float) -> tuple[str, str, list
                 start_new_session=True,
             )
             try:
-                code = process.wait(max(0.0, deadline - time.monotonic()))
-                ended = f"the interpreter ended with exit code {code}"
-            except subprocess.TimeoutExpired:
-                ended = "it took too long"
+                code = _wait(process, said, timeout_s, stop)
             finally:
                 with suppress(ProcessLookupError):
                     os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
-        last = complained.read_text(errors="replace").strip().splitlines()[-1:]
-        lines = said.read_text().splitlines(keepends=True)
-        return (
-            ended + (f": {last[0][:200]}" if last else ""),
+        complaint = complained.read_text(errors="replace")
+        lines = complaint.strip().splitlines()
+        last = next((line for line in lines if line.startswith("Fatal Python error: ")), lines[-1] if lines else "")
+        ended = f"the interpreter ended with exit code {code}" + (f": {last[:200]}" if last else "")
+        return _Run(
+            "it took too long" if code is None else ended,
             printed.read_text(errors="replace"),
-            [json.loads(line) for line in lines if line.endswith("\n")],
+            complaint,
+            [json.loads(line) for line in said.read_text().splitlines(keepends=True) if line.endswith("\n")],
         )
+
+
+def _wait(process: subprocess.Popen[bytes], said: Path, timeout_s: float, stop: threading.Event) -> int | None:
+    """Wait until a process ends, and return its exit code; None where it reported nothing for too long."""
+    size, deadline = -1, 0.0
+    while not stop.is_set():
+        if said.stat().st_size != size:
+            size, deadline = said.stat().st_size, time.monotonic() + timeout_s
+        try:
+            return process.wait(0.1)
+        except subprocess.TimeoutExpired:
+            if time.monotonic() >= deadline:
+                break
+    process.send_signal(signal.SIGUSR1)  # it writes where it stands, and ends
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(1.0)
+    return None
 
 
 def _distribution(point: EntryPoint) -> str:
@@ -145,6 +187,8 @@ def _distribution(point: EntryPoint) -> str:
 
 def _report() -> None:
     """Load the plugin that was asked for, then import its entry points one by one; say each thing once it is known."""
+    faulthandler.enable()
+    faulthandler.register(signal.SIGUSR1, chain=True)
     asked = json.loads(sys.argv[1])
     sys.path[:] = asked["path"]
     import pluggy  # noqa: F401 - what the loader itself needs is no import of the plugin's
@@ -164,14 +208,22 @@ def _report() -> None:
         "failure": None if plugin.failure is None else plugin.failure.error,
         "packages": sorted(name for name in packages if not name.startswith("__editable__")),
         "records": [
-            {"name": _name(record), "summary": record.summary, "place": places.get(id(record), ""), "error": ""}
+            {
+                "name": _name(record),
+                "module": _module(record),
+                "summary": record.summary,
+                "place": places.get(id(record), ""),
+                "error": "",
+            }
             for record in plugin.records
         ],
     }
     with open(asked["said"], "a", encoding="utf-8") as file:
         print(json.dumps(loaded), file=file, flush=True)
-        for record in plugin.records[asked["first"] :]:
-            print(json.dumps(_error_of(record, places.get(id(record), ""))), file=file, flush=True)
+        for number, record in enumerate(plugin.records):
+            if number not in asked["tried"]:
+                said = [number, _error_of(record, places.get(id(record), ""))]
+                print(json.dumps(said), file=file, flush=True)
     sys.stdout.flush()
     os._exit(0)  # threads and exit handlers of what was imported are nobody's concern
 
@@ -228,10 +280,14 @@ def _error_of(record: Record, declared: str) -> str:
     return ""
 
 
-def _package(record: Record) -> str:
+def _module(record: Record) -> str:
     point = record.entry_point
     module = point if isinstance(point, str) else str(getattr(point, "__module__", ""))
-    return module.partition(":")[0].partition(".")[0]
+    return module.partition(":")[0]
+
+
+def _package(record: Record) -> str:
+    return _module(record).partition(".")[0]
 
 
 def _check_kind(record: Record, maker: Any) -> None:
