@@ -17,7 +17,7 @@ from gem_core.cli.new_plugin import KINDS, names_of, render, write
 from gem_core.errors import ArgumentError
 
 ROOT = Path(__file__).parent.parent
-CHOICES = [*([kind] for kind in KINDS), ["tool", "wrapper"], list(KINDS)]
+CHOICES = [list(KINDS), *([kind] for kind in KINDS), ["tool", "wrapper"]]
 LONGEST = "a-plugin-of-the-longest-name-0"
 
 
@@ -68,9 +68,8 @@ def test_what_is_written_is_formatted_and_clean(kinds: list[str], name: str, tmp
         assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("kinds", CHOICES, ids=ids)
-@pytest.mark.few(1)
+@pytest.mark.few(1)  # the first, which has everything
 def test_generated_tests_pass(kinds: list[str], tmp_path: Path) -> None:
     """Installed, it is found, declares only, and keeps every promise that it is held to, without a warning."""
     folder = tmp_path / "gem-mine"

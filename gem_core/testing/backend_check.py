@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from typing import Any
 
 from gem_core.errors import ClosedError
@@ -18,6 +19,13 @@ FRAGILE = "check:Fragile-v0"
 _SLOTS = 3
 _ROUNDS = [["say 3", "hello", "say 7"], ["", "say 1", "say 1"], ["a", "b", "c"], ["say 5"] * 3]
 _BREAKING = ["hello", "break", "hello"]
+
+
+class _CtrlC(list[str]):
+    """Actions at whose reading a person presses Ctrl-C."""
+
+    def __iter__(self) -> Iterator[str]:
+        raise KeyboardInterrupt
 
 
 class FragileTask(SmallTask):
@@ -59,6 +67,10 @@ def check_backend(backend: str | tuple[str, Mapping[str, Any]]) -> list[str]:
         seen = f"{theirs!r:.300} and {ours!r:.300}"
         findings.expect("An environment that fails costs its own episode, and is replaced.", theirs == ours, seen)
         findings.attempt("It gives random actions, and says what stands in a slot.", lambda: _asked(vector))
+        findings.attempt("Ctrl-C in the middle of a call leaves it usable.", lambda: _interrupted(vector))
+        theirs, ours = _played(vector, _ROUNDS), _played(model, _ROUNDS)
+        seen = f"{theirs!r:.300} and {ours!r:.300}"
+        findings.expect("After Ctrl-C it begins anew, with what backend 'sync' gives.", theirs == ours, seen)
         vector.reset(seed=2)
         vector.send({0: "a", 2: "b"})
         received: list[int] = []
@@ -91,6 +103,11 @@ def _asked(vector: Any) -> None:
         action, described = vector.sample_random_action(slot), vector.describe(slot)
         if not action.startswith("say ") or described["id"] != FRAGILE:
             raise ValueError(f"slot {slot} answered {action!r} and {described!r}")
+
+
+def _interrupted(vector: Any) -> None:
+    with suppress(KeyboardInterrupt):
+        vector.step(_CtrlC(_BREAKING))
 
 
 def _closed(vector: Any) -> None:
