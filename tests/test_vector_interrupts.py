@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -131,3 +133,52 @@ def test_plan_goes_on_behind_an_interrupt() -> None:
         assert (len(seeds) >= 7, seeds[-1], seeds) == (True, 4, sorted(seeds)), place
         vector.close()
         line += 1
+
+
+class PlanInTwoParts:
+    """A plan of two items; whoever draws the second of the first run waits."""
+
+    def __init__(self) -> None:
+        self.runs = 0
+        self.drawing, self.go_on = threading.Event(), threading.Event()
+
+    def __iter__(self) -> Iterator[PlanItem]:
+        """Yield the items of one run."""
+        self.runs += 1
+        first_run = self.runs == 1
+        yield PlanItem(seed=1)
+        if first_run:
+            self.drawing.set()
+            self.go_on.wait()
+        yield PlanItem(seed=7 if first_run else 2)
+
+
+def test_reset_waits_for_a_thread_that_takes_an_answer() -> None:
+    """It has the answer already, and draws the next episode of a run that is left: nothing of that is seen."""
+    plan = PlanInTwoParts()
+    vector = gem.make_vec(THREAD, 1, backend="async", seed=1, plan=plan, length=1)
+    vector.reset()
+    vector.send(["a"])
+    plan.drawing.wait()
+    threading.Timer(0.05, plan.go_on.set).start()
+    assert vector.reset(seed=1)[1][0]["seed"] == 1
+    plan.go_on.wait()
+    assert vector.draw_of(0).seed == 1
+    assert vector.step(["b"]).infos[0]["seed"] == 2
+    vector.close()
+
+
+def test_interrupt_of_the_lock_of_an_event_leaves_it_usable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python's own code is interrupted too: what holds a lock of an event there holds it for ever."""
+
+    def enter(condition: Any) -> bool:
+        condition._lock.acquire()
+        raise KeyboardInterrupt
+
+    vector = gem.make_vec(INLINE, 2, backend="sync", seed=1, length=9)
+    expected = vector.reset()
+    with monkeypatch.context() as patched, suppress(KeyboardInterrupt):
+        patched.setattr(threading.Condition, "__enter__", enter)
+        vector.send(["a"] * 2)
+    assert vector.reset(seed=1) == expected
+    vector.close()

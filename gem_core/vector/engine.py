@@ -58,6 +58,9 @@ class Engine:
         self._lock = threading.RLock()
         self._tickets = [0] * len(ids)
         self._flying = [False] * len(ids)
+        # Answers that are being taken, perhaps in other threads: their slots are under way until that is over.
+        self._taking = 0
+        self._drained = False
         self._batches: dict[int, Batch] = {}
         self._turns_due = False
         self.sent: set[int] = set()
@@ -190,13 +193,22 @@ class Engine:
                     if self._claim(index, ticket):
                         self.slots[index].result = error
                         self._settle(index)
+                        self._taken()
 
     def _claim(self, slot: int, ticket: int) -> bool:
         with self._lock:
             if not self._flying[slot] or self._tickets[slot] != ticket:
                 return False
             self._flying[slot] = False
+            self._taking += 1
             return True
+
+    def _taken(self) -> None:
+        """Note that what was claimed has been dealt with."""
+        with self._lock:
+            self._taking -= 1
+            if self._drained and not self._taking:
+                self.signal.set()
 
     # Batches: the slots that one call waits for, and their turns.
 
@@ -293,9 +305,12 @@ class Engine:
                     continue
                 self._tickets[index] += 1
             later: dict[Host, list[Launch]] = {}
-            self._run(slot, partial(_abandoned, slot, host), later)
-            self._start(later)
-            self._give_turns()
+            try:
+                self._run(slot, partial(_abandoned, slot, host), later)
+                self._start(later)
+                self._give_turns()
+            finally:
+                self._taken()
         return host.next_check(now)
 
     def take_done(self) -> list[int]:
@@ -341,10 +356,12 @@ class Engine:
 
     def draining(self, *, blocking: bool = True) -> Iterator[float]:
         """Yield in how many seconds to look again, until nothing is under way; then drop what came of it."""
-        for seconds in self.until(lambda: not any(self._flying), blocking=blocking):
+        self._drained = True
+        for seconds in self.until(lambda: not self._taking and not any(self._flying), blocking=blocking):
             yield 0.05 if seconds is None else min(seconds, 0.05)
         with self._lock:
             self.sent, self.done, self._batches = set(), [], {}
+            self._drained = False
 
     # What hosts tell; see ``host.Listener``.
 
@@ -354,11 +371,14 @@ class Engine:
             return None
         current = self.slots[slot]
         later: dict[Host, list[Launch]] = {}
-        self._run(current, partial(current.took, outcome), later)
-        # What goes on in the same place needs no detour.
-        here = later.pop(host, [])
-        self._start(later)
-        self._give_turns()
+        try:
+            self._run(current, partial(current.took, outcome), later)
+            # What goes on in the same place needs no detour.
+            here = later.pop(host, [])
+            self._start(later)
+            self._give_turns()
+        finally:
+            self._taken()
         return here[0] if here else None
 
     def is_current(self, slot: int, ticket: int) -> bool:
@@ -368,6 +388,7 @@ class Engine:
     def lose(self, host: Host, guilty: dict[int, Failure], others: list[int]) -> None:
         """Note that environments are gone; see ``host.Listener``."""
         later: dict[Host, list[Launch]] = {}
+        taken = 0
         for index, failure in [*guilty.items(), *((index, None) for index in others)]:
             slot = self.slots[index]
             if self.at[index] is not host:
@@ -379,8 +400,11 @@ class Engine:
                     slot.lost(None, under_way=False)
             if claimed:
                 self._run(slot, partial(slot.lost, failure, under_way=True), later)
+                taken += 1
         self._start(later)
         self._give_turns()
+        for _ in range(taken):
+            self._taken()
 
     def first_under_way(self, slots: list[int]) -> list[int]:
         """Return the first of some slots whose command is under way; see ``host.Listener``."""

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import asyncio
-import threading
+import queue
+from contextlib import suppress
 
 
 class Signal:
     """A flag that one waits for and that waiting takes down again; ``set`` may be called from any thread."""
 
     def __init__(self) -> None:
-        self._event = threading.Event()
+        # What an interrupt leaves usable at any instruction, which the lock of a threading.Event is not.
+        self._flag: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._waiting: dict[asyncio.Future[None], asyncio.AbstractEventLoop] = {}
 
     def set(self) -> None:
         """Wake whoever waits, or the next who does."""
-        self._event.set()
+        if self._flag.empty():
+            self._flag.put(None)
         for future, loop in list(self._waiting.items()):
             try:
                 loop.call_soon_threadsafe(_finish, future)
@@ -24,8 +27,8 @@ class Signal:
 
     def wait(self, timeout: float | None = None) -> None:
         """Wait in plain code, at most so many seconds."""
-        self._event.wait(timeout)
-        self._event.clear()
+        with suppress(queue.Empty):
+            self._flag.get(timeout=timeout)
 
     async def wait_async(self, timeout: float | None = None) -> None:
         """Wait in a coroutine, at most so many seconds, without blocking its loop."""
@@ -33,11 +36,12 @@ class Signal:
         future: asyncio.Future[None] = loop.create_future()
         self._waiting[future] = loop
         try:
-            if not self._event.is_set():
+            if self._flag.empty():
                 await asyncio.wait([future], timeout=timeout)
         finally:
             self._waiting.pop(future, None)
-        self._event.clear()
+        with suppress(queue.Empty):
+            self._flag.get_nowait()
 
 
 def _finish(future: asyncio.Future[None]) -> None:
