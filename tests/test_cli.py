@@ -15,6 +15,7 @@ import pytest
 from command_calls import subprocess_gem
 
 import gem_core as gem
+from gem_core.cli.layout import echo_line
 from gem_core.episodes import read_episodes
 from gem_core.registry import registry
 from gem_core.specs import ToolSpec
@@ -314,7 +315,11 @@ def test_a_table_keeps_id_success_and_errors_whole_in_any_width(tmp_path: Path, 
         "main()", f"import gem_core; gem_core.register({name!r}, 'toys:CountdownEnv'); main()"
     )
     command = [sys.executable, "-c", program, "run", COUNTDOWN, name, "-n", "2", "-s", "1", "-o", "a.jsonl"]
-    ran = table_in(in_terminal(command, tmp_path, columns))
+    output = in_terminal(command, tmp_path, columns)
+    closing = output[output.rindex("4 episodes in ") :].splitlines()
+    assert max(map(len, closing)) <= columns
+    assert " ".join(closing).endswith("(seed 1), written to a.jsonl")
+    ran = table_in(output)
     shown = table_in(in_terminal([sys.executable, "-m", "gem_core", "show", "a.jsonl"], tmp_path, columns))
     for table in (ran, shown):
         assert max(map(len, table)) <= columns
@@ -324,6 +329,23 @@ def test_a_table_keeps_id_success_and_errors_whole_in_any_width(tmp_path: Path, 
     assert "0.0% ± 16.7%" in text
     assert re.search(r"\berrors\b", text)
     assert "\n".join(shown).count("failure") == 4
+
+
+def test_an_error_is_broken_between_words_in_a_narrow_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    """And stands in one line where it is read by a program."""
+    message = "no plugin 'nope'. Installed: core, an-uninterrupted-name-of-40-characters-or-so, tools"
+    echo_line(f"gem: {message}", err=True)
+    assert capsys.readouterr().err == f"gem: {message}\n"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("COLUMNS", "40")
+        patch.setattr(sys.stderr, "isatty", lambda: True)
+        echo_line(f"gem: {message}", err=True)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [
+        "gem: no plugin 'nope'. Installed: core,",
+        "an-uninterrupted-name-of-40-characters-or-so,",
+        "tools",
+    ]
 
 
 def table_in(output: str) -> list[str]:

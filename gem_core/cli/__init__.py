@@ -139,8 +139,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def _complain(message: str) -> None:
-    line = " ".join(message.split())
-    click.echo(f"gem: {line}", err=True)
+    from gem_core.cli.layout import echo_line
+
+    echo_line(f"gem: {' '.join(message.split())}", err=True)
 
 
 def _click_message(error: click.ClickException, arguments: Sequence[str]) -> str:

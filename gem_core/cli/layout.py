@@ -7,6 +7,8 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
+import click
+
 _GAP = "  "
 
 Style = Callable[[str], str]
@@ -16,6 +18,15 @@ Style = Callable[[str], str]
 def output_width() -> int | None:
     """Return the width of standard output in characters; None where it is no terminal."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+
+
+def echo_line(text: str, *, err: bool = False) -> None:
+    """Write a line of our own; a terminal that is too narrow for it breaks it between words."""
+    if (sys.stderr if err else sys.stdout).isatty():
+        indent = " " * (len(text) - len(text.lstrip(" ")))
+        width = max(shutil.get_terminal_size().columns, len(indent) + 20)
+        text = textwrap.fill(text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    click.echo(text, err=err)
 
 
 def cut_at_word(text: str, width: int) -> str:

@@ -9,6 +9,7 @@ import click
 
 from gem_core.cli.completion import complete_plugins
 from gem_core.cli.diagnosis import described, listed, problems_of
+from gem_core.cli.layout import echo_line
 from gem_core.plugins import Plugin
 from gem_core.registry import registry
 from gem_core.testing.importing import TIMEOUT_S
@@ -59,12 +60,12 @@ def _print(plugin: Plugin, problems: list[str], *, with_traceback: bool) -> None
         click.echo(f"{head}  {click.style('disabled', fg='yellow')} by GEM_PLUGINS_DISABLE")
     elif plugin.failure is not None:
         click.echo(f"{head}  {click.style('broken', fg='red')} at stage '{plugin.failure.stage}'")
-        click.echo(f"    {plugin.failure.error}")
+        echo_line(f"    {plugin.failure.error}")
         if with_traceback:
             click.echo("".join(f"    {line}\n" for line in plugin.failure.traceback.splitlines()), nl=False)
     else:
         state = click.style("broken in part", fg="red") if problems else click.style("works", fg="green")
         click.echo(f"{head}  {state}, {plugin.load_time_s * 1000:.1f} ms")
-        click.echo(f"    {listed(plugin)}")
+        echo_line(f"    {listed(plugin)}")
     for problem in problems:
-        click.echo(f"    {problem}")
+        echo_line(f"    {problem}")

@@ -18,6 +18,7 @@ import click
 from gem_core.cli import INTERRUPTED
 from gem_core.cli.agent_options import agent_options, given
 from gem_core.cli.completion import complete_agents, complete_backends, complete_env_ids, complete_wrappers
+from gem_core.cli.layout import echo_line
 from gem_core.cli.list_command import matching
 from gem_core.cli.tool_options import tool_options, wrapper_stack
 from gem_core.errors import ArgumentError, EpisodeFileError
@@ -206,7 +207,7 @@ def command(
     else:
         print_table(summary, seconds)
         ran = f"{_counted(writer.count)} in {seconds:.1f} s (seed {vector.seed})"
-        click.echo(f"{ran}, {_where(path, None if resumed is None else before)}")
+        echo_line(f"{ran}, {_where(path, None if resumed is None else before)}")
     _tell_errors(summary)
     if stopped_by is not None:
         _stop(ctx, stopped_by, before + writer.count, len(plan), path, deaf)
@@ -251,7 +252,7 @@ def _refuse_beside_resume(given: dict[str, bool]) -> None:
 
 def _tell_errors(summary: RunSummary) -> None:
     if summary.first_error is not None:
-        click.echo(f"gem: {_counted(summary.total.errors)} had an error; the first: {summary.first_error}", err=True)
+        echo_line(f"gem: {_counted(summary.total.errors)} had an error; the first: {summary.first_error}", err=True)
 
 
 def _where(path: Path, already: int | None) -> str:
