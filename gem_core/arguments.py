@@ -80,6 +80,11 @@ def check_arguments(maker: Callable[..., Any], args: tuple[Any, ...], options: M
         wrong = [name for name in options if name not in names]
         hint = did_you_mean(wrong[0], names) if wrong else ""
         raise ArgumentError(f"{owner}: {error}.{hint} It accepts: {', '.join(names) or 'no arguments'}") from None
+    for name, value in options.items():
+        parameter = signature.parameters.get(name)
+        if isinstance(value, str) and parameter is not None and parameter.annotation in (bool, "bool"):
+            # Any text, "False" too, would be true without a word.
+            raise ArgumentError(f"{owner}: {name} must be True or False, not the text {value!r:.100}")
 
 
 def overridden(maker: Callable[..., Any], arguments: Arguments, overrides: Mapping[str, Any]) -> Arguments:

@@ -428,3 +428,15 @@ def test_first_use_loads_once_from_many_threads(
         thread.join()
     assert calls == [1]
     assert seen == [["word:Guess-v0"]] * 16
+
+
+@pytest.mark.parametrize("text", ["False", "no", ""])
+def test_text_for_a_bool_is_refused(text: str) -> None:
+    """Any text would be true without a word."""
+    row = {"question": "What?", "answer": "That"}
+    with pytest.raises(ArgumentError, match=f"drop_thinking must be True or False, not the text '{text}'"):
+        gem.make(
+            EnvSpec(id="word:Row-v0", entry_point=gem.DatasetEnv),
+            rows=[row],
+            wrappers=[("concat", {"drop_thinking": text})],
+        )

@@ -50,6 +50,7 @@ def agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
         ("vault,box:prefix=my_,count=2,vault", [("vault", {}), ("box", {"prefix": "my_", "count": 2}), ("vault", {})]),
         ("box:url=http://localhost:8000/x?a=b", [("box", {"url": "http://localhost:8000/x?a=b"})]),
         ('box:on=true,limit=null,rate=0.5,text="7"', [("box", {"on": True, "limit": None, "rate": 0.5, "text": "7"})]),
+        ("box:on=False,off=True,limit=None", [("box", {"on": False, "off": True, "limit": None})]),
         ("box:empty=", [("box", {"empty": ""})]),
         (
             'box:list=[1, [2]],text="a,b",more={"a": 1, "b": 2},vault',

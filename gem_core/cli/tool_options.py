@@ -21,6 +21,9 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 NO_LIMIT = "none"
 
+_PYTHON = {"True": True, "False": False, "None": None}
+"""Words that ``gem info`` shows where JSON writes others."""
+
 # Before the first colon of a name there is no equals sign, so that what has one goes on with the name before it.
 _NAME = re.compile(r"\s*([\w.-]+)\s*(?::(.*))?", re.ASCII | re.DOTALL)
 _OPTION = re.compile(r"\s*(\w+)\s*=(.*)", re.ASCII | re.DOTALL)
@@ -98,7 +101,8 @@ def options_again(tools: tuple[str, ...], max_tool_uses: int | str | None) -> li
 def parsed_choices(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
     """Return the tools or wrappers of one ``--tools`` or ``--wrappers``, each with its options.
 
-    A value of an option is JSON where it can be read as such, commas included, and text otherwise.
+    A value of an option is JSON where it can be read as such, commas included, or Python's True, False or None, and
+    text otherwise.
 
     Raises:
         ArgumentError: It is neither a list of names nor JSON.
@@ -149,6 +153,8 @@ def _from_json(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
 
 def _value(text: str, following: list[str]) -> Any:
     """Return the value of an option; a list, an object or a text in quotes takes what it needs of what follows."""
+    if text in _PYTHON:
+        return _PYTHON[text]
     most = len(following) if text.lstrip()[:1] in ("[", "{", '"') else 0
     for count in range(most + 1):
         try:
