@@ -22,7 +22,8 @@ def test_python_example_runs(code: str, tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=120
     )
-    assert done.stderr == ""
+    # Where nothing stronger than the level `process` works, one line says so.
+    assert [line for line in done.stderr.splitlines() if "weakest level" not in line] == []
     printed = done.stdout.splitlines()
     for line in code.splitlines():
         said = line.rpartition("  # ")[2]

@@ -21,7 +21,8 @@ def test_the_python_examples_run(mark: str, wanted: str) -> None:
     """And print what they say."""
     (code,) = [block for block in BLOCKS if mark in block]
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, timeout=120)
-    assert done.stderr == ""
+    # Where nothing stronger than the level `process` works, one line says so.
+    assert [line for line in done.stderr.splitlines() if "weakest level" not in line] == []
     assert wanted in done.stdout
     if "1.0" in code:
         assert done.stdout.endswith("\n1.0\n")

@@ -8,9 +8,9 @@ import contextlib
 import dataclasses
 import functools
 import json
+import logging
 import os
 import threading
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -34,6 +34,8 @@ _working: dict[tuple[str, str], int] = {}
 
 walled: dict[str, bool] = {}
 """Whether Landlock keeps code to its folder on the levels that have worked; those with namespaces do without."""
+
+logger = logging.getLogger("gem_tools")
 
 _warned: list[str] = []
 
@@ -201,10 +203,14 @@ def warn_of_process(chosen: Chosen) -> None:
         return
     _warned.append(chosen.level)
     reasons = "; ".join(f"{level}: {reason}" for level, reason in chosen.passed_over.items())
-    warnings.warn(
-        f"Python code of agents runs on the weakest level, {chosen.level!r} ({chosen.note}), for none that is stronger "
-        f"works here ({reasons}). Mend that, or name the level: sandbox={chosen.level!r}",
-        stacklevel=2,
+    # No Python warning: where those are errors, it would end a call.
+    logger.warning(
+        "gem: Python code of agents runs on the weakest level, %r (%s), for none that is stronger works here (%s). "
+        "Mend that, or name the level: sandbox=%r",
+        chosen.level,
+        chosen.note,
+        reasons,
+        chosen.level,
     )
 
 
