@@ -308,6 +308,7 @@ def test_progress_and_a_table_in_a_terminal(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("columns", [40, 60, 80, 100])
+@pytest.mark.few(2)
 def test_a_table_keeps_id_success_and_errors_whole_in_any_width(tmp_path: Path, columns: int) -> None:
     """Of a run, and of the list of its episodes; what matters least is left out, or follows below."""
     name = "toy:HasANameOf29Letters-v0-ab"

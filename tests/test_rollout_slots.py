@@ -208,25 +208,28 @@ def test_rollout_of_an_id_asks_an_asynchronous_agent_for_many_episodes_at_once()
     """As many as it may be asked, or as ``num_envs`` says; a plain agent one at a time."""
 
     class Counting:
-        def __init__(self) -> None:
+        def __init__(self, expected: int) -> None:
+            self.expected = expected
             self.open = self.most = 0
+            self.reached = asyncio.Event()
 
         async def __call__(self, observation: gem.Observation) -> str:
             self.open += 1
             self.most = max(self.most, self.open)
-            for _ in range(100):
-                await asyncio.sleep(0)
+            if self.open >= self.expected:
+                self.reached.set()
+            await asyncio.wait_for(self.reached.wait(), LONG_S)
             self.open -= 1
             return "a"
 
-    def most(**options: Any) -> int:
-        agent = Counting()
+    def most(expected: int, **options: Any) -> int:
+        agent = Counting(expected)
         list(gem.rollout(COUNTDOWN, agent, episodes=70, seed=1, **options))
         return agent.most
 
-    assert (most(), most(num_envs=3), most(max_requests=5)) == (64, 3, 5)
+    assert (most(64), most(3, num_envs=3), most(5, max_requests=5)) == (64, 3, 5)
     Counting.max_concurrency = 7  # type: ignore[attr-defined]
-    assert most() == 7
+    assert most(7) == 7
 
 
 def test_num_envs_is_for_ids() -> None:

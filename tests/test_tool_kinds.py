@@ -106,6 +106,7 @@ def test_schemas_are_the_callers_own() -> None:
     assert Notebook().schema()["function"]["parameters"]["properties"].keys() == {"line"}
 
 
+@pytest.mark.thorough
 def test_each_of_several_tools_is_checked(toolbox: Path) -> None:
     """By its name, or all."""
     assert "A call succeeds." in check_tool("box", {"lock": "north"}, name="look")

@@ -290,6 +290,7 @@ def is_gone(pid: int) -> bool:
 @pytest.mark.few(3)
 @pytest.mark.parametrize("driver", ["rollout", "rollout_async", "arollout", "send_and_recv"])
 @pytest.mark.parametrize("home", HOMES)
+@pytest.mark.few(2)
 def test_every_episode_is_accounted_for_exactly_once(home: str, driver: str) -> None:
     """Each is right to the letter, or marked with an error; and nothing is left behind."""
     until = time.monotonic() + SOAK_S / (4 * len(HOMES))

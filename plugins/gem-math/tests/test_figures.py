@@ -249,6 +249,7 @@ def test_images_go_through_every_backend(backend: str) -> None:
     assert [episode.success for episode in episodes] == [False, True] * 3
 
 
+@pytest.mark.thorough
 def test_a_run_writes_images_beside_it_and_reads_them_back(tmp_path: Path) -> None:
     """Each once, named by its hash; ``gem show`` and ``gem play`` tell where."""
     path = tmp_path / "run.jsonl"

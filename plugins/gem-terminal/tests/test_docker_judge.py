@@ -82,6 +82,7 @@ def test_the_attack_succeeds_where_nothing_prevents_it(machine: DockerMachine) -
     terminal.close()
 
 
+@pytest.mark.thorough
 def test_the_agents_root_cannot_become_a_user_and_look_into_that_users_verifier(machine: DockerMachine) -> None:
     """Whoever judges as another user than root has no capability that would keep those of the same user out."""
     become = "import os\nos.setgid(65534); os.setuid(65534)\n"

@@ -51,6 +51,7 @@ def refused(folder: Path) -> str:
     ],
     ids=["bomb", "merge", "itself", "deep", "deeper", "many", "keys", "large", "zero", "object"],
 )
+@pytest.mark.few(12)
 def test_hostile_yaml_is_refused(tmp_path: Path, file: str, text: str, problem: str) -> None:
     """Before anything is made of it."""
     folder = write(tmp_path / "t", TERMINAL_BENCH, {file: text})

@@ -45,7 +45,7 @@ def test_python_example_runs(code: str, tmp_path: Path) -> None:
 @pytest.mark.few(2)
 @needs_a_backend
 @pytest.mark.parametrize("command", sorted(set(COMMANDS)))
-@pytest.mark.few(1)
+@pytest.mark.thorough
 def test_command_runs(command: str, tmp_path: Path) -> None:
     """Typed into a shell, in an empty folder."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"

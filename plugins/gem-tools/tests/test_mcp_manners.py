@@ -105,6 +105,7 @@ def test_all_servers_that_cannot_be_used_are_named():
     assert make_mcp(json.loads(json.dumps({"mcpServers": servers})))
 
 
+@pytest.mark.thorough
 def test_what_a_server_said_stands_beside_a_list_that_does_not_come():
     way = bad("no-list", list_timeout_s=2)[1]
     with pytest.raises(ServerFault, match=r"does not tell what it offers: it did not .*I keep this to myself"):
