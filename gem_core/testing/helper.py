@@ -20,6 +20,7 @@ _START_S = 60.0
 """Limit for the interpreter to start; it imports what the checks import, and nothing else."""
 
 _MODULE = "gem_core.testing.other_process"
+_START = f"import json, sys; sys.path[:] = json.loads(sys.argv[1]); from {_MODULE} import main; main()"
 
 
 class HelperError(Exception):
@@ -155,7 +156,8 @@ def _start() -> subprocess.Popen[str]:
     # Strings hash differently there, so that what depends on the order of a set cannot stay unseen.
     environment["PYTHONHASHSEED"] = "2" if environment.get("PYTHONHASHSEED") == "1" else "1"
     return subprocess.Popen(
-        [sys.executable, "-m", _MODULE],
+        # With this process's own path, so that it imports the same gem_core whatever folder it is started in.
+        [sys.executable, "-c", _START, json.dumps([entry or os.getcwd() for entry in sys.path])],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
