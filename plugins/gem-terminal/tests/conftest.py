@@ -16,10 +16,12 @@ settings.load_profile("gem")
 
 REAL = (
     "test_docker_held_up",
+    "test_docker_judge",
     "test_docker_leftovers",
     "test_docker_machines",
     "test_docker_services",
     "test_local_endings",
+    "test_local_judge",
     "test_local_machine",
     "test_local_user",
     "test_sample_trials",
@@ -29,7 +31,7 @@ REAL = (
     "test_terminal_command",
     "test_terminal_real",
 )
-"""Files of tests on real machines that take long; ``test_docker_judge`` and ``test_local_judge`` are in every run."""
+"""Files of tests on real machines, which take long."""
 
 
 @pytest.fixture
