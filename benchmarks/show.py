@@ -35,7 +35,7 @@ def main() -> None:
 
 def generate(path: Path, size: int) -> int:
     """Write episodes of 10 turns, with sampled tokens, until the file has the size; return their number."""
-    from gem_core.episodes import Episode, EpisodeWriter, Transition
+    from gem_core.records.episode import Episode, EpisodeWriter, Transition
     from gem_core.types import Response
 
     count = written = 0

@@ -17,40 +17,40 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gem_core.dataset import DatasetEnv, Grade
-    from gem_core.env import AsyncEnv, Env
-    from gem_core.episodes import Episode, Transition, read_episodes, write_episodes
+    from gem_core.data.dataset import DatasetEnv, Grade
+    from gem_core.env.base import AsyncEnv, Env
+    from gem_core.env.wrapper import Wrapper
     from gem_core.errors import GemError
-    from gem_core.hookspecs import hookimpl
     from gem_core.parsing import extract_code_blocks, extract_last_boxed_answer, extract_last_tagged_answer
-    from gem_core.plans import PlanItem
-    from gem_core.registry import list_envs, make, make_vec, print_envs, register, spec
-    from gem_core.rollouts import arollout, rollout
-    from gem_core.specs import AgentSpec, CommandSpec, EnvSpec, ToolSpec, VectorBackendSpec, WrapperSpec
-    from gem_core.tool_env import ToolEnv
-    from gem_core.tools import Tool, ToolCall, ToolResult
+    from gem_core.records.episode import Episode, Transition, read_episodes, write_episodes
+    from gem_core.records.plans import PlanItem
+    from gem_core.registry.hookspecs import hookimpl
+    from gem_core.registry.lookup import list_envs, make, make_vec, print_envs, register, spec
+    from gem_core.registry.specs import AgentSpec, CommandSpec, EnvSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+    from gem_core.rollouts.drivers import arollout, rollout
+    from gem_core.tools.env import ToolEnv
+    from gem_core.tools.tool import Tool, ToolCall, ToolResult
     from gem_core.types import TERMINAL_STATE, Observation, Response
     from gem_core.vector.env import VectorEnv
-    from gem_core.wrapper import Wrapper
 
 __version__ = "0.1.0"
 
 _HOME = {
-    "dataset": ("DatasetEnv", "Grade"),
-    "env": ("AsyncEnv", "Env"),
-    "episodes": ("Episode", "Transition", "read_episodes", "write_episodes"),
+    "data.dataset": ("DatasetEnv", "Grade"),
+    "env.base": ("AsyncEnv", "Env"),
+    "records.episode": ("Episode", "Transition", "read_episodes", "write_episodes"),
     "errors": ("GemError",),
-    "hookspecs": ("hookimpl",),
+    "registry.hookspecs": ("hookimpl",),
     "parsing": ("extract_code_blocks", "extract_last_boxed_answer", "extract_last_tagged_answer"),
-    "plans": ("PlanItem",),
-    "registry": ("list_envs", "make", "make_vec", "print_envs", "register", "spec"),
-    "rollouts": ("arollout", "rollout"),
-    "specs": ("AgentSpec", "CommandSpec", "EnvSpec", "ToolSpec", "VectorBackendSpec", "WrapperSpec"),
-    "tool_env": ("ToolEnv",),
-    "tools": ("Tool", "ToolCall", "ToolResult"),
+    "records.plans": ("PlanItem",),
+    "registry.lookup": ("list_envs", "make", "make_vec", "print_envs", "register", "spec"),
+    "rollouts.drivers": ("arollout", "rollout"),
+    "registry.specs": ("AgentSpec", "CommandSpec", "EnvSpec", "ToolSpec", "VectorBackendSpec", "WrapperSpec"),
+    "tools.env": ("ToolEnv",),
+    "tools.tool": ("Tool", "ToolCall", "ToolResult"),
     "types": ("TERMINAL_STATE", "Observation", "Response"),
     "vector.env": ("VectorEnv",),
-    "wrapper": ("Wrapper",),
+    "env.wrapper": ("Wrapper",),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gem_core.hookspecs import hookimpl
-from gem_core.specs import AgentSpec, CommandSpec, VectorBackendSpec, WrapperSpec
+from gem_core.registry.hookspecs import hookimpl
+from gem_core.registry.specs import AgentSpec, CommandSpec, VectorBackendSpec, WrapperSpec
 
 
 @hookimpl
@@ -42,7 +42,7 @@ def gem_register_wrappers() -> Iterable[WrapperSpec]:
         ),
         WrapperSpec(
             name="tools",
-            entry_point="gem_core.tool_env:ToolEnv",
+            entry_point="gem_core.tools.env:ToolEnv",
             summary="Offer several tools, with rewards and limits.",
         ),
     ]

@@ -9,7 +9,7 @@ import pydantic
 from test_tool_calls import Recorder
 
 import gem_core as gem
-from gem_core.tool_env import ToolEnv
+from gem_core.tools.env import ToolEnv
 
 
 class Python(gem.Tool):

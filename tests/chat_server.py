@@ -11,10 +11,10 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from gem_core.agents.base import Context
 from gem_core.agents.openai import OpenAIAgent
 from gem_core.agents.retries import Clock
 from gem_core.background import run_sync
+from gem_core.rollouts.agent import Context
 from gem_core.types import Response
 
 MODEL = "toy-model"

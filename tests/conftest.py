@@ -15,10 +15,11 @@ from distributions import install
 from hypothesis import settings
 from in_terminal import InTerminal
 
-from gem_core import plugins, registry
 from gem_core.agents.openai import OpenAIAgent
 from gem_core.background import run_sync
 from gem_core.cli import main
+from gem_core.registry import lookup as registry
+from gem_core.registry import plugins
 
 toys.register_toys()
 vector_envs.register_vector_envs()

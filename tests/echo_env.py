@@ -7,8 +7,8 @@ from typing import Any
 
 import gem_core as gem
 from gem_core.background import background_loop
-from gem_core.env import AsyncEnv
-from gem_core.wrapper import Wrapper
+from gem_core.env.base import AsyncEnv
+from gem_core.env.wrapper import Wrapper
 
 TRACE: list[Any] = []
 """What the hooks of a test wrote, in order."""

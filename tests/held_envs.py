@@ -11,7 +11,7 @@ from typing import Any
 from toys import CountdownEnv
 
 import gem_core as gem
-from gem_core.env import AsyncEnv
+from gem_core.env.base import AsyncEnv
 from gem_core.types import ResetResult, StepResult
 
 LONG_S = 60

@@ -16,10 +16,10 @@ from held_envs import GATES, KINDS, LONG_S, register_held
 from toys import sampling_agent
 
 import gem_core as gem
-from gem_core.agents.base import Context
 from gem_core.background import background_loop
 from gem_core.errors import AgentError, ArgumentError, EnvFaultError, RequestError
-from gem_core.plans import PlanItem
+from gem_core.records.plans import PlanItem
+from gem_core.rollouts.agent import Context
 
 T = TypeVar("T")
 

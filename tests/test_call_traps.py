@@ -39,8 +39,8 @@ from test_call_formats import ONE_CALL
 from test_tool_calls import Recorder
 
 import gem_core as gem
-from gem_core.call_formats import FORMATS
-from gem_core.tool_env import ToolEnv
+from gem_core.tools.calls import FORMATS
+from gem_core.tools.env import ToolEnv
 
 PRINTED = [
     "print('</tool_call>')",

@@ -40,7 +40,7 @@ DANGLING = {
     "point 'gem_dangling_env:MathEnv.Easy'",
     "dangling:Number-v0": "gem_dangling.py:25: its entry point: 'gem_dangling_env:LIMIT' is a int, which cannot be "
     "called",
-    "dangling:NoEnv-v0": "gem_dangling.py:25: 'gem_dangling_env:Helper' does not derive from gymnasium.core.Env",
+    "dangling:NoEnv-v0": "gem_dangling.py:25: 'gem_dangling_env:Helper' does not derive from gymnasium.Env",
     "dangling:MissingImport-v0": "gem_dangling_import.py:4: its entry point: 'gem_dangling_import' needs the module "
     "'gem_not_installed_anywhere', which is not installed; try 'pip install gem-not-installed-anywhere'",
     "dangling:Deeper-v0": "gem_dangling_deeper.py:3: its entry point: importing 'gem_dangling_deeper' failed: "
@@ -58,7 +58,7 @@ DANGLING = {
     "dangling:UnmetTypo-v0": f"gem_dangling.py:29: {MAT_ENV} Correct the entry point 'gem_dangling_env:MatEnv'",
     "tool dangling": "gem_dangling.py:36: its entry point: 'gem_dangling_env' has no 'Tool'. Did you mean "
     "'make_tool'? Correct the entry point 'gem_dangling_env:Tool'",
-    "tool dangling_class": "gem_dangling.py:37: 'gem_dangling_env:Helper' does not derive from gem_core.tools.Tool",
+    "tool dangling_class": "gem_dangling.py:37: 'gem_dangling_env:Helper' does not derive from gem_core.Tool",
     "tool dangling_status": "gem_dangling.py:38: its status: 'gem_dangling_env' has no 'stat'. Correct the entry point "
     "'gem_dangling_env:stat'",
     "command dangling": "gem_dangling.py:45: 'gem_dangling_env:make_tool' is a function, and no click.Command",

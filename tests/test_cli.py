@@ -16,9 +16,9 @@ from command_calls import subprocess_gem
 
 import gem_core as gem
 from gem_core.cli.layout import echo_line
-from gem_core.episodes import read_episodes
-from gem_core.registry import registry
-from gem_core.specs import ToolSpec
+from gem_core.records.episode import read_episodes
+from gem_core.registry.lookup import registry
+from gem_core.registry.specs import ToolSpec
 
 COUNTDOWN = "toy:Countdown-v0"
 

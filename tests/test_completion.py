@@ -12,11 +12,11 @@ import pytest
 from click.shell_completion import ShellComplete
 
 import gem_core as gem
-from gem_core import registry
 from gem_core.cli import cli
 from gem_core.errors import PluginError
-from gem_core.plugins import Plugin
-from gem_core.registry import Registry
+from gem_core.registry import lookup as registry
+from gem_core.registry.lookup import Registry
+from gem_core.registry.plugins import Plugin
 
 
 @pytest.fixture(autouse=True)

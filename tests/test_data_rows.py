@@ -24,10 +24,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gem_core as gem
-from gem_core import data_files, data_rows
-from gem_core.data_rows import load_rows
+from gem_core.data import files as data_files
+from gem_core.data import rows as data_rows
+from gem_core.data.rows import load_rows
 from gem_core.errors import ArgumentError, DatasetError, EntryPointError
-from gem_core.registry import Registry
+from gem_core.registry.lookup import Registry
 
 ROWS: list[dict[str, Any]] = [
     {"problem": f"{number} + 1 = ?", "answer": str(number + 1), "level": number % 3} for number in range(10)

@@ -13,9 +13,9 @@ import pytest
 from distributions import install, python
 
 import gem_core as gem
-from gem_core import requirements
 from gem_core.cli import diagnosis
-from gem_core.registry import Registry
+from gem_core.registry import requirements
+from gem_core.registry.lookup import Registry
 
 if TYPE_CHECKING:
     import subprocess

@@ -14,9 +14,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from gem_core.episodes import Episode, EpisodeFileWarning, EpisodeWriter, Transition, read_episodes, write_episodes
 from gem_core.errors import EpisodeFileError
-from gem_core.jsonable import ImageFolder, to_plain
+from gem_core.records.episode import (
+    Episode,
+    EpisodeFileWarning,
+    EpisodeWriter,
+    Transition,
+    read_episodes,
+    write_episodes,
+)
+from gem_core.records.plain_json import ImageFolder, to_plain
 from gem_core.types import Response
 
 ANY_TEXT = st.text(st.characters(codec=None, categories=None), max_size=30)

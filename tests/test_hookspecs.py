@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from gem_core import hookspecs
-from gem_core.plugins import RECORD_TYPES
+from gem_core.registry import hookspecs
+from gem_core.registry.plugins import RECORD_TYPES
 
 
 def test_every_hook_is_known_to_the_loader() -> None:

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from gem_core.env import Env
-from gem_core.seeding import Draws, start_generator
+from gem_core.env.base import Env
+from gem_core.env.seeding import Draws, start_generator
 
 
 class Dice(Env):

@@ -20,7 +20,7 @@ HEAVY = [
 
 LIST_EVERYTHING = """
 from gem_core import AgentSpec, CommandSpec, ToolSpec, VectorBackendSpec, WrapperSpec, list_envs
-from gem_core.registry import registry
+from gem_core.registry.lookup import registry
 list_envs()
 for kind in (AgentSpec, CommandSpec, ToolSpec, VectorBackendSpec, WrapperSpec):
     registry().named(kind)

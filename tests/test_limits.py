@@ -8,8 +8,8 @@ import pytest
 from echo_env import TRACE, EchoEnv, ShortCut
 
 import gem_core as gem
-from gem_core import registry
 from gem_core.errors import ArgumentError, ResetNeededError
+from gem_core.registry import lookup as registry
 from gem_core.wrappers.episode_stats import EpisodeStats
 from gem_core.wrappers.turn_limit import TurnLimit
 

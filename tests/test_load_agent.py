@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from chat_server import context
 
-from gem_core.agents.base import load_agent
 from gem_core.errors import AgentError, ArgumentError, UnknownAgentError
+from gem_core.rollouts.agent import load_agent
 
 MODULE = """
 class Mine:

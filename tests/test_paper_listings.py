@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 
 import gem_core as gem
-from gem_core import TERMINAL_STATE, Env, extract_last_boxed_answer, make, plugins, register, registry
+from gem_core import TERMINAL_STATE, Env, extract_last_boxed_answer, make, register
+from gem_core.registry import lookup as registry
+from gem_core.registry import plugins
 
 
 def test_interaction_loop_runs() -> None:

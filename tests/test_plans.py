@@ -12,9 +12,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gem_core.env.seeding import SEED_LIMIT
 from gem_core.errors import ArgumentError
-from gem_core.plans import Draw, DrawSource, PlanItem, count_plan, cover_plan, group_plan, interleaved, mixture_plan
-from gem_core.seeding import SEED_LIMIT
+from gem_core.records.plans import (
+    Draw,
+    DrawSource,
+    PlanItem,
+    count_plan,
+    cover_plan,
+    group_plan,
+    interleaved,
+    mixture_plan,
+)
 
 
 def drawn(source: DrawSource, slots: int = 1) -> list[Draw]:

@@ -12,11 +12,12 @@ from distributions import install, python
 from word_env import WordEnv, message
 
 import gem_core as gem
-from gem_core import plugins, registry
-from gem_core.agents.base import load_agent
 from gem_core.cli import cli
 from gem_core.errors import RegistrationError
-from gem_core.specs import AgentSpec, CommandSpec, EnvSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+from gem_core.registry import lookup as registry
+from gem_core.registry import plugins
+from gem_core.registry.specs import AgentSpec, CommandSpec, EnvSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+from gem_core.rollouts.agent import load_agent
 
 
 def entry_point(name: str) -> EntryPoint:
@@ -128,8 +129,8 @@ def test_names_of_the_core_stay_the_core_s(sites: dict[str, Path]) -> None:
     """Wrapper, agent, backend and command are still the core's own; the plugin is told, and its own tool is there."""
     code = (
         "import gem_core as gem\n"
-        "from gem_core.agents.base import load_agent\n"
-        "from gem_core.registry import registry\n"
+        "from gem_core.rollouts.agent import load_agent\n"
+        "from gem_core.registry.lookup import registry\n"
         "gem.register('t:One-v0', gem.DatasetEnv, rows=[{'question': 'What?', 'answer': 'That'}])\n"
         "vector = gem.make_vec('t:One-v0', 1, backend='sync', wrappers='latest')\n"
         "print(vector.reset(seed=1)[0], type(load_agent('random')).__name__, registry().tool('own_tool').name)\n"

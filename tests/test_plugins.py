@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from distributions import FIXTURES, install, python
 
-from gem_core import plugins
+from gem_core.registry import plugins
 
 REPORT = """
 import json, sys
-from gem_core.registry import PUBLISHED_NAMESPACES, registry
+from gem_core.registry.lookup import PUBLISHED_NAMESPACES, registry
 PUBLISHED_NAMESPACES["absent"] = "gem-absent"  # all of this project's may be installed
 plugins = {}
 for plugin in registry().plugins():
@@ -65,12 +65,12 @@ BROKEN = {
     "misspelt": (
         "hooks",
         "RegistrationError: no hook is called 'gem_register_env'. Did you mean 'gem_register_envs', "
-        "'gem_register_agents' or 'gem_register_tools'? See gem_core/hookspecs.py",
+        "'gem_register_agents' or 'gem_register_tools'? See gem_core/registry/hookspecs.py",
     ),
     "misspelt_unmarked": (
         "hooks",
         "RegistrationError: 'gem_register_env' looks like a hook, but no hook is called so. Did you mean "
-        "'gem_register_envs', 'gem_register_agents' or 'gem_register_tools'? See gem_core/hookspecs.py",
+        "'gem_register_envs', 'gem_register_agents' or 'gem_register_tools'? See gem_core/registry/hookspecs.py",
     ),
     "unmarked": (
         "hooks",

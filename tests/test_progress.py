@@ -15,7 +15,7 @@ from toys import sampling_agent
 
 import gem_core as gem
 from gem_core import progress
-from gem_core.plans import PlanItem
+from gem_core.records.plans import PlanItem
 
 COUNTDOWN = "toy:Countdown-v0"
 

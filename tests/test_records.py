@@ -8,8 +8,9 @@ import pytest
 from word_env import WordEnv
 
 import gem_core as gem
-from gem_core import errors, registry
-from gem_core.specs import EnvSpec
+from gem_core import errors
+from gem_core.registry import lookup as registry
+from gem_core.registry.specs import EnvSpec
 
 pytestmark = pytest.mark.usefixtures("own_registry")
 

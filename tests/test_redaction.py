@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gem_core.episodes import Episode
-from gem_core.redaction import without_secrets
+from gem_core.records.episode import Episode
+from gem_core.records.redaction import without_secrets
 
 PLAIN = st.recursive(
     st.none() | st.booleans() | st.integers() | st.text(max_size=20),

@@ -10,9 +10,10 @@ import pytest
 from word_env import PlainEnv, WordEnv, message
 
 import gem_core as gem
-from gem_core import plugins, registry
 from gem_core.errors import ArgumentError, EntryPointError, MissingRequirementError, RegistrationError, UnknownEnvError
-from gem_core.specs import EnvSpec, WrapperSpec
+from gem_core.registry import lookup as registry
+from gem_core.registry import plugins
+from gem_core.registry.specs import EnvSpec, WrapperSpec
 
 if TYPE_CHECKING:
     from pathlib import Path

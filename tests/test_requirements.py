@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from gem_core.requirements import unmet
+from gem_core.registry.requirements import unmet
 
 if TYPE_CHECKING:
     from pathlib import Path

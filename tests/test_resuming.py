@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from toys import sampling_agent
 
 import gem_core as gem
-from gem_core.agents.base import Context
-from gem_core.episodes import EpisodeFileWarning, EpisodeWriter, read_episodes, write_episodes
 from gem_core.errors import ArgumentError, EpisodeFileError, RequestError
-from gem_core.plans import PlanItem, group_plan
+from gem_core.records.episode import EpisodeFileWarning, EpisodeWriter, read_episodes, write_episodes
+from gem_core.records.plans import PlanItem, group_plan
+from gem_core.rollouts.agent import Context
 
 COUNTDOWN = "toy:Countdown-v0"
 SUMS = "toy:Sums-v0"

@@ -13,9 +13,9 @@ from held_envs import BEGUN, GATES, KINDS, LONG_S, register_held
 from toys import CountdownEnv, sampling_agent
 
 import gem_core as gem
-from gem_core.agents.base import Context
 from gem_core.errors import ArgumentError, EnvFaultError, FaultBudgetError, RequestError, SamplingNotSupported
-from gem_core.plans import PlanItem
+from gem_core.records.plans import PlanItem
+from gem_core.rollouts.agent import Context
 
 COUNTDOWN = "toy:Countdown-v0"
 ECHO = "toy:Echo-v0"

@@ -15,8 +15,6 @@ from hypothesis import strategies as st
 from toys import CountdownEnv, Notebook, sampling_agent
 
 import gem_core as gem
-from gem_core.agents.base import Context, as_agent, close_agent, load_agent
-from gem_core.episodes import read_episodes, write_episodes
 from gem_core.errors import (
     AgentError,
     ArgumentError,
@@ -25,8 +23,10 @@ from gem_core.errors import (
     RequestError,
     UnknownAgentError,
 )
-from gem_core.plans import PlanItem, group_plan
-from gem_core.tool_env import ToolEnv
+from gem_core.records.episode import read_episodes, write_episodes
+from gem_core.records.plans import PlanItem, group_plan
+from gem_core.rollouts.agent import Context, as_agent, close_agent, load_agent
+from gem_core.tools.env import ToolEnv
 
 COUNTDOWN = "toy:Countdown-v0"
 SUMS = "toy:Sums-v0"

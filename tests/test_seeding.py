@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gem_core.errors import ArgumentError, StateError
-from gem_core.seeding import (
+from gem_core.env.seeding import (
     SEED_LIMIT,
     Draws,
     checked_seed,
@@ -22,6 +21,7 @@ from gem_core.seeding import (
     stable_hash,
     start_generator,
 )
+from gem_core.errors import ArgumentError, StateError
 
 PARTS = st.lists(st.none() | st.integers() | st.text(st.characters(), max_size=8), max_size=4).map(tuple)
 

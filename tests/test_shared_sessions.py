@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import gem_core as gem
-from gem_core.dataset import DatasetEnv
-from gem_core.tool_env import ToolEnv
+from gem_core.data.dataset import DatasetEnv
+from gem_core.tools.env import ToolEnv
 
 
 class Counting(gem.Tool):

@@ -19,9 +19,9 @@ from recorded import HOSTILE, hostile, maze, turn, write_all
 from gem_core.cli import main
 from gem_core.cli.viewing.html import MOST_TEXT, PageWriter, inert_json
 from gem_core.cli.viewing.terminal import escaped
-from gem_core.episodes import Episode, write_episodes
 from gem_core.errors import ArgumentError
-from gem_core.jsonable import ImageFolder
+from gem_core.records.episode import Episode, write_episodes
+from gem_core.records.plain_json import ImageFolder
 
 ANY_TEXT = st.text(st.characters(codec=None, categories=None), max_size=60)
 

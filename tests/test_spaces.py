@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from gymnasium.vector.utils import batch_space
 
-from gem_core.spaces import Content, Messages, Text
+from gem_core.env.spaces import Content, Messages, Text
 
 SPACES = [Text, Content, Messages]
 IMAGE = {"type": "image", "image": object()}

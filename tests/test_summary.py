@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from gem_core.episodes import Episode, Transition
-from gem_core.summary import RunSummary
+from gem_core.records.episode import Episode, Transition
+from gem_core.records.summary import RunSummary
 from gem_core.types import Response
 
 

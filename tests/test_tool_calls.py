@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from toys import Calculator, EchoEnv
 
 import gem_core as gem
-from gem_core.tool_calls import WELL_KNOWN
-from gem_core.tool_env import ToolEnv
+from gem_core.tools.calls.reading import WELL_KNOWN
+from gem_core.tools.env import ToolEnv
 
 
 class Lookup(gem.Tool):

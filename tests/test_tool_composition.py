@@ -10,9 +10,9 @@ import pytest
 from toys import AsyncNotebook, Calculator, EchoEnv, Notebook
 
 import gem_core as gem
-from gem_core.episodes import EpisodeWriter, read_episodes
 from gem_core.errors import ArgumentError, StateError
-from gem_core.tool_env import ToolEnv
+from gem_core.records.episode import EpisodeWriter, read_episodes
+from gem_core.tools.env import ToolEnv
 
 
 def layers(env: Any) -> list[str]:

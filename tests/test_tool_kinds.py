@@ -11,9 +11,9 @@ from toys import EchoEnv, Notebook
 
 import gem_core as gem
 from gem_core.errors import ArgumentError
-from gem_core.registry import registry
+from gem_core.registry.lookup import registry
 from gem_core.testing import CheckError, check_tool
-from gem_core.tool_env import ToolEnv
+from gem_core.tools.env import ToolEnv
 
 
 def json_call(name: str, **arguments: Any) -> str:

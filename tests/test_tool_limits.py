@@ -11,9 +11,9 @@ import pytest
 from toys import AsyncNotebook, Calculator, CountdownEnv, EchoEnv, Notebook
 
 import gem_core as gem
-from gem_core import tool_sessions
 from gem_core.errors import ArgumentError
-from gem_core.tool_env import ToolEnv
+from gem_core.tools import sessions as tool_sessions
+from gem_core.tools.env import ToolEnv
 
 LIMIT_S = 0.05
 PATIENCE_S = 30.0

@@ -12,9 +12,9 @@ import pytest
 
 import gem_core as gem
 from gem_core.cli.tool_options import parsed_choices, wrapper_stack
-from gem_core.episodes import read_episodes
 from gem_core.errors import ArgumentError, UnknownToolError
-from gem_core.registry import registry
+from gem_core.records.episode import read_episodes
+from gem_core.registry.lookup import registry
 
 if TYPE_CHECKING:
     from command_calls import RunGem

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from gem_core.parsing import extract_code_blocks
-from gem_core.tool_env import ToolEnv
+from gem_core.tools.env import ToolEnv
 
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "tools.md").read_text(encoding="utf-8")

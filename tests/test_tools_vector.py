@@ -12,7 +12,7 @@ import pytest
 from distributions import python
 
 import gem_core as gem
-from gem_core.tools import Tool
+from gem_core.tools.tool import Tool
 
 TESTS = Path(__file__).parent
 

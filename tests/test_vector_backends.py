@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from vector_envs import ASYNC, INLINE, KINDS, PROCESS, THREAD, Turns
 
 import gem_core as gem
-from gem_core.plans import PlanItem
-from gem_core.registry import registry
+from gem_core.records.plans import PlanItem
+from gem_core.registry.lookup import registry
 from gem_core.vector.actions import VectorStep
 
 BACKENDS = ["async", ("process", {"workers": 2}), "auto"]

@@ -24,10 +24,10 @@ import vector_envs
 from vector_envs import ASYNC, INLINE, KINDS, LUCKY, LUCKY_THREAD, PROCESS, THREAD
 
 import gem_core as gem
-from gem_core.agents.base import Context
 from gem_core.background import background_loop
 from gem_core.errors import EnvFaultError
-from gem_core.plans import PlanItem
+from gem_core.records.plans import PlanItem
+from gem_core.rollouts.agent import Context
 
 SOAK_S = float(os.environ.get("GEM_CHAOS_S", "0"))
 FIRST_SEED = int(os.environ.get("GEM_CHAOS_SEED", "1"))

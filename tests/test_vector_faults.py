@@ -13,7 +13,7 @@ from vector_envs import ASYNC, INLINE, LUCKY, MISSING, PROCESS, THREAD
 
 import gem_core as gem
 from gem_core.errors import ArgumentError, EntryPointError, EnvFaultError, FaultBudgetError, ResetNeededError
-from gem_core.plans import PlanItem
+from gem_core.records.plans import PlanItem
 from gem_core.vector import local
 
 HOMES = [(INLINE, "sync"), (INLINE, "async"), (THREAD, "async"), (ASYNC, "async"), (INLINE, "process")]

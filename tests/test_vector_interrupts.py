@@ -14,7 +14,7 @@ import pytest
 from vector_envs import ASYNC, INLINE, THREAD
 
 import gem_core as gem
-from gem_core.plans import PlanItem
+from gem_core.records.plans import PlanItem
 from gem_core.vector.env import VectorEnv
 
 FOLDER = str(Path(gem.__file__).parent / "vector")

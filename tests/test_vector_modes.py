@@ -17,7 +17,7 @@ from vector_envs import ASYNC, INLINE, KINDS, PROCESS, THREAD, Turns
 import gem_core as gem
 from gem_core.background import run_sync
 from gem_core.errors import ArgumentError, BridgeError, ResetNeededError
-from gem_core.plans import PlanItem
+from gem_core.records.plans import PlanItem
 
 BACKENDS = ["sync", "async", "process", "auto"]
 MODES = ["same_step", "next_step", "disabled"]

@@ -21,7 +21,7 @@ import vector_envs
 from vector_envs import IMAGES, INLINE, LUCKY, PROCESS, THREAD
 
 import gem_core as gem
-from gem_core.plans import PlanItem
+from gem_core.records.plans import PlanItem
 from gem_core.vector.worker import SharedTimes
 
 TESTS = str(Path(__file__).parent)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from toys import CountdownEnv, EchoEnv
 
 import gem_core as gem
+from gem_core.env.wrapper import Guard
 from gem_core.errors import ArgumentError, StateNotSupported
-from gem_core.wrapper import Guard
 from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView, Turn, joined, without_thinking
 
 VIEWS = [Latest, Concat, ConcatWithAction]

@@ -18,10 +18,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gem_core as gem
-from gem_core import registry
 from gem_core.background import background_loop
+from gem_core.env.wrapper import Guard, Wrapper, concurrency_of, step_async
 from gem_core.errors import BridgeError, ResetNeededError, StateError, StateNotSupported
-from gem_core.wrapper import Guard, Wrapper, concurrency_of, step_async
+from gem_core.registry import lookup as registry
 from gem_core.wrappers.episode_stats import EpisodeStats
 from gem_core.wrappers.turn_limit import TurnLimit
 
@@ -410,7 +410,7 @@ EXIT = """
 import asyncio, threading
 import gem_core as gem
 from gem_core.background import background_loop
-from gem_core.wrapper import Guard
+from gem_core.env.wrapper import Guard
 
 class Hung(gem.Env):
     concurrency = "thread"

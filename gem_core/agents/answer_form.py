@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from gem_core.parsing import extract_code_blocks, extract_last_boxed_answer
-from gem_core.tools import CALL_OPEN
+from gem_core.tools.tool import CALL_OPEN
 
 _BOX = "\\boxed{"
 _MARKS = ("\\boxed", "<answer>", "</answer>")

@@ -14,8 +14,8 @@ import weakref
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from gem_core.jsonable import image_name
 from gem_core.nesting import is_deep
+from gem_core.records.plain_json import image_name
 from gem_core.types import Observation, Response
 
 _PNG_MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I;16")

@@ -10,7 +10,6 @@ import urllib.parse
 from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
-from gem_core.agents.base import Context
 from gem_core.agents.chat_client import ChatClient, ServerFault, check_installed
 from gem_core.agents.chat_format import has_images, messages_from
 from gem_core.background import in_thread, on_library_loop
@@ -22,6 +21,7 @@ from gem_core.errors import (
     RequestError,
     UnknownModelError,
 )
+from gem_core.rollouts.agent import Context
 from gem_core.suggestions import did_you_mean
 from gem_core.types import Observation, Response
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gem_core.agents.base import Context
+from gem_core.rollouts.agent import Context
 from gem_core.types import Observation
 
 

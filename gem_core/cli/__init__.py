@@ -13,7 +13,7 @@ from gem_core import __version__
 from gem_core._plugin import gem_add_commands
 from gem_core.cli.said_today import said_once
 from gem_core.errors import GemError
-from gem_core.specs import CommandSpec
+from gem_core.registry.specs import CommandSpec
 from gem_core.suggestions import did_you_mean
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class _Commands(click.Group):
         return [record.name for record in _all_commands()]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        from gem_core.entry_points import load_entry_point
+        from gem_core.registry.entry_points import load_entry_point
 
         record = _OWN.get(cmd_name) or _of_plugins(cmd_name)
         if record is None:
@@ -157,14 +157,14 @@ def _click_message(error: click.ClickException, arguments: Sequence[str]) -> str
 
 
 def _of_plugins(name: str) -> CommandSpec | None:
-    from gem_core.registry import registry
+    from gem_core.registry.lookup import registry
 
     registry().refuse_contested("command", name)
     return next((record for record in registry().named(CommandSpec) if record.name == name), None)
 
 
 def _all_commands() -> list[CommandSpec]:
-    from gem_core.registry import registry
+    from gem_core.registry.lookup import registry
 
     return [*_OWN.values(), *(record for record in registry().named(CommandSpec) if record.name not in _OWN)]
 

@@ -19,7 +19,7 @@ from click.shell_completion import (
 if TYPE_CHECKING:
     import click
 
-    from gem_core.registry import Registry
+    from gem_core.registry.lookup import Registry
 
 SHELLS = ("bash", "zsh", "fish")
 
@@ -37,7 +37,7 @@ def complete_env_ids(ctx: click.Context, param: click.Parameter, incomplete: str
 
 def complete_agents(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
     """Return the agents whose names begin so."""
-    from gem_core.specs import AgentSpec
+    from gem_core.registry.specs import AgentSpec
 
     with _quiet_registry() as found:
         return _items(incomplete, ((record.name, record.summary) for record in found.named(AgentSpec)))
@@ -46,7 +46,7 @@ def complete_agents(ctx: click.Context, param: click.Parameter, incomplete: str)
 
 def complete_backends(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
     """Return the backends of vector environments whose names begin so."""
-    from gem_core.specs import VectorBackendSpec
+    from gem_core.registry.specs import VectorBackendSpec
 
     with _quiet_registry() as found:
         return _items(incomplete, ((record.name, record.summary) for record in found.named(VectorBackendSpec)))
@@ -55,7 +55,7 @@ def complete_backends(ctx: click.Context, param: click.Parameter, incomplete: st
 
 def complete_wrappers(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
     """Return the wrappers and tools that fit behind the last comma."""
-    from gem_core.specs import ToolSpec, WrapperSpec
+    from gem_core.registry.specs import ToolSpec, WrapperSpec
 
     before, comma, begun = incomplete.rpartition(",")
     with _quiet_registry() as found:
@@ -67,7 +67,7 @@ def complete_wrappers(ctx: click.Context, param: click.Parameter, incomplete: st
 
 def complete_tools(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
     """Return the tools that fit behind the last comma."""
-    from gem_core.specs import ToolSpec
+    from gem_core.registry.specs import ToolSpec
 
     before, comma, begun = incomplete.rpartition(",")
     with _quiet_registry() as found:
@@ -104,7 +104,7 @@ def _items(incomplete: str, named: Iterable[tuple[str, str]]) -> list[Completion
 def _quiet_registry() -> Iterator[Registry]:
     """Give the registry without a word on the terminal, where somebody is just typing."""
     from gem_core.errors import GemError
-    from gem_core.registry import registry
+    from gem_core.registry.lookup import registry
 
     logger = logging.getLogger("gem_core")
     was = logger.disabled

@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Any
 
 from gem_core import __version__
-from gem_core.plugins import Plugin
 from gem_core.progress import Progress
-from gem_core.registry import Registry, registry
-from gem_core.requirements import SERVICES, find, installed_version, which_gem
-from gem_core.specs import EnvSpec, ToolSpec
+from gem_core.registry.lookup import Registry, registry
+from gem_core.registry.plugins import Plugin
+from gem_core.registry.requirements import SERVICES, find, installed_version, which_gem
+from gem_core.registry.specs import EnvSpec, ToolSpec
 from gem_core.testing.importing import TIMEOUT_S, imported
 
 PACKAGES = ("gymnasium", "numpy", "pydantic", "pluggy", "click", "rich")
@@ -147,7 +147,7 @@ def status_of(record: ToolSpec, timeout_s: float = 30.0) -> tuple[Any, str | Non
         record: Of the tool.
         timeout_s: Seconds after which an answer is no longer waited for.
     """
-    from gem_core.entry_points import load_entry_point
+    from gem_core.registry.entry_points import load_entry_point
 
     entry_point = record.status
     if entry_point is None:
@@ -200,7 +200,7 @@ def problems_of(
 
 def _load_quietly() -> list[str]:
     """Load the plugins and return what was logged, but for the failures: a report shows those in full."""
-    logger = logging.getLogger("gem_core.plugins")
+    logger = logging.getLogger("gem_core.registry.plugins")
     notes: list[str] = []
 
     def keep(record: logging.LogRecord) -> bool:

@@ -10,9 +10,9 @@ from gem_core.cli.completion import complete_ids_and_names
 from gem_core.cli.list_command import described
 from gem_core.cli.tool_info import all_about, find_named, option_lines, own_documentation, print_field, print_named
 from gem_core.errors import GemError
-from gem_core.registry import registry
-from gem_core.requirements import unmet
-from gem_core.specs import EnvSpec
+from gem_core.registry.lookup import registry
+from gem_core.registry.requirements import unmet
+from gem_core.registry.specs import EnvSpec
 
 
 @click.command(
@@ -70,8 +70,8 @@ def _lines(record: EnvSpec, facts: dict[str, object]) -> list[tuple[str, str]]:
 
 
 def _print_class(record: EnvSpec) -> None:
-    from gem_core.entry_points import load_entry_point
-    from gem_core.registry import make
+    from gem_core.registry.entry_points import load_entry_point
+    from gem_core.registry.lookup import make
 
     maker = load_entry_point(record.entry_point, f"environment {record.id!r}")
     print_field("accepts", option_lines(maker) or "no arguments")

@@ -12,9 +12,9 @@ from gem_core.cli.completion import complete_env_ids
 from gem_core.cli.layout import cut_at_word, output_width
 from gem_core.cli.tool_info import KINDS
 from gem_core.errors import UnknownEnvError
-from gem_core.plugins import Plugin, Record
-from gem_core.registry import registry
-from gem_core.specs import EnvSpec
+from gem_core.registry.lookup import registry
+from gem_core.registry.plugins import Plugin, Record
+from gem_core.registry.specs import EnvSpec
 from gem_core.suggestions import did_you_mean
 
 

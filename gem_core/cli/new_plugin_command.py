@@ -54,7 +54,7 @@ def command(name: str, kinds: tuple[str, ...], into: Path | None, license_name: 
 
 
 def _refuse_taken(name: str, distribution: str) -> None:
-    from gem_core.registry import registry
+    from gem_core.registry.lookup import registry
 
     for plugin in registry().plugins():
         if name == plugin.name or distribution == plugin.distribution:

@@ -15,12 +15,12 @@ from gem_core.cli.play_view import PlayView, in_one_line
 from gem_core.cli.run_command import free_path
 from gem_core.cli.terminal import EndOfInput, Terminal
 from gem_core.cli.tool_options import options_again, tool_options, wrapper_stack
-from gem_core.episodes import Episode, EpisodeWriter
+from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, NotSupportedError
-from gem_core.jsonable import ImageFolder
-from gem_core.registry import make, registry
+from gem_core.records.episode import Episode, EpisodeWriter
+from gem_core.records.plain_json import ImageFolder
+from gem_core.registry.lookup import make, registry
 from gem_core.suggestions import did_you_mean
-from gem_core.wrapper import AnyEnv
 
 _COMMANDS = ("help", "undo", "random", "restart", "next", "quit")
 

@@ -8,18 +8,18 @@ from itertools import count
 from typing import TYPE_CHECKING, Any, cast
 
 from gem_core.agents.answer_form import AnswerForm
-from gem_core.env import Env
-from gem_core.episode_loop import new_episode
-from gem_core.episodes import Episode, Transition
+from gem_core.env.base import Env
+from gem_core.env.results import checked_result
+from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, NotSupportedError, SamplingNotSupported, StateNotSupported
-from gem_core.plans import Draw, DrawSource, PlanItem
-from gem_core.results import checked_result
+from gem_core.records.episode import Episode, Transition
+from gem_core.records.plans import Draw, DrawSource, PlanItem
+from gem_core.rollouts.loop import new_episode
 from gem_core.types import Info, Observation, Response
-from gem_core.wrapper import AnyEnv, Wrapper
 from gem_core.wrappers.views import told_apart
 
 if TYPE_CHECKING:
-    from gem_core.making import MadeSpec
+    from gem_core.making.environment import MadeSpec
 
 
 class PlaySession:

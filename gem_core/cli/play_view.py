@@ -10,9 +10,9 @@ import click
 from gem_core.agents.answer_form import AnswerForm
 from gem_core.cli.play_session import PlaySession
 from gem_core.cli.terminal import BLOCK, Terminal, observation_text, printable
-from gem_core.episodes import Episode, Transition
 from gem_core.errors import SamplingNotSupported
-from gem_core.jsonable import ImageFolder
+from gem_core.records.episode import Episode, Transition
+from gem_core.records.plain_json import ImageFolder
 from gem_core.types import TERMINAL_STATE, Info, Observation
 from gem_core.wrappers.views import told_apart
 

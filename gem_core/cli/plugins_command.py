@@ -10,8 +10,8 @@ import click
 from gem_core.cli.completion import complete_plugins
 from gem_core.cli.diagnosis import described, listed, problems_of
 from gem_core.cli.layout import echo_line
-from gem_core.plugins import Plugin
-from gem_core.registry import registry
+from gem_core.registry.lookup import registry
+from gem_core.registry.plugins import Plugin
 from gem_core.testing.importing import TIMEOUT_S
 
 

@@ -8,7 +8,7 @@ from functools import partial
 import click
 
 from gem_core.cli.layout import Layout, Style, output_width
-from gem_core.summary import EnvSummary, RunSummary
+from gem_core.records.summary import EnvSummary, RunSummary
 
 _HEADERS = (
     "environment", "episodes", "judged", "success", "mean return", "mean turns", "out of turns", "out of tokens",

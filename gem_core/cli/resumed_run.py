@@ -11,11 +11,11 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from gem_core.episodes import EpisodeLine, episode_lines
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.plans import DrawSource
-from gem_core.resuming import Done
-from gem_core.summary import RunSummary
+from gem_core.records.episode import EpisodeLine, episode_lines
+from gem_core.records.plans import DrawSource
+from gem_core.records.summary import RunSummary
+from gem_core.rollouts.resume import Done
 
 _REPLACED = {"seed", "out", "overwrite", "resume"}
 """Options of the first time that ``--resume`` stands for."""

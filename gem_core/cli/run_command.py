@@ -22,13 +22,13 @@ from gem_core.cli.layout import echo_line
 from gem_core.cli.list_command import matching
 from gem_core.cli.tool_options import tool_options, wrapper_stack
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.registry import make_vec, registry
-from gem_core.requirements import unmet
-from gem_core.specs import EnvSpec
+from gem_core.registry.lookup import make_vec, registry
+from gem_core.registry.requirements import unmet
+from gem_core.registry.specs import EnvSpec
 
 if TYPE_CHECKING:
-    from gem_core.agents.base import Agent
-    from gem_core.summary import RunSummary
+    from gem_core.records.summary import RunSummary
+    from gem_core.rollouts.agent import Agent
 
 _DEFAULT_SLOTS = 8
 
@@ -151,13 +151,13 @@ def command(
     Wilson's.
     """
     # Imported here, so that help and the completion of options need not wait for them.
-    from gem_core.agents.base import current_folder_importable, load_agent
     from gem_core.cli.report import print_table, status_of
     from gem_core.cli.resumed_run import ResumedRun
-    from gem_core.episodes import EpisodeWriter
     from gem_core.progress import Progress
-    from gem_core.rollouts import default_plan, rollout
-    from gem_core.summary import RunSummary
+    from gem_core.records.episode import EpisodeWriter
+    from gem_core.records.summary import RunSummary
+    from gem_core.rollouts.agent import current_folder_importable, load_agent
+    from gem_core.rollouts.drivers import default_plan, rollout
     from gem_core.vector.setup import new_source
 
     if resume is not None:
@@ -269,7 +269,7 @@ def _counted(episodes: int) -> str:
 @contextmanager
 def _ready(agent: Agent) -> Iterator[None]:
     """Let an agent say at the start what would fail later, before environments are made; and close it at the end."""
-    from gem_core.agents.base import close_agent, prepare_agent
+    from gem_core.rollouts.agent import close_agent, prepare_agent
 
     prepare_agent(agent)
     try:

@@ -17,7 +17,7 @@ from pathlib import Path
 @contextmanager
 def said_once(command: str) -> Iterator[None]:
     """Keep back what was said of plugins today already, by the same command in the same environment of Python."""
-    logger = logging.getLogger("gem_core.plugins")
+    logger = logging.getLogger("gem_core.registry.plugins")
 
     def is_new(record: logging.LogRecord) -> bool:
         said = f"{command}\n{sys.prefix}\n{record.getMessage()}"

@@ -18,7 +18,7 @@ from gem_core.cli.viewing.index import Entry, EpisodeFile
 from gem_core.cli.viewing.pages import episode_lines, list_lines
 from gem_core.cli.viewing.terminal import Paint, in_terminal, one_line, wants_colours
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.jsonable import ImageFolder, to_plain
+from gem_core.records.plain_json import ImageFolder, to_plain
 
 _HTML_LIMIT = 500
 _SILENT_S = 2.0

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import click
 
-from gem_core.jsonable import ImageFolder
+from gem_core.records.plain_json import ImageFolder
 from gem_core.types import Observation
 
 BLOCK = '"""'

@@ -11,10 +11,10 @@ import click
 
 from gem_core.arguments import signature_of
 from gem_core.cli.layout import output_width
-from gem_core.entry_points import load_entry_point
 from gem_core.errors import GemError
-from gem_core.registry import registry
-from gem_core.specs import AgentSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+from gem_core.registry.entry_points import load_entry_point
+from gem_core.registry.lookup import registry
+from gem_core.registry.specs import AgentSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
 
 KINDS: dict[str, type[NamedSpec]] = {
     "tools": ToolSpec,
@@ -59,7 +59,7 @@ def all_about(record: NamedSpec) -> dict[str, Any]:
     facts["documentation"] = own_documentation(maker)
     if isinstance(record, ToolSpec):
         from gem_core.cli.diagnosis import status_of
-        from gem_core.tool_choices import tools_by_name
+        from gem_core.tools.selection import tools_by_name
 
         status, broken = status_of(record)
         facts |= {"schemas": [], "instructions": [], "status": status, "problem": broken}

@@ -11,11 +11,11 @@ import click
 
 from gem_core.cli.completion import complete_tools
 from gem_core.errors import ArgumentError
-from gem_core.registry import registry
-from gem_core.specs import ToolSpec, WrapperSpec
+from gem_core.registry.lookup import registry
+from gem_core.registry.specs import ToolSpec, WrapperSpec
 
 if TYPE_CHECKING:
-    from gem_core.making import WrapperChoice
+    from gem_core.making.environment import WrapperChoice
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 

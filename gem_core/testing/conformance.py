@@ -6,16 +6,16 @@ import warnings
 from collections.abc import Iterator, Mapping
 from itertools import islice
 
-from gem_core.env import Env
+from gem_core.env.base import Env
+from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, GemError
-from gem_core.specs import EnvSpec
+from gem_core.registry.specs import EnvSpec
 from gem_core.suggestions import did_you_mean
 from gem_core.testing import promises_actions, promises_interface, promises_randomness, promises_state
 from gem_core.testing.contract import PROMISES, ContractError, NotTriedError, Promise, Report
 from gem_core.testing.global_random import preserved
 from gem_core.testing.subject import Limits, Subject
 from gem_core.testing.watch import TookTooLongError
-from gem_core.wrapper import AnyEnv
 
 __all__ = ["PROMISE_MODULES", "check_env"]
 

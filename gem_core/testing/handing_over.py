@@ -13,14 +13,14 @@ from typing import Any, cast
 
 import gymnasium
 
-from gem_core.entry_points import load_entry_point
-from gem_core.env import Env
-from gem_core.making import make_from, wrap
-from gem_core.registry import registry
-from gem_core.specs import EnvSpec
+from gem_core.env.base import Env
+from gem_core.env.wrapper import AnyEnv, Guard, Wrapper
+from gem_core.making.environment import make_from, wrap
+from gem_core.registry.entry_points import load_entry_point
+from gem_core.registry.lookup import registry
+from gem_core.registry.specs import EnvSpec
 from gem_core.testing.comparing import json_loss, shown
 from gem_core.testing.contract import NotTriedError
-from gem_core.wrapper import AnyEnv, Guard, Wrapper
 
 
 def layers_of(env: AnyEnv) -> list[AnyEnv]:

@@ -19,14 +19,14 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
-from gem_core import specs
 from gem_core.arguments import check_arguments
-from gem_core.entry_points import load_entry_point
 from gem_core.errors import GemError, RegistrationError
-from gem_core.hookspecs import ENTRY_POINT_GROUP
-from gem_core.plugins import Record, one_line
-from gem_core.requirements import unmet
-from gem_core.specs import CommandSpec, EnvSpec, NamedSpec, ToolSpec, WrapperSpec
+from gem_core.registry import specs
+from gem_core.registry.entry_points import load_entry_point
+from gem_core.registry.hookspecs import ENTRY_POINT_GROUP
+from gem_core.registry.plugins import Record, one_line
+from gem_core.registry.requirements import unmet
+from gem_core.registry.specs import CommandSpec, EnvSpec, NamedSpec, ToolSpec, WrapperSpec
 from gem_core.testing.places import place_of, shown_place
 
 TIMEOUT_S = 60.0
@@ -193,7 +193,7 @@ def _report() -> None:
     sys.path[:] = asked["path"]
     import pluggy  # noqa: F401 - what the loader itself needs is no import of the plugin's
 
-    from gem_core.registry import registry
+    from gem_core.registry.lookup import registry
 
     places = _noting_places()
     before = set(sys.modules)
@@ -300,7 +300,8 @@ def _check_kind(record: Record, maker: Any) -> None:
     elif isinstance(maker, type):
         base = _base_of(record)
         if base is not None and not issubclass(maker, base):
-            raise RegistrationError(f"{record.entry_point!r} does not derive from {base.__module__}.{base.__name__}")
+            package = base.__module__.partition(".")[0]
+            raise RegistrationError(f"{record.entry_point!r} does not derive from {package}.{base.__name__}")
 
 
 def _base_of(record: Record) -> type | None:
@@ -312,7 +313,7 @@ def _base_of(record: Record) -> type | None:
     if isinstance(record, WrapperSpec):
         return gymnasium.Wrapper
     if isinstance(record, ToolSpec):
-        from gem_core.tools import Tool
+        from gem_core.tools.tool import Tool
 
         return Tool
     return None

@@ -22,12 +22,12 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import IO, Any, cast
 
-from gem_core.env import Env
+from gem_core.env.base import Env
+from gem_core.env.wrapper import AnyEnv
 from gem_core.testing.comparing import play
 from gem_core.testing.contract import NotTriedError
 from gem_core.testing.handing_over import build, encoded
 from gem_core.testing.hostile import hostile_actions
-from gem_core.wrapper import AnyEnv
 
 _GRACE_S = 5.0
 """How long an environment may take to close once nobody listens any more."""

@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
 
 from gem_core.errors import UnknownPluginError
-from gem_core.hookspecs import ENTRY_POINT_GROUP
+from gem_core.registry.hookspecs import ENTRY_POINT_GROUP
 from gem_core.suggestions import did_you_mean
 from gem_core.testing.findings import Findings
 from gem_core.testing.importing import imported

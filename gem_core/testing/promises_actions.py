@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import SamplingNotSupported
 from gem_core.testing.comparing import first_difference, json_loss, shown
 from gem_core.testing.contract import NotTriedError, promise
@@ -12,7 +13,6 @@ from gem_core.testing.hostile import hostile_actions
 from gem_core.testing.promises_interface import problems_of
 from gem_core.testing.subject import Subject
 from gem_core.types import Response
-from gem_core.wrapper import AnyEnv
 
 
 @promise("override sample_random_action, and return text that the task understands in its present state.")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gem_core.env import observation_from
+from gem_core.env.base import observation_from
 from gem_core.errors import ResetNeededError
 from gem_core.testing.comparing import json_loss, mutable_parts, plain, shown
 from gem_core.testing.contract import promise
@@ -68,7 +68,7 @@ def _shape_problem(what: str, expected: int, result: Any) -> str:
 
 
 @promise(
-    "return an observation of the observation space (gem_core.spaces.Content() for content parts), a finite float, "
+    "return an observation of the observation space (gem_core.env.spaces.Content() for content parts), a finite float, "
     "two bools and a dictionary."
 )
 def types(subject: Subject) -> Iterator[str]:
@@ -94,7 +94,7 @@ def reset_signature(subject: Subject) -> Iterator[str]:
     subject.called("reset(seed=0, options={})", task.reset, seed=0, options={})
 
 
-@promise("give every instance spaces that are equal by value, such as gem_core.spaces.Text().")
+@promise("give every instance spaces that are equal by value, such as gem_core.env.spaces.Text().")
 def spaces(subject: Subject) -> Iterator[str]:
     """Two instances have equal spaces, and every string is an action."""
     one, other = subject.new(), subject.new()

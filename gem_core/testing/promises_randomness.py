@@ -9,13 +9,13 @@ from itertools import zip_longest
 from typing import Any
 
 from gem_core.background import run_sync
+from gem_core.env.wrapper import AnyEnv, reset_async, step_async
 from gem_core.errors import NotSupportedError
 from gem_core.testing.comparing import first_difference, play, shown
 from gem_core.testing.contract import NotTriedError, promise
 from gem_core.testing.global_random import changed, global_state, scramble
 from gem_core.testing.helper import HelperError
 from gem_core.testing.subject import Record, Script, Subject
-from gem_core.wrapper import AnyEnv, reset_async, step_async
 
 _FROM_NP_RANDOM = "draw only from self.np_random, and make everything of an episode anew in reset."
 

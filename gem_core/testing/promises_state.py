@@ -7,14 +7,14 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Any, cast
 
-from gem_core.env import Env
+from gem_core.env.base import Env
+from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import StateNotSupported
 from gem_core.testing.comparing import first_difference, json_loss, plain, shown
 from gem_core.testing.contract import NotTriedError, promise
 from gem_core.testing.handing_over import unchecked
 from gem_core.testing.helper import HelperError
 from gem_core.testing.subject import Record, Script, Subject
-from gem_core.wrapper import AnyEnv
 
 
 @promise("return copies of strings, numbers, lists and dictionaries with string keys from _get_state.")

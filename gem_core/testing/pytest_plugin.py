@@ -83,7 +83,7 @@ class _Collection:
 
 def _matching(patterns: list[str]) -> list[str]:
     from gem_core.errors import UnknownEnvError
-    from gem_core.registry import registry
+    from gem_core.registry.lookup import registry
     from gem_core.suggestions import did_you_mean
 
     found: dict[str, None] = {}

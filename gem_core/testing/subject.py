@@ -9,11 +9,12 @@ from typing import Any, cast
 
 import gymnasium
 
-from gem_core.env import Env
+from gem_core.env.base import Env
+from gem_core.env.seeding import stable_hash
+from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, StateNotSupported
-from gem_core.registry import make
-from gem_core.seeding import stable_hash
-from gem_core.specs import EnvSpec
+from gem_core.registry.lookup import make
+from gem_core.registry.specs import EnvSpec
 from gem_core.testing.comparing import play, shown
 from gem_core.testing.contract import NotTriedError
 from gem_core.testing.handing_over import guarded, layers_of, recipe_of, remade
@@ -21,7 +22,6 @@ from gem_core.testing.helper import other_process
 from gem_core.testing.hostile import hostile_actions
 from gem_core.testing.places import place_of
 from gem_core.testing.watch import Watch
-from gem_core.wrapper import AnyEnv, Wrapper
 
 Record = dict[str, Any]
 """What one reset or step gave, as plain data."""

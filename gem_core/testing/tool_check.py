@@ -7,12 +7,12 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from gem_core.dataset import DatasetEnv
+from gem_core.data.dataset import DatasetEnv
 from gem_core.errors import ArgumentError, StateNotSupported
 from gem_core.testing.findings import Findings
 from gem_core.testing.hostile import hostile_actions
-from gem_core.tool_env import ToolEnv
-from gem_core.tools import CALL_CLOSE, CALL_OPEN, Tool
+from gem_core.tools.env import ToolEnv
+from gem_core.tools.tool import CALL_CLOSE, CALL_OPEN, Tool
 
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _ROWS = ({"question": "What is 1 + 1?", "answer": "2"},)

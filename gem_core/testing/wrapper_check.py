@@ -7,12 +7,12 @@ import contextlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from gem_core.env import Env, observation_from
+from gem_core.env.base import Env, observation_from
+from gem_core.env.wrapper import AnyEnv, Wrapper, reset_async, step_async
 from gem_core.testing.conformance import check_env
 from gem_core.testing.contract import Report
 from gem_core.testing.findings import Findings
 from gem_core.types import ResetResult, StepResult
-from gem_core.wrapper import AnyEnv, Wrapper, reset_async, step_async
 
 _ACTIONS = ("say 3", "hello", "say 7")
 

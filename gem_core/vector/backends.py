@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
+from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError
 from gem_core.types import Concurrency
 from gem_core.vector.env import VectorEnv
 from gem_core.vector.host import Host
 from gem_core.vector.local import LocalHost, timeout_refused
 from gem_core.vector.setup import VectorSetup
-from gem_core.wrapper import AnyEnv
 
 
 def sync(setup: VectorSetup) -> VectorEnv:

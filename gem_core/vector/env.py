@@ -11,9 +11,10 @@ from typing import Any, Self, cast
 
 import numpy as np
 
+from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, BridgeError, ClosedError, EnvFaultError, NotSupportedError
-from gem_core.plans import Draw, DrawSource
-from gem_core.registry import registry
+from gem_core.records.plans import Draw, DrawSource
+from gem_core.registry.lookup import registry
 from gem_core.types import Info, Observation
 from gem_core.vector.actions import Actions, Received, VectorStep, checked_slot, indices_and_actions, masked_slots
 from gem_core.vector.call import Call
@@ -23,7 +24,6 @@ from gem_core.vector.host import Host
 from gem_core.vector.setup import VectorSetup
 from gem_core.vector.signal import Signal
 from gem_core.vector.slot import LIVE, Autoreset, OnError, Rules, Slot
-from gem_core.wrapper import AnyEnv
 
 
 class VectorEnv:

@@ -13,9 +13,9 @@ from typing import Any, cast
 import cloudpickle  # type: ignore[import-untyped]  # it has no types
 
 from gem_core.errors import ArgumentError, EnvFaultError, WorkerLostError
-from gem_core.making import makers_of
-from gem_core.registry import registry
-from gem_core.specs import EnvSpec
+from gem_core.making.environment import makers_of
+from gem_core.registry.lookup import registry
+from gem_core.registry.specs import EnvSpec
 from gem_core.vector.commands import Failure, Reset
 from gem_core.vector.host import Host, Launch, free
 from gem_core.vector.local import timeout_of

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from gem_core.entry_points import load_entry_point
+from gem_core.env.wrapper import AnyEnv, concurrency_of
 from gem_core.errors import ArgumentError
-from gem_core.making import Wrappers, check_choices, make_from, makers_of
-from gem_core.plans import DrawSource, PlanItem
-from gem_core.registry import registry
+from gem_core.making.environment import Wrappers, check_choices, make_from, makers_of
+from gem_core.records.plans import DrawSource, PlanItem
+from gem_core.registry.entry_points import load_entry_point
+from gem_core.registry.lookup import registry
 from gem_core.types import Concurrency
 from gem_core.vector.body import EnvFactory
 from gem_core.vector.slot import Autoreset, FaultBudget, OnError, Rules
-from gem_core.wrapper import AnyEnv, concurrency_of
 
 Entry = tuple[str, Mapping[str, Any]]
 """An id, and keyword arguments."""

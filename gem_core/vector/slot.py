@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, cast, get_args
 
 from gem_core.errors import ArgumentError, EnvFaultError, FaultBudgetError, ResetNeededError
-from gem_core.plans import Draw, DrawSource
+from gem_core.records.plans import Draw, DrawSource
 from gem_core.types import TERMINAL_STATE, Info, Observation, StepResult
 from gem_core.vector.commands import Command, Failure, Rebuild, Rebuilt, Reset
 

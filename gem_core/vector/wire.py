@@ -15,7 +15,7 @@ from typing import Any
 import cloudpickle  # type: ignore[import-untyped]  # it has no types
 
 from gem_core.errors import ArgumentError
-from gem_core.jsonable import to_plain
+from gem_core.records.plain_json import to_plain
 from gem_core.vector.commands import Failure
 
 Message = tuple[Any, ...]

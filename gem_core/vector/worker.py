@@ -14,15 +14,15 @@ from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from multiprocessing.connection import Connection
 from typing import Any, cast
 
-from gem_core.making import make_from
-from gem_core.registry import registry
-from gem_core.specs import EnvSpec
+from gem_core.env.wrapper import AnyEnv
+from gem_core.making.environment import make_from
+from gem_core.registry.lookup import registry
+from gem_core.registry.specs import EnvSpec
 from gem_core.types import Concurrency
 from gem_core.vector.commands import Command, Failure, Outcome, Rebuild, Reset
 from gem_core.vector.host import Host, Launch
 from gem_core.vector.local import LocalHost, answer, wrappers_of
 from gem_core.vector.wire import Message, Outbox, from_bytes
-from gem_core.wrapper import AnyEnv
 
 _CLOSING_S = 5.0
 """How long the environments of a worker may take to close once nobody needs them any more."""
@@ -151,7 +151,7 @@ class Worker:
 
     def _kind(self, env_id: str | None) -> Concurrency | None:
         """Return what a task asks for."""
-        from gem_core.entry_points import load_entry_point
+        from gem_core.registry.entry_points import load_entry_point
 
         if env_id is None:
             return None

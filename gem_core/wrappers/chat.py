@@ -5,12 +5,12 @@ from __future__ import annotations
 import importlib
 from typing import Any, ClassVar, cast
 
-from gem_core.conversation import Message, answer_messages, assistant_message, opening_messages
-from gem_core.env import observation_from
+from gem_core.env.base import observation_from
+from gem_core.env.spaces import Messages as MessagesSpace
+from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, StateNotSupported
-from gem_core.spaces import Messages as MessagesSpace
+from gem_core.records.conversation import Message, answer_messages, assistant_message, opening_messages
 from gem_core.types import Observation, ResetResult
-from gem_core.wrapper import AnyEnv
 from gem_core.wrappers.views import ObservationView, Turn
 
 _MARK = "GEM-BRIDGE-MARK"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from typing import Any
 
+from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.types import StepResult
-from gem_core.wrapper import AnyEnv, Wrapper
 
 
 class EpisodeStats(Wrapper):

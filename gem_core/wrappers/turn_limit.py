@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from gem_core.env.wrapper import AnyEnv, Wrapper, reset_needed
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
-from gem_core.wrapper import AnyEnv, Wrapper, reset_needed
 
 
 class TurnLimit(Wrapper):

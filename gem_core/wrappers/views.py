@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, ClassVar, Self
 
-from gem_core.env import as_parts, observation_from
+from gem_core.env.base import as_parts, observation_from
+from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, StateNotSupported
-from gem_core.jsonable import to_plain
+from gem_core.records.plain_json import to_plain
 from gem_core.types import Info, Observation, ResetResult, Response, StepResult
-from gem_core.wrapper import AnyEnv, Wrapper
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,9 +14,9 @@ from typing import Any, ClassVar
 
 from reference_envs import GoodEnv
 
+from gem_core.env.spaces import Text
+from gem_core.env.wrapper import Guard, Wrapper
 from gem_core.errors import ResetNeededError
-from gem_core.spaces import Text
-from gem_core.wrapper import Guard, Wrapper
 
 BROKEN: dict[Callable[[], Any], tuple[set[str], set[str]]] = {}
 """What makes each environment, the promises that it breaks, and those that it may break beside."""

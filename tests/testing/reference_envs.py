@@ -9,9 +9,9 @@ from functools import cached_property
 from typing import Any
 
 from gem_core import TERMINAL_STATE, Env, extract_last_boxed_answer
-from gem_core.env import AsyncEnv
-from gem_core.spaces import Content
-from gem_core.wrapper import Wrapper
+from gem_core.env.base import AsyncEnv
+from gem_core.env.spaces import Content
+from gem_core.env.wrapper import Wrapper
 
 
 class GoodEnv(Env):

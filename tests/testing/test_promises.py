@@ -16,10 +16,10 @@ from broken_envs import BROKEN, BacktrackingEnv, DyingEnv, NullHangsEnv, Raising
 from reference_envs import CountingWrapper, GoodAsyncEnv, GoodEnv, PictureEnv, ReverseStringEnv, ThreadEnv
 
 from gem_core import register
+from gem_core.env.wrapper import Guard
 from gem_core.errors import ArgumentError, GemError, UnknownEnvError
 from gem_core.testing import ContractError, check_env
 from gem_core.testing.contract import PROMISES
-from gem_core.wrapper import Guard
 
 
 def broken_by(target: Any, **options: Any) -> dict[str, str]:

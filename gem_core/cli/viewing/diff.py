@@ -10,7 +10,7 @@ from typing import Any
 from gem_core.cli.viewing.pages import part_lines, text_lines
 from gem_core.cli.viewing.terminal import Paint, one_line
 from gem_core.cli.viewing.turns import Part, outcome_of, parts_of
-from gem_core.episodes import Episode, Transition
+from gem_core.records.episode import Episode, Transition
 
 _STARTS = ("id", "seed", "options", "kwargs", "wrappers", "tools")
 # The comparison of lines takes the square of their number.

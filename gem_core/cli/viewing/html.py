@@ -18,9 +18,9 @@ from typing import Any
 
 from gem_core.cli.viewing.terminal import escaped
 from gem_core.cli.viewing.turns import Part, TurnView, error_text, outcome_of, parts_of, start_of, turn_views
-from gem_core.episodes import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.jsonable import ImageFolder
+from gem_core.records.episode import Episode
+from gem_core.records.plain_json import ImageFolder
 
 MOST_TEXT = 100_000
 """Characters of one text that go into the page; a browser is slow with more."""

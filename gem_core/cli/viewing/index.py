@@ -17,8 +17,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
-from gem_core.episodes import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
+from gem_core.records.episode import Episode
 
 FORM = 2
 """Version of the form of an index; another one is rebuilt."""

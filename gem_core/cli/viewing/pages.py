@@ -10,7 +10,7 @@ from gem_core.cli.layout import Layout
 from gem_core.cli.viewing.index import Entry
 from gem_core.cli.viewing.terminal import Paint, one_line
 from gem_core.cli.viewing.turns import Part, TurnView, error_text, outcome_of, parts_of, start_of, turn_views
-from gem_core.episodes import Episode
+from gem_core.records.episode import Episode
 
 _HEADERS = ("number", "environment", "outcome", "return", "turns", "seed", "group", "error")
 _OUTCOME = _HEADERS.index("outcome")

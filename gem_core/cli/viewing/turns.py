@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from gem_core.episodes import Episode, Transition
+from gem_core.records.episode import Episode, Transition
 from gem_core.types import Observation
 
 _SHORTEST_REPEAT = 200

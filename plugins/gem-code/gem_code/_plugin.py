@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gem_core.hookspecs import hookimpl
-from gem_core.specs import EnvSpec
+from gem_core.registry.hookspecs import hookimpl
+from gem_core.registry.specs import EnvSpec
 
 _ENTRY = "gem_code:CodeEnv"
 _ASKED = "\n\nAnswer with the whole program in one fenced block that begins with ```python."

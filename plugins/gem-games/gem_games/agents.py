@@ -11,8 +11,8 @@ from functools import lru_cache
 from itertools import permutations, product
 from math import perm
 
-from gem_core.agents.base import Context
 from gem_core.errors import AgentError
+from gem_core.rollouts.agent import Context
 from gem_core.types import Observation
 from gem_games.mastermind import count_pegs
 

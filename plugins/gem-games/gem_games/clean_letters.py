@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gem_core.seeding import Draws
+from gem_core.env.seeding import Draws
 
 # What nobody should meet in a grid made for a child. In ROT13, so that these lines can be shown to one as well.
 _RUDE = codecs.decode(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
 
-from gem_core.seeding import Draws
+from gem_core.env.seeding import Draws
 
 _WIDTH = 1 << 12  # cells in a row of the sheet that words are laid out on: more than any layout needs
 _MIDDLE = (_WIDTH // 2) * _WIDTH + _WIDTH // 2

@@ -6,8 +6,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
-from gem_core.seeding import Draws
 from gem_core.types import StepResult
 from gem_games.crossword_layout import Placed, lay_out
 from gem_games.game import Game, check_flag, check_whole, whole_number

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
-from gem_core.seeding import Draws
+from gem_core.env.seeding import Draws
 from gem_core.types import StepResult
 from gem_games.game import Game, check_whole, painted, read_direction, sizes_to_draw
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Any
 
-from gem_core.seeding import Draws
+from gem_core.env.seeding import Draws
 from gem_core.types import StepResult
 from gem_games.game import Game, check_flag, check_whole, painted, sizes_to_draw
 from gem_games.words import word_list

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
-from gem_core.seeding import Draws
 from gem_core.types import StepResult
 from gem_games.game import Game, check_whole, painted, read_direction, sizes_to_draw
 from gem_games.sokoban_levels import FEWEST_ROWS, MOST_ROWS, make_level, most_boxes

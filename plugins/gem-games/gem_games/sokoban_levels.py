@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from gem_core.seeding import Draws
+from gem_core.env.seeding import Draws
 
 FEWEST_ROWS, MOST_ROWS = 5, 20
 # A longer history of pulls makes large rooms slower to carve, and hardly harder.

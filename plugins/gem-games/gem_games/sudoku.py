@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
+from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
-from gem_core.seeding import Draws
 from gem_core.types import StepResult
 from gem_games.game import Game, check_whole, painted, sizes_to_draw, whole_numbers
 from gem_games.sudoku_grids import FEWEST_CLUES, make_puzzle

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import NamedTuple
 
-from gem_core.seeding import Draws
+from gem_core.env.seeding import Draws
 
 FEWEST_CLUES = {4: 5, 9: 31}
 """By scale: fewer clues than these take long to find, or leave more than one solution."""

@@ -6,8 +6,8 @@ import re
 from collections.abc import Hashable
 from typing import Any
 
+from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
-from gem_core.seeding import Draws
 from gem_core.types import StepResult
 from gem_games.game import Game, check_whole, painted, sizes_to_draw
 

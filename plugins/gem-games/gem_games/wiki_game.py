@@ -9,8 +9,8 @@ from functools import lru_cache
 from itertools import chain, islice
 from typing import Any
 
+from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
-from gem_core.seeding import Draws
 from gem_core.types import TERMINAL_STATE, Concurrency, ResetResult, StepResult
 from gem_games.game import Game, check_whole, painted, quote
 from gem_games.wiki.backends import article_graph

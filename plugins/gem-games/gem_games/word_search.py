@@ -6,8 +6,8 @@ import math
 from functools import cache
 from typing import Any
 
+from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
-from gem_core.seeding import Draws
 from gem_core.types import StepResult
 from gem_games.clean_letters import fill
 from gem_games.game import Game, check_flag, check_whole, whole_numbers

@@ -6,7 +6,7 @@ from collections import Counter
 
 import pytest
 
-from gem_core.seeding import Draws
+from gem_core.env.seeding import Draws
 from gem_games.fifteen_puzzle import FifteenPuzzleEnv, gap_path
 
 Tiles = tuple[int, ...]

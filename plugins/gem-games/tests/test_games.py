@@ -76,7 +76,7 @@ def test_plugin_declares_without_importing_anything_heavy() -> None:
     code = (
         "import sys, gem_games._plugin as plugin\n"
         "ids = [*plugin.gem_register_envs(), *plugin.gem_register_agents()]\n"
-        "heavy = {'gymnasium', 'numpy', 'pydantic', 'rich', 'textarena', 'gem_core.env', 'gem_games.game'}\n"
+        "heavy = {'gymnasium', 'numpy', 'pydantic', 'rich', 'textarena', 'gem_core.env.base', 'gem_games.game'}\n"
         "print(len(ids) > 12, sorted(heavy & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -164,7 +164,7 @@ def test_solver_reads_a_history(env_id: str, wrappers: str) -> None:
 
 
 def test_solvers_are_found_by_name_and_refuse_other_games() -> None:
-    from gem_core.registry import registry
+    from gem_core.registry.lookup import registry
 
     observation, _ = gem.make("game:TowerofHanoi-v0-easy").reset(seed=0)
     guess, _ = gem.make("game:GuessTheNumber-v0").reset(seed=0)

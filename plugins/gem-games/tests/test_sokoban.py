@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from gem_core.seeding import Draws
+from gem_core.env.seeding import Draws
 from gem_games.sokoban import SokobanEnv
 from gem_games.sokoban_levels import make_level
 

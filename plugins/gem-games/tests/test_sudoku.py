@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import gem_core as gem
-from gem_core.seeding import Draws
+from gem_core.env.seeding import Draws
 from gem_games.sudoku import SudokuEnv
 from gem_games.sudoku_grids import make_puzzle
 

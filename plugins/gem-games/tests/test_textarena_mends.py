@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 import gem_core as gem
+from gem_core.env.seeding import Draws
 from gem_core.errors import EnvFaultError
-from gem_core.seeding import Draws
 from gem_games.sokoban_levels import make_level
 from gem_games.textarena import searches
 from gem_games.textarena.env import TextArenaEnv

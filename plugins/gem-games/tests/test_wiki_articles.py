@@ -11,8 +11,8 @@ from importlib.resources import files
 
 import pytest
 
+from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
-from gem_core.seeding import Draws
 from gem_games.wiki.embedded import EmbeddedArticles, embedded_articles
 from gem_games.wiki.graph import ArticleNotFound
 

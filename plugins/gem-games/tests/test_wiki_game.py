@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gem_core as gem
+from gem_core.env.seeding import Draws
+from gem_core.env.wrapper import concurrency_of
 from gem_core.errors import ArgumentError
-from gem_core.seeding import Draws
 from gem_core.types import TERMINAL_STATE
-from gem_core.wrapper import concurrency_of
 from gem_games.wiki.embedded import EmbeddedArticles
 from gem_games.wiki.graph import Article, ArticleError, ArticleGraph, ArticleNotFound
 from gem_games.wiki_game import VARIANTS, WikiGameEnv

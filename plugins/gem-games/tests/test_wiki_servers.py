@@ -14,7 +14,7 @@ from urllib.parse import parse_qs, quote, unquote, urlsplit
 import pytest
 
 import gem_core as gem
-from gem_core.seeding import Draws
+from gem_core.env.seeding import Draws
 from gem_core.testing import check_env
 from gem_games.wiki import backends, web
 from gem_games.wiki.graph import ArticleError, ArticleNotFound

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gem_core as gem
-from gem_core.seeding import Draws
+from gem_core.env.seeding import Draws
 from gem_games.clean_letters import fill
 from gem_games.crossword_layout import lay_out
 from gem_games.crosswords import clues

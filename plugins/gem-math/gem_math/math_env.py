@@ -8,8 +8,8 @@ import math
 from collections.abc import Sequence
 from typing import Any, Unpack
 
-from gem_core.data_views import MappedRows
-from gem_core.dataset import DatasetEnv, DatasetOptions, Grade
+from gem_core.data.dataset import DatasetEnv, DatasetOptions, Grade
+from gem_core.data.views import MappedRows
 from gem_core.errors import ArgumentError, GradingError
 from gem_math.grading import grade as grade_answer
 from gem_math.grading import is_readable

@@ -11,12 +11,12 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
-from gem_core.agents.base import Context
 from gem_core.agents.openai import OpenAIAgent
 from gem_core.arguments import check_arguments
 from gem_core.background import in_thread, on_background_loop, run_sync
-from gem_core.entry_points import load_entry_point
 from gem_core.errors import ArgumentError, GemError, GradingError
+from gem_core.registry.entry_points import load_entry_point
+from gem_core.rollouts.agent import Context
 
 Verdict = bool | int | float
 Judge = Callable[[str, Sequence[str], str], Verdict | Awaitable[Verdict]]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gem_core.hookspecs import hookimpl
-from gem_core.specs import VectorBackendSpec
+from gem_core.registry.hookspecs import hookimpl
+from gem_core.registry.specs import VectorBackendSpec
 
 
 @hookimpl

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from gem_core.env import Env
+from gem_core.env.base import Env
 from gem_core.errors import ArgumentError, ResetNeededError, StateNotSupported
 from gem_core.suggestions import did_you_mean
 from gem_core.types import Concurrency, ResetResult, StepResult

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gem_core.requirements import find
+from gem_core.registry.requirements import find
 from gem_tools.python import Pool
 from gem_tools.python.hidden import hidden_folders, plugin_folders
 

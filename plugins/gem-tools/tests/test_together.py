@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import gem_core as gem
-from gem_core.registry import registry
+from gem_core.registry.lookup import registry
 
 QUESTION = "How many kilometres a day did the raft Kon-Tiki make on average, rounded to a whole number?"
 

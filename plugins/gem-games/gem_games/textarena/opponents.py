@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from gem_core.agents.base import Context, Reading, as_agent, load_agent
 from gem_core.background import run_sync
 from gem_core.errors import ArgumentError
+from gem_core.rollouts.agent import Context, Reading, as_agent, load_agent
 
 
 class Player:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gem_core.seeding import Draws
+from gem_core.env.seeding import Draws
 from gem_games.sokoban_levels import make_level
 
 _WALL, _FLOOR, _GOAL, _BOX_ON_GOAL, _BOX, _PLAYER = range(6)

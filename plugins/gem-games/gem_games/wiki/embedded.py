@@ -9,8 +9,8 @@ from functools import lru_cache
 from importlib.resources import files
 from typing import ClassVar
 
+from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
-from gem_core.seeding import Draws
 from gem_core.types import Concurrency
 from gem_games.wiki.graph import Article, ArticleGraph, ArticleNotFound, Pair
 

@@ -6,8 +6,8 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
+from gem_core.env.seeding import Draws
 from gem_core.errors import GemError
-from gem_core.seeding import Draws
 from gem_core.types import Concurrency
 
 _ATTEMPTS = 10

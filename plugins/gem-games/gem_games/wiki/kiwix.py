@@ -8,8 +8,8 @@ from html import unescape
 from string import ascii_lowercase
 from urllib.parse import quote, unquote, urldefrag, urlencode, urljoin, urlsplit
 
+from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
-from gem_core.seeding import Draws
 from gem_games.wiki.graph import Article, ArticleError, ArticleNotFound
 from gem_games.wiki.html import PageReader
 from gem_games.wiki.web import Answer, WebArticles

@@ -7,7 +7,7 @@ from string import ascii_lowercase, ascii_uppercase
 from typing import Any
 from urllib.parse import urlencode
 
-from gem_core.seeding import Draws
+from gem_core.env.seeding import Draws
 from gem_games.wiki.graph import Article, ArticleNotFound
 from gem_games.wiki.html import PageReader
 from gem_games.wiki.web import WebArticles

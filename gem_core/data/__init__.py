@@ -1,0 +1,1 @@
+"""Environments that ask the rows of a data set, and where rows come from."""

@@ -1,0 +1,249 @@
+"""``DatasetEnv``: rows in, single-turn task out."""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypedDict, cast
+
+from gem_core.data.rows import RowFunction, RowSource, load_rows
+from gem_core.data.views import Row
+from gem_core.env.base import Env
+from gem_core.errors import ArgumentError, DatasetError, GradingError
+from gem_core.parsing import extract_last_boxed_answer, extract_last_tagged_answer
+from gem_core.registry.entry_points import load_entry_point
+from gem_core.suggestions import did_you_mean
+from gem_core.types import TERMINAL_STATE, Observation, ResetResult, StepResult
+
+_PLACE = re.compile(r"\{([^{}]+)\}")
+
+
+@dataclass(frozen=True)
+class Grade:
+    """A verdict on one response.
+
+    Args:
+        reward: The reward of the turn.
+        correct: Whether the task is solved.
+        answer: What was read out of the response; None when there was nothing to read.
+        info: More for ``info``, plain JSON.
+    """
+
+    reward: float
+    correct: bool
+    answer: str | None = None
+    info: Mapping[str, Any] = field(default_factory=dict)
+
+
+class DatasetOptions(TypedDict, total=False):
+    """The keywords of ``DatasetEnv``, for subclasses that add some: ``**options: Unpack[DatasetOptions]``."""
+
+    dataset_name: str | Path | None
+    split: str | None
+    config: str | None
+    revision: str | None
+    row_filter: RowFunction | None
+    map_row: RowFunction | None
+    question_key: str
+    answer_key: str
+    id_key: str | None
+    prompt_template: str
+
+
+class DatasetEnv(Env):
+    r"""Asks one row of a data set and grades the one response to it.
+
+    As it stands, the answer in ``\boxed{}`` or ``<answer>`` must be the row's, letter for letter. A subclass, or the
+    argument ``grade``, decides otherwise::
+
+        register("math:Mine", "gem_core:DatasetEnv", rows=[{"question": "1+1?", "answer": "2"}])
+        register("math:Ours", "gem_core:DatasetEnv", dataset_name="ours.jsonl", question_key="problem")
+
+    ``reset`` draws a row, all equally likely; ``reset(options={"index": 3})`` takes the one of that index, as a plan
+    does that covers the whole data set. The rows are shared by all environments on them, never copied.
+
+    Args:
+        rows: A sequence of mappings, as a list of dictionaries or a ``datasets.Dataset``; or what ``dataset_name``
+            takes.
+        dataset_name: Instead of ``rows``: the path of a file (JSON, JSON lines, CSV, Parquet) or folder, or a name on
+            the Hugging Face hub; see ``gem_core.data.rows.load_rows``.
+        split: Which split of it, or part of one, as in ``"test[:100]"``; None where there is but one.
+        config: Which subset of it.
+        revision: Which version on the hub: a branch, a tag or a commit.
+        row_filter: Called with each row; those for which it is false are left out. A function, or
+            ``"package.module:function"``, by which environments share the result in worker processes too.
+        map_row: Called with each row when it is asked, after ``row_filter``; returns the row to use instead.
+        question_key: Column of the question.
+        answer_key: Column of the answer.
+        id_key: Column of an id that is stable across versions of the data set; by default the index is the id.
+        prompt_template: Text of the first observation. ``{question}`` stands for the question, and ``{column}`` for
+            any other column but that of the answer; other braces stay as they are.
+        grade: Called with the response and the row, returns a ``Grade``; or ``"package.module:function"``.
+
+    Raises:
+        DatasetError: There are no rows, or the first has not the columns; the message names those it has.
+        MissingRequirementError: Loading them needs the package ``datasets``, which is not installed.
+        ArgumentError: Neither or both of ``rows`` and ``dataset_name``, or a template that shows nothing of a row.
+    """
+
+    def __init__(
+        self,
+        rows: RowSource | None = None,
+        *,
+        dataset_name: str | Path | None = None,
+        split: str | None = None,
+        config: str | None = None,
+        revision: str | None = None,
+        row_filter: RowFunction | None = None,
+        map_row: RowFunction | None = None,
+        question_key: str = "question",
+        answer_key: str = "answer",
+        id_key: str | None = None,
+        prompt_template: str = "{question}",
+        grade: str | Callable[[str, Row], Grade] | None = None,
+    ) -> None:
+        super().__init__()
+        if (rows is None) == (dataset_name is None):
+            raise ArgumentError("give either rows or dataset_name: a list of rows, a path, or a name on the hub")
+        self.rows = load_rows(
+            cast("RowSource", dataset_name if rows is None else rows),
+            split=split,
+            config=config,
+            revision=revision,
+            row_filter=row_filter,
+            map_row=map_row,
+        )
+        self.question_key = question_key
+        self.answer_key = answer_key
+        self.id_key = id_key
+        self.prompt_template = prompt_template
+        self._grade = load_entry_point(grade, "grade") if grade is not None else None
+        self._index = 0
+        self._row: Row = self._checked_first_row("rows" if dataset_name is None else repr(str(dataset_name)))
+        self._prompt_parts = self._parsed_template(self._row)
+
+    @property
+    def num_tasks(self) -> int:
+        """Number of rows, each a task of its own."""
+        return len(self.rows)
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """Ask a row.
+
+        Args:
+            seed: See ``Env.reset``.
+            options: ``{"index": i}`` takes row ``i``, from 0.
+
+        Raises:
+            ArgumentError: An option that does not exist, or an index that is out of range.
+        """
+        super().reset(seed=seed)
+        self._take(self._chosen(options) if options else int(self.np_random.integers(self.num_tasks)))
+        return self.prompt(self._row), {"task_id": self.task_id(self._index, self._row), "index": self._index}
+
+    def step(self, action: str) -> StepResult:
+        """Grade the response; the task is over."""
+        row = self._row
+        info: dict[str, Any] = {"task_id": self.task_id(self._index, row), "index": self._index}
+        try:
+            grade = self.grade(action, row)
+        except GradingError as error:
+            info["error"] = {"kind": "grading", "message": str(error)}
+            return TERMINAL_STATE, 0.0, False, True, info
+        info |= {**grade.info, "correct": bool(grade.correct), "parsed_action": grade.answer}
+        return TERMINAL_STATE, float(grade.reward), True, False, info
+
+    def prompt(self, row: Row) -> Observation:
+        """Return the first observation for a row."""
+        return "".join([text if column is None else str(row[column]) for text, column in self._prompt_parts])
+
+    def grade(self, action: str, row: Row) -> Grade:
+        """Return the verdict on a response.
+
+        Raises:
+            GradingError: No verdict can be reached, whatever the response, as with a gold answer that is malformed.
+        """
+        if self._grade is not None:
+            return cast("Grade", self._grade(action, row))
+        answer = extract_last_boxed_answer(action)
+        if answer is None:
+            answer = extract_last_tagged_answer(action)
+        correct = answer == str(row[self.answer_key]).strip()
+        return Grade(reward=float(correct), correct=correct, answer=answer)
+
+    def task_id(self, index: int, row: Row) -> str:
+        """Return what names a row across runs."""
+        return str(index) if self.id_key is None else str(row[self.id_key])
+
+    def sample_random_action(self) -> str:
+        """Return the answer of a row drawn at random: well-formed, and rarely right."""
+        row = self.rows[int(self.action_random.integers(self.num_tasks))]
+        return f"\\boxed{{{row[self.answer_key]}}}"
+
+    def _chosen(self, options: dict[str, Any]) -> int:
+        wrong = [name for name in options if name != "index"]
+        if wrong:
+            raise ArgumentError(f"no option {wrong[0]!r}.{did_you_mean(wrong[0], ['index'])} There is: index")
+        index = options["index"]
+        # Samplers give whole numbers of NumPy too.
+        number = operator.index(index) if hasattr(index, "__index__") and not isinstance(index, bool) else -1
+        if not 0 <= number < self.num_tasks:
+            raise ArgumentError(f"options['index'] must be from 0 to {self.num_tasks - 1}, not {index!r}")
+        return number
+
+    def _take(self, index: int) -> None:
+        row = self.rows[index]
+        for key in (self.question_key, self.answer_key, self.id_key):
+            if key is not None and key not in row:
+                raise DatasetError(f"row {index} has no column {key!r}. Columns: {_listed(row)}")
+        self._index, self._row = index, row
+
+    def _checked_first_row(self, source: str) -> Row:
+        try:
+            count, first = len(self.rows), (self.rows[0] if len(self.rows) else None)
+        except (TypeError, KeyError) as error:
+            raise DatasetError(f"rows must be a sequence of mappings, not {type(self.rows).__name__}") from error
+        if not count or first is None:
+            name = "" if source == "rows" else f" {source}"
+            raise DatasetError(f"the data set{name} is empty; check its name, its split and any filter")
+        if not isinstance(first, Mapping):
+            raise DatasetError(f"a row must map columns to values, and the first is a {type(first).__name__}")
+        for key in filter(None, (self.question_key, self.answer_key, self.id_key)):
+            if key not in first:
+                hint = did_you_mean(key, first)
+                raise DatasetError(f"no column {key!r} in the data set.{hint} Columns: {_listed(first)}")
+        return first
+
+    def _parsed_template(self, row: Row) -> list[tuple[str, str | None]]:
+        """Return the template in pieces: text, or the name of a column.
+
+        It is taken apart once, so that braces in a problem are never taken for places.
+        """
+        pieces: list[tuple[str, str | None]] = []
+        end = 0
+        for place in _PLACE.finditer(self.prompt_template):
+            column = self.question_key if place[1] == "question" else place[1]
+            # The gold answer is no part of a question, and \boxed{answer} a way to say where it goes.
+            if column in row and column != self.answer_key:
+                pieces += [(self.prompt_template[end : place.start()], None), ("", column)]
+                end = place.end()
+        if not pieces:
+            places = ", ".join(f"{{{column}}}" for column in row if column != self.answer_key)
+            raise ArgumentError(
+                f"prompt_template shows nothing of a row: {self.prompt_template!r:.200}. "
+                f"It may name {{question}} or a column: {places}"
+            )
+        return [*pieces, (self.prompt_template[end:], None)]
+
+    def _get_state(self) -> dict[str, Any]:
+        return {"index": self._index}
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self._take(self._chosen({"index": state["index"]}))
+
+
+def _listed(row: Row) -> str:
+    return ", ".join(map(repr, row))

@@ -1,0 +1,1 @@
+"""What an environment is: ``Env``, ``Wrapper``, the guard around a task, spaces of text, and seeding."""

@@ -1,0 +1,337 @@
+"""``Env``: the base class of every environment, and what it promises."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, SupportsIndex, cast
+
+import gymnasium
+import numpy as np
+
+from gem_core.arguments import RemembersArguments, check_arguments, overridden
+from gem_core.background import in_thread, run_sync
+from gem_core.env.seeding import (
+    SEED_MAXIMUM,
+    checked_seed,
+    fresh_seed,
+    generator_state,
+    next_seed,
+    restore_generator,
+    stable_hash,
+    start_generator,
+)
+from gem_core.env.spaces import Text
+from gem_core.errors import GemError, SamplingNotSupported, StateError, StateNotSupported
+from gem_core.types import Concurrency, Observation, ResetResult, StepResult
+
+if TYPE_CHECKING:
+    from gymnasium import spaces
+
+    from gem_core.making.environment import MadeSpec
+
+
+_FOREIGN = -1
+"""Gymnasium's number for the seed of a generator that was set from outside."""
+
+
+class Env(RemembersArguments, gymnasium.Env[Any, str]):
+    r"""A task: what is asked, how its state moves, and what is rewarded.
+
+    A subclass overrides ``reset`` and ``step``, as in Gymnasium, and draws all its randomness from ``np_random``::
+
+        class Reverse(Env):
+            def reset(self, seed=None, options=None):
+                super().reset(seed=seed)
+                self.word = "".join(self.np_random.permutation(list("stressed")))
+                return f"Write {self.word!r} backwards inside \\boxed{{}}.", {}
+
+            def step(self, action):
+                right = extract_last_boxed_answer(action) == self.word[::-1]
+                return TERMINAL_STATE, float(right), True, False, {"correct": right}
+
+    It may override ``sample_random_action``, ``render`` and ``close``, and ``_get_state`` with ``_set_state``.
+    ``gem_core.testing.check_env`` tries whether it keeps what this class promises.
+
+    A response is untrusted text of a model: any string gives an observation and a reward, in bounded time.
+
+    Source: the interface is that of ``gymnasium.Env``, https://gymnasium.farama.org/api/env/.
+    """
+
+    concurrency: ClassVar[Concurrency] = "inline"
+    """How vector environments run it beside others.
+
+    ``"inline"``: microseconds of pure Python. ``"thread"``: blocks on input and output or a subprocess. ``"process"``:
+    computes for long, or uses fenced global state. ``"async"``: derive from ``AsyncEnv``.
+    """
+
+    answer_fences: ClassVar[tuple[str, ...]] = ()
+    """Languages of fenced blocks that are answers of this task, so that tools leave them alone."""
+
+    answer_tags: ClassVar[tuple[str, ...]] = ("answer",)
+    """Tags around answers of this task; a tool of such a name is called in JSON only."""
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium declares it as an instance attribute
+    spec: MadeSpec | None = None
+
+    _generator: np.random.Generator | None = None
+    _generator_started: bool = True
+    _action_generator: np.random.Generator | None = None
+    _action_seed: int | None = None
+    _action_started: bool = False
+
+    @cached_property
+    def action_space(self) -> spaces.Space[Any]:  # type: ignore[override]
+        """Any text."""
+        return Text()
+
+    @cached_property
+    def observation_space(self) -> spaces.Space[Any]:  # type: ignore[override]
+        """Text, unless a subclass says otherwise."""
+        return Text()
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """Begin an episode. Subclasses call ``super().reset(seed=seed)`` first.
+
+        Args:
+            seed: Start the stream of this seed. None draws the next episode of the stream that was started last, or of
+                a fresh one; its own seed is then reported in ``info["seed"]``, and starts the same episode again.
+            options: What the environment lets a caller choose, as ``{"index": 3}`` in a data set.
+
+        Returns:
+            The first observation and an info dictionary of plain JSON.
+        """
+        if seed is None:
+            previous = self._np_random_seed
+            seed = fresh_seed() if previous is None or previous < 0 else next_seed(previous)
+        elif type(seed) is not int or not 0 <= seed < SEED_MAXIMUM:
+            seed = checked_seed(cast("SupportsIndex", seed))
+        if self._np_random_seed == _FOREIGN:
+            self._generator = None
+        self._np_random_seed = seed
+        self._generator_started = False
+        self._action_started = False
+        self._action_seed = None
+        return "", {}
+
+    def step(self, action: str) -> StepResult:
+        """Answer one whole response of the agent.
+
+        Returns:
+            ``(observation, reward, terminated, truncated, info)``. ``terminated``: the task is over, by success,
+            failure or a turn budget that it announces itself. ``truncated``: cut off from outside.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must define step(self, action)")
+
+    def sample_random_action(self) -> str:
+        """Return a valid response in the present state, drawn from ``action_random``.
+
+        Raises:
+            SamplingNotSupported: The environment does not say what is valid.
+        """
+        raise SamplingNotSupported(
+            f"{type(self).__name__} does not say what a valid action is; override sample_random_action"
+        )
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """The source of randomness of the task; started anew by every ``reset``.
+
+        It starts when it is first asked for, since a start costs more than the whole reset of a small task does.
+        A task that needs but a few numbers at reset may take them from ``seeding.Draws(self.np_random_seed)``.
+        """
+        if not self._generator_started:
+            self._generator = start_generator(self._generator, cast("int", self._np_random_seed))
+            self._generator_started = True
+        elif self._generator is None:
+            self._np_random_seed = fresh_seed()
+            self._generator = start_generator(None, self._np_random_seed)
+        return self._generator
+
+    @np_random.setter
+    def np_random(self, value: np.random.Generator) -> None:
+        self._np_random = value
+        self._np_random_seed = _FOREIGN
+
+    @property
+    def np_random_seed(self) -> int:
+        """The seed of the present episode; -1 after ``np_random`` was set from outside."""
+        seed = self._np_random_seed
+        if seed is not None:
+            return seed
+        # Gymnasium's own property would start a generator of another kind here.
+        _ = self.np_random
+        return cast("int", self._np_random_seed)
+
+    def _own_generator(self) -> np.random.Generator | None:
+        # A generator that was set from outside may be shared, or of another kind: it is never set in place.
+        return None if self._np_random_seed == _FOREIGN else self._generator
+
+    @property
+    def _np_random(self) -> np.random.Generator | None:
+        """What Gymnasium's own code reads and sets: the generator, or None before the first reset or draw."""
+        return self._generator if self._generator_started else self.np_random
+
+    @_np_random.setter
+    def _np_random(self, value: np.random.Generator | None) -> None:
+        self._generator, self._generator_started = value, True
+
+    @property
+    def action_random(self) -> np.random.Generator:
+        """The generator of ``sample_random_action``, apart from the task's: sampling never changes an episode."""
+        if not self._action_started or self._action_generator is None:
+            seed = self._action_seed
+            if seed is None:
+                seed = stable_hash(self.np_random_seed, "actions")
+            self._action_generator = start_generator(self._action_generator, seed)
+            self._action_started = True
+        return self._action_generator
+
+    def seed_actions(self, seed: int) -> None:
+        """Start ``action_random`` from ``seed`` for the rest of this episode."""
+        self._action_seed = checked_seed(seed)
+        self._action_started = False
+
+    @property
+    def env_id(self) -> str | None:
+        """The id that it was made by, or None."""
+        return None if self.spec is None else self.spec.id
+
+    def get_state(self) -> dict[str, Any]:
+        """Return all that decides how the episode goes on, as plain data that JSON keeps exactly.
+
+        Raises:
+            StateNotSupported: The environment cannot, as with a live container.
+        """
+        task = self._get_state()
+        return {
+            "id": self.env_id or type(self).__name__,
+            "version": None if self.spec is None else self.spec.version,
+            "seed": self._np_random_seed,
+            "generator": generator_state(self._np_random),
+            "actions": generator_state(self._action_generator) if self._action_started else None,
+            "action_seed": self._action_seed,
+            "task": task,
+        }
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Go on where another instance of this environment was when ``get_state`` gave ``state``.
+
+        Raises:
+            StateError: It belongs to another environment, or is damaged.
+            StateNotSupported: The environment cannot.
+        """
+        identity = self.env_id or type(self).__name__
+        if not isinstance(state, Mapping) or state.get("id") != identity:
+            found = (state.get("wrapper") or state.get("id")) if isinstance(state, Mapping) else type(state).__name__
+            raise StateError(f"this is a state of {found!r}, and the environment is {identity!r}")
+        try:
+            self._np_random = restore_generator(self._own_generator(), state["generator"])
+            self._np_random_seed = _seed_or_none(state["seed"])
+            self._action_seed = _seed_or_none(state["action_seed"])
+            self._action_started = state["actions"] is not None
+            if self._action_started:
+                self._action_generator = restore_generator(self._action_generator, state["actions"])
+            self._set_state(state["task"])
+        except GemError:
+            raise
+        except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
+            raise StateError(
+                f"the state of {identity!r} is damaged ({type(error).__name__}: {error}); "
+                "call reset(), or give a state that get_state() returned"
+            ) from error
+
+    def _get_state(self) -> dict[str, Any]:
+        """Return the state of the task as plain data; override together with ``_set_state``."""
+        raise StateNotSupported(f"{type(self).__name__} cannot save its state; override _get_state and _set_state")
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        """Take back what ``_get_state`` returned; override together with it."""
+        raise StateNotSupported(f"{type(self).__name__} cannot restore a state; override _get_state and _set_state")
+
+    def spawn(self, same_state: bool = False, **overrides: Any) -> Env:
+        """Return a sibling: the same environment with arguments of its own.
+
+        Args:
+            same_state: Also put it into the present state.
+            **overrides: Keyword arguments of the constructor to change.
+
+        Raises:
+            ArgumentError: The constructor does not take an override; the message names what it takes.
+            StateNotSupported: ``same_state`` was asked for and the environment cannot save its state.
+        """
+        args, kwargs = overridden(type(self), self._init_args, overrides)
+        check_arguments(type(self), args, kwargs, f"environment {self.env_id or type(self).__name__!r}")
+        sibling = type(self)(*args, **kwargs)
+        if self.spec is not None:
+            sibling.spec = self.spec.with_kwargs(overrides)
+        sibling.render_mode = self.render_mode
+        if same_state:
+            sibling.set_state(self.get_state())
+        return sibling
+
+    async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """``reset`` for code that runs in an event loop, without blocking it."""
+        arguments = reset_arguments(seed, options)
+        if self.concurrency == "inline":
+            return self.reset(**arguments)
+        return await in_thread(lambda: self.reset(**arguments))
+
+    async def step_async(self, action: str) -> StepResult:
+        """``step`` for code that runs in an event loop, without blocking it."""
+        if self.concurrency == "inline":
+            return self.step(action)
+        return await in_thread(self.step, action)
+
+
+class AsyncEnv(Env):
+    """An environment written as coroutines: a subclass overrides ``reset_async`` and ``step_async``.
+
+    They always run on the library's own event loop; ``reset`` and ``step`` wait for them there.
+    """
+
+    concurrency: ClassVar[Concurrency] = "async"
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """Wait for ``reset_async``."""
+        return run_sync(self.reset_async(**reset_arguments(seed, options)))
+
+    async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """Begin an episode. Subclasses await ``super().reset_async(seed)`` first."""
+        return Env.reset(self, seed, options)
+
+    def step(self, action: str) -> StepResult:
+        """Wait for ``step_async``."""
+        return run_sync(self.step_async(action))
+
+    async def step_async(self, action: str) -> StepResult:
+        """Answer one whole response of the agent."""
+        raise NotImplementedError(f"{type(self).__name__} must define step_async(self, action)")
+
+
+def reset_arguments(seed: int | None, options: dict[str, Any] | None) -> dict[str, Any]:
+    """Return the keywords for an author's ``reset``, which need not know ``options`` while there are none."""
+    return {"seed": seed, "options": options} if options else {"seed": seed}
+
+
+def _seed_or_none(value: Any) -> int | None:
+    if value is not None and type(value) is not int:
+        raise TypeError(f"{value!r} is no seed")
+    return value
+
+
+def observation_from(feedback: Observation, suffix: Observation) -> Observation:
+    """Join what happened and how things stand now into one observation.
+
+    Text is joined as it is; once one of the two is a list of content parts, both become parts.
+    """
+    if isinstance(feedback, str) and isinstance(suffix, str):
+        return feedback + suffix
+    return as_parts(feedback) + as_parts(suffix)
+
+
+def as_parts(observation: Observation) -> list[dict[str, Any]]:
+    """Return an observation as a list of content parts; empty text gives no part."""
+    if isinstance(observation, str):
+        return [{"type": "text", "text": observation}] if observation else []
+    return list(observation)

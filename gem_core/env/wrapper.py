@@ -1,0 +1,346 @@
+"""``Wrapper``: what changes an environment from outside, written once for plain and asynchronous code."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Awaitable, Callable, Mapping
+from math import isfinite
+from typing import TYPE_CHECKING, Any, Self, cast
+
+import gymnasium
+
+from gem_core.arguments import RemembersArguments, signature_of
+from gem_core.background import in_thread, on_library_loop, run_sync
+from gem_core.env.base import AsyncEnv, Env, reset_arguments
+from gem_core.env.results import checked_reset, checked_result, refuse_action
+from gem_core.errors import ArgumentError, GemError, ResetNeededError, StateError, StateNotSupported
+from gem_core.types import Concurrency, ResetResult, StepResult
+
+if TYPE_CHECKING:
+    from gem_core.making.environment import MadeSpec
+
+AnyEnv = gymnasium.Env[Any, str]
+"""An ``Env``, a ``Wrapper``, or a wrapper of Gymnasium's around either."""
+
+_RANK: dict[Concurrency, int] = {"inline": 0, "thread": 1, "async": 2, "process": 3}
+_HOOKS = ("before_reset", "after_reset", "before_step", "after_step")
+
+
+class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
+    """Changes an environment by hooks before and after its methods.
+
+    A subclass overrides the hooks that it needs; ``reset``, ``step``, ``reset_async`` and ``step_async`` are made from
+    them. A hook may be a coroutine function: it always runs on the library's event loop, where plain code waits for it.
+
+    Public attributes that a wrapper does not have are read from the environment inside, so they are never stale.
+    """
+
+    needs: Concurrency = "inline"
+    """What the hooks themselves need; ``"thread"`` when they block. See ``Env.concurrency``."""
+
+    implicit = False
+    """Whether ``make`` puts it there by itself, so that ``spec`` does not list it."""
+
+    env: AnyEnv
+    _made_as: tuple[str, dict[str, Any]] | None = None
+    _plain_only = False
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Note a subclass that overrides ``reset`` or ``step`` itself, as one does in Gymnasium."""
+        super().__init_subclass__(**kwargs)
+        own = vars(cls)
+        if "_plain_only" not in own and not {"reset_async", "step_async"} & own.keys():
+            cls._plain_only = cls._plain_only or bool({"reset", "step"} & own.keys())
+
+    # The hooks.
+
+    def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> Awaitable[None] | None:
+        """Run before the environment is reset; release what belongs to the episode that is over."""
+        return None
+
+    def after_reset(self, result: ResetResult) -> ResetResult | Awaitable[ResetResult]:
+        """Return the observation and info of a reset, changed as wanted."""
+        return result
+
+    def before_step(self, action: str) -> str | StepResult | Awaitable[str | StepResult]:
+        """Return the action for the environment, or a whole result in its stead."""
+        return action
+
+    def after_step(self, action: str, result: StepResult) -> StepResult | Awaitable[StepResult]:
+        """Return the environment's result, changed as wanted; ``action`` is what the agent gave, to the letter."""
+        return result
+
+    # What is made from them.
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """Begin an episode; see ``Env.reset``."""
+        waited = self.before_reset(seed, options)
+        if waited is not None:
+            run_sync(self._awaitable(waited, "before_reset"))
+        inner = self.env.reset(seed=seed, options=options) if options else self.env.reset(seed=seed)
+        after = self.after_reset(inner)
+        return after if isinstance(after, tuple) else run_sync(self._awaitable(after, "after_reset"))
+
+    def step(self, action: str) -> StepResult:
+        """Answer one response of the agent; see ``Env.step``."""
+        if not isinstance(action, str):
+            refuse_action(action)
+        before = self.before_step(action)
+        if not isinstance(before, str | tuple):
+            before = run_sync(self._awaitable(before, "before_step"))
+        if isinstance(before, tuple):
+            return before
+        after = self.after_step(action, cast("StepResult", self.env.step(before)))
+        return after if isinstance(after, tuple) else run_sync(self._awaitable(after, "after_step"))
+
+    async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """``reset`` for code that runs in an event loop, without blocking it."""
+        if self._plain_only:
+            return await in_thread(lambda: self.reset(**reset_arguments(seed, options)))
+        waited = await self._hook(self.before_reset, seed, options)
+        if waited is not None:
+            await on_library_loop(self._awaitable(waited, "before_reset"))
+        after = await self._hook(self.after_reset, await reset_async(self.env, seed, options))
+        return after if isinstance(after, tuple) else await on_library_loop(self._awaitable(after, "after_reset"))
+
+    async def step_async(self, action: str) -> StepResult:
+        """``step`` for code that runs in an event loop, without blocking it."""
+        if self._plain_only:
+            # Its coroutines would go around what it overrides, so its plain methods are run, off the loop.
+            return await in_thread(self.step, action)
+        if not isinstance(action, str):
+            refuse_action(action)
+        before = await self._hook(self.before_step, action)
+        if not isinstance(before, str | tuple):
+            before = await on_library_loop(self._awaitable(before, "before_step"))
+        if isinstance(before, tuple):
+            return before
+        after = await self._hook(self.after_step, action, await step_async(self.env, before))
+        return after if isinstance(after, tuple) else await on_library_loop(self._awaitable(after, "after_step"))
+
+    async def _hook(self, hook: Any, *args: Any) -> Any:
+        if self.needs in ("inline", "async") or inspect.iscoroutinefunction(hook):
+            return hook(*args)
+        return await in_thread(hook, *args)
+
+    def _awaitable(self, value: Any, hook: str) -> Awaitable[Any]:
+        if inspect.isawaitable(value):
+            return value
+        raise TypeError(
+            f"{type(self).__name__}.{hook} returned {value!r}; see Wrapper.{hook} for what it has to return"
+        )
+
+    # What is passed on.
+
+    @property
+    def concurrency(self) -> Concurrency:
+        """What the whole stack needs, this wrapper and all inside it; coroutine hooks need ``"async"``."""
+        coroutines = any(inspect.iscoroutinefunction(getattr(self, hook)) for hook in _HOOKS)
+        own: Concurrency = "async" if coroutines else "inline"
+        return max(own, self.needs, concurrency_of(self.env), key=_RANK.__getitem__)
+
+    @property
+    def unwrapped(self) -> Env:
+        """The task itself, without any wrapper."""
+        return cast("Env", self.env.unwrapped)
+
+    @property
+    def env_id(self) -> str | None:
+        """The id that the environment was made by, or None."""
+        return self.unwrapped.env_id
+
+    @property
+    def spec(self) -> MadeSpec | None:  # type: ignore[override]  # Gymnasium has a property too, typed as its EnvSpec
+        """What the environment was made from, this wrapper included; None for one that ``make`` did not make."""
+        inner = cast("MadeSpec | None", self.env.spec)
+        if inner is None or self.implicit:
+            return inner
+        return inner.with_wrapper(*(self._made_as or self._own_record()))
+
+    def _own_record(self) -> tuple[str, dict[str, Any]]:
+        args, kwargs = self._init_args
+        signature = signature_of(type(self))
+        names = list(signature.parameters)[1:] if signature else []
+        positional = dict(zip(names, args[1:], strict=False))
+        return f"{type(self).__module__}:{type(self).__qualname__}", {
+            **positional,
+            **{key: value for key, value in kwargs.items() if key != "env"},
+        }
+
+    def sample_random_action(self) -> str:
+        """Return a valid response in the present state; see ``Env.sample_random_action``."""
+        return cast("str", self.env.get_wrapper_attr("sample_random_action")())
+
+    def get_state(self) -> dict[str, Any]:
+        """Return the state of this wrapper and of all inside it; see ``Env.get_state``."""
+        return {"wrapper": type(self).__name__, "own": self._get_state(), "env": _inner(self.env).get_state()}
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Take back what ``get_state`` returned; see ``Env.set_state``."""
+        name = type(self).__name__
+        if not isinstance(state, Mapping) or state.get("wrapper") != name:
+            found = (state.get("wrapper") or state.get("id")) if isinstance(state, Mapping) else type(state).__name__
+            raise StateError(f"this is a state of {found!r}, and the wrapper is {name!r}")
+        try:
+            self._set_state(state["own"])
+            inner = state["env"]
+        except GemError:
+            raise
+        except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
+            raise StateError(f"the state of wrapper {name!r} is damaged ({type(error).__name__}: {error})") from error
+        _inner(self.env).set_state(inner)
+
+    def _get_state(self) -> dict[str, Any]:
+        """Return what this wrapper remembers of the episode; override together with ``_set_state``."""
+        return {}
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        """Take back what ``_get_state`` returned; override together with it."""
+
+    def spawn(self, same_state: bool = False, **overrides: Any) -> Self:
+        """Return a sibling of the whole stack; see ``Env.spawn``."""
+        args, kwargs = self._init_args
+        inner = _inner(self.env).spawn(**overrides)
+        sibling = type(self)(inner, *args[1:], **kwargs) if args else type(self)(**{**kwargs, "env": inner})
+        sibling._made_as, sibling.implicit = self._made_as, self.implicit
+        if same_state:
+            sibling.set_state(self.get_state())
+        return sibling
+
+    def __getattr__(self, name: str) -> Any:
+        # Only names that the wrapper does not have come here. Private ones are never passed on, so that copying and
+        # pickling a half-made wrapper cannot recurse.
+        if name.startswith("_") or name == "env":
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        if hasattr(type(self), name):
+            # A property of this wrapper failed with an AttributeError of its own: show that one, and never let the
+            # environment's attribute stand in for it.
+            return object.__getattribute__(self, name)
+        inner = self.env
+        return getattr(inner, name) if isinstance(inner, Env | Wrapper) else inner.get_wrapper_attr(name)
+
+
+class Guard(Wrapper):
+    """Refuses steps outside an episode and results that are none, and reports seeds; ``make`` puts it innermost."""
+
+    implicit = True
+    checks_results = True
+    """Whether a result that is none is refused; ``check_env`` looks at them itself."""
+    _plain_only = False  # its hooks say the same as its reset and step
+    _live = False
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """Begin an episode and write its seed to ``info``."""
+        # This and step say the same as the hooks below, without the calls: they are run around every task.
+        self._live = False
+        return self.after_reset(self.env.reset(seed=seed, options=options) if options else self.env.reset(seed=seed))
+
+    def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> None:
+        """Refuse steps until the reset has succeeded."""
+        self._live = False
+
+    def after_reset(self, result: ResetResult) -> ResetResult:
+        """Write the episode's seed to ``info``."""
+        if type(result) is not tuple or len(result) != 2 or type(result[0]) is not str or type(result[1]) is not dict:
+            result = self._checked(checked_reset, result)
+        result[1]["seed"] = self.env.np_random_seed
+        self._live = True
+        return result
+
+    def step(self, action: str) -> StepResult:
+        """Step, if the episode is under way."""
+        if not self._live:
+            raise reset_needed(self)
+        if not isinstance(action, str):
+            refuse_action(action)
+        result: Any = self.env.step(action)
+        if type(result) is tuple and len(result) == 5:
+            observation, reward, terminated, truncated, info = result
+            if (
+                type(observation) is str
+                and type(reward) is float
+                and isfinite(reward)
+                and type(terminated) is type(truncated) is bool
+                and type(info) is dict
+            ):
+                if terminated or truncated:
+                    self._live = False
+                return result
+        return self.after_step(action, result)
+
+    def before_step(self, action: str) -> str:
+        """Refuse a step outside an episode."""
+        if not self._live:
+            raise reset_needed(self)
+        return action
+
+    def after_step(self, action: str, result: StepResult) -> StepResult:
+        """Refuse a result that is none, and note the end of the episode."""
+        result = self._checked(checked_result, result)
+        if result[2] or result[3]:
+            self._live = False
+        return result
+
+    def _checked(self, check: Callable[[object], Any], result: Any) -> Any:
+        if not self.checks_results:
+            return result
+        try:
+            check(result)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"{type(self.unwrapped).__name__}: {error}") from None
+        return result
+
+    def _get_state(self) -> dict[str, Any]:
+        return {"live": self._live}
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self._live = bool(state["live"])
+
+
+def reset_needed(env: Wrapper) -> ResetNeededError:
+    """Return the error of a step outside an episode."""
+    name = env.env_id or type(env.unwrapped).__name__
+    return ResetNeededError(f"{name}: the episode is over or has not begun; call reset() before the next step()")
+
+
+def concurrency_of(env: AnyEnv) -> Concurrency:
+    """Return what an environment and all its wrappers need, those of Gymnasium included.
+
+    Raises:
+        ArgumentError: It is another environment of Gymnasium, and none of GEM.
+    """
+    try:
+        return cast("Concurrency", env.get_wrapper_attr("concurrency"))
+    except AttributeError:
+        name = type(env.unwrapped).__name__
+        raise ArgumentError(f"{name} is not an environment of GEM; derive its class from gem_core.Env") from None
+
+
+async def reset_async(env: AnyEnv, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+    """Reset any environment from a coroutine without blocking its loop."""
+    if isinstance(env, Env | Wrapper):
+        coroutine = env.reset_async(**reset_arguments(seed, options))
+        return await (on_library_loop(coroutine) if isinstance(env, AsyncEnv) else coroutine)
+    if concurrency_of(env) == "inline":
+        return cast("ResetResult", env.reset(seed=seed, options=options))
+    return await in_thread(lambda: env.reset(seed=seed, options=options))
+
+
+async def step_async(env: AnyEnv, action: str) -> StepResult:
+    """Step any environment from a coroutine without blocking its loop."""
+    if isinstance(env, AsyncEnv):
+        return await on_library_loop(env.step_async(action))
+    if isinstance(env, Env | Wrapper):
+        return await env.step_async(action)
+    if concurrency_of(env) == "inline":
+        return cast("StepResult", env.step(action))
+    return cast("StepResult", await in_thread(env.step, action))
+
+
+def _inner(env: AnyEnv) -> Any:
+    if isinstance(env, Env | Wrapper):
+        return env
+    raise StateNotSupported(
+        f"{type(env).__name__} is a wrapper of Gymnasium's, which cannot save its state or spawn; "
+        "put it outermost, or call the method on env.unwrapped"
+    )

@@ -1,0 +1,1 @@
+"""What is kept of episodes: transitions, the conversation, files, plans, and scores."""

@@ -1,0 +1,182 @@
+"""What a run amounts to, for each environment and in all."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from gem_core.records.episode import Episode
+
+
+@dataclass
+class EnvSummary:
+    """Counts and sums over the episodes of one environment.
+
+    Episodes with an error count apart, and in nothing else but the tokens, which were spent on them all the same.
+
+    Args:
+        id: The environment; ``"all"`` for the sum of several.
+        episodes: Number of episodes without an error.
+        errors: Number of episodes with one.
+        judged: Number of episodes of which it is known whether they succeeded. One that was cut off did not, unless its
+            task never tells.
+        successes: Number of those that did.
+        cut_off_by_turns: Number of episodes that a limit of turns or the environment cut off.
+        cut_off_by_tokens: Number of those whose context overflowed, or whose last response stopped at its token limit.
+        total_return: Sum of the returns.
+        turns: Sum of the turns.
+        prompt_tokens: Tokens that the model read, as its server counts them; None where no response says.
+        completion_tokens: Tokens that it wrote.
+        earlier_turns: Those of the turns that were taken before this session of the run.
+    """
+
+    id: str
+    episodes: int = 0
+    errors: int = 0
+    judged: int = 0
+    successes: int = 0
+    cut_off_by_turns: int = 0
+    cut_off_by_tokens: int = 0
+    total_return: float = 0.0
+    turns: int = 0
+    prompt_tokens: int | None = None
+    completion_tokens: int | None = None
+    earlier_turns: int = 0
+    _verdicts: int = field(default=0, repr=False)
+    _silent: int = field(default=0, repr=False)
+    _cut_off: int = field(default=0, repr=False)
+    _spread: float = field(default=0.0, repr=False)
+
+    def add(self, episode: Episode) -> None:
+        """Count an episode."""
+        for turn in episode.transitions:
+            if turn.action.usage is not None:
+                self.prompt_tokens = _plus(self.prompt_tokens, turn.action.usage.get("prompt_tokens"))
+                self.completion_tokens = _plus(self.completion_tokens, turn.action.usage.get("completion_tokens"))
+        if episode.error is not None:
+            self.errors += 1
+            return
+        self.episodes += 1
+        self.cut_off_by_turns += episode.cut_off == "turns"
+        self.cut_off_by_tokens += episode.cut_off == "tokens"
+        self.turns += episode.turns
+        self._add_return(episode.episode_return)
+        self._judge(episode)
+
+    def _add_return(self, episode_return: float) -> None:
+        # Welford's sum of squared distances from the mean: squares of large returns would swallow small distances.
+        count = self.episodes
+        distance = episode_return - (self.total_return / (count - 1) if count > 1 else 0.0)
+        self.total_return += episode_return
+        self._spread += distance * (episode_return - self.total_return / count)
+
+    def _judge(self, episode: Episode) -> None:
+        if episode.success is None:
+            self._silent += 1
+        elif episode.final_info.get("correct") is None:
+            self._cut_off += 1
+        else:
+            self._verdicts += 1
+            self.successes += episode.success
+        # Episodes that ended without a word, and none that said one: the task never tells.
+        never_tells = self._silent and not self._verdicts
+        self.judged = self._verdicts + (0 if never_tells else self._cut_off)
+
+    def turns_per_second(self, seconds: float) -> float | None:
+        """Return how fast this session of the run was; None where it took no time."""
+        return (self.turns - self.earlier_turns) / seconds if seconds > 0 else None
+
+    @property
+    def success_rate(self) -> float | None:
+        """Share of judged episodes that succeeded; None where none was judged."""
+        return self.successes / self.judged if self.judged else None
+
+    @property
+    def success_standard_error(self) -> float | None:
+        """Standard error of the success rate, after Wilson; None where none was judged.
+
+        It is half the width of the score interval of one standard error, so that neither a single episode nor a rate
+        of 0 or 1 looks certain.
+
+        Source: E. B. Wilson, JASA 22 (1927), 209-212, with z = 1.
+        """
+        if not self.judged:
+            return None
+        count, rate = self.judged, self.successes / self.judged
+        return math.sqrt(rate * (1 - rate) * count + 0.25) / (count + 1)
+
+    @property
+    def mean_return(self) -> float | None:
+        """Mean return; None without episodes."""
+        return self.total_return / self.episodes if self.episodes else None
+
+    @property
+    def return_standard_error(self) -> float | None:
+        """Standard error of the mean return, from the spread in this sample; None with fewer than two episodes."""
+        if self.episodes < 2:
+            return None
+        return math.sqrt(max(self._spread, 0.0) / (self.episodes - 1) / self.episodes)
+
+    @property
+    def mean_turns(self) -> float | None:
+        """Mean number of turns; None without episodes."""
+        return self.turns / self.episodes if self.episodes else None
+
+    def to_dict(self, seconds: float) -> dict[str, Any]:
+        """Return the counts and what follows from them as plain JSON.
+
+        Args:
+            seconds: Duration of the run, for turns per second.
+        """
+        return {
+            **{name: value for name, value in asdict(self).items() if not name.startswith("_")},
+            "success_rate": self.success_rate,
+            "success_standard_error": self.success_standard_error,
+            "mean_return": self.mean_return,
+            "return_standard_error": self.return_standard_error,
+            "mean_turns": self.mean_turns,
+            "turns_per_second": self.turns_per_second(seconds),
+        }
+
+
+class RunSummary:
+    """The summaries of a run's environments, in the order in which they are named."""
+
+    def __init__(self, ids: list[str]) -> None:
+        self.total = EnvSummary("all")
+        self.by_env = {env_id: EnvSummary(env_id) for env_id in ids}
+        self.first_error: str | None = None
+
+    def add(self, episode: Episode) -> None:
+        """Count an episode."""
+        row = self.by_env.setdefault(episode.id, EnvSummary(episode.id))
+        others = self.total.judged - row.judged
+        row.add(episode)
+        self.total.add(episode)
+        self.total.judged = others + row.judged  # that one task never tells says nothing of another
+        if episode.error is not None and self.first_error is None:
+            self.first_error = f"{episode.id}, seed {episode.seed}: {episode.error.get('message', episode.error)}"
+
+    def begin_session(self) -> None:
+        """Note that what was counted so far was run before; it has no part in how fast the run is."""
+        for row in (self.total, *self.by_env.values()):
+            row.earlier_turns = row.turns
+
+    def rows(self) -> list[EnvSummary]:
+        """Return a summary for each environment, and one for all where there are several."""
+        rows = list(self.by_env.values())
+        return [*rows, self.total] if len(rows) > 1 else rows
+
+    def to_dict(self, seconds: float) -> dict[str, Any]:
+        """Return all rows as plain JSON.
+
+        Args:
+            seconds: Duration of the run, for turns per second.
+        """
+        return {"seconds": round(seconds, 6), "environments": [row.to_dict(seconds) for row in self.rows()]}
+
+
+def _plus(total: int | None, count: object) -> int | None:
+    """Add what a server reported, if it is a count."""
+    return (total or 0) + count if type(count) is int else total

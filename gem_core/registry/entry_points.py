@@ -1,0 +1,49 @@
+"""Imports what a record points to, with errors that say whose record it is; loads nothing else."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from typing import Any, cast
+
+from gem_core.errors import EntryPointError
+from gem_core.registry.specs import EntryPoint
+from gem_core.suggestions import did_you_mean
+
+
+def load_entry_point(entry_point: EntryPoint, owner: str) -> Callable[..., Any]:
+    """Import what ``"package.module:Name"`` points to.
+
+    Raises:
+        EntryPointError: The module is not there, fails while it is imported, or has no such name.
+    """
+    if not isinstance(entry_point, str):
+        return entry_point
+    module_name, _, path = entry_point.partition(":")
+    try:
+        target: Any = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name and (module_name == error.name or module_name.startswith(f"{error.name}.")):
+            raise EntryPointError(
+                f"{owner}: there is no module {error.name!r} (entry point {entry_point!r}); "
+                "correct the entry point, or install the distribution that has it"
+            ) from error
+        package = (error.name or "").partition(".")[0]
+        missing = f"{owner}: {module_name!r} needs the module {error.name!r}, which is not "
+        if package == module_name.partition(".")[0]:
+            raise EntryPointError(f"{missing}there; correct the import, or add the module") from error
+        raise EntryPointError(f"{missing}installed; try 'pip install {package.replace('_', '-')}'") from error
+    except (Exception, SystemExit) as error:  # a module of somebody else's may fail in any way while it is imported
+        raise EntryPointError(f"{owner}: importing {module_name!r} failed: {type(error).__name__}: {error}") from error
+    for part in path.split("."):
+        try:
+            target = getattr(target, part)
+        except AttributeError:
+            names = [name for name in dir(target) if not name.startswith("_")]
+            raise EntryPointError(
+                f"{owner}: {module_name!r} has no {part!r}.{did_you_mean(part, names)} Correct the entry point "
+                f"{entry_point!r}"
+            ) from None
+    if not callable(target):
+        raise EntryPointError(f"{owner}: {entry_point!r} is a {type(target).__name__}, which cannot be called")
+    return cast("Callable[..., Any]", target)

@@ -1,0 +1,466 @@
+"""Where names are resolved: ids to environments, names to wrappers, tools, backends and agents."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterable, Mapping, Sequence
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from gem_core.errors import (
+    RegistrationError,
+    UnknownAgentError,
+    UnknownBackendError,
+    UnknownEnvError,
+    UnknownNameError,
+    UnknownPluginError,
+    UnknownToolError,
+    UnknownWrapperError,
+)
+from gem_core.registry.plugins import Plugin, Record, complain, load_plugins
+from gem_core.registry.specs import AgentSpec, EntryPoint, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+from gem_core.suggestions import did_you_mean
+
+if TYPE_CHECKING:
+    from gem_core.env.wrapper import AnyEnv
+    from gem_core.making.environment import MadeSpec, Wrappers
+    from gem_core.records.plans import PlanItem
+    from gem_core.vector.env import VectorEnv
+    from gem_core.vector.setup import IdOrIds
+    from gem_core.vector.slot import Autoreset, OnError
+
+N = TypeVar("N", bound=NamedSpec)
+
+PUBLISHED_NAMESPACES = {
+    "game": "gem-games",
+    "ta": "gem-games",
+    "math": "gem-math",
+    "rg": "gem-math",
+    "code": "gem-code",
+    "qa": "gem-qa",
+    "logic": "gem-qa",
+    "terminal": "gem-terminal",
+    "eval": "gem-math gem-code gem-qa",
+}
+"""Which distributions of this project offer a namespace, for the advice in an error message."""
+
+PUBLISHED_BACKENDS = {"ray": "gem-ray"}
+"""Which distribution of this project offers a vector backend, for the advice in an error message."""
+
+Key = tuple[str, str]
+"""A space of names, and a name in it: ``("env", "game:Mastermind-v0")``."""
+
+_SPEC_KEYWORDS = ("summary", "tags", "requires", "deterministic")
+
+
+class Registry:
+    """All records of one process; the first look-up loads the installed plugins."""
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._loaded = False
+        self._loading = False
+        self._clear()
+
+    def _clear(self) -> None:
+        self._plugins: list[Plugin] = []
+        self._envs: dict[str, EnvSpec] = {}
+        # One space of names each for wrappers together with tools, and for every other kind.
+        self._named: dict[str, dict[str, NamedSpec]] = {}
+        self._providers: dict[str, Plugin] = {}
+        # Ids and names that cannot be had, each with the reason.
+        self._contested: dict[Key, str] = {}
+
+    # Looking up.
+
+    def env(self, env_id: str) -> EnvSpec:
+        """Return the record of an environment.
+
+        Raises:
+            UnknownEnvError: There is none; the message names the nearest, or the plugin to install.
+            RegistrationError: Two plugins claim the id.
+        """
+        self.load()
+        if not isinstance(env_id, str):
+            raise UnknownEnvError(f"an environment id is a string such as 'game:Mastermind-v0', not {env_id!r}")
+        self.refuse_contested("env", env_id)
+        record = self._envs.get(env_id)
+        if record is None:
+            raise UnknownEnvError(self._unknown_env(env_id))
+        return record
+
+    def wrapper(self, name: str) -> NamedSpec:
+        """Return the record of a wrapper or tool."""
+        return self._find("wrapper", name, UnknownWrapperError)
+
+    def tool(self, name: str) -> ToolSpec:
+        """Return the record of a tool."""
+        self.load()
+        self.refuse_contested("wrapper", name)
+        record = self._named.get("wrapper", {}).get(name)
+        if not isinstance(record, ToolSpec):
+            names = [tool.name for tool in self.named(ToolSpec)]
+            listed = f" There are: {', '.join(names)}." if names else " None is installed: try 'pip install gem-tools'."
+            raise UnknownToolError(f"no tool {name!r}.{did_you_mean(name, names)}{listed}{self._failed_plugins()}")
+        return record
+
+    def backend(self, name: str) -> VectorBackendSpec:
+        """Return the record of a vector backend."""
+        return self._find("vector backend", name, UnknownBackendError)  # type: ignore[return-value]
+
+    def agent(self, name: str) -> AgentSpec:
+        """Return the record of an agent."""
+        return self._find("agent", name, UnknownAgentError)  # type: ignore[return-value]
+
+    def provider(self, env_id: str) -> Plugin | None:
+        """Return the plugin that offers an environment; None for one that the program registered itself."""
+        self.load()
+        return self._providers.get(env_id)
+
+    def plugins_named(self, name: str) -> list[Plugin]:
+        """Return the plugins whose entry point, or whose distribution, has a name."""
+        found = [plugin for plugin in self.plugins() if name in (plugin.name, plugin.distribution)]
+        if found:
+            return found
+        names = [plugin.name for plugin in self.plugins()]
+        raise UnknownPluginError(
+            f"no plugin {name!r}.{did_you_mean(name, names)} Installed: {', '.join(names)}. Run 'gem plugins'"
+        )
+
+    def envs(self, pattern: str | None = None) -> list[EnvSpec]:
+        """Return the records of environments in order of id.
+
+        Args:
+            pattern: A namespace, part of an id, or a glob such as ``game:*-easy``; None for all.
+        """
+        self.load()
+        records = [self._envs[env_id] for env_id in sorted(self._envs)]
+        if pattern is None:
+            return records
+        folded = pattern.casefold().removesuffix(":")
+        in_namespace = [record for record in records if record.namespace.casefold() == folded]
+        return in_namespace or [record for record in records if _matches(pattern, record.id)]
+
+    def named(self, kind: type[N]) -> list[N]:
+        """Return the records of one kind in order of name."""
+        self.load()
+        records = self._named.get(_space(kind.kind), {})
+        return [record for name in sorted(records) if isinstance(record := records[name], kind)]
+
+    def plugins(self) -> list[Plugin]:
+        """Return what was found installed, failures included."""
+        self.load()
+        return list(self._plugins)
+
+    def refuse_contested(self, space: str, name: str) -> None:
+        """Raise where an id or a name cannot be had because several plugins claim it.
+
+        Args:
+            space: ``"env"``, ``"wrapper"`` (tools too), ``"vector backend"``, ``"agent"`` or ``"command"``.
+            name: The id or name.
+
+        Raises:
+            RegistrationError: It names the plugins.
+        """
+        self.load()
+        message = self._contested.get((space, name))
+        if message:
+            raise RegistrationError(f"{message}; uninstall one of them, or disable it with GEM_PLUGINS_DISABLE")
+
+    # Taking in.
+
+    def load(self) -> None:
+        """Load the installed plugins, once.
+
+        Raises:
+            RegistrationError: A plugin uses the registry while it is being loaded; that fails this plugin alone.
+            PluginError: A plugin failed and ``GEM_PLUGINS_STRICT`` is set.
+        """
+        if self._loaded:
+            return
+        with self._lock:
+            if self._loaded:
+                return
+            if self._loading:
+                raise RegistrationError(
+                    "the registry was used while plugins are being loaded; "
+                    "a plugin returns its records from hooks and does nothing else"
+                )
+            self._loading = True
+            self._clear()
+            try:
+                self._plugins = load_plugins()
+                self._take(self._plugins)
+                self._loaded = True
+            finally:
+                self._loading = False
+
+    def add(self, record: EnvSpec) -> None:
+        """Take in an environment that the program itself registers.
+
+        Raises:
+            RegistrationError: The id is taken. The same class may be registered again, as a notebook cell does.
+        """
+        self.load()
+        with self._lock:
+            self.refuse_contested("env", record.id)
+            present, provider = self._envs.get(record.id), self._providers.get(record.id)
+            if present is not None and (provider is not None or not _same_entry_point(present, record)):
+                raise RegistrationError(
+                    f"environment {record.id!r} is registered already, by {provider or 'register()'}; "
+                    "choose another id or version"
+                )
+            self._envs[record.id] = record
+
+    def _take(self, plugins: list[Plugin]) -> None:
+        """Take in what plugins offer, the core's first; what several claim costs them that id or name alone."""
+        claims: dict[Key, list[tuple[Plugin, Record | None]]] = {}
+        for plugin in plugins:
+            if not plugin.disabled:
+                claims.setdefault(("plugin name", plugin.name), []).append((plugin, None))
+            for offered in plugin.records:
+                claims.setdefault(_key(offered), []).append((plugin, offered))
+        disputes: dict[tuple[Plugin, ...], list[str]] = {}
+        for key, claimants in claims.items():
+            owner, record = claimants[0]
+            if len(claimants) > 1:
+                parties = tuple(dict.fromkeys(plugin for plugin, _ in claimants))
+                kinds = sorted({each.kind for _, each in claimants if isinstance(each, NamedSpec)})
+                what = f"{' or '.join(kinds) or key[0]} {key[1]!r}"
+                disputes.setdefault(parties, []).append(self._dispute(key, what, parties))
+            if record is not None and key not in self._contested:
+                self._store(record, owner)
+        for messages in disputes.values():
+            complain(messages[0] + (f" (and {len(messages) - 1} more)" if len(messages) > 1 else ""))
+
+    def _dispute(self, key: Key, what: str, parties: Sequence[Plugin]) -> str:
+        """Note that several claim an id or a name, and tell each; what the core offers stays the core's."""
+        owner, *others = map(str, parties)
+        if parties[0].is_core:
+            message = f"{what} is the core's own, and is offered by {' and '.join(others)} too"
+        elif others:
+            message = f"{what} is offered by both {' and '.join([owner, *others])}"
+        else:
+            message = f"{what} is offered twice by {owner}"
+        if not parties[0].is_core:
+            self._contested[key] = message
+        for plugin in parties:
+            if not plugin.is_core:
+                plugin.conflicts.append(message)
+        return message
+
+    def _store(self, record: Record, owner: Plugin) -> None:
+        if isinstance(record, EnvSpec):
+            self._envs[record.id] = record
+            self._providers[record.id] = owner
+        else:
+            self._named.setdefault(_space(record.kind), {})[record.name] = record
+
+    # Saying what is wrong.
+
+    def _find(self, space: str, name: str, error: type[UnknownNameError]) -> NamedSpec:
+        self.load()
+        self.refuse_contested(space, name)
+        records = self._named.get(space, {})
+        if name in records:
+            return records[name]
+        what = "wrapper or tool" if space == "wrapper" else space
+        plugin = PUBLISHED_BACKENDS.get(name) if space == "vector backend" else None
+        missing = plugin is not None and all(present.distribution != plugin for present in self._plugins)
+        hint = f" It comes with a plugin: try 'pip install {plugin}'." if missing else did_you_mean(name, records)
+        raise error(f"no {what} {name!r}.{hint} There are: {', '.join(sorted(records))}.{self._failed_plugins()}")
+
+    def _unknown_env(self, env_id: str) -> str:
+        namespace, colon, _ = env_id.partition(":")
+        namespaces = sorted({record.namespace for record in self._envs.values()})
+        failed = self._failed_plugins()
+        if colon and namespace not in namespaces:
+            advice = self._how_to_get(namespace)
+            if not advice and not failed:
+                near = did_you_mean(env_id, self._envs) or did_you_mean(namespace, namespaces)
+                advice = near or f" Namespaces: {', '.join(namespaces) or 'none'}."
+            return f"no environment {env_id!r}.{advice}{failed} Run 'gem list'"
+        candidates = [name for name in self._envs if not colon or name.startswith(f"{namespace}:")]
+        hint = did_you_mean(env_id, candidates) or did_you_mean(env_id, self._envs)
+        if not hint:
+            variants = sorted(name for name in self._envs if name.startswith(env_id))[:3] if env_id else []
+            hint = f" Did you mean {' or '.join(map(repr, variants))}?" if variants else ""
+        if not hint and not colon:
+            # 'gem info' takes these as well.
+            kinds = (ToolSpec, WrapperSpec, AgentSpec, VectorBackendSpec)
+            hints = ((kind.kind, did_you_mean(env_id, (each.name for each in self.named(kind)))) for kind in kinds)
+            hint = next((text.replace("mean", f"mean the {kind}", 1) for kind, text in hints if text), "")
+        return f"no environment {env_id!r}.{hint}{failed} Run 'gem list{f' {namespace}' if colon else ''}'"
+
+    def _how_to_get(self, namespace: str) -> str:
+        publisher = PUBLISHED_NAMESPACES.get(namespace)
+        if publisher is None:
+            return ""
+        present = {plugin.distribution: plugin for plugin in self._plugins}
+        missing = [name for name in publisher.split() if name not in present]
+        if missing:
+            return f" The namespace {namespace!r} comes with a plugin: try 'pip install {' '.join(missing)}'."
+        disabled = [str(present[name]) for name in publisher.split() if present[name].disabled]
+        return f" It may belong to {', '.join(disabled)}, which GEM_PLUGINS_DISABLE skips." if disabled else ""
+
+    def _failed_plugins(self) -> str:
+        failed = [plugin for plugin in self._plugins if plugin.failure is not None]
+        causes = "; ".join(f"{plugin}: {plugin.failure.error}" for plugin in failed if plugin.failure)
+        return f" It may belong to a plugin that failed: {causes}." if failed else ""
+
+
+_registry = Registry()
+
+
+def registry() -> Registry:
+    """Return the registry of this process."""
+    return _registry
+
+
+def register(id: str, entry_point: EntryPoint, **kwargs: Any) -> None:
+    """Register an environment under an id.
+
+    Args:
+        id: ``namespace:Name[-vN][-variant]``.
+        entry_point: ``"package.module:Class"``, or a callable that returns an environment.
+        **kwargs: ``summary``, ``tags``, ``requires`` and ``deterministic`` describe it (see ``EnvSpec``); every other
+            keyword goes to the environment when it is made.
+
+    Raises:
+        RegistrationError: The id is malformed or taken.
+    """
+    described = {name: kwargs.pop(name) for name in _SPEC_KEYWORDS if name in kwargs}
+    _registry.add(EnvSpec(id=id, entry_point=entry_point, kwargs=kwargs, **described))
+
+
+def make(id: str | EnvSpec | MadeSpec, *, wrappers: Wrappers = (), **kwargs: Any) -> AnyEnv:
+    """Make an environment by id.
+
+    Args:
+        id: Id of a registered environment, or its record, or the ``spec`` of one that was made.
+        wrappers: Names of wrappers and tools, innermost first: ``"python,concat"``, or with options
+            ``["python", ("concat", {"max_turns": 4})]``. They go around those that a ``spec`` has already.
+        **kwargs: Keyword arguments over the registered ones; ``render_mode`` works for every environment.
+
+    Raises:
+        UnknownEnvError: No such id; the message names the nearest, or the plugin to install.
+        UnknownWrapperError: No such wrapper or tool.
+        ArgumentError: A keyword argument that the environment does not have; the message names those it has.
+        MissingRequirementError: Something has to be installed, started or set first.
+        EntryPointError: The environment's module cannot be imported.
+    """
+    from gem_core.making.environment import MadeSpec, make_from
+
+    if isinstance(id, MadeSpec):
+        return id.make(wrappers=wrappers, **kwargs)
+    record = id if isinstance(id, EnvSpec) else _registry.env(id)
+    return make_from(record, kwargs, wrappers, _registry.wrapper)
+
+
+def make_vec(
+    ids: IdOrIds,
+    num_envs: int | None = None,
+    *,
+    backend: str | tuple[str, Mapping[str, Any]] = "auto",
+    autoreset: Autoreset = "same_step",
+    wrappers: Wrappers = (),
+    seed: int | None = None,
+    plan: Iterable[PlanItem] | None = None,
+    step_timeout: float | None = None,
+    on_error: OnError = "truncate",
+    **kwargs: Any,
+) -> VectorEnv:
+    """Make several environments that are reset and stepped together.
+
+    Args:
+        ids: One id, or several for a mixed batch; the slots take them in turn. Each may come with keyword arguments of
+            its own, as in ``("game:Sudoku-v0-easy", {"max_turns": 9})``. Where there are fewer slots than ids, a plan
+            reaches them all, as that of ``rollout`` does.
+        num_envs: Number of slots; by default one for each id.
+        backend: Where environments live: ``"sync"``, ``"async"``, ``"process"``, one that a plugin brings, or
+            ``"auto"``, which chooses by each environment's ``concurrency``. Its options go along as in
+            ``("process", {"workers": 4})``.
+        autoreset: When the next episode begins. ``"same_step"``: in the step that ended the last one, whose end is in
+            ``info["final_obs"]`` and ``info["final_info"]``. ``"next_step"``: in the next step, whose action is
+            ignored. ``"disabled"``: when ``reset(options={"reset_mask": …})`` says so.
+        wrappers: Put around each environment; see ``make``.
+        seed: Seed of the run, from which every episode's own is made; None draws one, found as ``vec.seed``.
+        plan: What episodes start from, drawn by all slots; see ``gem_core.records.plans``.
+        step_timeout: Seconds that a step, or a reset with the making of its environment, may take; None for as long as
+            it likes. What takes longer is given up as a fault of its slot: its thread is abandoned, or its worker
+            killed. What runs in place cannot be given up: it goes to worker processes under ``"auto"``, and is refused
+            by ``"sync"`` and ``"async"``.
+        on_error: ``"truncate"`` ends the episode of an environment that fails and replaces it; ``"raise"`` raises.
+        **kwargs: Keyword arguments for every environment.
+
+    Raises:
+        UnknownEnvError: No such id.
+        UnknownBackendError: No such backend.
+        ArgumentError: A value that is not accepted.
+    """
+    from gem_core.making.environment import construct
+    from gem_core.vector.setup import VectorSetup, backend_and_options
+
+    name, options = backend_and_options(backend)
+    setup = VectorSetup.of(
+        ids,
+        num_envs,
+        wrappers=wrappers,
+        kwargs=kwargs,
+        seed=seed,
+        plan=plan,
+        autoreset=autoreset,
+        step_timeout=step_timeout,
+        on_error=on_error,
+    )
+    vector: VectorEnv = construct(_registry.backend(name), setup, **options)
+    return vector
+
+
+def spec(id: str) -> EnvSpec:
+    """Return the record of an environment.
+
+    Raises:
+        UnknownEnvError: No such id; the message names the nearest.
+    """
+    return _registry.env(id)
+
+
+def list_envs(namespace: str | None = None) -> list[str]:
+    """Return the ids of all environments, in order, or those of one namespace (or a glob such as ``game:*-easy``)."""
+    return [record.id for record in _registry.envs(namespace)]
+
+
+def print_envs(namespace: str | None = None) -> None:
+    """Write the ids of all environments to standard output, each with its summary."""
+    records = _registry.envs(namespace)
+    width = max((len(record.id) for record in records), default=0)
+    for record in records:
+        sys.stdout.write(f"{record.id:<{width}}  {record.summary}".rstrip() + "\n")
+
+
+def _key(record: Record) -> Key:
+    return ("env", record.id) if isinstance(record, EnvSpec) else (_space(record.kind), record.name)
+
+
+def _space(kind: str) -> str:
+    return "wrapper" if kind == "tool" else kind
+
+
+def _matches(pattern: str, env_id: str) -> bool:
+    pattern, folded = pattern.casefold(), env_id.casefold()
+    if any(character in pattern for character in "*?["):
+        return fnmatchcase(folded, pattern)
+    return pattern in folded
+
+
+def _same_entry_point(first: EnvSpec, second: EnvSpec) -> bool:
+    def name(entry_point: EntryPoint) -> object:
+        if isinstance(entry_point, str):
+            return entry_point
+        qualified = getattr(entry_point, "__qualname__", "<lambda>")
+        # Two functions without a name are two functions.
+        return entry_point if "<lambda>" in qualified else (getattr(entry_point, "__module__", None), qualified)
+
+    return name(first.entry_point) == name(second.entry_point)

@@ -1,0 +1,253 @@
+"""The plugin loader: every installed plugin is found, loaded and asked, and a broken one breaks nothing else.
+
+pluggy's own ``load_setuptools_entrypoints`` stops at the first plugin that fails, ignores a hook with a misspelt name,
+and loses everyone's results when one hook raises. Here each plugin is loaded and called behind its own guard, and its
+records are taken all or none.
+"""
+
+from __future__ import annotations
+
+import inspect
+import logging
+import os
+import reprlib
+import time
+import traceback
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint, distributions, entry_points
+from typing import Any
+
+import pluggy
+
+from gem_core.errors import PluginError, RegistrationError
+from gem_core.registry import hookspecs
+from gem_core.registry.specs import AgentSpec, CommandSpec, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+from gem_core.suggestions import did_you_mean
+
+logger = logging.getLogger(__name__)
+
+BUILTIN = "gem_core._plugin"
+"""The core's own records come by the same hooks."""
+
+RECORD_TYPES: dict[str, type[EnvSpec | NamedSpec]] = {
+    "gem_register_envs": EnvSpec,
+    "gem_register_tools": ToolSpec,
+    "gem_register_wrappers": WrapperSpec,
+    "gem_register_vector_backends": VectorBackendSpec,
+    "gem_register_agents": AgentSpec,
+    "gem_add_commands": CommandSpec,
+}
+
+Record = EnvSpec | NamedSpec
+
+_MAX_ERROR_CHARACTERS = 500
+
+
+@dataclass(frozen=True)
+class PluginFailure:
+    """What went wrong with a plugin, and where.
+
+    Args:
+        stage: ``"load"``, ``"hooks"`` or ``"call"``.
+        error: The error in one line.
+        traceback: The whole traceback.
+    """
+
+    stage: str
+    error: str
+    traceback: str
+
+
+@dataclass(eq=False)
+class Plugin:
+    """One entry point of the group ``gem.plugins``, and what became of it.
+
+    Args:
+        entry_point: What it is loaded from.
+        distribution: Name of the installed distribution.
+        version: Its version.
+        load_time_s: Seconds from the start of the import to the last record.
+        records: What it offers; empty after a failure.
+        failure: Why it offers nothing, or None.
+        disabled: Whether ``GEM_PLUGINS_DISABLE`` names it.
+        conflicts: One line for each id or name of its own that another offers too, and that is made for neither.
+    """
+
+    entry_point: EntryPoint
+    distribution: str
+    version: str
+    load_time_s: float = 0.0
+    records: list[Record] = field(default_factory=list)
+    failure: PluginFailure | None = None
+    disabled: bool = False
+    conflicts: list[str] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        """The name of its entry point."""
+        return self.entry_point.name
+
+    @property
+    def is_core(self) -> bool:
+        """Whether this is what the core itself offers."""
+        return self.entry_point.value == BUILTIN
+
+    def __str__(self) -> str:
+        return f"plugin {self.name!r} ({self.distribution} {self.version})"
+
+
+def load_plugins() -> list[Plugin]:
+    """Load every installed plugin, the core's own records first, the others by name.
+
+    Environment variables: ``GEM_PLUGINS_DISABLE=a,b`` skips plugins by their name or their distribution's;
+    ``GEM_PLUGINS_STRICT=1`` raises at the first failure.
+
+    Raises:
+        PluginError: A plugin failed and ``GEM_PLUGINS_STRICT`` is set.
+    """
+    manager = pluggy.PluginManager(hookspecs.PROJECT)
+    manager.add_hookspecs(hookspecs)
+    found = sorted(_find(), key=lambda point: (point.name, point.value))
+    disabled = _disabled_names()
+    names = {name for point in found for name in (point.name, _describe(point).distribution)}
+    for name in sorted(disabled - names):
+        hint = did_you_mean(name, names)
+        logger.warning("gem: GEM_PLUGINS_DISABLE names %r, and no such plugin is installed.%s", name, hint)
+
+    plugins = [_load(EntryPoint("core", BUILTIN, hookspecs.ENTRY_POINT_GROUP), manager)]
+    for point in _without_copies(found):
+        plugin = _describe(point)
+        plugin.disabled = not disabled.isdisjoint((plugin.name, plugin.distribution))
+        plugins.append(plugin if plugin.disabled else _load(point, manager))
+    return plugins
+
+
+def complain(line: str, cause: BaseException | None = None) -> None:
+    """Say in one line what is wrong with a plugin, or raise when ``GEM_PLUGINS_STRICT`` is set.
+
+    Raises:
+        PluginError: It is.
+    """
+    if os.environ.get("GEM_PLUGINS_STRICT", "") not in ("", "0"):
+        raise PluginError(f"{line} (GEM_PLUGINS_STRICT is set)") from cause
+    logger.warning("gem: %s. Everything else works; run 'gem plugins --check' for the whole.", line)
+
+
+def _find() -> list[EntryPoint]:
+    try:
+        return list(entry_points(group=hookspecs.ENTRY_POINT_GROUP))
+    except Exception:  # noqa: BLE001 - one unreadable entry_points.txt, of whatever distribution, hides all the others
+        found: list[EntryPoint] = []
+    for distribution in distributions():
+        try:
+            found.extend(distribution.entry_points.select(group=hookspecs.ENTRY_POINT_GROUP))
+        except Exception as error:  # noqa: BLE001 - as above
+            where = getattr(distribution, "_path", "an unnamed distribution")
+            logger.warning("gem: the entry points of %s cannot be read (%s).", where, one_line(error))
+    return found
+
+
+def _load(point: EntryPoint, manager: pluggy.PluginManager) -> Plugin:
+    plugin = _describe(point)
+    started = time.perf_counter()
+    stage = "load"
+    module: Any = None
+    cause: BaseException | None = None
+    try:
+        module = point.load()
+        stage = "hooks"
+        _check_hooks(module)
+        manager.register(module, name=f"{plugin.distribution}:{plugin.name}")
+        manager.check_pending()
+        stage = "call"
+        plugin.records = _call_hooks(module, manager)
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a plugin does must not break the others
+        cause = error
+        plugin.failure = PluginFailure(stage, one_line(error), traceback.format_exc())
+    plugin.load_time_s = time.perf_counter() - started
+    if plugin.failure is not None:
+        complain(f"{plugin} failed at stage '{plugin.failure.stage}': {plugin.failure.error}", cause)
+    return plugin
+
+
+def _describe(point: EntryPoint) -> Plugin:
+    distribution = point.dist
+    if distribution is None:
+        from gem_core import __version__
+
+        return Plugin(point, "gem-core", __version__)
+    try:
+        return Plugin(point, distribution.name or "unnamed", distribution.version or "?")
+    except Exception:  # noqa: BLE001 - metadata that cannot be read must not break the others
+        return Plugin(point, "unnamed", "?")
+
+
+def _without_copies(points: Iterable[EntryPoint]) -> list[EntryPoint]:
+    # An editable install can show the same distribution twice on one path.
+    unique: dict[tuple[str, str, str], EntryPoint] = {}
+    for point in points:
+        unique.setdefault((point.name, point.value, _describe(point).distribution), point)
+    return list(unique.values())
+
+
+def _check_hooks(module: Any) -> None:
+    """Reject what pluggy would silently ignore: unknown hook names, and hooks that lack their mark."""
+    marked = f"{hookspecs.PROJECT}_impl"
+    for name in dir(module):
+        function = getattr(module, name, None)
+        if not inspect.isroutine(function):
+            continue
+        options = getattr(function, marked, None)
+        if options is not None:
+            hook = options.get("specname") or name
+            if hook not in RECORD_TYPES:
+                raise RegistrationError(
+                    f"no hook is called {hook!r}.{did_you_mean(hook, RECORD_TYPES)} See gem_core/registry/hookspecs.py"
+                )
+            if options.get("wrapper") or options.get("hookwrapper"):
+                raise RegistrationError(f"{name!r} wraps the hooks of others; a plugin only offers records of its own")
+        elif name in RECORD_TYPES:
+            raise RegistrationError(f"{name!r} is not marked; put '@gem_core.hookimpl' above it")
+        elif name.startswith(("gem_register_", "gem_add_")):
+            raise RegistrationError(
+                f"{name!r} looks like a hook, but no hook is called so.{did_you_mean(name, RECORD_TYPES)} "
+                "See gem_core/registry/hookspecs.py"
+            )
+
+
+def _call_hooks(module: Any, manager: pluggy.PluginManager) -> list[Record]:
+    # pluggy has checked names and arguments; the call is ours, because pluggy's would drop a None without a word.
+    records: list[Record] = []
+    for hook, record_type in RECORD_TYPES.items():
+        for implementation in getattr(manager.hook, hook).get_hookimpls():
+            if implementation.plugin is module:
+                records.extend(_checked(hook, record_type, implementation.function()))
+    return records
+
+
+def _checked(hook: str, record_type: type[Record], offered: Any) -> list[Record]:
+    if isinstance(offered, str | bytes) or not isinstance(offered, Iterable):
+        raise RegistrationError(f"{hook} must return a list of {record_type.__name__}, not {reprlib.repr(offered)}")
+    records = list(offered)
+    for record in records:
+        if not isinstance(record, record_type):
+            raise RegistrationError(
+                f"{hook} must return records of type {record_type.__name__}, not {reprlib.repr(record)}"
+            )
+    return records
+
+
+def _disabled_names() -> set[str]:
+    return {name.strip() for name in os.environ.get("GEM_PLUGINS_DISABLE", "").split(",") if name.strip()}
+
+
+def one_line(error: BaseException) -> str:
+    """Return the type and the message of an error in one line of bounded length."""
+    try:
+        text = " ".join(str(error).split())
+    except Exception:  # noqa: BLE001 - an error whose own text fails is still reported by its type
+        text = ""
+    if len(text) > _MAX_ERROR_CHARACTERS:
+        text = text[:_MAX_ERROR_CHARACTERS] + "…"
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -1,0 +1,261 @@
+"""What an agent is given, and how any callable becomes one."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import sys
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+from gem_core.arguments import check_arguments
+from gem_core.background import run_sync
+from gem_core.errors import AgentError, ArgumentError, UnknownAgentError
+from gem_core.records.episode import Transition
+from gem_core.registry.specs import AgentSpec
+from gem_core.suggestions import did_you_mean
+from gem_core.types import Info, Observation, Response
+
+
+@dataclass
+class Context:
+    """What an agent may know besides the observation.
+
+    Args:
+        episode: Id of the episode in its run: the item's place in the plan and the repeat, as ``"12.0"``.
+        env_id: Id of the environment.
+        group: Name that episodes with one start share; None outside groups.
+        turn: Number of turns taken so far.
+        info: What came with the observation.
+        tools: Schemas of the tools, as the OpenAI chat API takes them.
+        transitions: The turns so far, oldest first.
+        deadline: Time on ``time.monotonic()`` by which the answer is wanted; None for none.
+        system: System text: the agent's own, or else the task's; None for none.
+    """
+
+    episode: str
+    env_id: str
+    group: str | None
+    turn: int
+    info: Info
+    tools: list[dict[str, Any]]
+    transitions: list[Transition]
+    deadline: float | None = None
+    system: str | None = None
+    _sample: Callable[[], str] = field(default=lambda: "", repr=False)
+    _messages: Callable[[], list[dict[str, Any]]] = field(default=list, repr=False)
+
+    @property
+    def messages(self) -> list[dict[str, Any]]:
+        """The conversation so far as chat messages, whatever the view; they are the agent's to change.
+
+        The system text comes first, where there is one; tool calls and their results stand under their ids. A later
+        list begins with the earlier one.
+        """
+        return self._messages()
+
+    @property
+    def responses(self) -> list[Response]:
+        """The earlier responses as they were sampled, so that their tokens are never made anew from text."""
+        return [transition.action for transition in self.transitions]
+
+    def sample_random_action(self) -> str:
+        """Return a valid action, drawn by the environment from a generator of the episode's own."""
+        return self._sample()
+
+
+Answer = str | Awaitable[str]
+Agent = Callable[[Observation, Context], Answer]
+"""Returns a response; plain or a coroutine function. One agent serves many episodes at once.
+
+It may have ``prepare()``, called before the first episode, perhaps more than once, which raises what must be said at
+the start, and ``close()`` or ``aclose()``; each plain or a coroutine function. It raises ``RequestError`` where the
+machinery behind it failed and only that episode is lost, and ``ContextOverflowError`` where the history is too long for
+it. ``max_concurrency`` says how many episodes keep it busy; ``interactive``, that it answers one at a time.
+
+``reads`` says what it is sent as the observation: ``"messages"``, the conversation so far as chat messages, or
+``"observation"``, what the environment returned. Where a view was named, all are sent what the view shows. An agent
+that says nothing is sent the observation; but in an environment with tools, whose observations are the results of
+single calls, the conversation so far as text, as ``concat_with_action`` shows it. ``system`` is system text of its own.
+``native_tools`` says that it offers the model the schemas of ``context.tools``, so that no text explains them again.
+"""
+
+READS = ("messages", "observation")
+
+
+class Reading(NamedTuple):
+    """What an agent says of what it is to be sent; see ``Agent``."""
+
+    reads: str | None = None
+    system: str | None = None
+    native_tools: bool = False
+
+    @classmethod
+    def of(cls, agent: Any) -> Self:
+        """Return what an agent says.
+
+        Raises:
+            AgentError: It reads what there is not.
+        """
+        reads, system = getattr(agent, "reads", None), getattr(agent, "system", None)
+        if reads is not None and reads not in READS:
+            raise AgentError(
+                f"an agent reads {' or '.join(map(repr, READS))}, and {agent!r:.100} says reads = {reads!r}"
+            )
+        return cls(reads, system if isinstance(system, str) else None, getattr(agent, "native_tools", False) is True)
+
+
+def as_agent(agent: Any) -> Agent:
+    """Return a callable of (observation, context) for any callable of one or two arguments.
+
+    A second argument that has a default, as ``temperature=0.7``, is an option of the callable's own, unless its name
+    is ``context``.
+
+    Raises:
+        AgentError: It cannot be called so, or reads what there is not.
+    """
+    if isinstance(agent, type):
+        agent = agent()
+    if not callable(agent):
+        raise AgentError(f"an agent is a callable of (observation, context), not {agent!r:.100}")
+    Reading.of(agent)
+    try:
+        signature = inspect.signature(agent)
+    except (TypeError, ValueError):  # a callable of C code may not tell its signature
+        return _OfObservation(agent)
+    for count in (2, 1):
+        try:
+            signature.bind(*[None] * count)
+        except TypeError:
+            continue
+        return agent if count == 2 and _wants_context(signature) else _OfObservation(agent)
+    raise AgentError(f"an agent takes (observation, context) or (observation), and {agent!r:.100} takes {signature}")
+
+
+def _wants_context(signature: inspect.Signature) -> bool:
+    """Tell whether the second argument is the context; one with a default is so only by its name."""
+    second = list(signature.parameters.values())[1:2]
+    return not second or second[0].default is inspect.Parameter.empty or second[0].name == "context"
+
+
+_SAID = ("prepare", "close", "aclose", "interactive", "max_concurrency", *Reading._fields)
+
+
+class _OfObservation:
+    """An agent that takes the observation alone."""
+
+    def __init__(self, function: Callable[[Observation], Answer]) -> None:
+        self.function = function
+
+    def __call__(self, observation: Observation, context: Context) -> Answer:
+        return self.function(observation)
+
+    def __getattr__(self, name: str) -> Any:
+        # Only these: with all attributes of a function, an object would be taken for one.
+        if name not in _SAID:
+            raise AttributeError(name)
+        return getattr(self.function, name)
+
+
+def prepare_agent(agent: Agent) -> None:
+    """Call the agent's ``prepare()``, if it has one."""
+    _call_if_there(agent, "prepare")
+
+
+def close_agent(agent: Agent) -> None:
+    """Call the agent's ``aclose()`` or ``close()``, if it has one."""
+    _call_if_there(agent, "aclose" if hasattr(agent, "aclose") else "close")
+
+
+def _call_if_there(agent: Agent, name: str) -> None:
+    method = getattr(agent, name, None)
+    if callable(method):
+        waited = method()
+        if inspect.isawaitable(waited):
+            run_sync(waited)
+
+
+def load_agent(name: str, **options: Any) -> Agent:
+    """Return the agent of a name: a registered one, or ``MODULE:CALLABLE``.
+
+    What stands behind the colon is the argument of a registered agent; modules are also looked for in the current
+    folder, which is in ``sys.path`` only while they are imported.
+
+    Args:
+        name: As in ``"random"``, ``"openai:MODEL"``, ``"my_module:MyAgent"``.
+        options: Keyword arguments for what makes the agent: a registered entry point, or a class.
+
+    Raises:
+        ArgumentError: It does not take these options; the message says what it takes.
+        UnknownAgentError: There is no such agent, module or callable.
+    """
+    from gem_core.making.environment import construct
+    from gem_core.registry.lookup import registry
+
+    head, colon, rest = name.partition(":")
+    registry().refuse_contested("agent", head)
+    registered = [record.name for record in registry().named(AgentSpec)]
+    if head in registered:
+        return as_agent(construct(registry().agent(head), *([rest] if colon else []), **options))
+    if colon and not (head and rest):
+        raise UnknownAgentError(f"no agent {name!r}: name one as MODULE:CALLABLE, or one of {', '.join(registered)}")
+    if not colon:
+        listed = ", ".join(registered)
+        raise UnknownAgentError(
+            f"no agent {name!r}.{did_you_mean(name, registered)} There are: {listed}; or name one as MODULE:CALLABLE"
+        )
+    with current_folder_importable():  # a class may import more when it is made
+        return _agent_of_module(name, head, rest, registered, options)
+
+
+def _agent_of_module(name: str, module: str, path: str, registered: list[str], options: dict[str, Any]) -> Agent:
+    target = _imported(name, module, path, registered)
+    if not callable(target):
+        raise UnknownAgentError(
+            f"no agent {name!r}: an agent is a callable of (observation, context), and this is {target!r:.100}"
+        )
+    if not options:
+        return as_agent(target)
+    if not isinstance(target, type):
+        raise ArgumentError(
+            f"the agent {name!r} is not a class, so it takes no options, and was given: {', '.join(options)}"
+        )
+    check_arguments(target, (), options, f"agent {name!r}")
+    return as_agent(target(**options))
+
+
+@contextmanager
+def current_folder_importable() -> Iterator[None]:
+    """Look for modules in the current folder as well, as long as this lasts."""
+    here = str(Path.cwd())
+    sys.path.insert(0, here)
+    try:
+        yield
+    finally:
+        # One of them: whoever put the same folder there, before or meanwhile, still finds it.
+        with suppress(ValueError):
+            sys.path.remove(here)
+
+
+def _imported(name: str, module_name: str, path: str, registered: list[str]) -> Any:
+    try:
+        target: Any = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name and (module_name == error.name or module_name.startswith(f"{error.name}.")):
+            hint = did_you_mean(module_name, registered)
+            raise UnknownAgentError(
+                f"no agent {name!r}: there is no agent and no module {module_name!r}.{hint} "
+                f"Agents: {', '.join(registered)}"
+            ) from None
+        raise AgentError(f"the module {module_name!r} needs {error.name!r}, which is not installed") from error
+    except (ImportError, SyntaxError, ValueError) as error:
+        raise AgentError(f"importing the module {module_name!r} failed: {type(error).__name__}: {error}") from error
+    for part in path.split("."):
+        if not hasattr(target, part):
+            names = [found for found in vars(target) if not found.startswith("_")]
+            raise UnknownAgentError(f"no agent {name!r}: {module_name!r} has no {part!r}.{did_you_mean(part, names)}")
+        target = getattr(target, part)
+    return target

@@ -1,0 +1,129 @@
+"""Calls written as elements, one for each argument: Qwen3-Coder, Seed-OSS, MiniMax M2, DeepSeek V3.2, Step3, GLM.
+
+Their values stand as they are, without any escape. So a value ends at a closing tag that is followed by what may follow
+one, and not at the first, which a program may print; and just one line break is taken off each end.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from gem_core.tools.calls.calls import Call, Tools
+from gem_core.tools.calls.json_calls import NO_JSON
+from gem_core.tools.calls.values import Raw, loaded, skip_blanks, value_at
+
+# Some write a name before each tag, as in <steptml:invoke …>, or a mark.
+_MARK = r"(?:[A-Za-z]\w{0,20}+:|｜DSML｜)?"
+_NAME = r"""["']?([^\s"'<>/=]{1,200}+)["']?"""
+_FUNCTION = re.compile(rf"<{_MARK}(?:function|invoke)(?:=|\s+name\s*=\s*){_NAME}\s*+>")
+_PARAMETER = re.compile(
+    rf'\s*+<{_MARK}parameter(?:=|\s+name\s*=\s*){_NAME}(?:\s+string\s*=\s*["\']?(true|false)["\']?)?\s*+>'
+)
+_VALUE_END = re.compile(
+    rf"</{_MARK}parameter>(?=\s*+(?:<{_MARK}parameter[=\s]|</{_MARK}(?:function|invoke|tool_call)|<\||\Z))"
+    rf"""|(?<=\n)(?=<parameter=)|(?=</{_MARK}(?:function|invoke)>(?!["'`\\),;]))"""
+)
+_FUNCTION_END = re.compile(rf"""\s*+</{_MARK}(?:function|invoke)>""")
+_TEXT_END = re.compile(rf"""</{_MARK}(?:function|invoke)>(?!["'`\\),;])""")
+
+# Hunyuan may write a suffix into each tag, and GLM a backslash and an n between two.
+_BETWEEN = r"(?:\s|\\n)*"
+_KEY = re.compile(
+    rf"{_BETWEEN}<arg_key(?::\w+)?>\s*+([^<]{{1,200}}?)\s*+</arg_key(?::\w+)?>{_BETWEEN}<arg_value(?::\w+)?>"
+)
+_KEYED_END = re.compile(rf"</arg_value(?::\w+)?>(?={_BETWEEN}(?:<arg_key|</?tool_call|\Z))")
+
+_TOOL_NAME = re.compile(r"\s*+<tool_name>([^<]{0,200})</tool_name>\s*+(<(?:arguments|parameters)>\s*+)?")
+_ELEMENT = re.compile(r"\s*+<(\w{1,100})>")
+_ELEMENTS_END = re.compile(r"\s*+</(?:arguments|parameters)>")
+
+
+def function(text: str, start: int, at: int, tools: Tools) -> Call | None:
+    """``<function=NAME>`` or ``<invoke name="NAME">``, around JSON, elements ``<parameter…>``, or the text alone."""
+    opening = _FUNCTION.match(text, start)
+    if opening is None:
+        return None
+    at = skip_blanks(text, opening.end())
+    if text.startswith("{", at):
+        try:
+            given, end = value_at(text, at)
+        except ValueError as error:
+            return Call(opening[1], None, 0, problem=f"its arguments are no valid JSON: {error}"[:250])
+        return Call(opening[1], given, _behind(_FUNCTION_END, text, end))
+    if _PARAMETER.match(text, at) is None and not _FUNCTION_END.match(text, at):
+        ending = _TEXT_END.search(text, at)
+        content = Raw(text[opening.end() : ending.start() if ending else len(text)])
+        return Call(opening[1], content, ending.end() if ending else len(text), cut=ending is None)
+    return _parameters(opening[1], text, at)
+
+
+def _parameters(name: str, text: str, at: int) -> Call:
+    given: dict[str, Any] = {}
+    while parameter := _PARAMETER.match(text, at):
+        ending = _VALUE_END.search(text, parameter.end())
+        if ending is None:
+            given[parameter[1]] = _value(text[parameter.end() :], parameter[2])
+            return Call(name, given, len(text), cut=True)
+        given[parameter[1]] = _value(text[parameter.end() : ending.start()], parameter[2])
+        at = ending.end()
+    return Call(name, given, _behind(_FUNCTION_END, text, at))
+
+
+def _value(content: str, is_text: str | None) -> Any:
+    content = _without_line_breaks(content)
+    if is_text == "true":
+        return content
+    read = loaded(content) if is_text == "false" else None
+    return Raw(content) if read is None or read.problem else read.value
+
+
+def keyed(name: str, text: str, at: int) -> Call | None:
+    """GLM and Hunyuan 3: behind the name, ``<arg_key>…</arg_key><arg_value>…</arg_value>`` for each argument."""
+    given: dict[str, Any] = {}
+    while key := _KEY.match(text, at):
+        ending = _KEYED_END.search(text, key.end())
+        if ending is None:
+            given[key[1]] = Raw(_without_line_breaks(text[key.end() :]))
+            return Call(name, given, len(text), cut=True)
+        given[key[1]] = Raw(_without_line_breaks(text[key.end() : ending.start()]))
+        at = ending.end()
+    return Call(name, given, at) if given else None
+
+
+def elements(text: str, at: int) -> Call | None:
+    """``<tool_name>`` and ``<arguments>``, around JSON (gem-llm) or an element for each (an older kind of invoke)."""
+    opening = _TOOL_NAME.match(text, at)
+    if opening is None:
+        return None
+    name, at = opening[1].strip(), opening.end()
+    if opening[2] is None:
+        behind = re.compile(r"</|\Z").match(text, at)
+        problem = None if behind else "behind <tool_name> must stand <arguments>{…}</arguments>"
+        return Call(name if behind else "", {}, at, problem=problem)
+    if text.startswith("{", at):
+        try:
+            given, end = value_at(text, at)
+        except ValueError as error:
+            return Call("", None, 0, problem=f"{NO_JSON}: {error}"[:220])
+        return Call(name, given, _behind(_ELEMENTS_END, text, end))
+    given = {}
+    while element := _ELEMENT.match(text, at):
+        closing = f"</{element[1]}>"
+        structural = re.compile(rf"{closing}(?=\s*+(?:<\w|</(?:arguments|parameters)>))").search(text, element.end())
+        if structural is None:
+            return Call(name, None, 0, problem=f"<{element[1]}> is never closed by {closing}")
+        given[element[1]] = Raw(_without_line_breaks(text[element.end() : structural.start()]))
+        at = structural.end()
+    return Call(name, given, _behind(_ELEMENTS_END, text, at))
+
+
+def _behind(pattern: re.Pattern[str], text: str, at: int) -> int:
+    found = pattern.match(text, at)
+    return found.end() if found else at
+
+
+def _without_line_breaks(content: str) -> str:
+    """Take one line break off each end, and no more: the first line of a program may be indented."""
+    content = content.removeprefix("\r\n") if content.startswith("\r") else content.removeprefix("\n")
+    return content.removesuffix("\n").removesuffix("\r") if content.endswith("\n") else content

@@ -1,0 +1,320 @@
+"""``ToolEnv``: puts tools around any task."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Awaitable
+from typing import Any
+
+import gymnasium
+import pydantic
+
+from gem_core.env.base import observation_from
+from gem_core.env.wrapper import AnyEnv, Wrapper, reset_needed
+from gem_core.errors import ArgumentError, StateError, StateNotSupported
+from gem_core.tools.calls.reading import CallReader, native_calls
+from gem_core.tools.selection import ToolChoice, ToolChoices, tool_choices, tools_by_name
+from gem_core.tools.sessions import ToolSessions
+from gem_core.tools.tool import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, ToolResult
+from gem_core.types import Observation, ResetResult, Response, StepResult
+from gem_core.wrappers.views import joined, told_apart
+
+__all__ = ["ToolChoice", "ToolChoices", "ToolEnv"]
+
+
+class ToolEnv(Wrapper):
+    """Lets an agent use tools in a task.
+
+    A response that calls a tool is answered by the tool; any other goes to the task. Calls are read as tags and fenced
+    blocks (see ``Tool``), as ``<tool_call>{"name": …, "arguments": …}</tool_call>``, and in the other forms that models
+    are trained to write (see ``gem_core.tools.calls``). The first complete call of a response is executed; what
+    follows it is left out of ``info["parsed_action"]``. Native calls (``Response.tool_calls``) win over text: all are
+    executed, in order, and answered under their ids in ``info["messages"]``. A call that fails or cannot be read is
+    told to the agent, and never reaches the task as an answer; so is a tag that is a tool's but for one letter.
+
+    What stands in a thinking block is no call, as long as the block is closed; neither is what stands in a fenced block
+    (``answer_fences``) or a tag (``answer_tags``) that is the task's answer, unless that begins with a call. A tool
+    that has the name of such a tag is called in JSON only.
+
+    ``info["tool"]`` says what a tool step did: ``name``, ``arguments``, ``failed`` and ``error`` of the call, the last
+    of several; ``calls``, the same for each; and the counters ``uses``, ``successes`` and ``failures`` of the episode.
+    ``info["tools"]`` holds the schemas at reset, and ``info["tool_instructions"]`` the words that explain them:
+    ``text``, as in the observation, and ``native``, which take their place where an agent is offered the schemas.
+
+    There is one around a task: ``make`` gathers all tools that it is given, and their options, into one.
+
+    Args:
+        env: The task.
+        tools: Tools, classes of tools, or names of registered ones, a name or class with its options as in
+            ``("search", {"top_k": 5})``; what a name stands for may be several. Names may be joined by commas.
+        tool_reward: Added for each call that could be read.
+        tool_success_reward: Added for each call that succeeded.
+        tool_error_reward: Added for each call that failed or could not be read.
+        max_tool_uses: Calls in an episode, those that could not be read included; after that every response goes to the
+            task. None for no limit.
+        instructions: Whether the first observation ends by explaining the tools; or the text to do so.
+        thinking_tag: Name of the tag around thinking; with None, calls in it count as any other.
+        call_timeout_s: Seconds that a call may take; what takes longer is given up, together with its session, and
+            told to the agent. A coroutine is cancelled; a thread, which cannot be, is left behind. None for no limit.
+    """
+
+    def __init__(
+        self,
+        env: AnyEnv,
+        tools: ToolChoices,
+        *,
+        tool_reward: float = 0.0,
+        tool_success_reward: float = 0.0,
+        tool_error_reward: float = 0.0,
+        max_tool_uses: int | None = 5,
+        instructions: bool | str = True,
+        thinking_tag: str | None = "think",
+        call_timeout_s: float | None = None,
+    ) -> None:
+        super().__init__(env)
+        _check(env, max_tool_uses, call_timeout_s)
+        self.tools = tools_by_name(tool_choices(tools))
+        self.tool_reward = tool_reward
+        self.tool_success_reward = tool_success_reward
+        self.tool_error_reward = tool_error_reward
+        self.max_tool_uses = max_tool_uses
+        self.instructions = instructions
+        task = env.unwrapped
+        self._reader = CallReader(
+            self.tools,
+            answer_fences=getattr(task, "answer_fences", ()),
+            answer_tags=getattr(task, "answer_tags", ()),
+            thinking_tag=thinking_tag,
+        )
+        self._sessions = ToolSessions(self.tools, call_timeout_s)
+        self.needs = self._sessions.needs
+        self._live = False
+        self._suffix: Observation | None = None
+        self._uses = self._successes = self._failures = 0
+
+    # The hooks.
+
+    def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> Awaitable[None] | None:
+        """Close the sessions of the episode that is over."""
+        self._live = False
+        self._uses = self._successes = self._failures = 0
+        sessions = self._sessions.take()
+        return self._sessions.finished(self._sessions.close_all(sessions)) if sessions else None
+
+    def after_reset(self, result: ResetResult) -> ResetResult:
+        """Explain the tools."""
+        observation, info = result
+        feedback, suffix = told_apart(observation, info)
+        self._suffix = suffix if "suffix" in info else None
+        self._live = True
+        info["tools"] = [tool.schema() for tool in self.tools.values()]
+        if info.get("view") is not None:
+            info["view"] = None  # a view inside the tools shows nothing of what they say
+        text = self.instructions if isinstance(self.instructions, str) else self._instructions()
+        if self.instructions and text:
+            if self.instructions is True:
+                info["tool_instructions"] = {"text": text, "native": self._native_instructions()}
+            feedback = joined([feedback, text if text.endswith("\n") else f"{text}\n"])
+            observation = observation_from(feedback, suffix)
+            if self._suffix is not None:
+                info["feedback"] = feedback
+        return observation, info
+
+    def before_step(self, action: str) -> str | StepResult | Awaitable[str | StepResult]:
+        """Answer a response that calls tools."""
+        if self._uses_left() == 0:
+            return action
+        calls = native_calls(Response.of(action).tool_calls or [], self.tools)
+        if not calls:
+            call = self.find_call(action)
+            if call is None:
+                return action
+            calls = [call]
+        if not self._live:
+            raise reset_needed(self)
+        return self._sessions.finished(self._answer(action, calls))
+
+    def after_step(self, action: str, result: StepResult) -> StepResult:
+        """Remember how things stand, for the tool steps that follow."""
+        info = result[4]
+        self._suffix = info["suffix"] if "feedback" in info and "suffix" in info else None
+        self._live = not (result[2] or result[3])
+        return result
+
+    def close(self) -> None:
+        """Close the sessions, then the task."""
+        self._sessions.close()
+        super().close()
+
+    # Reading and executing calls.
+
+    def find_call(self, action: str) -> ToolCall | None:
+        """Return the first complete call in a response, or the first that is begun; None for an answer to the task."""
+        return self._reader.find(action)
+
+    async def _answer(self, action: str, calls: list[ToolCall]) -> StepResult:
+        outcomes, reward = [], 0.0
+        for call in calls:
+            if self._uses_left() == 0:
+                outcomes.append((call, ToolResult("No tool calls were left: this one was not executed.", failed=True)))
+                continue
+            self._uses += 1
+            result = await self._outcome(call)
+            if result.failed:
+                self._failures += 1
+            else:
+                self._successes += 1
+            reward += self.tool_reward if call.error is None else 0.0
+            reward += self.tool_error_reward if result.failed else self.tool_success_reward
+            outcomes.append((call, result))
+        return self._answered(action, outcomes, reward)
+
+    async def _outcome(self, call: ToolCall) -> ToolResult:
+        if call.error is not None:
+            return ToolResult(f"The call could not be read: {call.error}", failed=True)
+        tool = self.tools[call.name]
+        try:
+            arguments = tool.validate(call.arguments)
+        except Exception as error:  # noqa: BLE001 - a validator of the tool's own may fail in any way
+            return ToolResult(_validation_message(error), failed=True)
+        return await self._sessions.call(tool, arguments)
+
+    def _answered(self, action: str, outcomes: list[tuple[ToolCall, ToolResult]], reward: float) -> StepResult:
+        outputs = [joined([_title(call, result), result.content]) for call, result in outcomes]
+        feedback = joined([*outputs, f"{self._what_is_left()}\n"])
+        suffix: Observation = "" if self._suffix is None else self._suffix
+        last = outcomes[-1][0]
+        calls = [_described(call, result) for call, result in outcomes]
+        info: dict[str, Any] = {
+            "feedback": feedback,
+            "suffix": suffix,
+            "parsed_action": _parsed_action(str(action), last),
+            "tool": {
+                **calls[-1],
+                "calls": calls,
+                "uses": self._uses,
+                "successes": self._successes,
+                "failures": self._failures,
+            },
+        }
+        if last.id is not None:
+            info["messages"] = self._messages(outcomes)
+        return observation_from(feedback, suffix), reward, False, False, info
+
+    def _messages(self, outcomes: list[tuple[ToolCall, ToolResult]]) -> list[dict[str, Any]]:
+        messages = []
+        for number, (call, result) in enumerate(outcomes, start=1):
+            pieces: list[Observation] = [_title(call, result), result.content] if result.failed else [result.content]
+            if number == len(outcomes):
+                pieces.append(self._what_is_left())
+            messages.append({"role": "tool", "tool_call_id": call.id, "content": joined(pieces)})
+        return messages
+
+    def _uses_left(self) -> int | None:
+        return None if self.max_tool_uses is None else max(self.max_tool_uses - self._uses, 0)
+
+    def _what_is_left(self) -> str:
+        left = self._uses_left()
+        if left is None:
+            return "You may call a tool again, or give your answer."
+        if left == 0:
+            return "No tool calls are left. Give your answer to the task now."
+        return f"Tool calls left: {left}. Call a tool again, or give your answer."
+
+    def _instructions(self) -> str:
+        if self.max_tool_uses == 0 or not self.tools:
+            return ""
+        lines = [
+            "You may use tools before you answer. Make one call in a response: the result comes back to you, and "
+            f"nothing that you write behind the call is read.{self._limit()}",
+            *(self._explained(tool) for tool in self.tools.values()),
+            f'Any tool can also be called as {CALL_OPEN}{{"name": …, "arguments": {{…}}}}{CALL_CLOSE}.',
+        ]
+        return "\n".join(lines)
+
+    def _native_instructions(self) -> str:
+        hints = [hint for tool in self.tools.values() if (hint := tool.hints())]
+        return "\n".join([f"You may use tools before you answer.{self._limit()}", *hints])
+
+    def _limit(self) -> str:
+        most = self.max_tool_uses
+        return "" if most is None else f" You have {most} tool call{'' if most == 1 else 's'}."
+
+    def _explained(self, tool: Tool) -> str:
+        if tool.name in self._reader.reserved:
+            return tool.explained_in_json()
+        if self._reader.leaves_fences_of(tool):
+            # Not to be told of a form that would be taken for the answer.
+            tool = copy.copy(tool)
+            tool.fences = ()  # of this copy alone
+        return tool.instructions()
+
+    def _own_record(self) -> tuple[str, dict[str, Any]]:
+        return "tools", super()._own_record()[1]
+
+    def _get_state(self) -> dict[str, Any]:
+        if self._suffix is not None and not isinstance(self._suffix, str):
+            raise StateNotSupported("the task's suffix holds content parts, whose images are not plain data")
+        holders = self._sessions.holders
+        return {
+            "live": self._live,
+            "counters": [self._uses, self._successes, self._failures],
+            "suffix": self._suffix,
+            "sessions": {key: holders[key].get_session_state(session) for key, session in self._sessions.open.items()},
+        }
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self._sessions.close()
+        self._uses, self._successes, self._failures = map(int, state["counters"])
+        suffix = state["suffix"]
+        if suffix is not None and not isinstance(suffix, str):
+            raise StateError(f"the suffix in a state must be text or None, not {type(suffix).__name__}")
+        self._suffix, self._live = suffix, bool(state["live"])
+        for key, session in state["sessions"].items():
+            self._sessions.open[key] = self._sessions.holders[key].set_session_state(session)
+
+
+def _title(call: ToolCall, result: ToolResult) -> str:
+    return f"{'Error from' if result.failed else 'Output of'} {call.name or 'the tool call'}:"
+
+
+def _described(call: ToolCall, result: ToolResult) -> dict[str, Any]:
+    return {
+        **result.info,
+        "name": call.name or None,
+        "arguments": dict(call.arguments),
+        "failed": result.failed,
+        "error": call.error,
+    }
+
+
+def _parsed_action(action: str, call: ToolCall) -> str | None:
+    if call.id is not None:
+        return action
+    return action[: call.end] if call.end else None
+
+
+def _check(env: AnyEnv, max_tool_uses: object, call_timeout_s: object) -> None:
+    layer: Any = env
+    while isinstance(layer, gymnasium.Wrapper):
+        if isinstance(layer, ToolEnv):
+            raise ArgumentError(
+                f"there are tools around this environment already: {', '.join(layer.tools)}; give all tools to one "
+                "ToolEnv, or to make(), which gathers them"
+            )
+        layer = layer.env
+    if max_tool_uses is not None and (type(max_tool_uses) is not int or max_tool_uses < 0):
+        raise ArgumentError(f"max_tool_uses must be a whole number from 0 up or None, not {max_tool_uses!r}")
+    if call_timeout_s is not None and (not isinstance(call_timeout_s, int | float) or not call_timeout_s > 0):
+        raise ArgumentError(f"call_timeout_s must be a number of seconds above 0 or None, not {call_timeout_s!r}")
+
+
+def _validation_message(error: Exception) -> str:
+    if isinstance(error, RecursionError):
+        return "The arguments are nested too deeply."
+    if isinstance(error, ArgumentError):
+        return f"The arguments are not valid. {error}"[:2000]
+    if not isinstance(error, pydantic.ValidationError):
+        return f"The arguments are not valid. {type(error).__name__}: {error}"[:2000]
+    lines = [f"{'.'.join(map(str, item['loc'])) or 'arguments'}: {item['msg']}"[:300] for item in error.errors()[:10]]
+    return "The arguments are not valid. " + "; ".join(lines)

@@ -1,0 +1,75 @@
+"""Which tools are asked for: by object, by class or by name, each with its options, and none named as another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from gem_core.errors import ArgumentError
+from gem_core.tools.tool import Tool
+
+ToolChoice = Tool | type[Tool] | str | tuple[str | type[Tool], Mapping[str, Any]]
+"""A tool, a class of tools, the name of a registered one, or a class or name with options."""
+
+ToolChoices = Tool | str | Sequence[ToolChoice]
+"""One tool, names joined by commas, or a list."""
+
+
+def tool_choices(tools: ToolChoices) -> list[Any]:
+    """Return tools that are asked for as a list."""
+    if isinstance(tools, str):
+        return [name.strip() for name in tools.split(",") if name.strip()]
+    return [tools] if isinstance(tools, Tool | type) else list(tools)
+
+
+def tools_by_name(choices: Iterable[ToolChoice]) -> dict[str, Tool]:
+    """Return the tools that were chosen by their names, in order.
+
+    Raises:
+        UnknownToolError: No tool of that name is registered.
+        ArgumentError: Two tools have one name, or something is no tool.
+    """
+    tools: dict[str, Tool] = {}
+    origins: dict[str, str] = {}
+    for choice in choices:
+        origin, found = _resolved(choice)
+        for tool in found:
+            if tool.name in tools:
+                raise ArgumentError(
+                    f"two tools have one name, {tool.name!r}: {origins[tool.name]} and {origin}; calls could not be "
+                    "told apart, so leave one out, or give it another name by its options"
+                )
+            tools[tool.name], origins[tool.name] = tool, origin
+    return tools
+
+
+def _resolved(choice: ToolChoice) -> tuple[str, list[Tool]]:
+    """Return where tools come from, in words, and the tools."""
+    if isinstance(choice, Tool):
+        return f"an instance of {type(choice).__name__}", [choice]
+    from gem_core.arguments import check_arguments
+    from gem_core.making.environment import construct
+    from gem_core.registry.lookup import registry
+
+    maker, options = _maker_and_options(choice)
+    if isinstance(maker, type):
+        check_arguments(maker, (), options, f"tool {maker.__name__!r}")
+        made, origin = maker(**options), f"an instance of {maker.__name__}"
+    else:
+        made, origin = construct(registry().tool(maker), **options), f"one of {maker!r}"
+    found = list(made) if isinstance(made, Sequence) and not isinstance(made, str) else [made]
+    for tool in found:
+        if not isinstance(tool, Tool):
+            raise ArgumentError(f"the entry point of tool {maker!r} returned {type(tool).__name__}, not a Tool")
+    return origin, found
+
+
+def _maker_and_options(choice: object) -> tuple[str | type[Tool], dict[str, Any]]:
+    maker, options = choice, {}
+    if isinstance(choice, Sequence) and not isinstance(choice, str) and len(choice) == 2:
+        maker, options = choice
+    if isinstance(options, Mapping) and (
+        isinstance(maker, str) or (isinstance(maker, type) and issubclass(maker, Tool))
+    ):
+        return maker, dict(options)
+    raise ArgumentError(f"a tool is a Tool, a name, or (name, {{options}}), not {choice!r:.200}")
