@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gem_core as gem
-from gem_core.env.base import as_parts, observation_from
+from gem_core.env.observations import as_parts, observation_from
 from gem_core.errors import ArgumentError, SamplingNotSupported, StateError, StateNotSupported
 from gem_core.registry import lookup as registry
 

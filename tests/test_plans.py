@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from gem_core.env.seeding import SEED_LIMIT
 from gem_core.errors import ArgumentError
 from gem_core.records.plans import (
-    Draw,
-    DrawSource,
+    EpisodeQueue,
+    EpisodeStart,
     PlanItem,
     count_plan,
     cover_plan,
@@ -26,7 +26,7 @@ from gem_core.records.plans import (
 )
 
 
-def drawn(source: DrawSource, slots: int = 1) -> list[Draw]:
+def drawn(source: EpisodeQueue, slots: int = 1) -> list[EpisodeStart]:
     draws = []
     while (draw := source.draw(len(draws) % slots)) is not None:
         draws.append(draw)
@@ -36,13 +36,13 @@ def drawn(source: DrawSource, slots: int = 1) -> list[Draw]:
 def test_seed_of_an_item_depends_on_its_place_not_on_the_slot() -> None:
     """Whichever slot draws it, an item starts the same episode."""
     plan = count_plan(["a:A"], 10)
-    assert drawn(DrawSource(plan, 3), slots=1) == drawn(DrawSource(plan, 3), slots=4)
-    assert drawn(DrawSource(plan, 3)) != drawn(DrawSource(plan, 4))
+    assert drawn(EpisodeQueue(plan, 3), slots=1) == drawn(EpisodeQueue(plan, 3), slots=4)
+    assert drawn(EpisodeQueue(plan, 3)) != drawn(EpisodeQueue(plan, 4))
 
 
 def test_repeats_share_seed_and_group_and_differ_in_action_seed() -> None:
     """A group starts alike, and its members act apart."""
-    draws = drawn(DrawSource(group_plan([PlanItem(), PlanItem()], 3), 0))
+    draws = drawn(EpisodeQueue(group_plan([PlanItem(), PlanItem()], 3), 0))
     assert [draw.key for draw in draws] == ["0", "0", "0", "1", "1", "1"]
     assert [draw.repeat for draw in draws] == [0, 1, 2, 0, 1, 2]
     assert [len({draw.seed for draw in draws[i : i + 3]}) for i in (0, 3)] == [1, 1]
@@ -53,13 +53,13 @@ def test_repeats_share_seed_and_group_and_differ_in_action_seed() -> None:
 
 def test_an_item_may_fix_its_seed_and_group() -> None:
     """What it says is taken."""
-    draw = drawn(DrawSource([PlanItem(seed=5, group="g", repeat=2)], 0))[1]
+    draw = drawn(EpisodeQueue([PlanItem(seed=5, group="g", repeat=2)], 0))[1]
     assert (draw.seed, draw.item.group) == (5, "g")
 
 
 def test_without_a_plan_every_slot_goes_on_for_ever_by_itself() -> None:
     """The key is (slot, count), whatever the other slots do."""
-    first, second = DrawSource(None, 1), DrawSource(None, 1)
+    first, second = EpisodeQueue(None, 1), EpisodeQueue(None, 1)
     alone = [first.draw(2) for _ in range(5)]
     among = []
     for _ in range(5):
@@ -72,7 +72,8 @@ def test_without_a_plan_every_slot_goes_on_for_ever_by_itself() -> None:
 
 def test_seeds_are_exact_in_json_readers_that_use_doubles() -> None:
     """All lie below 2**53."""
-    assert all(draw.seed < SEED_LIMIT and draw.action_seed < SEED_LIMIT for draw in drawn(DrawSource([PlanItem()], 2)))
+    starts = drawn(EpisodeQueue([PlanItem()], 2))
+    assert all(start.seed < SEED_LIMIT and start.action_seed < SEED_LIMIT for start in starts)
 
 
 def test_cover_plan_takes_rows_in_order_and_over_again() -> None:
@@ -113,9 +114,9 @@ def test_mixture_refuses_weights_that_mean_nothing(weights: dict[str, float]) ->
 def test_a_plan_of_something_else_is_refused() -> None:
     """The error names the item."""
     with pytest.raises(ArgumentError, match="item 1 is 'a:A'"):
-        drawn(DrawSource([PlanItem(), "a:A"], 0))  # type: ignore[list-item]  # that is the point
+        drawn(EpisodeQueue([PlanItem(), "a:A"], 0))  # type: ignore[list-item]  # that is the point
     with pytest.raises(ArgumentError, match="repeat must be a positive whole number"):
-        drawn(DrawSource([PlanItem(repeat=0)], 0))
+        drawn(EpisodeQueue([PlanItem(repeat=0)], 0))
 
 
 def test_counts_and_group_sizes_must_make_sense() -> None:
@@ -137,7 +138,7 @@ def test_counts_and_group_sizes_must_make_sense() -> None:
 def test_items_that_cannot_be_right_are_refused(item: PlanItem, message: str) -> None:
     """They are the plan's mistake, not a fault of an environment."""
     with pytest.raises(ArgumentError) as caught:
-        DrawSource([item], 0).draw(0)
+        EpisodeQueue([item], 0).draw(0)
     assert str(caught.value) == message
 
 
@@ -145,12 +146,12 @@ def test_items_that_cannot_be_right_are_refused(item: PlanItem, message: str) ->
 def test_seed_of_a_run_is_a_whole_number(seed: Any) -> None:
     """Whatever else is refused before the first episode."""
     with pytest.raises(ArgumentError, match="seed must be a whole number from 0 up"):
-        DrawSource(None, seed)
+        EpisodeQueue(None, seed)
 
 
 def test_seeds_of_numpy_become_plain() -> None:
     """They stand in ``info`` and in files, which are plain JSON."""
-    source = DrawSource([PlanItem(seed=np.int64(4))], np.int64(3))  # type: ignore[arg-type]  # that is the point
+    source = EpisodeQueue([PlanItem(seed=np.int64(4))], np.int64(3))  # type: ignore[arg-type]  # that is the point
     draw = source.draw(0)
     assert draw is not None
     assert (type(draw.seed), draw.seed, type(source.seed)) == (int, 4, int)
@@ -213,7 +214,7 @@ def test_three_million_items_take_no_memory() -> None:
     tracemalloc.start()
     try:
         plan = interleaved([cover_plan("a:A", 1_000_000), count_plan(["b:B"], 1_999_000), cover_plan("c:C", 1_000)])
-        source = DrawSource(plan, 0)
+        source = EpisodeQueue(plan, 0)
         assert source.total == len(plan) == 3_000_000
         for _ in range(1000):
             source.draw(0)
@@ -226,26 +227,26 @@ def test_three_million_items_take_no_memory() -> None:
 
 def test_number_of_episodes_counts_repeats_and_refuses_what_is_no_item() -> None:
     """Of a list; an iterator does not tell."""
-    assert DrawSource([PlanItem(repeat=3), PlanItem()], 0).total == 4
-    assert DrawSource(iter([PlanItem()]), 0).total is None
+    assert EpisodeQueue([PlanItem(repeat=3), PlanItem()], 0).total == 4
+    assert EpisodeQueue(iter([PlanItem()]), 0).total is None
     with pytest.raises(ArgumentError, match="item 1 is 'a:A'"):
-        _ = DrawSource([PlanItem(), "a:A"], 0).total  # type: ignore[list-item]  # that is the point
+        _ = EpisodeQueue([PlanItem(), "a:A"], 0).total  # type: ignore[list-item]  # that is the point
 
 
 def test_what_is_done_is_checked_at_once_in_a_sequence_and_as_it_is_passed_over_in_an_iterator() -> None:
     """Each with what the plan has there, or with None."""
     checked: list[tuple[str, int, int | None]] = []
 
-    def check(key: str, repeat: int, draw: Draw | None) -> None:
+    def check(key: str, repeat: int, draw: EpisodeStart | None) -> None:
         checked.append((key, repeat, None if draw is None else draw.seed))
 
     items = [PlanItem(seed=10), PlanItem(seed=11, repeat=2), PlanItem(seed=12)]
     done = [("1", 1), ("0", 0), ("3", 0), ("0", 1), ("x", 0)]
-    source = DrawSource(items, 0)
+    source = EpisodeQueue(items, 0)
     source.skip(done, check)
     assert checked == [("1", 1, 11), ("0", 0, 10), ("3", 0, None), ("0", 1, None), ("x", 0, None)]
     checked.clear()
-    lazy = DrawSource(iter(items), 0)
+    lazy = EpisodeQueue(iter(items), 0)
     lazy.skip(done, check)
     assert checked == []
     assert [(draw.key, draw.repeat) for draw in drawn(source)] == [("1", 0), ("2", 0)]

@@ -99,7 +99,7 @@ def test_exhausted_plan_leaves_the_slot_idle() -> None:
     """Its actions are ignored, and its flags are false."""
     vector = make(2, plan=lasting(1, 1))
     assert vector.reset()[1][1] == {"idle": True}
-    assert vector.draw_of(1) is None
+    assert vector.start_of(1) is None
     step = vector.step(["a", "b"])
     assert step.observations == [gem.TERMINAL_STATE] * 2
     assert step.infos[0]["idle"] is True
@@ -207,7 +207,7 @@ def test_faults_without_end_stop_with_one_clear_error() -> None:
     plan = [item for _ in range(40) for item in (gem.PlanItem(kwargs={"fail": "step"}), *lasting(1, 1))]
     vector = make(1, plan=plan)
     vector.reset()
-    while vector.draw_of(0) is not None:
+    while vector.start_of(0) is not None:
         vector.step(["a"])
     assert vector.faults == 40
 

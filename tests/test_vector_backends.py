@@ -64,7 +64,7 @@ def trajectory(vector: gem.VectorEnv, turns: int) -> list[Any]:
     kept = [plain(vector.reset())]
     for _ in range(turns):
         actions = [
-            chosen(vector, slot, chance) if vector.draw_of(slot) is not None else "" for slot in range(vector.num_envs)
+            chosen(vector, slot, chance) if vector.start_of(slot) is not None else "" for slot in range(vector.num_envs)
         ]
         kept.append((actions, plain(vector.step(actions))))
     return kept
@@ -125,7 +125,7 @@ def test_a_step_is_the_same_whatever_the_order_of_completion(data: st.DataObject
             actions = [f"{slot}@order {turn}" for slot in range(count)]
             expected = plain(here.step(actions))
             # Those that live elsewhere, or run in place, finish when they like.
-            free = {slot for slot in range(count) if there.ids[slot] in (THREAD, ASYNC) and there.draw_of(slot)}
+            free = {slot for slot in range(count) if there.ids[slot] in (THREAD, ASYNC) and there.start_of(slot)}
             vector_envs.TURNS["order"] = Turns([slot for slot in order if slot in free])
             try:
                 assert plain(there.step(actions)) == expected
@@ -152,7 +152,7 @@ def received(vector: gem.VectorEnv) -> dict[tuple[str, int], list[Any]]:
     running: dict[int, tuple[str, int]] = {}
 
     def begin(slot: int, observation: Any, info: dict[str, Any]) -> None:
-        draw = vector.draw_of(slot)
+        draw = vector.start_of(slot)
         if draw is None:
             running.pop(slot, None)
             return

@@ -192,7 +192,7 @@ class Round:
         for failed in info.get("failed_resets", ()):
             entry = {name: failed[name] for name in ("id", "kwargs", "options", "seed", "key", "repeat")}
             yield gem.Episode(observation="", info={"error": failed["error"]}, final_observation="", **entry)
-        draw = self.vector.draw_of(slot)
+        draw = self.vector.start_of(slot)
         if draw is None:
             assert info["idle"]
             return

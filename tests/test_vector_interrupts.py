@@ -163,7 +163,7 @@ def test_reset_waits_for_a_thread_that_takes_an_answer() -> None:
     threading.Timer(0.05, plan.go_on.set).start()
     assert vector.reset(seed=1)[1][0]["seed"] == 1
     plan.go_on.wait()
-    assert vector.draw_of(0).seed == 1
+    assert vector.start_of(0).seed == 1
     assert vector.step(["b"]).infos[0]["seed"] == 2
     vector.close()
 

@@ -140,7 +140,7 @@ def test_nothing_of_a_finished_episode_is_lost(mode: str, backend: str) -> None:
     with gem.make_vec(INLINE, 2, backend=backend, autoreset=mode, plan=plan, seed=1) as vector:  # type: ignore[arg-type]  # one of them
         vector.reset()
         for _ in range(12):
-            keys = [draw and draw.key for draw in map(vector.draw_of, range(2))]
+            keys = [draw and draw.key for draw in map(vector.start_of, range(2))]
             began = [False, False]
             step = vector.step(["a", "b"])
             ended = (step.terminated | step.truncated).tolist()
@@ -151,7 +151,7 @@ def test_nothing_of_a_finished_episode_is_lost(mode: str, backend: str) -> None:
                     seen.append((str(keys[slot]), last["turn"]))
             if mode == "disabled" and any(ended):
                 vector.reset(options={"reset_mask": ended})
-        assert [vector.draw_of(slot) for slot in range(2)] == [None, None]
+        assert [vector.start_of(slot) for slot in range(2)] == [None, None]
         assert vector.step(["a", "b"]).infos == [{"idle": True}] * 2
     wanted = [(str(key), turn + 1) for key, item in enumerate(plan) for turn in range(item.options["length"])]  # type: ignore[index]  # set above
     assert sorted(seen) == wanted

@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 from toys import CountdownEnv, EchoEnv
 
 import gem_core as gem
+from gem_core.env.observations import join_observations
 from gem_core.env.wrapper import Guard
 from gem_core.errors import ArgumentError, StateNotSupported
-from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView, Turn, joined, without_thinking
+from gem_core.records.turns import Turn, without_thinking
+from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView
 
 VIEWS = [Latest, Concat, ConcatWithAction]
 
@@ -103,7 +105,7 @@ def test_content_parts_are_joined_as_parts() -> None:
     """Once there is an image, everything becomes parts, and texts stay on lines of their own."""
     image = {"type": "image", "image": object()}
     pieces: list[gem.Observation] = ["Look:", [image, {"type": "text", "text": "a"}], "b"]
-    assert joined(pieces) == [
+    assert join_observations(pieces) == [
         {"type": "text", "text": "Look:\n"},
         image,
         {"type": "text", "text": "a\n"},

@@ -14,8 +14,8 @@ import weakref
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from gem_core.nesting import is_deep
-from gem_core.records.plain_json import image_name
+from gem_core.env.observations import is_messages
+from gem_core.records.plain_json import image_name, is_deep
 from gem_core.types import Observation, Response
 
 _PNG_MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I;16")
@@ -40,15 +40,6 @@ def messages_from(observation: Observation, system: str | None = None) -> list[d
     if system is not None and not any(message.get("role") in ("system", "developer") for message in messages):
         messages.insert(0, {"role": "system", "content": system})
     return messages
-
-
-def is_messages(observation: Observation) -> bool:
-    """Tell a list of messages from content parts."""
-    return (
-        isinstance(observation, list)
-        and bool(observation)
-        and all(isinstance(message, Mapping) and "role" in message for message in observation)
-    )
 
 
 def has_images(observation: Observation) -> bool:

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, cast
 
 from gem_core.agents.answer_form import AnswerForm
 from gem_core.env.base import Env
+from gem_core.env.observations import split_observation
 from gem_core.env.results import checked_result
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, NotSupportedError, SamplingNotSupported, StateNotSupported
 from gem_core.records.episode import Episode, Transition
-from gem_core.records.plans import Draw, DrawSource, PlanItem
+from gem_core.records.plans import EpisodeQueue, EpisodeStart, PlanItem
 from gem_core.rollouts.loop import new_episode
 from gem_core.types import Info, Observation, Response
-from gem_core.wrappers.views import told_apart
 
 if TYPE_CHECKING:
     from gem_core.making.environment import MadeSpec
@@ -32,7 +32,7 @@ class PlaySession:
 
     def __init__(self, env: AnyEnv, seed: int | None = None) -> None:
         self.env = env
-        self._source = DrawSource(_endless_plan(env), seed)
+        self._source = EpisodeQueue(_endless_plan(env), seed)
         self.seed = self._source.seed
         self.number = 0
         """Number of the present episode, from 1; 0 before the first."""
@@ -50,13 +50,13 @@ class PlaySession:
     def begin(self) -> None:
         """Begin the next episode."""
         self.number += 1
-        self._start(cast("Draw", self._source.draw(0)))
+        self._start(cast("EpisodeStart", self._source.draw(0)))
 
     def restart(self) -> None:
         """Begin the present episode again, from the same start."""
         self._start(self._draw)
 
-    def _start(self, draw: Draw) -> None:
+    def _start(self, draw: EpisodeStart) -> None:
         self._draw = draw
         options = draw.item.options
         observation, info = (
@@ -158,7 +158,7 @@ class PlaySession:
         try:
             return AnswerForm.of_example(self.random_action())
         except SamplingNotSupported:
-            said, _ = told_apart(self.episode.observation, self.episode.info)
+            said, _ = split_observation(self.episode.observation, self.episode.info)
             return AnswerForm.of_instructions(said) if isinstance(said, str) else AnswerForm()
 
     def formed(self, answer: str) -> str:

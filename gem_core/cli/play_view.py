@@ -10,11 +10,11 @@ import click
 from gem_core.agents.answer_form import AnswerForm
 from gem_core.cli.play_session import PlaySession
 from gem_core.cli.terminal import BLOCK, Terminal, observation_text, printable
+from gem_core.env.observations import split_observation
 from gem_core.errors import SamplingNotSupported
 from gem_core.records.episode import Episode, Transition
 from gem_core.records.plain_json import ImageFolder
 from gem_core.types import TERMINAL_STATE, Info, Observation
-from gem_core.wrappers.views import told_apart
 
 _LONGEST_ACTION = 60
 
@@ -127,7 +127,7 @@ class PlayView:
         if session.tools:
             show(f"  Tools: {', '.join(session.tools)}. A call is sent as you type it.")
         show(f"  {self._example()}")
-        rules, _ = told_apart(session.episode.observation, session.episode.info)
+        rules, _ = split_observation(session.episode.observation, session.episode.info)
         show()
         self._running(self._text(rules))
 
@@ -147,7 +147,7 @@ class PlayView:
         return observation_text(observation, self._images)
 
     def _laid_out(self, observation: Observation, info: Info) -> None:
-        feedback, suffix = told_apart(observation, info)
+        feedback, suffix = split_observation(observation, info)
         # The drawing shows to a person what the suffix tells a model.
         board = self._board() if suffix else ""
         show = self._terminal.show

@@ -13,7 +13,7 @@ from click.core import ParameterSource
 
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records.episode import EpisodeLine, episode_lines
-from gem_core.records.plans import DrawSource
+from gem_core.records.plans import EpisodeQueue
 from gem_core.records.summary import RunSummary
 from gem_core.rollouts.resume import Done
 
@@ -52,7 +52,7 @@ class ResumedRun:
         """Seed of the run; None for a file that is empty."""
         return self.done.run_seed(None)
 
-    def begin(self, source: DrawSource, summary: RunSummary) -> None:
+    def begin(self, source: EpisodeQueue, summary: RunSummary) -> None:
         """Leave out what is done, count it, and take what is run again out of the file.
 
         Args:

@@ -23,7 +23,7 @@ from gem_core.env.seeding import (
 )
 from gem_core.env.spaces import Text
 from gem_core.errors import GemError, SamplingNotSupported, StateError, StateNotSupported
-from gem_core.types import Concurrency, Observation, ResetResult, StepResult
+from gem_core.types import Concurrency, ResetResult, StepResult
 
 if TYPE_CHECKING:
     from gymnasium import spaces
@@ -318,20 +318,3 @@ def _seed_or_none(value: Any) -> int | None:
     if value is not None and type(value) is not int:
         raise TypeError(f"{value!r} is no seed")
     return value
-
-
-def observation_from(feedback: Observation, suffix: Observation) -> Observation:
-    """Join what happened and how things stand now into one observation.
-
-    Text is joined as it is; once one of the two is a list of content parts, both become parts.
-    """
-    if isinstance(feedback, str) and isinstance(suffix, str):
-        return feedback + suffix
-    return as_parts(feedback) + as_parts(suffix)
-
-
-def as_parts(observation: Observation) -> list[dict[str, Any]]:
-    """Return an observation as a list of content parts; empty text gives no part."""
-    if isinstance(observation, str):
-        return [{"type": "text", "text": observation}] if observation else []
-    return list(observation)

@@ -144,13 +144,13 @@ def make_from(record: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers, lo
     if not isinstance(env, gymnasium.Env):
         raise RegistrationError(f"{record.id}: the entry point returned {type(env).__name__}, not an environment")
     try:
-        return _dressed(env, record, arguments, render_mode, wrappers, look_up)
+        return _finish_env(env, record, arguments, render_mode, wrappers, look_up)
     except BaseException:
         env.close()  # it may have started a server or a container
         raise
 
 
-def _dressed(
+def _finish_env(
     env: AnyEnv,
     record: EnvSpec,
     arguments: dict[str, Any],
@@ -224,7 +224,7 @@ def wrapper_choices(wrappers: Wrappers) -> list[Choice]:
     return [_choice(choice) for choice in _split(wrappers)]
 
 
-def makers_of(wrappers: Wrappers) -> list[Maker]:
+def wrapper_targets(wrappers: Wrappers) -> list[Maker]:
     """Return the name or object of each wrapper and tool that is asked for, those among the options of tools too."""
     makers: list[Maker] = []
     for maker, options in wrapper_choices(wrappers):

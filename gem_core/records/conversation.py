@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from gem_core.agents.chat_format import is_messages
-from gem_core.env.base import observation_from
+from gem_core.env.observations import is_messages, observation_from, split_observation
+from gem_core.records.turns import Turn, call_id, with_actions
 from gem_core.types import TERMINAL_STATE, Info, Observation
-from gem_core.wrappers.views import Turn, call_id, told_apart, with_actions
 
 if TYPE_CHECKING:
     from gem_core.records.episode import Episode
@@ -100,7 +99,7 @@ class Conversation:
         return system if isinstance(system, str) else None
 
     def _told_apart(self, observation: Observation, info: Info) -> tuple[Observation, Observation]:
-        feedback, suffix = told_apart(observation, info)
+        feedback, suffix = split_observation(observation, info)
         if self._viewed or observation_from(feedback, suffix) == observation:
             return feedback, suffix
         return observation, ""  # a wrapper that is no view has changed it

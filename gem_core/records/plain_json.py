@@ -154,3 +154,16 @@ def _marked(value: dict[str, Any], images: ImageFolder | None) -> Any:
     if mark == _PLAIN_KEY:
         return {key: from_plain(part, images) for key, part in content.items()}
     return value if images is None else images.read(content)
+
+
+def is_deep(value: object, limit: int = 100) -> bool:
+    """Tell whether lists and objects are nested deeper than what copies and writes them can follow."""
+    level = [value]
+    for _ in range(limit):
+        level = [
+            part
+            for item in level
+            if isinstance(item, dict | list)
+            for part in (item.values() if isinstance(item, dict) else item)
+        ]
+    return bool(level)

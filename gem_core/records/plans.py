@@ -45,7 +45,7 @@ _ANY = PlanItem()
 
 
 @dataclass(slots=True)
-class Draw:
+class EpisodeStart:
     """One episode of a plan, as a slot draws it.
 
     Args:
@@ -73,7 +73,7 @@ class Draw:
         return stable_hash(self.run_seed, "actions", *self.place, self.repeat)
 
 
-class DrawSource:
+class EpisodeQueue:
     """Hands out draws to slots; safe to call from several threads.
 
     Args:
@@ -125,7 +125,7 @@ class DrawSource:
                 draw = self._made(item, int(key), repeat) if 0 <= repeat < item.repeat else None
             check(key, repeat, draw)
 
-    def restarted(self, seed: int | None = None) -> DrawSource:
+    def restarted(self, seed: int | None = None) -> EpisodeQueue:
         """Return the same draws from the beginning.
 
         Args:
@@ -139,9 +139,9 @@ class DrawSource:
                 "the plan is an iterator that has been drawn from, so it cannot start over; give a list, "
                 "or call reset() without a seed to go on with it"
             )
-        return DrawSource(self._plan, self.seed if seed is None else seed)
+        return EpisodeQueue(self._plan, self.seed if seed is None else seed)
 
-    def draw(self, slot: int) -> Draw | None:
+    def draw(self, slot: int) -> EpisodeStart | None:
         """Return what the next episode of a slot starts from; None when the plan is exhausted."""
         with self._lock:
             self._begun = True
@@ -149,15 +149,15 @@ class DrawSource:
                 return self._next_of_plan()
             count = self._counts.get(slot, 0)
             self._counts[slot] = count + 1
-            return Draw(_ANY, (slot, count), 0, seed_at(self._seeds, (slot, count)), self.seed)
+            return EpisodeStart(_ANY, (slot, count), 0, seed_at(self._seeds, (slot, count)), self.seed)
 
-    def continued(self) -> DrawSource:
+    def continued(self) -> EpisodeQueue:
         """Return a source that goes on where this one is, and shares no lock with it."""
         other = copy.copy(self)
         other._lock = threading.Lock()
         return other
 
-    def _next_of_plan(self) -> Draw | None:
+    def _next_of_plan(self) -> EpisodeStart | None:
         while True:
             if self._item is None:
                 found = self._next_item()
@@ -184,13 +184,13 @@ class DrawSource:
         self._next_index = index + 1
         return index, plan[index]
 
-    def _made(self, item: PlanItem, index: int, repeat: int) -> Draw:
+    def _made(self, item: PlanItem, index: int, repeat: int) -> EpisodeStart:
         seed = seed_at(self._seeds, (index,)) if item.seed is None else item.seed
-        return Draw(item, (index,), repeat, seed, self.seed)
+        return EpisodeStart(item, (index,), repeat, seed, self.seed)
 
 
-Check = Callable[[str, int, Draw | None], None]
-"""Takes the key and the repeat of an episode, and what a plan has there; see ``DrawSource.skip``."""
+Check = Callable[[str, int, EpisodeStart | None], None]
+"""Takes the key and the repeat of an episode, and what a plan has there; see ``EpisodeQueue.skip``."""
 
 
 def _checked_item(index: int, item: object) -> PlanItem:

@@ -15,11 +15,11 @@ from gem_core.background import in_thread
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError
 from gem_core.records.episode import Episode
-from gem_core.records.plans import DrawSource, PlanItem, count_plan, cover_plan, interleaved
+from gem_core.records.plans import EpisodeQueue, PlanItem, count_plan, cover_plan, interleaved
 from gem_core.registry.lookup import make_vec
 from gem_core.rollouts.agent import Agent, Reading, as_agent, prepare_agent
 from gem_core.rollouts.loop import EpisodeLoop
-from gem_core.rollouts.requests import Asking, is_asynchronous
+from gem_core.rollouts.requests import AgentRequests, is_asynchronous
 from gem_core.rollouts.resume import Done, done_in
 from gem_core.vector.backends import around
 from gem_core.vector.env import VectorEnv
@@ -155,7 +155,7 @@ class _Order:
     resume: Resume
     progress: bool | OnProgress
 
-    def begin(self, vector: VectorEnv, done: Done) -> tuple[DrawSource, Callable[[], None], Callable[[], None]]:
+    def begin(self, vector: VectorEnv, done: Done) -> tuple[EpisodeQueue, Callable[[], None], Callable[[], None]]:
         """Return what episodes start from, what to call for each that is over, and what to call at the end."""
         seed = done.run_seed(self.seed)
         if self.plan is None and self.episodes is None and vector.own_source.planned:
@@ -170,7 +170,7 @@ class _Order:
 def _run(env: Environments, agent: Agent, order: _Order) -> Iterator[Episode]:
     done = done_in(order.resume)
     vector, made_here = _as_vector(env, agent, order, plain=True)
-    asking = Asking(agent, vector.signal.set, most=order.max_requests)
+    asking = AgentRequests(agent, vector.signal.set, most=order.max_requests)
     end: Callable[[], None] | None = None
     try:
         prepare_agent(agent)
@@ -193,7 +193,7 @@ def _run(env: Environments, agent: Agent, order: _Order) -> Iterator[Episode]:
 async def _arun(env: Environments, agent: Agent, order: _Order) -> AsyncIterator[Episode]:
     done = await in_thread(done_in, order.resume)
     vector, made_here = await in_thread(lambda: _as_vector(env, agent, order, plain=False))
-    asking = Asking(agent, vector.signal.set, most=order.max_requests, loop=asyncio.get_running_loop())
+    asking = AgentRequests(agent, vector.signal.set, most=order.max_requests, loop=asyncio.get_running_loop())
     end: Callable[[], None] | None = None
     try:
         prepared = getattr(agent, "prepare", lambda: None)()

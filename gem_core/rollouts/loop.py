@@ -9,10 +9,10 @@ from gem_core import __version__
 from gem_core.errors import ContextOverflowError, EnvFaultError, GemError
 from gem_core.records.conversation import CONCAT_WITH_ACTION, Conversation
 from gem_core.records.episode import Episode, Transition
-from gem_core.records.plans import Draw, DrawSource, PlanItem
+from gem_core.records.plans import EpisodeQueue, EpisodeStart, PlanItem
 from gem_core.registry.lookup import registry
 from gem_core.rollouts.agent import Context, Reading
-from gem_core.rollouts.requests import Asking
+from gem_core.rollouts.requests import AgentRequests
 from gem_core.types import TERMINAL_STATE, Info, Observation, Response
 from gem_core.vector.actions import Received
 from gem_core.vector.env import VectorEnv
@@ -30,7 +30,7 @@ class EpisodeLoop:
         reading: What the agent wants to be sent.
     """
 
-    def __init__(self, vector: VectorEnv, asking: Asking, reading: Reading) -> None:
+    def __init__(self, vector: VectorEnv, asking: AgentRequests, reading: Reading) -> None:
         self._vector = vector
         self._asking = asking
         self._reading = reading
@@ -38,7 +38,7 @@ class EpisodeLoop:
         self._to_ask: list[int] = []
         self._stopped_by: BaseException | None = None
 
-    def begin(self, source: DrawSource) -> None:
+    def begin(self, source: EpisodeQueue) -> None:
         """Begin an episode in every slot."""
         self._vector.send_reset(source)
 
@@ -106,7 +106,7 @@ class EpisodeLoop:
                     return
         if current is None:
             finished.extend(_failed(failed) for failed in info.pop("failed_resets", ()))
-            draw = self._vector.draw_of(slot)
+            draw = self._vector.start_of(slot)
             if draw is None:
                 return
             current = self._running[slot] = _Running(self._vector, slot, draw, observation, info, self._reading)
@@ -138,7 +138,7 @@ class _Running:
     """An episode that is under way in a slot."""
 
     def __init__(
-        self, vector: VectorEnv, slot: int, draw: Draw, observation: Observation, info: Info, reading: Reading
+        self, vector: VectorEnv, slot: int, draw: EpisodeStart, observation: Observation, info: Info, reading: Reading
     ) -> None:
         self.episode = new_episode(vector.describe(slot), draw, observation, info)
         self.episode.reads = _sent_as(reading, info)
@@ -191,7 +191,7 @@ def _failed(failed: Mapping[str, Any]) -> Episode:
     """Return the episode of a reset that failed; see ``Slot.begin``."""
     item = PlanItem(options=failed["options"], group=failed["group"])
     place = tuple(map(int, failed["key"].split(".")))
-    draw = Draw(item, place, failed["repeat"], failed["seed"], failed["run_seed"])
+    draw = EpisodeStart(item, place, failed["repeat"], failed["seed"], failed["run_seed"])
     reported = {"seed": draw.seed, "error": failed["error"]}
     if item.group is not None:
         reported["group"] = item.group
@@ -199,7 +199,7 @@ def _failed(failed: Mapping[str, Any]) -> Episode:
     return new_episode(described, draw, TERMINAL_STATE, reported)
 
 
-def new_episode(described: dict[str, Any], draw: Draw, observation: Observation, info: Info) -> Episode:
+def new_episode(described: dict[str, Any], draw: EpisodeStart, observation: Observation, info: Info) -> Episode:
     """Return the record of an episode that begins, of an agent that reads observations.
 
     Args:

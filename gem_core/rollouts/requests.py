@@ -1,4 +1,4 @@
-"""Asking an agent for many slots at once, whether it is plain or asynchronous."""
+"""AgentRequests an agent for many slots at once, whether it is plain or asynchronous."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def is_asynchronous(agent: Agent) -> bool:
     )
 
 
-class Asking:
+class AgentRequests:
     """The questions of a run that are open.
 
     A plain agent answers while it is asked. The coroutines of an asynchronous one run as tasks, and its answers are

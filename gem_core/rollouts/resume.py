@@ -10,7 +10,7 @@ from typing import Any
 from gem_core.errors import ArgumentError
 from gem_core.records.episode import Episode, read_episodes
 from gem_core.records.plain_json import to_plain
-from gem_core.records.plans import Draw
+from gem_core.records.plans import EpisodeStart
 
 
 @dataclass(slots=True)
@@ -65,7 +65,7 @@ class Done:
             )
         return next(iter(self.run_seeds))
 
-    def check(self, key: str, repeat: int, draw: Draw | None) -> None:
+    def check(self, key: str, repeat: int, draw: EpisodeStart | None) -> None:
         """Hold an episode that is there against the plan.
 
         Args:
@@ -84,7 +84,7 @@ class Done:
             )
 
 
-def _difference(start: Start, draw: Draw) -> str | None:
+def _difference(start: Start, draw: EpisodeStart) -> str | None:
     wanted = draw.item.id
     if wanted is not None and start.id != wanted:
         return f"is of {start.id!r}, and the plan asks for {wanted!r}"

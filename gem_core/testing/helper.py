@@ -14,7 +14,7 @@ from contextlib import suppress
 from typing import Any
 
 from gem_core.testing.contract import NotTriedError
-from gem_core.testing.handing_over import encoded
+from gem_core.testing.serialization import encoded
 
 _START_S = 60.0
 """Limit for the interpreter to start; it imports what the checks import, and nothing else."""

@@ -26,8 +26,8 @@ from gem_core.env.base import Env
 from gem_core.env.wrapper import AnyEnv
 from gem_core.testing.comparing import play
 from gem_core.testing.contract import NotTriedError
-from gem_core.testing.handing_over import build, encoded
 from gem_core.testing.hostile import hostile_actions
+from gem_core.testing.serialization import build, encoded
 
 _GRACE_S = 5.0
 """How long an environment may take to close once nobody listens any more."""

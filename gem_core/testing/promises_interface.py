@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gem_core.env.base import observation_from
+from gem_core.env.observations import observation_from
 from gem_core.errors import ResetNeededError
 from gem_core.testing.comparing import json_loss, mutable_parts, plain, shown
 from gem_core.testing.contract import promise

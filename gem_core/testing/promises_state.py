@@ -12,8 +12,8 @@ from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import StateNotSupported
 from gem_core.testing.comparing import first_difference, json_loss, plain, shown
 from gem_core.testing.contract import NotTriedError, promise
-from gem_core.testing.handing_over import unchecked
 from gem_core.testing.helper import HelperError
+from gem_core.testing.serialization import unchecked
 from gem_core.testing.subject import Record, Script, Subject
 
 

@@ -17,10 +17,10 @@ from gem_core.registry.lookup import make
 from gem_core.registry.specs import EnvSpec
 from gem_core.testing.comparing import play, shown
 from gem_core.testing.contract import NotTriedError
-from gem_core.testing.handing_over import guarded, layers_of, recipe_of, remade
 from gem_core.testing.helper import other_process
 from gem_core.testing.hostile import hostile_actions
 from gem_core.testing.places import place_of
+from gem_core.testing.serialization import guarded, layers_of, recipe_of, remade
 from gem_core.testing.watch import Watch
 
 Record = dict[str, Any]

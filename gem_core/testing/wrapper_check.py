@@ -7,7 +7,8 @@ import contextlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from gem_core.env.base import Env, observation_from
+from gem_core.env.base import Env
+from gem_core.env.observations import observation_from
 from gem_core.env.wrapper import AnyEnv, Wrapper, reset_async, step_async
 from gem_core.testing.conformance import check_env
 from gem_core.testing.contract import Report

@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium
 import pydantic
 
-from gem_core.env.base import observation_from
+from gem_core.env.observations import join_observations, observation_from, split_observation
 from gem_core.env.wrapper import AnyEnv, Wrapper, reset_needed
 from gem_core.errors import ArgumentError, StateError, StateNotSupported
 from gem_core.tools.calls.reading import CallReader, native_calls
@@ -17,7 +17,6 @@ from gem_core.tools.selection import ToolChoice, ToolChoices, tool_choices, tool
 from gem_core.tools.sessions import ToolSessions
 from gem_core.tools.tool import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, ToolResult
 from gem_core.types import Observation, ResetResult, Response, StepResult
-from gem_core.wrappers.views import joined, told_apart
 
 __all__ = ["ToolChoice", "ToolChoices", "ToolEnv"]
 
@@ -104,7 +103,7 @@ class ToolEnv(Wrapper):
     def after_reset(self, result: ResetResult) -> ResetResult:
         """Explain the tools."""
         observation, info = result
-        feedback, suffix = told_apart(observation, info)
+        feedback, suffix = split_observation(observation, info)
         self._suffix = suffix if "suffix" in info else None
         self._live = True
         info["tools"] = [tool.schema() for tool in self.tools.values()]
@@ -114,7 +113,7 @@ class ToolEnv(Wrapper):
         if self.instructions and text:
             if self.instructions is True:
                 info["tool_instructions"] = {"text": text, "native": self._native_instructions()}
-            feedback = joined([feedback, text if text.endswith("\n") else f"{text}\n"])
+            feedback = join_observations([feedback, text if text.endswith("\n") else f"{text}\n"])
             observation = observation_from(feedback, suffix)
             if self._suffix is not None:
                 info["feedback"] = feedback
@@ -180,8 +179,8 @@ class ToolEnv(Wrapper):
         return await self._sessions.call(tool, arguments)
 
     def _answered(self, action: str, outcomes: list[tuple[ToolCall, ToolResult]], reward: float) -> StepResult:
-        outputs = [joined([_title(call, result), result.content]) for call, result in outcomes]
-        feedback = joined([*outputs, f"{self._what_is_left()}\n"])
+        outputs = [join_observations([_title(call, result), result.content]) for call, result in outcomes]
+        feedback = join_observations([*outputs, f"{self._what_is_left()}\n"])
         suffix: Observation = "" if self._suffix is None else self._suffix
         last = outcomes[-1][0]
         calls = [_described(call, result) for call, result in outcomes]
@@ -207,7 +206,7 @@ class ToolEnv(Wrapper):
             pieces: list[Observation] = [_title(call, result), result.content] if result.failed else [result.content]
             if number == len(outcomes):
                 pieces.append(self._what_is_left())
-            messages.append({"role": "tool", "tool_call_id": call.id, "content": joined(pieces)})
+            messages.append({"role": "tool", "tool_call_id": call.id, "content": join_observations(pieces)})
         return messages
 
     def _uses_left(self) -> int | None:

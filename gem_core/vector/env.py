@@ -13,7 +13,7 @@ import numpy as np
 
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, BridgeError, ClosedError, EnvFaultError, NotSupportedError
-from gem_core.records.plans import Draw, DrawSource
+from gem_core.records.plans import EpisodeQueue, EpisodeStart
 from gem_core.registry.lookup import registry
 from gem_core.types import Info, Observation
 from gem_core.vector.actions import Actions, Received, VectorStep, checked_slot, indices_and_actions, masked_slots
@@ -125,11 +125,11 @@ class VectorEnv:
         return self._rules.on_error
 
     @property
-    def own_source(self) -> DrawSource:
+    def own_source(self) -> EpisodeQueue:
         """What its own episodes start from, by the plan and seed that it was made with; see ``rollout``."""
         return self._own_source
 
-    def draw_of(self, slot: int) -> Draw | None:
+    def start_of(self, slot: int) -> EpisodeStart | None:
         """Return what the present episode of a slot started from; None when it is idle."""
         return self._slots[slot].draw
 
@@ -271,7 +271,7 @@ class VectorEnv:
             self._engine.sent.update(index for index, _ in pairs)
             self._engine.act(pairs, None)
 
-    def send_reset(self, source: DrawSource | None = None, options: dict[str, Any] | None = None) -> None:
+    def send_reset(self, source: EpisodeQueue | None = None, options: dict[str, Any] | None = None) -> None:
         """Begin an episode in every slot; ``recv`` returns their observations, with reward 0 and flags false."""
         with self._call() as call:
             call.wait(self._engine.draining(), self.signal)
@@ -386,7 +386,7 @@ class VectorEnv:
             self._own_source = self._own_source.restarted(seed)
         return chosen, options or None
 
-    def _begin(self, source: DrawSource, options: dict[str, Any] | None, chosen: list[int]) -> Batch:
+    def _begin(self, source: EpisodeQueue, options: dict[str, Any] | None, chosen: list[int]) -> Batch:
         if len(chosen) < self.num_envs:
             self._engine.refuse_busy(chosen)
         else:

@@ -13,7 +13,7 @@ from typing import Any, cast
 import cloudpickle  # type: ignore[import-untyped]  # it has no types
 
 from gem_core.errors import ArgumentError, EnvFaultError, WorkerLostError
-from gem_core.making.environment import makers_of
+from gem_core.making.environment import wrapper_targets
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import EnvSpec
 from gem_core.vector.commands import Failure, Reset
@@ -315,7 +315,7 @@ def worker_setup(setup: VectorSetup, options: Mapping[str, Any]) -> bytes:
     """Return what a worker is made from; see ``worker.Worker``."""
     records = [registry().env(env_id) for env_id in setup.all_ids]
     wrappers = setup.wrappers if isinstance(setup.wrappers, str) else list(setup.wrappers)
-    makers = makers_of(wrappers)
+    makers = wrapper_targets(wrappers)
     return pack_by_value(
         {
             "records": records,

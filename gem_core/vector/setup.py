@@ -9,8 +9,8 @@ from typing import Any
 
 from gem_core.env.wrapper import AnyEnv, concurrency_of
 from gem_core.errors import ArgumentError
-from gem_core.making.environment import Wrappers, check_choices, make_from, makers_of
-from gem_core.records.plans import DrawSource, PlanItem
+from gem_core.making.environment import Wrappers, check_choices, make_from, wrapper_targets
+from gem_core.records.plans import EpisodeQueue, PlanItem
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.lookup import registry
 from gem_core.types import Concurrency
@@ -123,7 +123,7 @@ class VectorSetup:
 
     def wrappers_compute(self) -> bool:
         """Tell whether a wrapper or tool, by its class, needs a process to itself as ``"process"`` tasks do."""
-        for maker in makers_of(self.wrappers):
+        for maker in wrapper_targets(self.wrappers):
             target: Any = maker
             if isinstance(maker, str):
                 entry_point = maker if ":" in maker else registry().wrapper(maker).entry_point
@@ -159,11 +159,11 @@ def backend_and_options(backend: object) -> tuple[str, Mapping[str, Any]]:
     raise ArgumentError(f"a backend is a name, or (name, {{option: value}}), not {backend!r:.200}")
 
 
-def new_source(plan: Iterable[PlanItem] | None, seed: int | None) -> DrawSource:
+def new_source(plan: Iterable[PlanItem] | None, seed: int | None) -> EpisodeQueue:
     """Return the draws of a run."""
     if plan is not None and (isinstance(plan, str | Mapping) or not isinstance(plan, Iterable)):
         raise ArgumentError(f"a plan is an iterable of PlanItem records, not {type(plan).__name__}")
-    return DrawSource(plan, seed)
+    return EpisodeQueue(plan, seed)
 
 
 def _is_pair(given: object) -> bool:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, cast, get_args
 
 from gem_core.errors import ArgumentError, EnvFaultError, FaultBudgetError, ResetNeededError
-from gem_core.records.plans import Draw, DrawSource
+from gem_core.records.plans import EpisodeQueue, EpisodeStart
 from gem_core.types import TERMINAL_STATE, Info, Observation, StepResult
 from gem_core.vector.commands import Command, Failure, Rebuild, Rebuilt, Reset
 
@@ -94,7 +94,7 @@ class Rules:
             lost; None where they cannot be.
     """
 
-    source: DrawSource
+    source: EpisodeQueue
     budget: FaultBudget
     autoreset: Autoreset = "same_step"
     on_error: OnError = "truncate"
@@ -142,7 +142,7 @@ class Slot:
         self.own_kwargs = own_kwargs
         self.rules = rules
         self.phase = NEW
-        self.draw: Draw | None = None
+        self.draw: EpisodeStart | None = None
         """What the present episode started from."""
         self.result: Any = None
         """A ``SlotStep``, or five values like it, once there is nothing more to ask; or an exception."""
@@ -360,7 +360,7 @@ class Slot:
         return asked.action if isinstance(asked, Rebuild) else cast("str", asked)
 
     def _note_failed(self, asked: Reset, error: dict[str, Any]) -> None:
-        draw = cast("Draw", self.draw)
+        draw = cast("EpisodeStart", self.draw)
         failed: dict[str, Any] = {
             "id": asked.env_id,
             "kwargs": dict(asked.kwargs),

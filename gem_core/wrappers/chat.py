@@ -5,13 +5,14 @@ from __future__ import annotations
 import importlib
 from typing import Any, ClassVar, cast
 
-from gem_core.env.base import observation_from
+from gem_core.env.observations import observation_from
 from gem_core.env.spaces import Messages as MessagesSpace
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, StateNotSupported
 from gem_core.records.conversation import Message, answer_messages, assistant_message, opening_messages
+from gem_core.records.turns import Turn
 from gem_core.types import Observation, ResetResult
-from gem_core.wrappers.views import ObservationView, Turn
+from gem_core.wrappers.views import ObservationView
 
 _MARK = "GEM-BRIDGE-MARK"
 """Stands for a response in the dummy chat that shows what a template writes behind one."""

@@ -6,47 +6,15 @@ and ``info["suffix"]`` stay as the task wrote them. The chat views are in ``gem_
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Any, ClassVar, Self
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from typing import Any, ClassVar
 
-from gem_core.env.base import as_parts, observation_from
+from gem_core.env.observations import join_observations, observation_from, split_observation, texts_of
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, StateNotSupported
-from gem_core.records.plain_json import to_plain
-from gem_core.types import Info, Observation, ResetResult, Response, StepResult
-
-
-@dataclass(frozen=True, slots=True)
-class Turn:
-    """One turn as a view remembers it. Its fields are read by name, never unpacked: there may be more of them.
-
-    Args:
-        action: The response's text, to the letter.
-        feedback: What happened.
-        suffix: How things stood after it.
-        tool_calls: Native calls of the response; None without any.
-        reasoning: Thinking that the server took out of the text; None without any.
-        messages: What the environment appends to a chat, where it says so in ``info["messages"]``.
-    """
-
-    action: str
-    feedback: Observation
-    suffix: Observation = ""
-    tool_calls: list[dict[str, Any]] | None = None
-    reasoning: str | None = None
-    messages: list[dict[str, Any]] | None = None
-
-    @classmethod
-    def of(cls, action: str, feedback: Observation, suffix: Observation, info: Info) -> Self:
-        """Return the turn of a response, and of what ``step`` returned for it."""
-        response, messages = Response.of(action), info.get("messages")
-        if not isinstance(messages, list) or not all(isinstance(message, Mapping) for message in messages):
-            messages = None
-        # A plain str: what the server reported about a response is kept by the rollout, not by the view.
-        return cls(response.text, feedback, suffix, response.tool_calls, response.reasoning, messages)
-
+from gem_core.records.turns import Turn, with_actions, without_thinking
+from gem_core.types import Info, Observation, ResetResult, StepResult
 
 Summarizer = Callable[[str, list[Turn]], str]
 """Called with the summary so far and the turns that are to be dropped next, returns the new summary."""
@@ -168,7 +136,7 @@ class ObservationView(Wrapper):
     def _shown(self) -> Observation:
         task = self._task
         if self._summary:
-            task = joined([task, f"Summary of the earlier turns:\n{self._summary}\n"])
+            task = join_observations([task, f"Summary of the earlier turns:\n{self._summary}\n"])
         return self.show(task, self._turns[self._dropped :], self._suffix)
 
     def _is_too_long(self, observation: Observation) -> bool:
@@ -212,7 +180,7 @@ class Concat(ObservationView):
 
     def show(self, task: Observation, turns: list[Turn], suffix: Observation) -> Observation:
         """Return the feedback of every turn and the suffix."""
-        return observation_from(joined([task, *(turn.feedback for turn in turns)]), suffix)
+        return observation_from(join_observations([task, *(turn.feedback for turn in turns)]), suffix)
 
 
 class ConcatWithAction(ObservationView):
@@ -226,94 +194,7 @@ class ConcatWithAction(ObservationView):
         return with_actions(task, turns, suffix)
 
 
-def with_actions(task: Observation, turns: Iterable[Turn], suffix: Observation) -> Observation:
-    """Return all outputs and actions so far, and how things stand now once, at the end."""
-    pieces = [task]
-    for turn in turns:
-        pieces += [turn.action, *map(_call_as_text, turn.tool_calls or ()), turn.feedback]
-    return observation_from(joined(pieces), suffix)
-
-
-def _call_as_text(call: Mapping[str, Any]) -> str:
-    """Return a native call as it is written in a text; arguments that are no valid JSON stay as they were written."""
-    function = call.get("function", call.get("custom"))
-    if not isinstance(function, Mapping):
-        function = {}
-    arguments = function.get("arguments") or "{}"
-    if "input" in function:  # plain text, of a custom tool of the API
-        arguments = json.dumps(to_plain(function["input"]), ensure_ascii=False)
-    elif not isinstance(arguments, str):
-        arguments = json.dumps(to_plain(arguments), ensure_ascii=False)
-    name = json.dumps(to_plain(function.get("name", "")), ensure_ascii=False)
-    return f'<tool_call>{{"name": {name}, "arguments": {arguments}}}</tool_call>'
-
-
 def _split(observation: Observation, info: Info) -> tuple[Observation, Observation]:
     """Tell apart what happened and how things stand, and note it: a view may show something else than what was said."""
-    info["feedback"], info["suffix"] = told_apart(observation, info)
+    info["feedback"], info["suffix"] = split_observation(observation, info)
     return info["feedback"], info["suffix"]
-
-
-def told_apart(observation: Observation, info: dict[str, Any]) -> tuple[Observation, Observation]:
-    """Return what happened and how things stand now; without both keys in ``info`` all of it is feedback."""
-    feedback, suffix = info.get("feedback"), info.get("suffix")
-    if isinstance(feedback, str | list) and isinstance(suffix, str | list):
-        return feedback, suffix
-    return observation, ""
-
-
-def joined(pieces: Iterable[Observation]) -> Observation:
-    """Join outputs and actions, each beginning on a line of its own; parts once there is one list of parts."""
-    pieces = [piece for piece in pieces if piece]
-    if all(isinstance(piece, str) for piece in pieces):
-        texts = [str(piece) for piece in pieces]
-        lines = [text if text.endswith("\n") else f"{text}\n" for text in texts[:-1]]
-        return "".join([*lines, *texts[-1:]])
-    parts: list[dict[str, Any]] = []
-    for piece in pieces:
-        last = parts[-1] if parts else None
-        if isinstance(last, Mapping) and last.get("type") == "text" and not str(last.get("text", "")).endswith("\n"):
-            parts[-1] = {**last, "text": f"{last.get('text', '')}\n"}
-        parts.extend(as_parts(piece))
-    return parts
-
-
-def texts_of(observation: Observation) -> list[str]:
-    """Return every text of an observation: of text itself, of content parts, or of messages with their calls."""
-    if isinstance(observation, str):
-        return [observation]
-    texts = []
-    for part in observation:
-        if part.get("type") == "text":
-            texts.append(str(part["text"]))
-            continue
-        if part.get("content"):
-            texts += texts_of(part["content"])
-        if part.get("reasoning_content"):
-            texts.append(str(part["reasoning_content"]))
-        for call in part.get("tool_calls") or ():
-            called = call.get("function", call.get("custom"))
-            texts += map(str, called.values() if isinstance(called, dict) else ())
-    return texts
-
-
-def call_id(call: object, place: int) -> str:
-    """Return the id of a native call, or one by its place where it has none, so that it can be answered."""
-    given = call.get("id") if isinstance(call, Mapping) else None
-    return str(given) if given else f"call_{place}"
-
-
-def without_thinking(action: str, tag: str = "think") -> str:
-    """Return a response without its thinking.
-
-    Templates often open the block in the prompt, so that a response holds only the end of it: all up to the last
-    closing tag goes. A block that is never closed goes to the end.
-    """
-    opening, closing = f"<{tag}>", f"</{tag}>"
-    end = action.rfind(closing)
-    first = action.find(opening)
-    if end >= 0:
-        before = action[:first] if 0 <= first < end else ""
-        action = before + action[end + len(closing) :].lstrip()
-    unclosed = action.find(opening)
-    return action if unclosed < 0 else action[:unclosed]

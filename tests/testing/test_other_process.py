@@ -15,8 +15,8 @@ from reference_envs import GoodEnv
 
 from gem_core.testing import ContractError, check_env
 from gem_core.testing.contract import NotTriedError
-from gem_core.testing.handing_over import guarded, recipe_of
 from gem_core.testing.helper import HelperError, OtherProcess, other_process
+from gem_core.testing.serialization import guarded, recipe_of
 
 
 @pytest.fixture

@@ -9,11 +9,11 @@ from dataclasses import replace
 from typing import Any
 
 from gem_core.parsing import extract_code_blocks, extract_last_boxed_answer
+from gem_core.records.turns import call_id
 from gem_core.tools.calls import FORMATS, bare_call, format_call, format_calls, without_end_tokens
 from gem_core.tools.calls.calls import unknown
 from gem_core.tools.calls.values import loaded, value_at
 from gem_core.tools.tool import Tool, ToolCall, first_call, tags_of
-from gem_core.wrappers.views import call_id
 
 WELL_KNOWN = ("python", "search")
 """Tags that models are trained to call tools by: such a tag is a call even where there is no such tool."""

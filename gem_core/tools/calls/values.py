@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from gem_core.nesting import is_deep
+from gem_core.records.plain_json import is_deep
 
 _TOO_DEEP = "it is nested too deeply"
 _MOST_DEPTH = 100

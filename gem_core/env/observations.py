@@ -1,0 +1,77 @@
+"""Observations: text, content parts or chat messages; how they are split, joined and told apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from gem_core.types import Observation
+
+
+def observation_from(feedback: Observation, suffix: Observation) -> Observation:
+    """Join what happened and how things stand now into one observation.
+
+    Text is joined as it is; once one of the two is a list of content parts, both become parts.
+    """
+    if isinstance(feedback, str) and isinstance(suffix, str):
+        return feedback + suffix
+    return as_parts(feedback) + as_parts(suffix)
+
+
+def as_parts(observation: Observation) -> list[dict[str, Any]]:
+    """Return an observation as a list of content parts; empty text gives no part."""
+    if isinstance(observation, str):
+        return [{"type": "text", "text": observation}] if observation else []
+    return list(observation)
+
+
+def split_observation(observation: Observation, info: dict[str, Any]) -> tuple[Observation, Observation]:
+    """Return what happened and how things stand now; without both keys in ``info`` all of it is feedback."""
+    feedback, suffix = info.get("feedback"), info.get("suffix")
+    if isinstance(feedback, str | list) and isinstance(suffix, str | list):
+        return feedback, suffix
+    return observation, ""
+
+
+def join_observations(pieces: Iterable[Observation]) -> Observation:
+    """Join outputs and actions, each beginning on a line of its own; parts once there is one list of parts."""
+    pieces = [piece for piece in pieces if piece]
+    if all(isinstance(piece, str) for piece in pieces):
+        texts = [str(piece) for piece in pieces]
+        lines = [text if text.endswith("\n") else f"{text}\n" for text in texts[:-1]]
+        return "".join([*lines, *texts[-1:]])
+    parts: list[dict[str, Any]] = []
+    for piece in pieces:
+        last = parts[-1] if parts else None
+        if isinstance(last, Mapping) and last.get("type") == "text" and not str(last.get("text", "")).endswith("\n"):
+            parts[-1] = {**last, "text": f"{last.get('text', '')}\n"}
+        parts.extend(as_parts(piece))
+    return parts
+
+
+def texts_of(observation: Observation) -> list[str]:
+    """Return every text of an observation: of text itself, of content parts, or of messages with their calls."""
+    if isinstance(observation, str):
+        return [observation]
+    texts = []
+    for part in observation:
+        if part.get("type") == "text":
+            texts.append(str(part["text"]))
+            continue
+        if part.get("content"):
+            texts += texts_of(part["content"])
+        if part.get("reasoning_content"):
+            texts.append(str(part["reasoning_content"]))
+        for call in part.get("tool_calls") or ():
+            called = call.get("function", call.get("custom"))
+            texts += map(str, called.values() if isinstance(called, dict) else ())
+    return texts
+
+
+def is_messages(observation: Observation) -> bool:
+    """Tell a list of messages from content parts."""
+    return (
+        isinstance(observation, list)
+        and bool(observation)
+        and all(isinstance(message, Mapping) and "role" in message for message in observation)
+    )
