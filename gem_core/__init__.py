@@ -17,6 +17,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from gem_core.api import list_envs, make, make_vec, print_envs, register, spec
     from gem_core.data.dataset import DatasetEnv, Grade
     from gem_core.env.base import AsyncEnv, Env
     from gem_core.env.wrapper import Wrapper
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from gem_core.records.episode import Episode, Transition, read_episodes, write_episodes
     from gem_core.records.plans import PlanItem
     from gem_core.registry.hookspecs import hookimpl
-    from gem_core.registry.lookup import list_envs, make, make_vec, print_envs, register, spec
     from gem_core.registry.specs import AgentSpec, CommandSpec, EnvSpec, ToolSpec, VectorBackendSpec, WrapperSpec
     from gem_core.rollouts.drivers import arollout, rollout
     from gem_core.tools.env import ToolEnv
@@ -43,7 +43,7 @@ _HOME = {
     "registry.hookspecs": ("hookimpl",),
     "parsing": ("extract_code_blocks", "extract_last_boxed_answer", "extract_last_tagged_answer"),
     "records.plans": ("PlanItem",),
-    "registry.lookup": ("list_envs", "make", "make_vec", "print_envs", "register", "spec"),
+    "api": ("list_envs", "make", "make_vec", "print_envs", "register", "spec"),
     "rollouts.drivers": ("arollout", "rollout"),
     "registry.specs": ("AgentSpec", "CommandSpec", "EnvSpec", "ToolSpec", "VectorBackendSpec", "WrapperSpec"),
     "tools.env": ("ToolEnv",),

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from toys import CountdownEnv, EchoEnv, Notebook
 
 import gem_core as gem
+from gem_core.env.guard import Guard
 from gem_core.env.observations import texts_of
-from gem_core.env.wrapper import Guard
 from gem_core.errors import ArgumentError
 from gem_core.records.turns import Turn
 from gem_core.tools.env import ToolEnv

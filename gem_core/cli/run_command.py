@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
+from gem_core.api import make_vec
 from gem_core.cli import INTERRUPTED
 from gem_core.cli.agent_options import agent_options, given
 from gem_core.cli.completion import complete_agents, complete_backends, complete_env_ids, complete_wrappers
@@ -22,7 +23,7 @@ from gem_core.cli.layout import echo_line
 from gem_core.cli.list_command import matching
 from gem_core.cli.tool_options import tool_options, wrapper_stack
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.registry.lookup import make_vec, registry
+from gem_core.registry.lookup import registry
 from gem_core.registry.requirements import unmet
 from gem_core.registry.specs import EnvSpec
 

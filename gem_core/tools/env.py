@@ -9,8 +9,9 @@ from typing import Any
 import gymnasium
 import pydantic
 
+from gem_core.env.guard import reset_needed
 from gem_core.env.observations import join_observations, observation_from, split_observation
-from gem_core.env.wrapper import AnyEnv, Wrapper, reset_needed
+from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, StateError, StateNotSupported
 from gem_core.tools.calls.reading import CallReader, native_calls
 from gem_core.tools.selection import ToolChoice, ToolChoices, tool_choices, tools_by_name

@@ -88,7 +88,7 @@ class ObservationView(Wrapper):
         """Begin a new list of turns."""
         observation, info = result
         self._begin(*_split(observation, info))
-        info["view"] = self._made_as[0] if self._made_as else type(self).__name__
+        info["view"] = self.made_as[0] if self.made_as else type(self).__name__
         shown = self._shown()
         if self._is_too_long(shown):
             raise ArgumentError(
