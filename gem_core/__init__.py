@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from gem_core.env.wrapper import Wrapper
     from gem_core.errors import GemError
     from gem_core.parsing import extract_code_blocks, extract_last_boxed_answer, extract_last_tagged_answer
-    from gem_core.records.episode import Episode, Transition, read_episodes, write_episodes
+    from gem_core.records.episode import Episode, Transition
+    from gem_core.records.files import read_episodes, write_episodes
     from gem_core.records.plans import PlanItem
     from gem_core.registry.hookspecs import hookimpl
     from gem_core.registry.specs import AgentSpec, CommandSpec, EnvSpec, ToolSpec, VectorBackendSpec, WrapperSpec
@@ -38,7 +39,8 @@ __version__ = "0.1.0"
 _HOME = {
     "data.dataset": ("DatasetEnv", "Grade"),
     "env.base": ("AsyncEnv", "Env"),
-    "records.episode": ("Episode", "Transition", "read_episodes", "write_episodes"),
+    "records.episode": ("Episode", "Transition"),
+    "records.files": ("read_episodes", "write_episodes"),
     "errors": ("GemError",),
     "registry.hookspecs": ("hookimpl",),
     "parsing": ("extract_code_blocks", "extract_last_boxed_answer", "extract_last_tagged_answer"),

@@ -18,7 +18,8 @@ from gem_core.cli.terminal import EndOfInput, Terminal
 from gem_core.cli.tool_options import options_again, tool_options, wrapper_stack
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, NotSupportedError
-from gem_core.records.episode import Episode, EpisodeWriter
+from gem_core.records.episode import Episode
+from gem_core.records.files import EpisodeWriter
 from gem_core.records.plain_json import ImageFolder
 from gem_core.registry.lookup import registry
 from gem_core.suggestions import did_you_mean

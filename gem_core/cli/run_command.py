@@ -155,7 +155,7 @@ def command(
     from gem_core.cli.report import print_table, status_of
     from gem_core.cli.resumed_run import ResumedRun
     from gem_core.progress import Progress
-    from gem_core.records.episode import EpisodeWriter
+    from gem_core.records.files import EpisodeWriter
     from gem_core.records.summary import RunSummary
     from gem_core.rollouts.agent import current_folder_importable, load_agent
     from gem_core.rollouts.drivers import default_plan, rollout

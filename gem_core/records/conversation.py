@@ -2,19 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 from gem_core.env.observations import is_messages, observation_from, split_observation
 from gem_core.records.turns import Turn, call_id, with_actions
-from gem_core.types import TERMINAL_STATE, Info, Observation
-
-if TYPE_CHECKING:
-    from gem_core.records.episode import Episode
+from gem_core.types import TERMINAL_STATE, Info, Observation, Response
 
 Message = dict[str, Any]
 
 CONCAT_WITH_ACTION = "concat_with_action"
+
+
+class Turned(Protocol):
+    """What the conversation reads of a transition."""
+
+    observation: Observation
+    action: Response
+    info: Info
+
+
+class Recorded(Protocol):
+    """What the conversation reads of an ``Episode``, whose fields these are."""
+
+    observation: Observation
+    info: Info
+    final_observation: Observation
+    reads: str | None
+    system: str | None
+    native_tools: bool
+
+    @property
+    def transitions(self) -> Sequence[Turned]:
+        """The turns so far, oldest first."""
 
 
 class Conversation:
@@ -28,13 +48,13 @@ class Conversation:
     ``system`` is the text of the system message, None without one.
     """
 
-    def __init__(self, episode: Episode) -> None:
+    def __init__(self, episode: Recorded) -> None:
         self._episode = episode
         # A record that does not say what was sent is of an earlier version, and may have had a view.
         self._viewed = "view" in episode.info or episode.reads is None
         self.system = self._system()
         self._instructions = self._in_both_wordings()
-        self._task, self._suffix = self._told_apart(episode.observation, episode.info)
+        self._task, self._suffix = self._split(episode.observation, episode.info)
         self._turns: list[Turn] = []
         self._chat = self._opening()
 
@@ -63,7 +83,7 @@ class Conversation:
             taken = transitions[place]
             is_last = place + 1 == len(transitions)
             observation = self._episode.final_observation if is_last else transitions[place + 1].observation
-            feedback, self._suffix = self._told_apart(observation, taken.info)
+            feedback, self._suffix = self._split(observation, taken.info)
             turn = Turn.of(taken.action, feedback, self._suffix, taken.info)
             self._turns.append(turn)
             if is_messages(feedback):
@@ -98,7 +118,7 @@ class Conversation:
             system = first.get("content")  # messages that bring their own keep it
         return system if isinstance(system, str) else None
 
-    def _told_apart(self, observation: Observation, info: Info) -> tuple[Observation, Observation]:
+    def _split(self, observation: Observation, info: Info) -> tuple[Observation, Observation]:
         feedback, suffix = split_observation(observation, info)
         if self._viewed or observation_from(feedback, suffix) == observation:
             return feedback, suffix
