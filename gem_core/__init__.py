@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from gem_core.tools.env import ToolEnv
     from gem_core.tools.tool import Tool, ToolCall, ToolResult
     from gem_core.types import TERMINAL_STATE, Observation, Response
-    from gem_core.vector.env import VectorEnv
+    from gem_core.vector.vector_env import VectorEnv
 
 __version__ = "0.1.0"
 
@@ -51,7 +51,7 @@ _HOME = {
     "tools.env": ("ToolEnv",),
     "tools.tool": ("Tool", "ToolCall", "ToolResult"),
     "types": ("TERMINAL_STATE", "Observation", "Response"),
-    "vector.env": ("VectorEnv",),
+    "vector.vector_env": ("VectorEnv",),
     "env.wrapper": ("Wrapper",),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}

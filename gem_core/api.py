@@ -6,7 +6,6 @@ import sys
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from gem_core.registry.entry_points import construct
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import EntryPoint, EnvSpec
 
@@ -15,9 +14,9 @@ if TYPE_CHECKING:
     from gem_core.making.environment import MadeSpec
     from gem_core.making.layers import Wrappers
     from gem_core.records.plans import PlanItem
-    from gem_core.vector.env import VectorEnv
     from gem_core.vector.setup import IdOrIds
     from gem_core.vector.slot import Autoreset, OnError
+    from gem_core.vector.vector_env import VectorEnv
 
 _SPEC_KEYWORDS = ("summary", "tags", "requires", "deterministic")
 
@@ -103,12 +102,12 @@ def make_vec(
         UnknownBackendError: No such backend.
         ArgumentError: A value that is not accepted.
     """
-    from gem_core.vector.setup import VectorSetup, backend_and_options
+    from gem_core.vector.setup import make_vector
 
-    name, options = backend_and_options(backend)
-    setup = VectorSetup.of(
+    return make_vector(
         ids,
         num_envs,
+        backend=backend,
         wrappers=wrappers,
         kwargs=kwargs,
         seed=seed,
@@ -117,8 +116,6 @@ def make_vec(
         step_timeout=step_timeout,
         on_error=on_error,
     )
-    vector: VectorEnv = construct(registry().backend(name), setup, **options)
-    return vector
 
 
 def spec(id: str) -> EnvSpec:

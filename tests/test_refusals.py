@@ -49,7 +49,7 @@ def test_a_result_that_is_none_is_refused_by_make_as_by_a_vector_environment(act
         env.step(action)
     assert str(caught.value) == f"OddEnv: {ODD[action][1]}"
     told = vector.step([action]).infos[0]["final_info"]["error"]["message"]
-    assert told == f"step raised {caught.type.__name__}: {ODD[action][1]}"
+    assert told == f"step raised {caught.type.__name__}: {caught.value}"
 
 
 def test_whole_numbers_serve_as_reward_and_flags() -> None:

@@ -87,7 +87,7 @@ def test_no_slot_steps_while_an_episode_is_looked_at() -> None:
         for _ in gem.rollout(vector, answer_a, plan=plan):
             begun = len(BEGUN)
             limit = time.monotonic() + LONG_S
-            while len(vector._engine.done) < vector.under_way:
+            while vector._scheduler.sent.waiting:
                 assert time.monotonic() < limit
                 os.sched_yield()
             # Nothing runs now, so nothing can go on.

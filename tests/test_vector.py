@@ -432,12 +432,3 @@ def test_slot_that_an_error_left_empty_is_not_idle() -> None:
         vector.step(["a"])
     with pytest.raises(ResetNeededError, match="slot 0 has no environment since an error was raised"):
         vector.step(["a"])
-
-
-def test_leaving_the_context_closes_every_environment() -> None:
-    """``with make_vec(...)`` frees what it made."""
-    with make(2, plan=lasting(5, 2)) as vector:
-        vector.reset()
-        tasks: list[Any] = [vector._engine.hosts[0].body(slot).env.unwrapped for slot in range(2)]  # type: ignore[attr-defined]
-        assert [task.closed for task in tasks] == [0, 0]
-    assert [task.closed for task in tasks] == [1, 1]

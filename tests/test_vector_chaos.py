@@ -28,6 +28,7 @@ from gem_core.background import background_loop
 from gem_core.errors import EnvFaultError
 from gem_core.records.plans import PlanItem
 from gem_core.rollouts.agent import Context
+from gem_core.vector.slot import FaultBudget
 
 SOAK_S = float(os.environ.get("GEM_CHAOS_S", "0"))
 FIRST_SEED = int(os.environ.get("GEM_CHAOS_SEED", "1"))
@@ -83,7 +84,6 @@ class Round:
         self.vector = gem.make_vec(
             home.ids, self.random.choice([1, 3, 7]), backend=home.backend, plan=self.plan, seed=seed, **options
         )
-        self.vector._rules.budget.limit = 10**9  # it is the accounting that is looked at here
         self.pids: set[int] = set()
         self.over = threading.Event()
 
@@ -212,12 +212,11 @@ class Round:
     def sabotage(self) -> None:
         chance = random.Random(self.random.random())
         while not self.over.wait(chance.choice([0.02, 0.2, 0.5, 1.0])):
-            for host in self.vector._engine.hosts:
-                links = [link for link in getattr(host, "_links", ()) if link is not None]
-                self.pids |= {link.pid for link in links}
-                if links and chance.random() < 0.3:
-                    with contextlib.suppress(ProcessLookupError):
-                        os.kill(chance.choice(links).pid, signal.SIGKILL)
+            pids = vector_envs.workers_of(os.getpid())
+            self.pids |= set(pids)
+            if pids and chance.random() < 0.3:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(chance.choice(pids), signal.SIGKILL)
 
     def run(self, driver: str) -> Counter[str]:
         saboteur = threading.Thread(target=self.sabotage, name="saboteur")
@@ -291,8 +290,9 @@ def is_gone(pid: int) -> bool:
 @pytest.mark.parametrize("driver", ["rollout", "rollout_async", "arollout", "send_and_recv"])
 @pytest.mark.parametrize("home", HOMES)
 @pytest.mark.few(2)
-def test_every_episode_is_accounted_for_exactly_once(home: str, driver: str) -> None:
+def test_every_episode_is_accounted_for_exactly_once(home: str, driver: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each is right to the letter, or marked with an error; and nothing is left behind."""
+    monkeypatch.setattr(FaultBudget, "spend", lambda *args: None)  # it is the accounting that is looked at here
     until = time.monotonic() + SOAK_S / (4 * len(HOMES))
     seed = FIRST_SEED
     errors: Counter[str] = Counter()

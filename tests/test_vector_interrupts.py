@@ -15,7 +15,7 @@ from vector_envs import ASYNC, INLINE, THREAD
 
 import gem_core as gem
 from gem_core.records.plans import PlanItem
-from gem_core.vector.env import VectorEnv
+from gem_core.vector.vector_env import VectorEnv
 
 FOLDER = str(Path(gem.__file__).parent / "vector")
 
@@ -109,7 +109,7 @@ def test_interrupt_while_a_step_is_waited_for_loses_nothing(monkeypatch: pytest.
     vector.reset()
     wait = vector.signal.__class__.wait
 
-    def stop(signal: Any, timeout: float | None = None) -> None:
+    def stop(signal: Any, *args: Any) -> None:
         monkeypatch.setattr(vector.signal.__class__, "wait", wait)
         raise KeyboardInterrupt
 

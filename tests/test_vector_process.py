@@ -22,7 +22,7 @@ from vector_envs import IMAGES, INLINE, LUCKY, PROCESS, THREAD
 
 import gem_core as gem
 from gem_core.records.plans import PlanItem
-from gem_core.vector.worker import SharedTimes
+from gem_core.vector import CommandTimes
 
 TESTS = str(Path(__file__).parent)
 
@@ -30,12 +30,8 @@ LONGEST_S = 60.0
 """Ends a hang; nothing here takes so long."""
 
 
-def links_of(vector: gem.VectorEnv) -> list[Any]:
-    return [link for host in vector._engine.hosts for link in getattr(host, "_links", []) if link is not None]
-
-
-def pids_of(vector: gem.VectorEnv) -> list[int]:
-    return [link.pid for link in links_of(vector)]
+def workers() -> list[int]:
+    return vector_envs.workers_of(os.getpid())
 
 
 def is_alive(pid: int) -> bool:
@@ -56,6 +52,20 @@ def eventually(condition: Callable[[], object]) -> bool:
     return True
 
 
+def kill_worker(pid: int) -> None:
+    """Kill a worker, and return when the program has noticed."""
+    before = len(named_threads("gem-worker"))
+    os.kill(pid, signal.SIGKILL)
+    assert eventually(lambda: len(named_threads("gem-worker")) < before)
+
+
+def named_threads(*names: str) -> list[str]:
+    return [one.name for one in threading.enumerate() if one.name.startswith(names or THREADS)]
+
+
+THREADS = ("gem-worker", "gem-reap", "gem-outbox")
+
+
 # Death from outside.
 
 
@@ -66,9 +76,7 @@ def test_worker_killed_while_idle_is_replaced_without_a_trace() -> None:
     assert vector.reset() == alone.reset()
     for turn in range(12):
         if turn % 3 == 1:
-            (victim, *_) = links_of(vector)
-            os.kill(victim.pid, signal.SIGKILL)
-            assert eventually(lambda victim=victim: victim not in links_of(vector))
+            kill_worker(workers()[0])
         actions = [f"{turn}.{slot}" for slot in range(4)]
         for one, other in zip(vector.step(actions), alone.step(actions), strict=True):
             assert np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other
@@ -80,10 +88,10 @@ def test_worker_killed_in_the_middle_of_a_step_truncates_that_step() -> None:
     """And none but that."""
     vector = gem.make_vec([THREAD, INLINE], 4, backend=("process", {"workers": 1}), seed=3, length=5)
     vector.reset()
-    vector.send({0: "!hang"})
-    (link,) = links_of(vector)
-    assert eventually(lambda: 0 in link.running())
-    os.kill(link.pid, signal.SIGKILL)
+    vector.send({0: "!children, hang"})
+    (pid,) = workers()
+    assert eventually(lambda: vector_envs.children_of(pid))
+    os.kill(pid, signal.SIGKILL)
     received = vector.recv()
     assert received.slots == [0]
     assert received.infos[0]["final_info"]["error"] == {
@@ -99,9 +107,7 @@ def test_idle_death_ends_episodes_that_cannot_be_replayed_as_collateral() -> Non
     """When they are stepped next."""
     vector = gem.make_vec(LUCKY, 2, backend=("process", {"workers": 1}), seed=3, length=5)
     vector.reset()
-    (link,) = links_of(vector)
-    os.kill(link.pid, signal.SIGKILL)
-    assert eventually(lambda: not links_of(vector))
+    kill_worker(workers()[0])
     infos = vector.step(["a", "b"]).infos
     assert [info["final_info"]["error"]["kind"] for info in infos] == ["collateral"] * 2
     assert vector.faults == 0
@@ -113,7 +119,7 @@ def test_actions_are_sampled_also_when_the_worker_has_died() -> None:
     vector = gem.make_vec(INLINE, 2, backend=("process", {"workers": 1}), seed=3, length=5)
     vector.reset()
     action = vector.sample_random_action(1)
-    os.kill(pids_of(vector)[0], signal.SIGKILL)
+    os.kill(workers()[0], signal.SIGKILL)
     assert vector.sample_random_action(1) == action
     assert vector.step(["a", action]).infos[1]["path"] == [action]
     vector.close()
@@ -128,7 +134,7 @@ def test_a_batch_of_deaths_loses_nothing() -> None:
     for episode in gem.rollout(vector, lambda observation: "go", episodes=24):
         came[episode.key] = episode
         if len(came) % 6 == 3:
-            os.kill(pids_of(vector)[0], signal.SIGKILL)
+            os.kill(workers()[0], signal.SIGKILL)
     assert came.keys() == expected.keys()
     assert [came[key] for key in came if came[key].error is None and came[key] != expected[key]] == []
     assert sum(episode.error is not None for episode in came.values()) <= 4
@@ -139,24 +145,22 @@ def test_times_are_read_while_a_worker_changes_them() -> None:
     """A command that ends between two looks is no error."""
     with tempfile.TemporaryFile() as file:
         file.truncate(16)
-        theirs, ours = SharedTimes(file.fileno(), 2), SharedTimes(file.fileno(), 2)
+        theirs, ours = CommandTimes(2, file.fileno()), CommandTimes(2, file.fileno())
     over = threading.Event()
 
     def change() -> None:
         while not over.is_set():
-            theirs[1] = 5.0
-            theirs.pop(1, None)
-            theirs[1] = 6.0
-            theirs.clear()
+            theirs.begin(1)
+            theirs.end(1)
 
     changing = threading.Thread(target=change)
     changing.start()
     try:
-        seen = [ours.present() for _ in range(20_000)]
+        seen = [ours.running() for _ in range(20_000)]
     finally:
         over.set()
         changing.join()
-    assert all(times in ({}, {1: 5.0}, {1: 6.0}) for times in seen)
+    assert {slot for times in seen for slot in times} <= {1}
 
 
 # What they leave behind.
@@ -173,9 +177,9 @@ def test_nothing_is_left_after_close() -> None:
         vector = gem.make_vec(INLINE, 4, backend=("process", {"workers": 2}), seed=1, length=3)
         vector.reset()
         vector.step(["!exit", "a", "a", "a"])
-        os.kill(pids_of(vector)[0], signal.SIGKILL)
+        os.kill(workers()[0], signal.SIGKILL)
         vector.step(["a"] * 4)
-        pids = pids_of(vector)
+        pids = workers()
         vector.close()
         assert [pid for pid in pids if is_alive(pid)] == []
     del vector
@@ -184,17 +188,13 @@ def test_nothing_is_left_after_close() -> None:
     assert eventually(lambda: gc.collect() is not None and len(os.listdir("/proc/self/fd")) <= files)
 
 
-def named_threads() -> list[str]:
-    return [one.name for one in threading.enumerate() if one.name.startswith(("gem-worker", "gem-reap", "gem-outbox"))]
-
-
 @pytest.mark.parametrize("how", ["close", "kill", "drop"])
 def test_processes_that_an_environment_left_behind_end_with_its_worker(how: str) -> None:
     """However that ends."""
     vector = gem.make_vec(THREAD, 1, backend="process", seed=1, length=3)
     vector.reset()
     vector.step(["!children"])
-    (pid,) = pids_of(vector)
+    (pid,) = workers()
     # A program that has just been started shows no arguments for a moment.
     assert eventually(lambda: len(vector_envs.children_of(pid)) == 1)
     children = vector_envs.children_of(pid)
@@ -213,7 +213,7 @@ def test_environments_are_closed_when_their_vector_environment_is_dropped(tmp_pa
     vector = gem.make_vec([INLINE, THREAD], 2, backend="process", seed=1, length=3)
     vector.reset()
     vector.step(["a", "b"])
-    pids, seen = pids_of(vector), weakref.ref(vector)
+    pids, seen = workers(), weakref.ref(vector)
     del vector
     gc.collect()
     assert seen() is None
@@ -261,8 +261,7 @@ def test_long_actions_arrive_intact() -> None:
         vector.reset()
         action = "é" * 5_000_000
         vector.step([action, "a"])
-        os.kill(pids_of(vector)[0], signal.SIGKILL)
-        assert eventually(lambda: not links_of(vector))
+        kill_worker(workers()[0])
         assert vector.step([action, "b"]).infos[0]["path"] == [action] * 2
 
 
@@ -285,12 +284,10 @@ import os, sys, threading
 sys.path.insert(0, {TESTS!r})
 import vector_envs, gem_core as gem
 vector_envs.register_vector_envs()
-def pids(vector):
-    return [link.pid for host in vector._engine.hosts for link in getattr(host, "_links", []) if link is not None]
 def begin(env_id, count, backend, **options):
     vector = gem.make_vec(env_id, count, backend=backend, seed=1, length=3, **options)
     vector.reset()
-    print(*pids(vector), flush=True)
+    print(*vector_envs.workers_of(os.getpid()), flush=True)
     return vector
 """
 

@@ -24,6 +24,10 @@ from gem_core.types import ResetResult, StepResult
 
 HUNG = threading.Event()
 """Ends what hangs in a thread of this process."""
+CLOSED = threading.Semaphore(0)
+"""Counts the environments with ``on_close="count"`` that were closed in this process."""
+CANCELLED = threading.Event()
+"""Set when a coroutine that hangs is cancelled in this process."""
 
 INLINE, THREAD, PROCESS, ASYNC = KINDS = tuple(
     f"vt:Walk-v0-{kind}" for kind in ("inline", "thread", "process", "async")
@@ -179,7 +183,10 @@ class AsyncWalkEnv(gem.AsyncEnv, WalkEnv):
     async def step_async(self, action: str) -> StepResult:
         await in_thread(wait_turn, action)
         if action.endswith("!hang"):
-            await asyncio.Event().wait()
+            try:
+                await asyncio.Event().wait()
+            finally:
+                CANCELLED.set()
         return self._stepped(action)
 
 
@@ -256,6 +263,8 @@ DONE: dict[str, Callable[[], object]] = {
     "recurse": lambda: misbehave("recurse"),
     "memory": _hoard,
     "children": _leave_children,
+    "children, hang": lambda: (_leave_children(), HUNG.wait(120)),
+    "count": CLOSED.release,
 }
 
 
@@ -282,6 +291,21 @@ def children_of(pid: int) -> list[int]:
         except OSError:
             continue  # it has ended, or is no process
     return found
+
+
+def workers_of(pid: int) -> list[int]:
+    """Return the worker processes that a program has started, by the system's own table."""
+    found = []
+    for entry in os.listdir("/proc"):
+        try:
+            with open(f"/proc/{entry}/stat") as file:
+                parent = file.read().rpartition(")")[2].split()[1]
+            with open(f"/proc/{entry}/cmdline", "rb") as file:
+                if int(parent) == pid and b"gem_core.vector.workers" in file.read():
+                    found.append(int(entry))
+        except (OSError, ValueError):
+            continue  # it has ended, or is no process
+    return sorted(found)
 
 
 def register_vector_envs() -> None:

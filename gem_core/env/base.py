@@ -70,6 +70,15 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
     answer_tags: ClassVar[tuple[str, ...]] = ("answer",)
     """Tags around answers of this task; a tool of such a name is called in JSON only."""
 
+    num_tasks: int | None = None
+    """How many tasks ``reset(options={"index": i})`` chooses from, as the rows of a data set; None where it cannot.
+
+    Plans then cover the tasks, each once in an epoch.
+    """
+
+    endless_tasks: bool = False
+    """Whether ``options={"index": i}`` also takes numbers from ``num_tasks`` up, for fresh tasks of later epochs."""
+
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium declares it as an instance attribute
     spec: EnvRecipe | None = None
 

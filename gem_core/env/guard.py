@@ -46,6 +46,7 @@ class Guard(Wrapper):
         if not isinstance(action, str):
             refuse_action(action)
         result: Any = self.env.step(action)
+        # As checked_result, which takes 0.2 µs more: this is run around every step of every environment.
         if type(result) is tuple and len(result) == 5:
             observation, reward, terminated, truncated, info = result
             if (
@@ -77,10 +78,9 @@ class Guard(Wrapper):
         if not self.checks_results:
             return result
         try:
-            check(result)
+            return check(result)
         except (TypeError, ValueError) as error:
             raise type(error)(f"{type(self.unwrapped).__name__}: {error}") from None
-        return result
 
     def _get_state(self) -> dict[str, Any]:
         return {"live": self._live}

@@ -22,8 +22,8 @@ from gem_core.rollouts.loop import EpisodeLoop
 from gem_core.rollouts.requests import AgentRequests, is_asynchronous
 from gem_core.rollouts.resume import Done, done_in
 from gem_core.vector.backends import around
-from gem_core.vector.env import VectorEnv
 from gem_core.vector.setup import IdOrIds, new_source
+from gem_core.vector.vector_env import VectorEnv
 
 DEFAULT_EPISODES = 10
 DEFAULT_REQUESTS = 64

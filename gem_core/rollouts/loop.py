@@ -15,7 +15,7 @@ from gem_core.rollouts.agent import Context, Reading
 from gem_core.rollouts.requests import AgentRequests
 from gem_core.types import TERMINAL_STATE, Info, Observation, Response
 from gem_core.vector.actions import Received
-from gem_core.vector.env import VectorEnv
+from gem_core.vector.vector_env import VectorEnv
 
 
 class EpisodeLoop:

@@ -1,64 +1,41 @@
 """Vector environments: what runs many environments at once, and what a backend of your own is made from.
 
-A backend is a function of a ``VectorSetup`` that returns ``VectorEnv(setup, host)``. A ``Host`` is where environments
-live; it keeps a ``Body`` for each slot, which makes, resets and steps the environment, and does what is asked of it::
+A backend is a function of a ``VectorSetup`` that returns ``VectorEnv(setup, executor)``. An ``Executor`` is where
+environments live; it has an ``EnvRunner`` for each slot, which makes, resets and steps the environment::
 
-    class MyHost(Host):
+    class MyExecutor(Executor):
         def __init__(self, setup):
-            self.bodies = [Body(slot, factory) for slot, factory in enumerate(setup.factories())]
+            self.runners = [EnvRunner(slot, factory) for slot, factory in enumerate(setup.factories())]
 
-        def start(self, batch):  # begin to do commands; tell the engine what came of each, from any thread
+        def start(self, batch):  # begin to do commands; report the outcome of each, from any thread
             for slot, ticket, command in batch:
-                self.engine.advance(self, slot, ticket, self.bodies[slot].perform(command))
+                self.scheduler.advance(slot, ticket, self.runners[slot].perform(command))
 
-``advance`` returns what to do next for the same slot, or None: see ``docs/writing-a-plugin.md`` for the whole.
+Where environments live in workers that may be killed, derive from ``RemoteExecutor`` and ``WorkerLink`` instead; the
+worker has a ``Worker``. See ``docs/writing-a-plugin.md`` for the whole.
 """
 
-from __future__ import annotations
-
-import importlib
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from gem_core.vector.body import Body
-    from gem_core.vector.commands import Command, Failure, Outcome, Reset
-    from gem_core.vector.env import VectorEnv
-    from gem_core.vector.host import Host, Launch
-    from gem_core.vector.local import answer
-    from gem_core.vector.setup import VectorSetup
-
-_MODULE_OF = {
-    "Body": "body",
-    "Command": "commands",
-    "Failure": "commands",
-    "Host": "host",
-    "Launch": "host",
-    "Outcome": "commands",
-    "Reset": "commands",
-    "VectorEnv": "env",
-    "VectorSetup": "setup",
-    "answer": "local",
-}
+from gem_core.vector.commands import Command, Failure, Outcome, Reset
+from gem_core.vector.executor import CommandTimes, Executor, Launch
+from gem_core.vector.runner import EnvRunner
+from gem_core.vector.setup import VectorSetup
+from gem_core.vector.vector_env import VectorEnv
+from gem_core.vector.workers.remote import RemoteExecutor, Running, WorkerLink
+from gem_core.vector.workers.worker import Worker
 
 __all__ = [
-    "Body",
     "Command",
+    "CommandTimes",
+    "EnvRunner",
+    "Executor",
     "Failure",
-    "Host",
     "Launch",
     "Outcome",
+    "RemoteExecutor",
     "Reset",
+    "Running",
     "VectorEnv",
     "VectorSetup",
-    "answer",
+    "Worker",
+    "WorkerLink",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    # Lazy, since the modules in here import each other by this package.
-    module = _MODULE_OF.get(name)
-    if module is None:
-        raise AttributeError(f"module 'gem_core.vector' has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"gem_core.vector.{module}"), name)
-    globals()[name] = value
-    return value

@@ -12,10 +12,9 @@ from typing import Any, cast
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError
 from gem_core.types import Concurrency
-from gem_core.vector.env import VectorEnv
-from gem_core.vector.host import Host
-from gem_core.vector.local import LocalHost, timeout_refused
+from gem_core.vector.local import LocalExecutor, SyncExecutor
 from gem_core.vector.setup import VectorSetup
+from gem_core.vector.vector_env import VectorEnv
 
 
 def sync(setup: VectorSetup) -> VectorEnv:
@@ -31,7 +30,7 @@ def sync(setup: VectorSetup) -> VectorEnv:
             "step_timeout cannot be kept by backend='sync', where everything runs in the calling thread; "
             "use backend='auto' or 'process'"
         )
-    return VectorEnv(setup, LocalHost(setup.factories(), concurrent=False))
+    return VectorEnv(setup, SyncExecutor(setup))
 
 
 def asynchronous(setup: VectorSetup) -> VectorEnv:
@@ -42,8 +41,11 @@ def asynchronous(setup: VectorSetup) -> VectorEnv:
     """
     if setup.step_timeout is not None:
         for env_id in setup.all_ids:
-            if setup.stack_kind(env_id) == "inline":
-                raise timeout_refused(env_id)
+            if setup.concurrency(env_id) == "inline":
+                raise ArgumentError(
+                    f"step_timeout cannot be kept for {env_id!r}, which runs in place; use backend='auto' or "
+                    "'process', whose workers can be killed"
+                )
     return VectorEnv(setup, _local(setup))
 
 
@@ -56,7 +58,9 @@ def processes(setup: VectorSetup, *, workers: int | None = None, worker_memory_b
         worker_memory_bytes: Address space that a worker may use; beyond it, an environment meets a ``MemoryError``.
             None for as much as there is.
     """
-    return VectorEnv(setup, _processes(setup, workers, worker_memory_bytes))
+    from gem_core.vector.workers.process import ProcessExecutor
+
+    return VectorEnv(setup, ProcessExecutor(setup, workers=workers, worker_memory_bytes=worker_memory_bytes))
 
 
 def auto(setup: VectorSetup, *, workers: int | None = None, worker_memory_bytes: int | None = None) -> VectorEnv:
@@ -65,22 +69,22 @@ def auto(setup: VectorSetup, *, workers: int | None = None, worker_memory_bytes:
     Those that compute for long, and with a ``step_timeout`` those that run in place, go to worker processes; all others
     stay here, as with ``async``.
     """
-    kinds = {env_id: _kind(setup, env_id) for env_id in setup.all_ids}
-    away = {env_id for env_id, kind in kinds.items() if _goes_away(setup, kind)}
-    if not away:
+    in_workers = {env_id: _needs_worker(setup, setup.concurrency(env_id)) for env_id in setup.all_ids}
+    if not any(in_workers.values()):
         return VectorEnv(setup, _local(setup))
-    remote: Host = _processes(setup, workers, worker_memory_bytes)
-    if len(away) == len(kinds):
+    from gem_core.vector.workers.process import ProcessExecutor
+
+    remote = ProcessExecutor(setup, workers=workers, worker_memory_bytes=worker_memory_bytes)
+    if all(in_workers.values()):
         return VectorEnv(setup, remote)
-    local: Host = _local(setup)
 
-    def host_of(env_id: str | None) -> int:
-        if env_id not in kinds:
+    def executor_of(env_id: str | None) -> int:
+        if env_id not in in_workers:
             # An id that only the plan names: by its class, without making one.
-            return int(_goes_away(setup, setup.task_kind(env_id) or "thread"))
-        return int(env_id in away)
+            return int(_needs_worker(setup, setup.task_concurrency(env_id)))
+        return int(in_workers[env_id])
 
-    return VectorEnv(setup, local, remote, host_of=host_of)
+    return VectorEnv(setup, _local(setup), remote, executor_of=executor_of)
 
 
 def around(
@@ -105,31 +109,16 @@ def around(
             return spares.pop()
         return cast("AnyEnv", env.get_wrapper_attr("spawn")(**overrides))
 
-    setup = VectorSetup([own_id], [{}], [(own_id, {})], seed=seed, on_error=on_error)  # type: ignore[arg-type,list-item]  # checked there
-    host = LocalHost([factory], concurrent=not plain)
-    host.body(0).borrowed = env if keep_open else None
-    return VectorEnv(setup, host)
+    setup = VectorSetup([own_id], [{}], [(own_id, {})], seed=seed, on_error=on_error, factory=factory)  # type: ignore[arg-type,list-item]  # checked there
+    executor = SyncExecutor(setup) if plain else LocalExecutor(setup)
+    executor.runners[0].borrowed = env if keep_open else None
+    return VectorEnv(setup, executor)
 
 
-def _kind(setup: VectorSetup, env_id: str) -> Concurrency:
-    """Return what an environment needs, as far as it decides between here and workers, by its class if that will do."""
-    by_class = setup.task_kind(env_id)
-    if setup.wrappers_compute():
-        return "process"
-    if by_class is None or (by_class == "inline" and setup.step_timeout is not None):
-        return setup.stack_kind(env_id)
-    return by_class
+def _needs_worker(setup: VectorSetup, concurrency: Concurrency | None) -> bool:
+    return concurrency == "process" or (concurrency == "inline" and setup.step_timeout is not None)
 
 
-def _goes_away(setup: VectorSetup, kind: Concurrency) -> bool:
-    return kind == "process" or (kind == "inline" and setup.step_timeout is not None)
-
-
-def _local(setup: VectorSetup) -> LocalHost:
-    return LocalHost(setup.factories(), kinds=setup.task_kind, step_timeout=setup.step_timeout)
-
-
-def _processes(setup: VectorSetup, workers: int | None, worker_memory_bytes: int | None) -> Host:
-    from gem_core.vector.process import process_host
-
-    return process_host(setup, workers=workers, worker_memory_bytes=worker_memory_bytes)
+def _local(setup: VectorSetup) -> LocalExecutor:
+    # What runs in place cannot be abandoned.
+    return LocalExecutor(setup, in_place=["inline"] if setup.step_timeout is None else [])

@@ -2,33 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from typing import Self
 
-from gem_core.vector.engine import Batch, Engine
-from gem_core.vector.signal import Signal
+from gem_core.vector.scheduler import Batch, Scheduler, StepBatch
+from gem_core.vector.waiting import Condition
 
 
 class Call:
     """A call of a vector environment, as a context; an interrupt at any instruction leaves that usable.
 
-    While the call waits, the engine is in order: what it waited for goes on, and comes by ``recv``. Anywhere else the
-    engine is in the middle of something, perhaps of a step in place, and has to be replaced. To put interrupts off
-    until the call is over would not do: an environment that runs in place may never come back.
+    While the call waits, the scheduler is in order: what it waited for goes on, and comes by ``recv``. Anywhere else
+    the scheduler is in the middle of something, perhaps of a step in place, and has to be replaced. To put interrupts
+    off until the call is over would not do: an environment that runs in place may never come back.
 
     Args:
-        engine: Of the vector environment.
-        start_anew: Replaces the engine.
+        scheduler: Of the vector environment.
+        start_anew: Replaces the scheduler.
     """
 
-    __slots__ = ("_batch", "_engine", "_order", "_start_anew", "_waits")
+    __slots__ = ("_batch", "_scheduler", "_start_anew", "_waits")
 
-    def __init__(self, engine: Engine, start_anew: Callable[[], None]) -> None:
-        self._engine = engine
+    def __init__(self, scheduler: Scheduler, start_anew: Callable[[], None]) -> None:
+        self._scheduler = scheduler
         self._start_anew = start_anew
         self._waits = False
         self._batch: Batch | None = None
-        self._order: Iterable[int] = ()
 
     def __enter__(self) -> Self:
         return self
@@ -38,32 +37,23 @@ class Call:
             return
         if not self._waits and not issubclass(kind, Exception):
             self._start_anew()
-        elif self._batch is not None:
-            self._engine.leave(self._batch, self._order)
+        elif isinstance(self._batch, StepBatch):
+            self._scheduler.leave(self._batch)
 
-    def wait(self, until: Iterator[float | None], signal: Signal) -> None:
-        """Wait in plain code; see ``Engine.until``."""
-        for seconds in until:
+    def wait(self, over: Condition, batch: Batch, deadline: float | None = None) -> None:
+        """Wait in plain code; see ``Scheduler.until``."""
+        self._batch = batch
+        for condition, seconds in self._scheduler.until(over, batch, deadline):
             self._waits = True
-            signal.wait(seconds)
+            self._scheduler.signal.wait(condition, seconds)
             self._waits = False
-
-    async def wait_async(self, until: Iterator[float | None], signal: Signal) -> None:
-        """Wait in a coroutine, without blocking its loop."""
-        for seconds in until:
-            self._waits = True
-            await signal.wait_async(seconds)
-            self._waits = False
-
-    def wait_for(self, batch: Batch, order: Iterable[int]) -> None:
-        """Wait in plain code until all slots of a batch have a result."""
-        self._batch, self._order = batch, order
-        self.wait(self._engine.until(batch.is_over), batch.signal)
         self._batch = None
 
-    async def wait_for_async(self, batch: Batch, order: Iterable[int]) -> None:
-        """Wait in a coroutine until all slots of a batch have a result."""
-        self._batch, self._order = batch, order
-        until = self._engine.until(batch.is_over, blocking=False)
-        await self.wait_async(until, batch.signal)
+    async def wait_async(self, over: Condition, batch: Batch, deadline: float | None = None) -> None:
+        """Wait in a coroutine, without blocking its loop."""
+        self._batch = batch
+        for condition, seconds in self._scheduler.until(over, batch, deadline, blocking=False):
+            self._waits = True
+            await self._scheduler.signal.wait_async(condition, seconds)
+            self._waits = False
         self._batch = None

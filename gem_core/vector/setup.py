@@ -4,24 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 from gem_core.env.wrapper import AnyEnv, concurrency_of
 from gem_core.errors import ArgumentError
 from gem_core.making.environment import check_choices, make_from
 from gem_core.making.layers import Wrappers, wrapper_targets
 from gem_core.records.plans import EpisodeQueue, PlanItem
-from gem_core.registry.entry_points import load_entry_point
+from gem_core.registry.entry_points import construct, load_entry_point
 from gem_core.registry.lookup import registry
+from gem_core.registry.specs import EnvSpec
 from gem_core.types import Concurrency
-from gem_core.vector.body import EnvFactory
+from gem_core.vector.runner import EnvFactory
 from gem_core.vector.slot import Autoreset, FaultBudget, OnError, Rules
 
-Entry = tuple[str, Mapping[str, Any]]
+if TYPE_CHECKING:
+    from gem_core.vector.vector_env import VectorEnv
+
+IdWithKwargs = tuple[str, Mapping[str, Any]]
 """An id, and keyword arguments."""
 
-IdOrIds = str | Entry | Sequence[str | Entry]
+IdOrIds = str | IdWithKwargs | Sequence[str | IdWithKwargs]
 """One environment, or several."""
 
 
@@ -40,11 +43,13 @@ class VectorSetup:
         autoreset: ``"same_step"``, ``"next_step"`` or ``"disabled"``.
         step_timeout: Seconds that a step or a reset may take; None for as long as it likes.
         on_error: ``"truncate"`` or ``"raise"``.
+        factory: Makes environments, instead of the registry.
+        records: Records of environments that go before those of the registry, as a worker is sent them.
     """
 
     ids: list[str]
     slot_kwargs: list[Mapping[str, Any]]
-    entries: list[Entry]
+    entries: list[IdWithKwargs]
     wrappers: Wrappers = ()
     kwargs: Mapping[str, Any] = field(default_factory=dict)
     seed: int | None = None
@@ -52,7 +57,8 @@ class VectorSetup:
     autoreset: Autoreset = "same_step"
     step_timeout: float | None = None
     on_error: OnError = "truncate"
-    _kinds: dict[str, Concurrency] = field(default_factory=dict)
+    factory: EnvFactory | None = None
+    records: dict[str, EnvSpec] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         limit = self.step_timeout
@@ -95,54 +101,70 @@ class VectorSetup:
     def rules(self) -> Rules:
         """Return what all slots share."""
         budget = FaultBudget(limit=max(16, 2 * len(self.ids)))
-        return Rules(new_source(self.plan, self.seed), budget, self.autoreset, self.on_error)
-
-    def make(self, env_id: str, overrides: Mapping[str, Any]) -> AnyEnv:
-        """Make an environment, with some keyword arguments changed."""
-        return make_from(registry().env(env_id), {**self.kwargs, **overrides}, self.wrappers)
+        return Rules(new_source(self.plan, self.seed), budget, self.autoreset, self.on_error, self.step_timeout)
 
     def factories(self) -> list[EnvFactory]:
         """Return what makes the environment of each slot in this process."""
-        made: dict[str, EnvFactory] = {own_id: partial(self._make_own, own_id) for own_id in set(self.ids)}
-        return [made[own_id] for own_id in self.ids]
+        return [self.make] * len(self.ids)
 
-    def _make_own(self, own_id: str, env_id: str | None, overrides: Mapping[str, Any]) -> AnyEnv:
-        return self.make(env_id or own_id, overrides)
+    def make(self, env_id: str | None, overrides: Mapping[str, Any]) -> AnyEnv:
+        """Make an environment, with some keyword arguments changed."""
+        if self.factory is not None:
+            return self.factory(env_id, overrides)
+        return make_from(self.record(env_id), {**self.kwargs, **overrides}, self.wrappers)
 
-    def task_kind(self, env_id: str | None) -> Concurrency | None:
-        """Return what a task needs by its class, without its wrappers; None where that is not known by class."""
-        if env_id is None:
+    def record(self, env_id: str | None) -> EnvSpec:
+        """Return the record of an environment.
+
+        Raises:
+            UnknownEnvError: There is none.
+        """
+        return self.records.get(env_id or "") or registry().env(env_id or "")
+
+    def task_concurrency(self, env_id: str | None) -> Concurrency | None:
+        """Return what a task needs by its class, without its wrappers; None where the class does not tell."""
+        if self.factory is not None:
             return None
-        if env_id not in self._kinds:
-            record = registry().env(env_id)
-            entry_point = load_entry_point(record.entry_point, f"environment {env_id!r}")
-            kind = getattr(entry_point, "concurrency", None)
-            if not isinstance(kind, str):
-                return None
-            self._kinds[env_id] = kind  # type: ignore[assignment]  # checked where it is used
-        return self._kinds[env_id]
+        task = load_entry_point(self.record(env_id).entry_point, f"environment {env_id!r}")
+        concurrency = getattr(task, "concurrency", None)  # a class, or any other callable
+        return cast("Concurrency", concurrency) if isinstance(concurrency, str) else None
 
-    def wrappers_compute(self) -> bool:
-        """Tell whether a wrapper or tool, by its class, needs a process to itself as ``"process"`` tasks do."""
-        for maker in wrapper_targets(self.wrappers):
-            target: Any = maker
-            if isinstance(maker, str):
-                entry_point = maker if ":" in maker else registry().wrapper(maker).entry_point
-                target = load_entry_point(entry_point, f"wrapper {maker!r}")
-            if "process" in (getattr(target, "needs", None), getattr(target, "concurrency", None)):
-                return True
-        return False
+    def concurrency(self, env_id: str) -> Concurrency:
+        """Return what an environment with its wrappers needs, as far as that decides where it lives.
 
-    def stack_kind(self, env_id: str) -> Concurrency:
-        """Return what an environment needs together with its wrappers; one may be made and closed to find it out."""
-        kind = self.task_kind(env_id)
-        if kind is not None and (kind == "process" or not self.wrappers):
-            return kind
+        One is made and closed where the classes do not tell.
+        """
+        by_class = self.task_concurrency(env_id)
+        if by_class == "process" or self._wrappers_need_process():
+            return "process"
+        # Wrappers may need a thread, which makes a difference only to what would run in place, with a step_timeout.
+        decided = by_class != "inline" or not self.wrappers or self.step_timeout is None
+        if by_class is not None and decided:
+            return by_class
         env = self.make(env_id, {})
         try:
             return concurrency_of(env)
         finally:
             env.close()
+
+    def _wrappers_need_process(self) -> bool:
+        for target in wrapper_targets(self.wrappers):
+            made: Any = target
+            if isinstance(target, str):
+                entry_point = target if ":" in target else registry().wrapper(target).entry_point
+                made = load_entry_point(entry_point, f"wrapper {target!r}")
+            # Of a wrapper, and of a tool.
+            if "process" in (getattr(made, "needs", None), getattr(made, "concurrency", None)):
+                return True
+        return False
+
+
+def make_vector(ids: IdOrIds, num_envs: int | None, *, backend: object, **options: Any) -> VectorEnv:
+    """Make several environments that are reset and stepped together; see ``make_vec``, which says what all is."""
+    name, backend_options = backend_and_options(backend)
+    setup = VectorSetup.of(ids, num_envs, **options)
+    vector: VectorEnv = construct(registry().backend(name), setup, **backend_options)
+    return vector
 
 
 def backend_and_options(backend: object) -> tuple[str, Mapping[str, Any]]:
@@ -171,7 +193,7 @@ def _is_pair(given: object) -> bool:
     return isinstance(given, tuple) and len(given) == 2 and isinstance(given[1], Mapping)
 
 
-def _entry(given: object) -> Entry:
+def _entry(given: object) -> IdWithKwargs:
     if isinstance(given, str):
         return given, {}
     if isinstance(given, tuple) and _is_pair(given):

@@ -1,25 +1,25 @@
 """The rules of one slot, which every backend shares: what an episode starts from, autoreset, and faults.
 
-A slot touches no environment. It says what to ask of it next, is told what came of that, and in the end holds a result.
-Whoever runs the environments, here or in another process, drives it::
+A slot touches no environment. It returns the next command for its environment, takes the outcome, and in the end holds
+a result. The scheduler drives it::
 
     command = slot.act("an action")
     while command is not None:
-        command = slot.took(body.perform(command))
+        command = slot.next_episode() if command is NEXT else slot.took(runner.perform(command))
     slot.result
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, cast, get_args
+from typing import Any, Literal, cast, get_args
 
 from gem_core.errors import ArgumentError, EnvFaultError, FaultBudgetError, ResetNeededError
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
 from gem_core.types import TERMINAL_STATE, Info, Observation, StepResult
-from gem_core.vector.commands import Command, Failure, Rebuild, Rebuilt, Reset
+from gem_core.vector.commands import Command, Failure, Reset
 
 Autoreset = Literal["same_step", "next_step", "disabled"]
 """When the episode that follows a finished one begins; see ``make_vec``."""
@@ -30,18 +30,8 @@ NEW, LIVE, ENDED, IDLE, BROKEN = "new", "live", "ended", "idle", "broken"
 """Phases of a slot: before the first episode; in one; behind one that nothing followed yet; without any, since the plan
 is exhausted; left without an environment by an error that was raised."""
 
-WAIT: Any = object()
-"""Instead of a command: the slot waits for its turn to draw from the plan; see ``Slot.in_turn``."""
-
-
-class SlotStep(NamedTuple):
-    """What a slot gives for one action; see ``VectorEnv.step``."""
-
-    observation: Observation
-    reward: float
-    terminated: bool
-    truncated: bool
-    info: Info
+NEXT: Any = object()
+"""Instead of a command: call ``next_episode``, as soon as it is this slot's turn."""
 
 
 class FaultBudget:
@@ -90,15 +80,14 @@ class Rules:
         budget: Count of faults.
         autoreset: See ``make_vec``.
         on_error: ``"truncate"`` or ``"raise"``.
-        replayable: Whether an episode of an id can be replayed from its seed and actions, where environments may be
-            lost; None where they cannot be.
+        step_timeout: Seconds that a command may take; None for as long as it likes.
     """
 
     source: EpisodeQueue
     budget: FaultBudget
     autoreset: Autoreset = "same_step"
     on_error: OnError = "truncate"
-    replayable: Callable[[str | None], bool] | None = None
+    step_timeout: float | None = None
 
     def __post_init__(self) -> None:
         if self.on_error not in get_args(OnError):
@@ -118,16 +107,11 @@ class Slot:
     """
 
     __slots__ = (
-        "_actions",
-        "_asked",
         "_ended",
         "_failed",
-        "_lost",
-        "_observation",
         "_options",
         "_reset",
-        "draw",
-        "in_turn",
+        "episode",
         "index",
         "own_id",
         "own_kwargs",
@@ -142,51 +126,44 @@ class Slot:
         self.own_kwargs = own_kwargs
         self.rules = rules
         self.phase = NEW
-        self.draw: EpisodeStart | None = None
+        self.episode: EpisodeStart | None = None
         """What the present episode started from."""
         self.result: Any = None
-        """A ``SlotStep``, or five values like it, once there is nothing more to ask; or an exception."""
-        self.in_turn = False
-        """Whether it waits for its turn to draw from a plan, so that the order of completion decides nothing."""
-        self._asked: Command | None = None
-        self._options: dict[str, Any] | None = None
-        self._failed: list[dict[str, Any]] | None = None
-        self._ended: StepResult | None = None
+        """The five values of a step, or an exception, once there is no next command."""
         self._reset: Reset | None = None
-        # Where its environment may be lost: what was stepped in this episode, and what was observed last.
-        self._actions: list[str] | None = None
-        self._observation: Observation = ""
-        self._lost = False
+        """The reset that is under way."""
+        self._options: dict[str, Any] | None = None
+        self._failed: list[dict[str, Any]] = []
+        """The resets that failed since the last episode."""
+        self._ended: StepResult | None = None
+        """The last step of the episode that was followed by the present reset."""
 
     # What is asked of it.
 
-    def begin(self, options: dict[str, Any] | None = None) -> Command | None:
+    def begin(self, options: dict[str, Any] | None = None) -> Command:
         """Begin the next episode, also in the middle of one.
 
         A reset that fails uses its plan item up, and the next is tried: ``info["failed_resets"]`` then lists what
         failed. When the plan is exhausted, the observation is ``TERMINAL_STATE`` and ``info["idle"]`` is true.
         """
-        self._options, self._ended, self._failed = options, None, None
-        return self._next()
+        self._options, self._ended, self._failed = options, None, []
+        return cast("Command", NEXT)
 
     def act(self, action: str) -> Command | None:
-        """Step; what follows the end of an episode is the matter of autoreset.
+        """Step; what follows the end of an episode is decided by autoreset.
 
         Raises:
             ResetNeededError: There is no episode, and none begins by itself.
         """
         if self.phase is LIVE:
-            if self._lost:
-                return self._act_lost(action)
-            self._asked = action
             return action
         if self.phase is IDLE:
-            self.result = SlotStep(TERMINAL_STATE, 0.0, False, False, {"idle": True})
+            self.result = (TERMINAL_STATE, 0.0, False, False, {"idle": True})
             return None
         self.check_steppable()
         return self.begin()  # next_step: this call begins the next episode, and its action is ignored
 
-    def give_up(self, error: dict[str, Any] | None) -> Command | None:
+    def give_up(self, error: dict[str, Any] | None) -> Command:
         """Begin the next episode in the middle of one; an error spends the budget of faults, None does not."""
         if error is None:
             self.rules.budget.finished()
@@ -210,169 +187,97 @@ class Slot:
                 "call reset(options={'reset_mask': …}) before the next step()"
             )
 
-    # What it is told.
+    def next_episode(self) -> Command | None:
+        """Return the reset of the next episode of the plan; None where there is none, and the slot is idle."""
+        start = self.episode = self.rules.source.draw(self.index)
+        if start is None:
+            self.phase = IDLE
+            self._began(TERMINAL_STATE, {"idle": True})
+            return None
+        item, options = start.item, self._options
+        if item.options or options:
+            options = {**(options or {}), **(item.options or {})}
+        kwargs = item.kwargs
+        if self.own_kwargs and item.id is None:
+            kwargs = {**self.own_kwargs, **kwargs}
+        self._reset = Reset(item.id or self.own_id, kwargs, start.seed, options)
+        return self._reset
 
     def took(self, outcome: Any) -> Command | None:
-        """Take what came of a command, an ``Outcome``; return the next command, or None once there is a result.
+        """Take the ``Outcome`` of a command; return the next command, or None once there is a result.
 
         Raises:
             FaultBudgetError: It failed once too often.
             EnvFaultError: It failed, and ``on_error`` is ``"raise"``.
         """
-        asked = self._asked
-        if type(asked) is Reset:
-            return self._took_reset(asked, outcome)
-        if type(asked) is Rebuild:
-            if type(outcome) is Rebuilt and outcome.observation != self._observation:
-                message = "its worker was lost, and a replay of the episode went another way: it is not deterministic"
-                outcome = Failure("collateral", message)
-            elif type(outcome) is Rebuilt:
-                outcome = outcome.result
-        return self.took_step(outcome)
+        return self.took_step(outcome) if self._reset is None else self._took_reset(self._reset, outcome)
 
     def took_step(self, outcome: Any) -> Command | None:
-        """Take what came of a step, a ``StepResult`` or a ``Failure``; see ``took``."""
+        """Take the outcome of a step, a ``StepResult`` or a ``Failure``; see ``took``."""
         rules = self.rules
         if type(outcome) is Failure:
             outcome = TERMINAL_STATE, 0.0, False, True, {"error": self._fault(outcome)}
         elif not (outcome[2] or outcome[3]):
             self.result = outcome
-            if self._actions is not None:
-                self._actions.append(self._stepped_action())
-                self._observation = outcome[0]
             return None
         elif "error" in outcome[4]:
             self._note_error(outcome[4]["error"])
         else:
             rules.budget.finished()
         if rules.autoreset == "same_step":
-            self._ended = outcome
-            self._options = self._failed = None
-            return self._next()
+            self.begin()
+            # The environment may use its dictionary again in reset.
+            self._ended = outcome[0], outcome[1], outcome[2], outcome[3], outcome[4].copy()
+            return cast("Command", NEXT)
         self.phase = ENDED
         self.result = outcome
         return None
 
-    def drawn(self) -> Command | None:
-        """Draw what the next episode starts from, now that it is this slot's turn."""
-        draw = self.draw = self.rules.source.draw(self.index)
-        self._lost = False
-        if draw is None:
-            self.phase = IDLE
-            self._reset = self._actions = None
-            self._began(TERMINAL_STATE, {"idle": True})
-            return None
-        item, options = draw.item, self._options
-        if item.options or options:
-            options = {**(options or {}), **(item.options or {})}
-        kwargs = item.kwargs
-        if self.own_kwargs and item.id is None:
-            kwargs = {**self.own_kwargs, **kwargs}
-        self._asked = self._reset = Reset(item.id or self.own_id, kwargs, draw.seed, options)
-        return self._asked
-
-    def launch(self, command: Command) -> bool:
-        """Note that a command goes to where the environment lives; tell whether that has not been lost meanwhile.
-
-        Whoever calls this holds the lock under which ``lost`` is called: a worker may die at any moment.
-        """
-        if isinstance(command, str):
-            return not self._lost
-        self._lost = False  # what this brings about is a new environment
-        return True
-
-    def lost(self, failure: Failure | None, *, under_way: bool) -> Command | None:
-        """Note that its environment is gone with the process that it lived in.
-
-        Args:
-            failure: What happened, where it was this environment that did it; None for one that stood beside it.
-            under_way: Whether a command was.
-
-        Returns:
-            What to ask of a new environment; None where nothing was under way, or where there is a result.
-        """
-        asked, self._lost = self._asked, True
-        if not under_way or asked is None:
-            return None
-        if failure is not None:
-            return self.took(failure)
-        if type(asked) is Reset:
-            return asked
-        return self._act_lost(asked.action if isinstance(asked, Rebuild) else cast("str", asked))
-
-    def rebuilding(self) -> Rebuild | None:
-        """Return how to bring its environment to where it was, if that was lost and can be; else None."""
-        if not self._lost or self._actions is None or self._reset is None:
-            return None
-        return Rebuild(self._reset, self._actions, "")
-
     def name(self) -> str:
         """Return what an error calls it."""
-        return str((self.draw.item.id if self.draw is not None else None) or self.own_id or f"slot {self.index}")
+        return str((self.episode.item.id if self.episode is not None else None) or self.own_id or f"slot {self.index}")
 
-    # Its own matters.
-
-    def _next(self) -> Command | None:
-        if self.in_turn:
-            return cast("Command", WAIT)
-        return self.drawn()
-
-    def _took_reset(self, asked: Reset, outcome: Any) -> Command | None:
+    def _took_reset(self, reset: Reset, outcome: Any) -> Command | None:
+        self._reset = None
         if type(outcome) is Failure:
-            if outcome.hopeless and outcome.error is not None:
+            if outcome.permanent and outcome.error is not None:
                 self.phase = BROKEN
                 raise outcome.error
-            self._note_failed(asked, self._fault(outcome))
-            return self._next()
+            self._failed.append(self._as_failed(reset, self._fault(outcome)))
+            return cast("Command", NEXT)
         observation, info = outcome
-        info["seed"] = asked.seed
-        group = self.draw.item.group if self.draw is not None else None
+        info["seed"] = reset.seed
+        group = self.episode.item.group if self.episode is not None else None
         if group is not None:
             info["group"] = group
         self.phase = LIVE
-        if self.rules.replayable is not None:
-            self._actions = [] if self.rules.replayable(asked.env_id) else None
-            self._observation = observation
         self._began(observation, info)
         return None
 
     def _began(self, observation: Observation, info: Info) -> None:
-        self._asked = None
         if self._failed:
-            info["failed_resets"], self._failed = self._failed, None
+            info["failed_resets"], self._failed = self._failed, []
         ended = self._ended
         if ended is None:
-            self.result = SlotStep(observation, 0.0, False, False, info)
+            self.result = (observation, 0.0, False, False, info)
         else:
             self._ended = None
             info["final_obs"], info["final_info"] = ended[0], ended[4]
             self.result = observation, ended[1], ended[2], ended[3], info
 
-    def _act_lost(self, action: str) -> Command | None:
-        if self._actions is None:
-            message = "its worker was lost with another environment, and this episode cannot be replayed"
-            return self.took_step(Failure("collateral", message))
-        self._asked = Rebuild(cast("Reset", self._reset), self._actions, action)
-        return self._asked
-
-    def _stepped_action(self) -> str:
-        asked = self._asked
-        return asked.action if isinstance(asked, Rebuild) else cast("str", asked)
-
-    def _note_failed(self, asked: Reset, error: dict[str, Any]) -> None:
-        draw = cast("EpisodeStart", self.draw)
-        failed: dict[str, Any] = {
-            "id": asked.env_id,
-            "kwargs": dict(asked.kwargs),
-            "options": None if draw.item.options is None else dict(draw.item.options),
-            "seed": draw.seed,
-            "run_seed": draw.run_seed,
-            "group": draw.item.group,
-            "key": draw.key,
-            "repeat": draw.repeat,
+    def _as_failed(self, reset: Reset, error: dict[str, Any]) -> dict[str, Any]:
+        start = cast("EpisodeStart", self.episode)
+        return {
+            "id": reset.env_id,
+            "kwargs": dict(reset.kwargs),
+            "options": None if start.item.options is None else dict(start.item.options),
+            "seed": start.seed,
+            "run_seed": start.run_seed,
+            "group": start.item.group,
+            "key": start.key,
+            "repeat": start.repeat,
             "error": error,
         }
-        self._failed = [*(self._failed or ()), failed]
 
     def _note_error(self, error: object) -> None:
         if error is None:

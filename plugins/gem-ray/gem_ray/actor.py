@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import queue
 import sys
 import tempfile
 import time
@@ -13,9 +12,7 @@ from typing import Any, NamedTuple, cast
 
 import ray
 
-from gem_core.vector.remote import Message
-from gem_core.vector.wire import batches, from_bytes, to_bytes
-from gem_core.vector.worker import SharedTimes, Worker, broken
+from gem_core.vector import CommandTimes, Worker
 
 
 class Place(NamedTuple):
@@ -23,76 +20,62 @@ class Place(NamedTuple):
 
     Args:
         node: Id of the node.
-        pid: Number of the process.
-        times: Path of the file for ``SharedTimes``, on that node.
+        times: Path of the file for ``CommandTimes``, on that node.
     """
 
     node: str
-    pid: int
     times: str
 
 
 class EnvActor:
-    """A worker on Ray: many environments, and one long answer that says what comes of them.
+    """A worker on Ray: many environments, and one long answer that yields their results.
 
     Its two concurrency groups have one thread each, so that commands are done in the order in which they were sent.
 
     Args:
-        setup: What environments are made from; see ``remote.worker_setup``.
+        setup: What environments are made from.
         slots: Number of slots.
         path: ``sys.path`` of the program; what of it exists here is searched last.
     """
 
     def __init__(self, setup: bytes, slots: int, path: list[str]) -> None:
         sys.path.extend(entry for entry in path if entry not in sys.path and os.path.exists(entry))
-        self._said: queue.SimpleQueue[Message | None] = queue.SimpleQueue()
         file, self._times = tempfile.mkstemp(prefix="gem-times-")
         os.truncate(file, max(8, 8 * slots))
-        self._worker: Worker | None = None
-        try:
-            self._worker = Worker(setup, self._said.put, SharedTimes(file, slots))
-        except BaseException as error:  # noqa: BLE001 - whatever it is, the host has to know
-            self._said.put(broken(error))
-            self._said.put(None)
-        finally:
-            os.close(file)
+        self._worker = Worker(setup, file)
+        os.close(file)
 
     @ray.method(concurrency_group="commands", num_returns=0)
-    def take(self, messages: bytes) -> None:
-        """Do what the host says."""
-        if self._worker is not None:
-            for message in from_bytes(messages):
-                self._worker.take(message)
+    def take(self, data: bytes) -> None:
+        """Do what the program says."""
+        self._worker.take(data)
 
     @ray.method(concurrency_group="results", num_returns="streaming")
-    def say(self) -> Iterator[bytes]:
-        """Yield where this is, then what the worker says, as it says it, until it is closed."""
-        place = Place(ray.get_runtime_context().get_node_id(), os.getpid(), self._times)
-        yield to_bytes([("place", place)])
-        yield from batches(self._said)
+    def give(self) -> Iterator[Place | bytes]:
+        """Yield where this is, then what the worker gives, until it is closed."""
+        yield Place(ray.get_runtime_context().get_node_id(), self._times)
+        yield from self._worker.given()
 
     @ray.method(concurrency_group="commands", num_returns=0)
     def close(self) -> None:
         """Close the environments, and end the long answer."""
-        if self._worker is not None:
-            self._worker.close()
+        self._worker.close()
         with suppress(OSError):  # most often it was opened, and has no name any more
             os.unlink(self._times)
-        self._said.put(None)
 
 
 class Watch:
     """Tells since when commands run in the workers of its node, whatever state these are in."""
 
     def __init__(self) -> None:
-        self._times: dict[str, SharedTimes] = {}
+        self._times: dict[str, CommandTimes] = {}
 
     def running(self, path: str, slots: int) -> dict[int, float]:
         """Return the slots whose command runs, or ran when the worker died, and for how many seconds."""
         if path not in self._times:
             self._times[path] = opened(path, slots)
         now = time.monotonic()
-        return {slot: now - since for slot, since in self._times[path].present().items()}
+        return {slot: now - since for slot, since in self._times[path].running().items()}
 
     @ray.method(num_returns=0)
     def forget(self, path: str) -> None:
@@ -102,7 +85,7 @@ class Watch:
                 os.unlink(path)
 
 
-def opened(path: str, slots: int) -> SharedTimes:
+def opened(path: str, slots: int) -> CommandTimes:
     """Return what a worker of this machine notes; its file has no name any more then, so that nothing is left behind.
 
     Raises:
@@ -110,7 +93,7 @@ def opened(path: str, slots: int) -> SharedTimes:
     """
     file = os.open(path, os.O_RDWR)
     try:
-        times = SharedTimes(file, slots)
+        times = CommandTimes(slots, file)
         os.unlink(path)
     finally:
         os.close(file)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from gem_core.errors import ArgumentError
-from gem_core.vector.env import VectorEnv
-from gem_core.vector.remote import Link, Message, RemoteHost, worker_setup
-from gem_core.vector.setup import VectorSetup
+from gem_core.vector import RemoteExecutor, VectorEnv, VectorSetup
 from gem_ray.cluster import Lease, cluster_resources
 from gem_ray.link import RayLink, Watches
 
@@ -62,73 +60,41 @@ def actors(
         "runtime_env": None if runtime_env is None else dict(runtime_env),
         "scheduling_strategy": scheduling_strategy,
     }
-    blob = worker_setup(setup, {})
     lease = Lease(address, init or {})
     lease.take()
-    crew = Crew(blob, len(setup.ids), {name: value for name, value in options.items() if value is not None}, lease)
-    return VectorEnv(setup, RayHost(setup, crew, min(len(setup.ids), num_actors or _places(num_cpus))))
+    count = min(len(setup.ids), num_actors or _places(num_cpus))
+    return VectorEnv(
+        setup, RayExecutor(setup, count, lease, {name: each for name, each in options.items() if each is not None})
+    )
 
 
-class Crew:
-    """Starts the actors of one vector environment.
-
-    Args:
-        setup: What environments are made from.
-        slots: Number of slots.
-        options: Of each actor, such as ``num_cpus``.
-        lease: The right to use Ray.
-    """
-
-    def __init__(self, setup: bytes, slots: int, options: Mapping[str, Any], lease: Lease) -> None:
-        self._setup = setup
-        self._slots = slots
-        self._options = options
-        self._lease = lease
-        self._watches = Watches(options.get("runtime_env"))
-        weakref.finalize(self, lease.drop).atexit = False
-
-    def new_link(self, on_messages: Callable[[Link, list[Message]], None], on_death: Callable[[Link], None]) -> RayLink:
-        """Start an actor."""
-        self._lease.take()
-        return RayLink(self._setup, self._slots, self._options, self._watches, on_messages, on_death)
-
-    def close(self) -> None:
-        """End what is left when the actors are gone."""
-        self._watches.close()
-        self._lease.give_back()
-
-
-class RayHost(RemoteHost):
+class RayExecutor(RemoteExecutor):
     """Runs environments in actors, many in each, and replaces an actor that dies or has to be killed.
 
     Args:
         setup: What environments are made from.
-        crew: Starts actors.
-        actors: Number of them.
+        actors: Number of actors.
+        lease: The right to use Ray.
+        options: Of each actor, such as ``num_cpus``.
     """
 
-    def __init__(self, setup: VectorSetup, crew: Crew, actors: int) -> None:
-        super().__init__(setup, crew.new_link, actors)
-        self._crew = crew
+    def __init__(self, setup: VectorSetup, actors: int, lease: Lease, options: Mapping[str, Any]) -> None:
+        super().__init__(setup, actors)
+        self.options = options
+        self.watches = Watches(options.get("runtime_env"))
+        self._lease = lease
+        weakref.finalize(self.watches, lease.drop).atexit = False  # shared by all that replace this one
 
-    def next_check(self, now: float) -> float | None:
-        """Return in how many seconds the first command that runs is overdue, or a watch has to be heard again."""
-        seconds = super().next_check(now)
-        limit = self._setup.step_timeout
-        if seconds is None or limit is None:
-            return None
-        far = any(isinstance(link, RayLink) and link.is_far for link in self._links)
-        return min(seconds, max(0.02, limit / 8)) if far else seconds
-
-    def renewed(self) -> RayHost:
-        """Return a host without actors; see ``Host.renewed``."""
-        super().renewed()
-        return RayHost(self._setup, self._crew, len(self._links))
+    def start_worker(self) -> RayLink:
+        """Start an actor."""
+        self._lease.take()
+        return RayLink(self, len(self.setup.ids), self.options, self.watches)
 
     def close(self) -> None:
         """End every actor, and a Ray that was started for them; their environments are closed first."""
         super().close()
-        self._crew.close()
+        self.watches.close()
+        self._lease.give_back()
 
 
 def _places(num_cpus: float) -> int:

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any, cast
 
@@ -15,10 +15,7 @@ import ray
 from ray.exceptions import ActorDiedError, ActorUnavailableError, RayError
 
 from gem_core.errors import EnvFaultError
-from gem_core.vector.commands import Failure
-from gem_core.vector.remote import Link, Message, weakly
-from gem_core.vector.wire import from_bytes, to_bytes
-from gem_core.vector.worker import SharedTimes
+from gem_core.vector import CommandTimes, RemoteExecutor, Running, WorkerLink
 from gem_ray.actor import Place, Watch, actor_class, opened
 from gem_ray.cluster import cluster_resources, connection, end_at_exit
 
@@ -81,93 +78,61 @@ class Watches:
             kill(watch)
 
 
-class RayLink(Link):
+class RayLink(WorkerLink):
     """An actor with environments.
 
     Since when its commands run is read from a file that it shares: here, where it lives on the node of this process,
     else by a ``Watch`` on its own. Either can be read when the actor hangs, and when it is dead.
 
     Args:
-        setup: What its environments are made from, or a reference to it.
+        executor: Whose worker it is.
         slots: Number of slots.
         options: Of the actor, such as ``num_cpus``.
         watches: Those of other nodes.
-        on_messages: See ``Link``.
-        on_death: See ``Link``.
     """
 
-    def __init__(
-        self,
-        setup: Any,
-        slots: int,
-        options: Mapping[str, Any],
-        watches: Watches,
-        on_messages: Callable[[Link, list[Message]], None],
-        on_death: Callable[[Link], None],
-    ) -> None:
+    def __init__(self, executor: RemoteExecutor, slots: int, options: Mapping[str, Any], watches: Watches) -> None:
+        super().__init__(executor)
         self._slots = slots
         self._watches = watches
         self._lock = threading.Lock()
-        self._sent: dict[int, float] = {}
-        """Slots whose command has no outcome yet, in order, and when it was sent."""
-        self._here: SharedTimes | None = None
+        self._here: CommandTimes | None = None
         self._there: Any = None
         self._asked: tuple[float, Any] | None = None
         """When the watch was asked last, and for what."""
-        self._seen: tuple[float, dict[int, float]] = (0.0, {})
-        """When the watch was asked for what it said last, and that."""
+        self._seen = Running(0.0, {})
+        """What the watch has said last, as of when it was asked."""
         self._reason: BaseException | None = None
         self._over = self._buried = False
-        self._on_messages, self._on_death = weakly(on_messages), weakly(on_death)
         self.place: Place | None = None
         """Where it lives; None until it has started."""
-        self.actor: Any = actor_class(dict(options)).remote(setup, slots, [entry for entry in sys.path if entry])
-        stream = self.actor.say.remote()
+        self.actor: Any = actor_class(dict(options)).remote(executor.packed, slots, [each for each in sys.path if each])
+        stream = self.actor.give.remote()
         self._ended = weakref.finalize(self, kill, self.actor)
         self._ended.atexit = False  # Ray ends before that; see end_at_exit
-        self._reading = threading.Thread(
-            target=_read,
-            args=(weakref.ref(self), stream, self._on_messages),
-            name="gem-ray",
-            daemon=True,
-        )
+        self._reading = threading.Thread(target=_read, args=(weakref.ref(self), stream), name="gem-ray", daemon=True)
         self._reading.start()
         end_at_exit(self)
 
-    @property
-    def is_far(self) -> bool:
-        """Whether a watch has to be asked for what runs in it: an answer is there when one looks again."""
-        return self._there is not None
-
-    def send(self, messages: list[Message]) -> None:
-        """Hand messages to the actor without waiting for it.
+    def send(self, data: bytes) -> None:
+        """Hand bytes to the actor without waiting for it.
 
         Raises:
             EnvFaultError: The program has called ``ray.shutdown``.
         """
-        now = time.monotonic()
-        with self._lock:
-            self._sent.update((message[1], now) for message in messages if message[0] == "do")
-        if self._ended.alive and not tell(self.actor.take, to_bytes(messages)):
+        if self._ended.alive and not tell(self.actor.take, data):
             # Its own thread may not find out: Ray lets those wait for ever that wait while the program disconnects.
             raise EnvFaultError("the program has cut its connection to Ray; make the vector environment anew")
 
-    def running(self) -> dict[int, float]:
-        """Return the slots whose command runs, or ran when it died, and since when."""
+    def running(self) -> Running | None:
+        """Return what runs, or ran when it died; None if that cannot be read."""
         if self._here is not None:
-            return self._here.present()
-        place = self.place
-        if place is None:
-            return {}
-        if self._there is None:
-            # Its file cannot be read: the first that has no outcome is the one that runs, or behind it.
-            with self._lock:
-                return dict(list(self._sent.items())[:1])
-        self._ask(place)
-        asked, seen = self._seen
-        with self._lock:
-            # What was seen may be the command before the present one.
-            return {slot: since for slot, since in seen.items() if self._sent.get(slot, asked) < asked}
+            return Running(time.monotonic(), self._here.running())
+        if self.place is None:
+            return Running(time.monotonic(), {})
+        if self._there is not None:
+            self._ask(self.place)
+        return None if self._there is None else self._seen
 
     def death(self) -> str:
         """Say how it died."""
@@ -215,35 +180,20 @@ class RayLink(Link):
         if self._there is not None:
             self._ask(place)
 
-    def finished(self, messages: list[Message]) -> None:
-        """Note which commands have an outcome."""
-        with self._lock:
-            for message in messages:
-                if message[0] == "done":
-                    self._sent.pop(message[1], None)
-
     def bury(self, reason: BaseException | None) -> None:
         """Tell, once, that there will be no more of it."""
         with self._lock:
             if self._buried:
                 return
             self._buried = True
-        told, died = self._on_messages(), self._on_death()
-        if told is not None and died is not None:
-            if last := self._ended_by(reason):
-                told(self, last)
-            died(self)
-
-    def _ended_by(self, reason: BaseException | None) -> list[Message]:
-        """Note how it ended, and what ran in it; return what it would have said, if it could."""
         self._reason, self._over = reason, reason is not None
         if self.place is not None and self._there is not None:
-            self._seen = (float("inf"), self._last_seen(self.place))
+            self._see_last(self.place)
         self.kill()  # it may be out of reach, or unable to work, and live
-        if self.place is None and reason is not None and _is_hopeless(reason):
-            message = f"an actor could not be started on Ray: {reason}"
-            return [("broken", Failure("exception", message, EnvFaultError(message), hopeless=True))]
-        return []
+        if self.place is None and reason is not None and _is_permanent(reason):
+            self.died(EnvFaultError(f"an actor could not be started on Ray: {reason}"))
+        else:
+            self.died()
 
     # Its own matters.
 
@@ -259,23 +209,23 @@ class RayLink(Link):
                     return
                 self._asked = None
                 try:
-                    self._seen = when, {slot: now - seconds for slot, seconds in ray.get(answer).items()}
+                    self._seen = Running(when, {slot: now - seconds for slot, seconds in ray.get(answer).items()})
                 except RayError:
                     self._there = None
                     return
             with suppress(Exception):  # as in tell()
                 self._asked = now, self._there.running.remote(place.times, self._slots)
 
-    def _last_seen(self, place: Place) -> dict[int, float]:
+    def _see_last(self, place: Place) -> None:
+        """Ask the watch what ran in an actor that is dead."""
         limit = _REACHING_S if isinstance(self._reason, ActorUnavailableError) else _ASKING_S
         try:
             ran = ray.get(self._there.running.remote(place.times, self._slots), timeout=limit)
         except Exception:  # noqa: BLE001 - Ray raises one of its own, or a bare one
-            # Its whole node is gone, and what ran there with it: none did it, and the first has to stand for all.
-            with self._lock:
-                return dict(list(self._sent.items())[:1])
+            self._there = None  # its whole node is gone, and what ran there with it
+            return
         now = time.monotonic()
-        return {slot: now - seconds for slot, seconds in ran.items()}
+        self._seen = Running(now, {slot: now - seconds for slot, seconds in ran.items()})
 
 
 def tell(method: Any, *args: Any) -> bool:
@@ -294,22 +244,14 @@ def kill(actor: Any) -> None:
             ray.kill(actor, no_restart=True)
 
 
-def _read(
-    link_of: weakref.ref[RayLink],
-    stream: Any,
-    on_messages: Callable[[], Callable[[Link, list[Message]], None] | None],
-) -> None:
-    reason = _converse(link_of, stream, on_messages)
+def _read(link_of: weakref.ref[RayLink], stream: Any) -> None:
+    reason = _read_on(link_of, stream)
     if (link := link_of()) is not None:
         link.bury(reason)
 
 
-def _converse(
-    link_of: weakref.ref[RayLink],
-    stream: Any,
-    on_messages: Callable[[], Callable[[Link, list[Message]], None] | None],
-) -> BaseException | None:
-    """Hand on what an actor says until it ends; return what ended it, None if it was asked to."""
+def _read_on(link_of: weakref.ref[RayLink], stream: Any) -> BaseException | None:
+    """Hand on what an actor gives until it ends; return what ended it, None if it was asked to."""
     try:
         ours = connection()
         if not ray.wait([stream], timeout=_STARTING_S)[0] and connection() == ours:
@@ -318,16 +260,15 @@ def _converse(
         while connection() == ours:
             if not ray.wait([stream], timeout=_LOOKING_S)[0]:
                 continue
-            said = from_bytes(ray.get(next(stream)))
-            link, told = link_of(), on_messages()
-            if link is None or told is None:
+            given = ray.get(next(stream))
+            link = link_of()
+            if link is None:
                 return None
-            if said and said[0][0] == "place":
-                link.started(said[0][1])
+            if isinstance(given, Place):
+                link.started(given)
             else:
-                link.finished(said)
-                told(link, said)
-            del link, told, said
+                link.received(given)
+            del link, given
         return ConnectionError("the program has cut its connection to Ray")
     except StopIteration:
         return None
@@ -335,7 +276,7 @@ def _converse(
         return cast("BaseException", error)
 
 
-def _is_hopeless(reason: BaseException) -> bool:
+def _is_permanent(reason: BaseException) -> bool:
     if isinstance(reason, ActorDiedError):
         return reason.actor_init_failed
     return isinstance(reason, RayError) and not isinstance(reason, ActorUnavailableError)

@@ -38,7 +38,7 @@ def vec(cluster: Any) -> Iterator[Callable[..., gem.VectorEnv]]:
 
 def places(vector: gem.VectorEnv) -> list[str]:
     """Return the node of each actor."""
-    return [link.place.node for link in vector._engine.hosts[0]._links]  # type: ignore[attr-defined]  # a RayHost
+    return [link.place.node for link in vector._scheduler.executors[0].links]  # type: ignore[attr-defined]  # a RayExecutor
 
 
 def undisturbed(num_envs: int, turns: int) -> list[str]:
@@ -107,7 +107,7 @@ def test_a_script_that_ends_without_closing_leaves_no_actor(cluster: Any, tmp_pa
             options = {{"num_actors": 2, "address": "{cluster.address}"}}
             vec = gem.make_vec("mine:Double-v0", 2, backend=("ray", options))
             vec.reset()
-            ids = [link.actor._actor_id.hex() for link in vec._engine.hosts[0]._links]
+            ids = [link.actor._actor_id.hex() for link in vec._scheduler.executors[0].links]
             print(json.dumps([vec.step(["a", "b"]).observations, ids]))
             """
         )

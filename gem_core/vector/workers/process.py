@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import json
 import os
+import queue
 import signal
 import socket
 import subprocess
@@ -16,16 +17,16 @@ import weakref
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
+from typing import Any
 
 from gem_core.errors import ArgumentError
-from gem_core.vector.remote import Link, Message, RemoteHost, weakly, worker_setup
+from gem_core.vector.executor import CommandTimes
 from gem_core.vector.setup import VectorSetup
-from gem_core.vector.wire import Outbox, from_bytes
-from gem_core.vector.worker import SharedTimes
+from gem_core.vector.workers.remote import RemoteExecutor, Running, WorkerLink
 
 _START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from gem_core.vector.worker import main; main(*map(int, sys.argv[2:]))"
+    "from gem_core.vector.workers.worker import main; main(*map(int, sys.argv[2:]))"
 )
 
 _CLOSING_S = 6.0
@@ -35,52 +36,59 @@ _COMMAND_S = 1.0
 """How long it may take to finish the command that it is in, before that."""
 
 
-def process_host(setup: VectorSetup, *, workers: int | None, worker_memory_bytes: int | None) -> RemoteHost:
-    """Return a host whose workers are processes of this machine; see ``backends.processes``.
+class ProcessExecutor(RemoteExecutor):
+    """Runs environments in processes of this machine; see ``backends.processes``.
+
+    Args:
+        setup: What environments are made from.
+        workers: Number of processes; None for one each core.
+        worker_memory_bytes: Address space that each may use.
 
     Raises:
         ArgumentError: A number that cannot be.
     """
-    for name, value in (("workers", workers), ("worker_memory_bytes", worker_memory_bytes)):
-        if value is not None and (type(value) is not int or value < 1):
-            raise ArgumentError(f"{name} must be a positive whole number, not {value!r}")
-    count = min(len(setup.ids), workers or _cores())
-    blob = worker_setup(setup, {"worker_memory_bytes": worker_memory_bytes})
-    return RemoteHost(setup, lambda told, died: ProcessLink(blob, len(setup.ids), told, died), count)
+
+    def __init__(self, setup: VectorSetup, *, workers: int | None, worker_memory_bytes: int | None) -> None:
+        for name, value in (("workers", workers), ("worker_memory_bytes", worker_memory_bytes)):
+            if value is not None and (type(value) is not int or value < 1):
+                raise ArgumentError(f"{name} must be a positive whole number, not {value!r}")
+        super().__init__(setup, min(len(setup.ids), workers or _cores()))
+        self.worker_memory_bytes = worker_memory_bytes
+
+    def start_worker(self) -> ProcessLink:
+        """Start a process."""
+        return ProcessLink(self)
 
 
-class ProcessLink(Link):
+class ProcessLink(WorkerLink):
     """A worker process.
 
-    It is started as a program of its own, never forked: the threads and locks of this process are none of its matter,
-    and a script needs no ``if __name__ == "__main__"``. It leads a session, so that Ctrl-C in a terminal does not reach
-    it, and what it has started can be killed with it.
+    It is started as a program of its own, never forked: it inherits no threads and locks, and a script needs no
+    ``if __name__ == "__main__"``. It leads a session, so that Ctrl-C in a terminal does not reach it, and what it has
+    started can be killed with it.
+
+    Three threads belong to it. One reads; one writes, since a worker that computes does not read and nobody is to wait
+    for it; one waits for the end of the process, since children that it left behind may hold the connection open.
 
     Args:
-        setup: What its environments are made from.
-        slots: Number of slots.
-        on_messages: See ``Link``.
-        on_death: See ``Link``.
+        executor: Whose worker it is.
     """
 
-    def __init__(
-        self,
-        setup: bytes,
-        slots: int,
-        on_messages: Callable[[Link, list[Message]], None],
-        on_death: Callable[[Link], None],
-    ) -> None:
+    def __init__(self, executor: ProcessExecutor) -> None:
+        super().__init__(executor)
+        slots = len(executor.setup.ids)
         ours, theirs = socket.socketpair()
         lifeline, held = os.pipe()
         with theirs, tempfile.TemporaryFile() as times:
             times.truncate(max(8, 8 * slots))
-            self._times = SharedTimes(times.fileno(), slots)
-            numbers = theirs.fileno(), lifeline, times.fileno()
+            self._times = CommandTimes(slots, times.fileno())
+            files = theirs.fileno(), lifeline, times.fileno()
             path = json.dumps([entry or os.getcwd() for entry in sys.path])
+            arguments = *files, executor.worker_memory_bytes or 0
             try:
                 self._process = subprocess.Popen(
-                    [sys.executable, "-c", _START, path, *map(str, numbers)],
-                    pass_fds=numbers,
+                    [sys.executable, "-c", _START, path, *map(str, arguments)],
+                    pass_fds=files,
                     stdin=subprocess.DEVNULL,
                     start_new_session=True,
                 )
@@ -90,15 +98,11 @@ class ProcessLink(Link):
         # A vector environment that nobody uses any more lets go of its workers, which then end by themselves.
         self._ended = weakref.finalize(self, _let_go, self._connection, held, os.getpid())
         self._ended.atexit = False  # see _close_all
-        self._outbox = Outbox(self._connection.send_bytes, setup)
-        target = weakly(on_messages), weakly(on_death)
-        reading = threading.Thread(
-            target=_read, args=(weakref.ref(self), self._connection, *target), name="gem-worker", daemon=True
-        )
-        reading.start()
-        threading.Thread(
-            target=_reap, args=(self._process, self._connection, reading, self._outbox), name="gem-reap", daemon=True
-        ).start()
+        self._outbox: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._outbox.put(executor.packed)
+        reading = _thread("gem-worker", _read, weakref.ref(self), self._connection)
+        _thread("gem-outbox", _write, self._outbox, self._connection)
+        _thread("gem-reap", _reap, self._process, self._connection, reading, self._outbox)
         self.started_by = os.getpid()
         _links.add(self)
 
@@ -107,14 +111,17 @@ class ProcessLink(Link):
         """Number of the process."""
         return self._process.pid
 
-    def send(self, messages: list[Message]) -> None:
-        """Hand messages to the worker without waiting for it."""
-        for message in messages:
-            self._outbox.put(message)
+    def send(self, data: bytes) -> None:
+        """Hand bytes to the worker without waiting for it."""
+        self._outbox.put(data)
 
-    def running(self) -> dict[int, float]:
-        """Return the slots whose command runs, or ran when it died, and since when."""
-        return self._times.present()
+    def running(self) -> Running:
+        """Return what runs, or ran when it died."""
+        return Running(time.monotonic(), self._times.running())
+
+    def wait(self) -> None:
+        """Wait for the end of the process."""
+        self._process.wait()
 
     def death(self) -> str:
         """Say how it died."""
@@ -146,7 +153,7 @@ class ProcessLink(Link):
         """Wait for the end of a worker that was hung up on at a time, and kill it if that takes too long."""
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(since + _COMMAND_S - time.monotonic())
-        if not self.running():
+        if not self._times.running():
             # It has taken note, and closes what it has; one that still computes would not come to it.
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(since + _CLOSING_S - time.monotonic())
@@ -180,35 +187,47 @@ def shut(connection: Connection) -> None:
         return  # it is closed already
 
 
-def _read(
-    link_of: weakref.ref[ProcessLink],
-    connection: Connection,
-    on_messages: Callable[[], Callable[[Link, list[Message]], None] | None],
-    on_death: Callable[[], Callable[[Link], None] | None],
-) -> None:
+def _thread(name: str, target: Callable[..., None], *args: Any) -> threading.Thread:
+    thread = threading.Thread(target=target, args=args, name=name, daemon=True)
+    thread.start()
+    return thread
+
+
+def _read(link_of: weakref.ref[ProcessLink], connection: Connection) -> None:
     while True:
         try:
-            messages = from_bytes(connection.recv_bytes())
+            data = connection.recv_bytes()
         except (EOFError, OSError):
             break
-        link, told = link_of(), on_messages()
-        if link is None or told is None:
+        link = link_of()
+        if link is None:
             return
-        told(link, messages)
-        del link, told, messages
-    link, died = link_of(), on_death()
-    if link is not None and died is not None:
-        link._process.wait()
-        died(link)
+        link.received(data)
+        del link, data
+    link = link_of()
+    if link is not None:
+        link.wait()
+        link.died()
 
 
-def _reap(process: subprocess.Popen[bytes], connection: Connection, reading: threading.Thread, outbox: Outbox) -> None:
-    """Take note of the end of a worker; what it left behind may hold its connection open, and must not."""
+def _write(outbox: queue.SimpleQueue[bytes | None], connection: Connection) -> None:
+    with suppress(OSError):  # whoever reads finds out that it is gone
+        while (data := outbox.get()) is not None:
+            connection.send_bytes(data)
+
+
+def _reap(
+    process: subprocess.Popen[bytes],
+    connection: Connection,
+    reading: threading.Thread,
+    outbox: queue.SimpleQueue[bytes | None],
+) -> None:
+    """Wait for the end of a worker; kill what it left behind, which may hold its connection open."""
     process.wait()
     _kill_group(process.pid)
     reading.join(1.0)
     shut(connection)
-    outbox.close()
+    outbox.put(None)
     reading.join()
     connection.close()
 

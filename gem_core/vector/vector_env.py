@@ -7,23 +7,22 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
-from typing import Any, Self, cast
+from typing import Any, Self
 
 import numpy as np
 
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, BridgeError, ClosedError, EnvFaultError, NotSupportedError
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
-from gem_core.registry.lookup import registry
 from gem_core.types import Info, Observation
 from gem_core.vector.actions import Actions, Received, VectorStep, checked_slot, indices_and_actions, masked_slots
 from gem_core.vector.call import Call
 from gem_core.vector.commands import Failure
-from gem_core.vector.engine import Batch, Engine, Start
-from gem_core.vector.host import Host
+from gem_core.vector.executor import Executor
+from gem_core.vector.scheduler import Batch, First, Scheduler, StepBatch
 from gem_core.vector.setup import VectorSetup
-from gem_core.vector.signal import Signal
-from gem_core.vector.slot import LIVE, Autoreset, OnError, Rules, Slot
+from gem_core.vector.slot import LIVE, Autoreset, OnError, Slot
+from gem_core.vector.waiting import Condition, Signal
 
 
 class VectorEnv:
@@ -41,8 +40,8 @@ class VectorEnv:
 
     Args:
         setup: What it is made from; see ``make_vec``.
-        hosts: Where environments live: one place, or several with a function that tells which of them an id lives on.
-        rules: What all slots share; by default as ``setup`` says.
+        executors: Where environments live.
+        executor_of: Tells which of several executors the environments of an id live in, by its number.
     """
 
     ids: list[str | None]
@@ -52,19 +51,13 @@ class VectorEnv:
     """The ids that were asked for, with their keyword arguments, each once; there may be more of them than slots."""
 
     def __init__(
-        self,
-        setup: VectorSetup,
-        *hosts: Host,
-        host_of: Callable[[str | None], int] | None = None,
-        rules: Rules | None = None,
+        self, setup: VectorSetup, *executors: Executor, executor_of: Callable[[str | None], int] | None = None
     ) -> None:
         self.ids, self.entries = list(setup.ids), list(setup.entries)
-        rules = rules or setup.rules()
-        if any(host.replays for host in hosts):
-            rules.replayable = lambda env_id: env_id is not None and registry().env(env_id).deterministic
+        rules = setup.rules()
         self._own_source = rules.source
         self._closed = False
-        self._engine = Engine(self.ids, setup.slot_kwargs, rules, hosts, host_of)
+        self._scheduler = Scheduler(self.ids, setup.slot_kwargs, rules, executors, executor_of)
 
     @classmethod
     def around(
@@ -85,19 +78,15 @@ class VectorEnv:
         return around(env, seed=seed, on_error=on_error, keep_open=keep_open)
 
     @property
-    def _rules(self) -> Rules:
-        return self._engine.rules
-
-    @property
     def _slots(self) -> list[Slot]:
-        return self._engine.slots
+        return self._scheduler.slots
 
     # What it is.
 
     @property
     def signal(self) -> Signal:
-        """What is set when there may be something for ``recv``, and by whoever else wants to wake ``wait``."""
-        return self._engine.signal
+        """What is set when there is something for ``recv``; set it to let ``wait`` look at its ``other`` again."""
+        return self._scheduler.signal
 
     @property
     def num_envs(self) -> int:
@@ -107,22 +96,22 @@ class VectorEnv:
     @property
     def seed(self) -> int:
         """Seed of the run, from which each episode's own is made."""
-        return self._rules.source.seed
+        return self._scheduler.rules.source.seed
 
     @property
     def faults(self) -> int:
         """Number of environments that failed so far."""
-        return self._rules.budget.total
+        return self._scheduler.rules.budget.total
 
     @property
     def autoreset(self) -> Autoreset:
         """When the next episode begins; see ``make_vec``."""
-        return self._rules.autoreset
+        return self._scheduler.rules.autoreset
 
     @property
     def on_error(self) -> OnError:
         """Whether an environment that fails ends its episode, or the run; see ``make_vec``."""
-        return self._rules.on_error
+        return self._scheduler.rules.on_error
 
     @property
     def own_source(self) -> EpisodeQueue:
@@ -131,13 +120,13 @@ class VectorEnv:
 
     def start_of(self, slot: int) -> EpisodeStart | None:
         """Return what the present episode of a slot started from; None when it is idle."""
-        return self._slots[slot].draw
+        return self._slots[slot].episode
 
     def describe(self, slot: int) -> dict[str, Any]:
         """Return ``id``, ``kwargs`` (over the registered ones) and ``wrappers`` of the environment in a slot."""
         slot = checked_slot(slot, self.num_envs)
         with self._call():
-            described: dict[str, Any] = self._engine.at[slot].ask(slot, "describe")
+            described = self._scheduler.at[slot].describe(slot)
         if described["id"] is None:
             described["id"] = self.ids[slot] or "unknown"
         return described
@@ -147,20 +136,17 @@ class VectorEnv:
 
         Ask before the first ``reset``: the environment may be made in a slot, in the place of the one that is there.
         """
-        return cast("int | None", self._asked_of("num_tasks", env_id, kwargs))
+        return self._tasks(env_id, kwargs)[0]
 
     def endless_tasks(self, env_id: str | None, kwargs: Mapping[str, Any] = MappingProxyType({})) -> bool:
         """Return whether an environment makes fresh tasks for every epoch, and takes any index; see ``num_tasks``."""
-        return bool(self._asked_of("endless_tasks", env_id, kwargs))
+        return self._tasks(env_id, kwargs)[1]
 
-    def _asked_of(self, question: str, env_id: str | None, kwargs: Mapping[str, Any]) -> Any:
+    def _tasks(self, env_id: str | None, kwargs: Mapping[str, Any]) -> tuple[int | None, bool]:
         slot = self.ids.index(env_id) if env_id in self.ids else 0
         wanted = env_id or self.ids[slot]
-        engine = self._engine
         with self._call():
-            host = engine.at[slot] if engine.host_of is None else engine.hosts[engine.host_of(wanted)]
-            engine.at[slot] = host
-            return host.ask(slot, question, wanted, dict(kwargs))
+            return self._scheduler.place(slot, wanted).tasks(slot, wanted, dict(kwargs))
 
     def sample_random_action(self, slot: int) -> str:
         """Return a valid action for the present state of a slot; an empty one where there is no environment yet.
@@ -172,10 +158,10 @@ class VectorEnv:
         """
         slot = checked_slot(slot, self.num_envs)
         current = self._slots[slot]
-        seed = None if current.draw is None else current.draw.action_seed
+        seed = None if current.episode is None else current.episode.action_seed
         try:
             with self._call():
-                return cast("str", self._engine.at[slot].ask(slot, "sample", seed, current.rebuilding))
+                return self._scheduler.at[slot].sample_random_action(slot, seed)
         except (NotSupportedError, BridgeError, ClosedError):
             raise
         except Exception as error:
@@ -204,24 +190,24 @@ class VectorEnv:
             FaultBudgetError: Environments fail again and again.
         """
         with self._call() as call:
-            order, options = self._chosen(seed, options)
-            if len(order) == self.num_envs:
-                call.wait(self._engine.draining(), self.signal)
-            batch = self._begin(self._own_source, options, order)
-            call.wait_for(batch, order)
-            return self._observed(order)
+            batch, options = self._chosen(seed, options)
+            if len(batch.order) == self.num_envs:
+                call.wait(self._scheduler.is_idle, Batch())
+            self._begin(batch, options)
+            call.wait(batch.is_over, batch)
+            return self._observed(batch.order)
 
     async def reset_async(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[list[Observation], list[Info]]:
         """``reset`` for code that runs in an event loop, without blocking it."""
         with self._call() as call:
-            order, options = self._chosen(seed, options)
-            if len(order) == self.num_envs:
-                await call.wait_async(self._engine.draining(blocking=False), self.signal)
-            batch = self._begin(self._own_source, options, order)
-            await call.wait_for_async(batch, order)
-            return self._observed(order)
+            batch, options = self._chosen(seed, options)
+            if len(batch.order) == self.num_envs:
+                await call.wait_async(self._scheduler.is_idle, Batch())
+            self._begin(batch, options)
+            await call.wait_async(batch.is_over, batch)
+            return self._observed(batch.order)
 
     def step(self, actions: Actions) -> VectorStep:
         """Step all slots, or those that a mapping names, and wait for them.
@@ -242,10 +228,10 @@ class VectorEnv:
             FaultBudgetError: Environments fail again and again.
         """
         with self._call() as call:
-            batch, order = self._start_step(actions)
-            if batch.left:
-                call.wait_for(batch, order)
-            return self._results(order)
+            batch = self._start_step(actions)
+            if batch.waiting:
+                call.wait(batch.is_over, batch)
+            return self._results(batch.order)
 
     async def step_async(self, actions: Actions) -> VectorStep:
         """``step`` for code that runs in an event loop, without blocking it.
@@ -253,9 +239,9 @@ class VectorEnv:
         Where it is cancelled, as by a time limit, the slots go on, and ``recv`` returns what comes of it.
         """
         with self._call() as call:
-            batch, order = self._start_step(actions)
-            await call.wait_for_async(batch, order)
-            return self._results(order)
+            batch = self._start_step(actions)
+            await call.wait_async(batch.is_over, batch)
+            return self._results(batch.order)
 
     # Waiting for nobody.
 
@@ -267,18 +253,14 @@ class VectorEnv:
             ResetNeededError: A slot has no episode, and none begins by itself.
         """
         with self._call():
-            pairs = self._checked(actions)
-            self._engine.sent.update(index for index, _ in pairs)
-            self._engine.act(pairs, None)
+            self._scheduler.step(self._checked(actions), self._scheduler.sent)
 
     def send_reset(self, source: EpisodeQueue | None = None, options: dict[str, Any] | None = None) -> None:
         """Begin an episode in every slot; ``recv`` returns their observations, with reward 0 and flags false."""
         with self._call() as call:
-            call.wait(self._engine.draining(), self.signal)
-            self._rules.source = source or self._own_source
-            self._rules.budget.finished()
-            self._engine.sent.update(range(self.num_envs))
-            self._engine.run_all((slot, partial(slot.begin, options)) for slot in self._slots)
+            call.wait(self._scheduler.is_idle, Batch())
+            self._scheduler.begin_run(source or self._own_source)
+            self._scheduler.begin(range(self.num_envs), options, self._scheduler.sent)
 
     def begin_next(self, slot: int) -> None:
         """Begin the next episode of a slot; ``recv`` returns its first observation, with reward 0 and flags false."""
@@ -294,11 +276,10 @@ class VectorEnv:
         """
         self._begin_one(slot, partial(self._slots[slot].give_up, error))
 
-    def _begin_one(self, slot: int, start: Start) -> None:
+    def _begin_one(self, slot: int, first: First) -> None:
         with self._call():
-            self._engine.refuse_busy([slot])
-            self._engine.sent.add(slot)
-            self._engine.run_all([(self._slots[slot], start)])
+            self._scheduler.refuse_busy([slot])
+            self._scheduler.run([(slot, first)], self._scheduler.sent)
 
     def recv(self, min_envs: int = 1, timeout: float | None = None) -> Received:
         """Return what came of ``send``: all that is there, in order of completion.
@@ -314,45 +295,44 @@ class VectorEnv:
         """
         with self._call() as call:
             enough, deadline = self._awaited(min_envs, timeout)
-            call.wait(self._engine.until(enough, deadline), self.signal)
+            call.wait(enough, self._scheduler.sent, deadline)
             return self._received()
 
     async def recv_async(self, min_envs: int = 1, timeout: float | None = None) -> Received:
         """``recv`` for code that runs in an event loop, without blocking it."""
         with self._call() as call:
             enough, deadline = self._awaited(min_envs, timeout)
-            await call.wait_async(self._engine.until(enough, deadline, blocking=False), self.signal)
+            await call.wait_async(enough, self._scheduler.sent, deadline)
             return self._received()
 
-    def wait(self, other: Callable[[], bool] = lambda: False) -> None:
-        """Wait until ``recv`` would return something, or until something else is so, as ``signal`` says it may be."""
+    def wait(self, other: Condition = lambda: False) -> None:
+        """Wait until ``recv`` would return something, or until something else is so; see ``signal``."""
+        sent = self._scheduler.sent
         with self._call() as call:
-            call.wait(self._engine.until(lambda: self._has_news() or other()), self.signal)
+            call.wait(lambda: bool(sent.done) or other(), sent)
 
-    async def wait_async(self, other: Callable[[], bool] = lambda: False) -> None:
+    async def wait_async(self, other: Condition = lambda: False) -> None:
         """``wait`` for code that runs in an event loop, without blocking it."""
+        sent = self._scheduler.sent
         with self._call() as call:
-            until = self._engine.until(lambda: self._has_news() or other(), blocking=False)
-            await call.wait_async(until, self.signal)
-
-    def _has_news(self) -> bool:
-        return bool(self._engine.done)
+            await call.wait_async(lambda: bool(sent.done) or other(), sent)
 
     async def drain_async(self) -> None:
         """Wait for what is under way, and drop it, without blocking the event loop."""
         with self._call() as call:
-            await call.wait_async(self._engine.draining(blocking=False), self.signal)
+            await call.wait_async(self._scheduler.is_idle, Batch())
+            self._scheduler.drop_results()
 
     @property
     def under_way(self) -> int:
         """Number of slots that were sent something and have not been received."""
-        return len(self._engine.sent)
+        return len(self._scheduler.sent.waiting) + len(self._scheduler.sent.done)
 
     def close(self) -> None:
         """Close every environment for good: what is asked afterwards raises ``ClosedError``."""
         self._closed = True
-        with Call(self._engine, self._start_anew):
-            self._engine.close()
+        with Call(self._scheduler, self._start_anew):
+            self._scheduler.close()
 
     def __enter__(self) -> Self:
         return self
@@ -369,9 +349,7 @@ class VectorEnv:
             f"VectorEnv({names if len(names) < 200 else names[:200] + '…'}, num_envs={self.num_envs}, seed={self.seed})"
         )
 
-    # Its own matters.
-
-    def _chosen(self, seed: int | None, options: dict[str, Any] | None) -> tuple[list[int], dict[str, Any] | None]:
+    def _chosen(self, seed: int | None, options: dict[str, Any] | None) -> tuple[StepBatch, dict[str, Any] | None]:
         if options is not None and not isinstance(options, Mapping):
             raise ArgumentError(f"options must be a mapping of names to values, not {options!r:.200}")
         chosen = list(range(self.num_envs))
@@ -384,62 +362,55 @@ class VectorEnv:
                     "a seed starts the whole run over, so it cannot go with a reset_mask for some slots"
                 )
             self._own_source = self._own_source.restarted(seed)
-        return chosen, options or None
+        return StepBatch(chosen), options or None
 
-    def _begin(self, source: EpisodeQueue, options: dict[str, Any] | None, chosen: list[int]) -> Batch:
-        if len(chosen) < self.num_envs:
-            self._engine.refuse_busy(chosen)
+    def _begin(self, batch: StepBatch, options: dict[str, Any] | None) -> None:
+        if len(batch.order) < self.num_envs:
+            self._scheduler.refuse_busy(batch.order)
         else:
-            self._rules.source = source
-            self._rules.budget.finished()
-        batch = Batch(len(chosen))
-        self._engine.run_all(
-            ((self._slots[index], partial(self._slots[index].begin, options)) for index in chosen), batch
-        )
-        return batch
+            self._scheduler.begin_run(self._own_source)
+        self._scheduler.begin(batch.order, options, batch)
 
-    def _start_step(self, actions: Actions) -> tuple[Batch, list[int]]:
+    def _start_step(self, actions: Actions) -> StepBatch:
         pairs = self._checked(actions)
-        batch = Batch(len(pairs))
-        self._engine.act(pairs, batch)
-        return batch, [index for index, _ in pairs]
+        batch = StepBatch([index for index, _ in pairs])
+        self._scheduler.step(pairs, batch)
+        return batch
 
     def _checked(self, actions: Actions) -> list[tuple[int, str]]:
         pairs = indices_and_actions(actions, self.num_envs)
-        self._engine.refuse_busy(index for index, _ in pairs)
+        self._scheduler.refuse_busy(index for index, _ in pairs)
+        slots = self._slots
         for index, _ in pairs:
-            if self._slots[index].phase is not LIVE:
-                self._slots[index].check_steppable()
+            if slots[index].phase is not LIVE:
+                slots[index].check_steppable()
         return pairs
 
-    def _awaited(self, min_envs: int, timeout: float | None) -> tuple[Callable[[], bool], float | None]:
-        engine = self._engine
-        if not engine.sent:
+    def _awaited(self, min_envs: int, timeout: float | None) -> tuple[Condition, float | None]:
+        sent = self._scheduler.sent
+        if not self.under_way:
             raise ArgumentError("nothing is under way; call send() before recv()")
         if type(min_envs) is not int or min_envs < 0:
             raise ArgumentError(f"min_envs must be a whole number from 0 up, not {min_envs!r}")
-        wanted = min(min_envs, len(engine.sent))
-        engine.target = max(1, wanted)
-        return lambda: len(engine.done) >= wanted, None if timeout is None else time.monotonic() + timeout
+        wanted = min(min_envs, self.under_way)
+        return lambda: len(sent.done) >= wanted, None if timeout is None else time.monotonic() + timeout
 
     def _call(self) -> Call:
         if self._closed:
             raise ClosedError("the vector environment is closed; make another with make_vec")
-        return Call(self._engine, self._start_anew)
+        return Call(self._scheduler, self._start_anew)
 
     def _start_anew(self) -> None:
-        """Leave the engine that an interrupt has left in the middle of something, and everything in it."""
-        old = self._engine
-        self._engine = old.renewed()
+        """Replace the scheduler, which an interrupt has left in the middle of something."""
+        old = self._scheduler
+        self._scheduler = old.renewed()
         if self._own_source is old.rules.source:
-            self._own_source = self._engine.rules.source
+            self._own_source = self._scheduler.rules.source
         # It may hold its own locks for ever.
         threading.Thread(target=old.close, name="gem-close", daemon=True).start()
 
-    # Results.
-
     def _received(self) -> Received:
-        order = self._engine.take_done()
+        order = self._scheduler.collect()
         return Received(order, *self._results(order))
 
     def _results(self, order: Sequence[int]) -> VectorStep:
@@ -457,7 +428,7 @@ class VectorEnv:
             np.fromiter(rewards, np.float64, len(rewards)),
             np.frombuffer(bytearray(terminated), np.bool_),
             np.frombuffer(bytearray(truncated), np.bool_),
-            list(infos),
+            list(map(dict.copy, infos)),  # some environments use a dictionary again
         )
 
     def _observed(self, chosen: list[int]) -> tuple[list[Observation], list[Info]]:

@@ -1,0 +1,216 @@
+"""``EnvRunner``: makes, resets and steps the environment of one slot, and turns whatever it raises into a failure."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, cast
+
+from gem_core.background import in_thread
+from gem_core.env.guard import Guard
+from gem_core.env.results import checked_reset, checked_result
+from gem_core.env.seeding import checked_seed
+from gem_core.env.wrapper import AnyEnv, concurrency_of, reset_async, step_async
+from gem_core.types import Concurrency, ResetResult, StepResult
+from gem_core.vector.commands import Command, Failure, Outcome, Rebuild, Reset
+
+logger = logging.getLogger("gem_core")
+
+EnvFactory = Callable[[str | None, Mapping[str, Any]], AnyEnv]
+"""Makes the environment for (id, keyword arguments)."""
+
+
+class EnvRunner:
+    """The environment of a slot, in whichever process it lives.
+
+    Whatever it raises becomes a ``Failure``, and the environment is then closed: the next reset makes another.
+
+    Args:
+        slot: Number of the slot.
+        factory: Makes the environment.
+    """
+
+    __slots__ = ("_factory", "_made_for", "_sampled", "borrowed", "concurrency", "env", "env_step", "slot")
+
+    def __init__(self, slot: int, factory: EnvFactory) -> None:
+        self.slot = slot
+        self.env: AnyEnv | None = None
+        self.concurrency: Concurrency | None = None
+        """What the environment needs with its wrappers; None while there is no environment."""
+        self.borrowed: AnyEnv | None = None
+        """An environment that belongs to the caller, who closes it."""
+        self.env_step: Callable[[str], Any] = _nothing_to_step
+        """Steps the environment, and checks the result; it may raise anything."""
+        self._factory = factory
+        self._made_for: tuple[str | None, Mapping[str, Any]] | None = None
+        self._sampled = False
+
+    def perform(self, command: Command) -> Outcome:
+        """Do what a slot asks."""
+        if isinstance(command, Reset):
+            return self.reset(command)
+        return self.step(command) if isinstance(command, str) else self.rebuild(command)
+
+    async def perform_async(self, command: Command) -> Outcome:
+        """Do what a slot asks without blocking the loop."""
+        try:
+            if isinstance(command, Reset):
+                if failure := self.prepare(command.env_id, command.kwargs):
+                    return failure
+                self._sampled = False
+                return checked_reset(await reset_async(cast("AnyEnv", self.env), command.seed, command.options))
+            if isinstance(command, str):
+                return checked_result(await step_async(self.env, command) if self.env else _nothing_to_step(command))
+        except BaseException as error:  # noqa: BLE001 - see _check_contained
+            return self.failed(error, "step" if isinstance(command, str) else "reset")
+        return await in_thread(self.rebuild, command)
+
+    def has_env_for(self, env_id: str | None) -> bool:
+        """Tell whether there is an environment of an id, whatever its keyword arguments."""
+        return self._made_for is not None and self._made_for[0] == env_id
+
+    def fits(self, command: Command) -> bool:
+        """Tell whether a command is for the environment that is here."""
+        if type(command) is not Reset:
+            return True
+        made_for = self._made_for
+        if made_for is None or made_for[0] != command[0]:
+            return False
+        return made_for[1] is command[1] or _equal(made_for[1], command[1])
+
+    def prepare(self, env_id: str | None, kwargs: Mapping[str, Any]) -> Failure | None:
+        """Make the environment for an id and keyword arguments, if it is not there; return what went wrong."""
+        made_for = self._made_for
+        if made_for is not None and made_for[0] == env_id and (made_for[1] is kwargs or _equal(made_for[1], kwargs)):
+            return None
+        self.discard()
+        try:
+            env = self._factory(env_id, kwargs)
+            self.concurrency = concurrency_of(env)
+        except BaseException as error:  # noqa: BLE001 - see _check_contained
+            _check_contained(error)
+            return Failure.of(error, "reset", making=True)
+        # A guard without wrappers around it has checked the result already.
+        self.env_step = env.step if type(env) is Guard else partial(_checked_step, env)
+        self.env, self._made_for = env, (env_id, kwargs)
+        return None
+
+    def reset(self, command: Reset) -> ResetResult | Failure:
+        """Begin an episode."""
+        env_id, kwargs, seed, options = command
+        if failure := self.prepare(env_id, kwargs):
+            return failure
+        self._sampled = False
+        env: Any = self.env
+        try:
+            return checked_reset(env.reset(seed=seed, options=options) if options else env.reset(seed=seed))
+        except BaseException as error:  # noqa: BLE001 - see _check_contained
+            return self.failed(error, "reset")
+
+    def step(self, action: str) -> StepResult | Failure:
+        """Step the environment."""
+        try:
+            return cast("StepResult", self.env_step(action))
+        except BaseException as error:  # noqa: BLE001 - see _check_contained
+            return self.failed(error, "step")
+
+    def rebuild(self, command: Rebuild) -> StepResult | Failure:
+        """Replay an episode and step it; a replay that differs from the first time is a failure."""
+        failure = self.restore(command)
+        return self.step(command.action) if failure is None else failure
+
+    def restore(self, command: Rebuild) -> Failure | None:
+        """Replay an episode up to the step that follows; return what went wrong."""
+        outcome: Outcome = self.reset(command.reset)
+        for action in command.actions:
+            if isinstance(outcome, Failure) or _is_over(outcome):
+                break
+            outcome = self.step(action)
+        if isinstance(outcome, Failure):
+            why = f"the episode could not be replayed: {outcome.message}"
+        elif _is_over(outcome):
+            why = "the episode could not be replayed: its replay ended early"
+        elif outcome[0] != command.observation:
+            why = "a replay of the episode went another way: it is not deterministic"
+        else:
+            return None
+        self.discard()
+        return Failure("collateral", f"its worker was lost, and {why}")
+
+    def sample_random_action(self, seed: int | None) -> str:
+        """Return a valid action for the present state, from a generator that starts at ``seed`` in each episode."""
+        env = self.env
+        if env is None:
+            return ""
+        if not self._sampled and seed is not None:
+            if hasattr(task := env.unwrapped, "seed_actions"):
+                task.seed_actions(checked_seed(seed))
+            self._sampled = True
+        return cast("str", env.get_wrapper_attr("sample_random_action")())
+
+    def describe(self) -> dict[str, Any]:
+        """Return ``id``, ``kwargs`` (over the registered ones) and ``wrappers``; the id is None if there is none."""
+        env: Any = self.env
+        spec = None if env is None else env.spec
+        if spec is None:
+            return {"id": None if env is None else type(env.unwrapped).__name__, "kwargs": {}, "wrappers": []}
+        return {"id": spec.id, "kwargs": spec.overrides(), "wrappers": [list(wrapper) for wrapper in spec.wrappers]}
+
+    def tasks(self, env_id: str | None, kwargs: Mapping[str, Any]) -> tuple[int | None, bool]:
+        """Return ``num_tasks`` and ``endless_tasks`` of an environment, which is made if it is not there."""
+        failure = self.prepare(env_id, kwargs)
+        if failure is not None:
+            raise cast("BaseException", failure.error)
+        task = cast("Any", self.env).unwrapped
+        return task.num_tasks, task.endless_tasks
+
+    def failed(self, error: BaseException, where: str) -> Failure:
+        """Close the environment after an exception; return the failure."""
+        _check_contained(error)
+        logger.debug("gem: slot %d failed in %s", self.slot, where, exc_info=error)
+        self.discard()
+        return Failure.of(error, where)
+
+    def discard(self) -> None:
+        """Close the environment, if there is one that is not the caller's."""
+        env, self.env, self.env_step, self._made_for, self.concurrency = self.env, None, _nothing_to_step, None, None
+        if env is None or env is self.borrowed:
+            return
+        try:
+            env.close()
+        except BaseException as error:
+            _check_contained(error)
+            logger.warning("gem: closing the environment of slot %d failed", self.slot, exc_info=True)
+
+
+def _is_over(outcome: ResetResult | StepResult) -> bool:
+    return len(outcome) == 5 and (outcome[2] or outcome[3])
+
+
+def _equal(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
+    try:
+        return first == second
+    except ValueError:  # arrays refuse to be compared as a whole
+        return False
+
+
+def _checked_step(env: AnyEnv, action: str) -> StepResult:
+    return checked_result(env.step(action))
+
+
+def _nothing_to_step(action: str) -> Any:
+    raise RuntimeError("there is no environment to step")
+
+
+def _check_contained(error: BaseException) -> None:
+    """Raise again what is not the environment's: Ctrl-C of the user, and the end of a coroutine that is collected.
+
+    All else ends no more than an episode, also what is no ``Exception``, as panics of libraries in Rust are: in a
+    thread or a task it would be lost, and its slot waited for without end.
+    """
+    if isinstance(error, GeneratorExit):
+        raise error
+    if isinstance(error, KeyboardInterrupt) and threading.current_thread() is threading.main_thread():
+        raise error
