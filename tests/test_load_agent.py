@@ -6,10 +6,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from chat_server import context
 
 from gem_core.errors import AgentError, ArgumentError, UnknownAgentError
-from gem_core.rollouts.agent import load_agent
+from gem_core.rollouts.agent import Context, load_agent
 
 MODULE = """
 class Mine:
@@ -23,6 +22,9 @@ def act(observation):
 """
 
 
+CONTEXT = Context("0.0", "toy:Echo-v0", None, turn=0, info={}, tools=[], transitions=[])
+
+
 @pytest.fixture
 def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.chdir(tmp_path)
@@ -32,7 +34,7 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def test_a_class_gets_the_options(module: str) -> None:
     """By keyword."""
-    assert load_agent(f"{module}:Mine", temperature=0.5)("x", context()) == "0.5"
+    assert load_agent(f"{module}:Mine", temperature=0.5)("x", CONTEXT) == "0.5"
 
 
 @pytest.mark.parametrize(
@@ -66,7 +68,7 @@ def test_the_current_folder_is_searched_only_while_an_agent_is_loaded(module: st
     )
     Path("broken_agent.py").write_text("import nothing_of_this_name", encoding="utf-8")
     before = list(sys.path)
-    assert load_agent("late_agent:Late")("x", context()) == "b"
+    assert load_agent("late_agent:Late")("x", CONTEXT) == "b"
     for name, kind in (("broken_agent:a", AgentError), (f"{module}:missing", UnknownAgentError)):
         with pytest.raises(kind):
             load_agent(name)

@@ -113,7 +113,7 @@ def test_unknown_backend_and_agent(own_registry: registry.Registry) -> None:
         "There are: async, auto, process, sync."
     )
     assert message(own_registry.agent, "randm") == (
-        "UnknownAgentError: no agent 'randm'. Did you mean 'random'? There are: human, openai, random."
+        "UnknownAgentError: no agent 'randm'. Did you mean 'random'? There are: human, random."
     )
 
 

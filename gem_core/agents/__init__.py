@@ -1,1 +1,1 @@
-"""What an agent is, and those that come with the core; a new one gets a file here and a record in ``_plugin.py``."""
+"""Agents that come with the core; a new one gets a file here and a record in ``_plugin.py``."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.util
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -116,15 +115,6 @@ def test_what_cannot_work_is_said_at_the_start(server: ChatServer, run: Run) -> 
     assert not Path("runs").exists()
 
 
-def test_without_the_extra_the_command_to_install_it_is_given(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As for everything that is missing."""
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    assert run(COUNTDOWN, "--agent", "openai:m")[::2] == (
-        1,
-        "gem: the agent 'openai' needs aiohttp: pip install 'gem-core[openai]'\n",
-    )
-
-
 def test_as_many_environments_as_requests_at_once(server: ChatServer, run: Run) -> None:
     """Without being told; the server answers when all are there."""
     opened = asyncio.Event()
@@ -145,3 +135,14 @@ def test_usage_that_is_no_count_is_left_out(server: ChatServer, run: Run) -> Non
     server.otherwise = Reply(completion() | {"usage": {"prompt_tokens": None, "completion_tokens": "many"}})
     code, out, _ = run(COUNTDOWN, "-n", "1", "--agent", "openai:toy-model")
     assert (code, "tokens in" in out) == (0, False)
+
+
+@pytest.mark.parametrize("name", ["openai", "openai:some-model"])
+def test_gem_info_tells_what_the_agent_takes(capsys: pytest.CaptureFixture[str], name: str) -> None:
+    """With a model or without one."""
+    with pytest.raises(SystemExit) as caught:
+        main(["info", name])
+    lines = capsys.readouterr().out.splitlines()
+    assert caught.value.code in (None, 0)
+    assert "  argument:     model: str = '', as in openai:…" in lines
+    assert "  options:      base_url: str | None = None" in lines
