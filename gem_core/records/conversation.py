@@ -38,7 +38,7 @@ class Recorded(Protocol):
 
 
 class Conversation:
-    """What was said in an episode so far, read from its record, each turn once and when somebody asks.
+    """What was said in an episode so far, read from its record; each turn is read once, when it is asked for.
 
     The messages are append-only: each answer of the environment keeps how things stood then.
 
@@ -50,7 +50,7 @@ class Conversation:
 
     def __init__(self, episode: Recorded) -> None:
         self._episode = episode
-        # A record that does not say what was sent is of an earlier version, and may have had a view.
+        # Records of earlier versions do not say what was sent; they may have had a view.
         self._viewed = "view" in episode.info or episode.reads is None
         self.system = self._system()
         self._instructions = self._in_both_wordings()

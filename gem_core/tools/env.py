@@ -87,7 +87,7 @@ class ToolEnv(Wrapper):
             thinking_tag=thinking_tag,
         )
         self._sessions = ToolSessions(self.tools, call_timeout_s)
-        self.needs = self._sessions.needs
+        self.needs = self._sessions.concurrency
         self._live = False
         self._suffix: Observation | None = None
         self._uses = self._successes = self._failures = 0
