@@ -35,7 +35,8 @@ def main() -> None:
 
 def generate(path: Path, size: int) -> int:
     """Write episodes of 10 turns, with sampled tokens, until the file has the size; return their number."""
-    from gem_core.records.episode import Episode, EpisodeWriter, Transition
+    from gem_core.records.episode import Episode, Transition
+    from gem_core.records.files import EpisodeWriter
     from gem_core.types import Response
 
     count = written = 0

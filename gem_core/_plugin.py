@@ -22,7 +22,7 @@ def gem_register_wrappers() -> Iterable[WrapperSpec]:
         ),
         WrapperSpec(
             name="messages",
-            entry_point="gem_core.wrappers.chat:Messages",
+            entry_point="gem_core.wrappers.chat:MessagesView",
             summary="Show the history as a list of chat messages.",
         ),
         WrapperSpec(

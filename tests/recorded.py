@@ -7,7 +7,8 @@ from typing import Any
 
 from PIL import Image
 
-from gem_core.records.episode import Episode, Transition, write_episodes
+from gem_core.records.episode import Episode, Transition
+from gem_core.records.files import write_episodes
 from gem_core.types import Response
 
 HOSTILE = (

@@ -16,7 +16,7 @@ from command_calls import subprocess_gem
 
 import gem_core as gem
 from gem_core.cli.layout import echo_line
-from gem_core.records.episode import read_episodes
+from gem_core.records.files import read_episodes
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import ToolSpec
 

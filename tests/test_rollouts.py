@@ -23,7 +23,7 @@ from gem_core.errors import (
     RequestError,
     UnknownAgentError,
 )
-from gem_core.records.episode import read_episodes, write_episodes
+from gem_core.records.files import read_episodes, write_episodes
 from gem_core.records.plans import PlanItem, group_plan
 from gem_core.rollouts.agent import Context, as_agent, close_agent, load_agent
 from gem_core.tools.env import ToolEnv

@@ -22,7 +22,8 @@ from gem_core.cli.viewing.pages import episode_lines
 from gem_core.cli.viewing.terminal import Paint, escaped, one_line
 from gem_core.cli.viewing.turns import parts_of, turn_views
 from gem_core.errors import ArgumentError
-from gem_core.records.episode import Episode, write_episodes
+from gem_core.records.episode import Episode
+from gem_core.records.files import write_episodes
 from gem_core.types import Response
 
 ANY_TEXT = st.text(st.characters(codec=None, categories=None), max_size=60)

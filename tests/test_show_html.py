@@ -20,7 +20,8 @@ from gem_core.cli import main
 from gem_core.cli.viewing.html import MOST_TEXT, PageWriter, inert_json
 from gem_core.cli.viewing.terminal import escaped
 from gem_core.errors import ArgumentError
-from gem_core.records.episode import Episode, write_episodes
+from gem_core.records.episode import Episode
+from gem_core.records.files import write_episodes
 from gem_core.records.plain_json import ImageFolder
 
 ANY_TEXT = st.text(st.characters(codec=None, categories=None), max_size=60)

@@ -14,7 +14,8 @@ from recorded import broken, failed, maze, write_all
 
 from gem_core.cli.viewing.index import Entry, EpisodeFile
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records.episode import Episode, read_episodes, write_episodes
+from gem_core.records.episode import Episode
+from gem_core.records.files import read_episodes, write_episodes
 
 GOOD = json.dumps(maze().to_dict()).encode()
 LINES = st.one_of(

@@ -12,7 +12,7 @@ import click
 from click.core import ParameterSource
 
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records.episode import EpisodeLine, episode_lines
+from gem_core.records.files import EpisodeLine, episode_lines
 from gem_core.records.plans import EpisodeQueue
 from gem_core.records.summary import RunSummary
 from gem_core.rollouts.resume import Done

@@ -192,7 +192,7 @@ def load_agent(name: str, **options: Any) -> Agent:
         ArgumentError: It does not take these options; the message says what it takes.
         UnknownAgentError: There is no such agent, module or callable.
     """
-    from gem_core.making.environment import construct
+    from gem_core.registry.entry_points import construct
     from gem_core.registry.lookup import registry
 
     head, colon, rest = name.partition(":")

@@ -11,12 +11,12 @@ from typing import Any
 
 import gymnasium
 
+from gem_core.api import make_vec
 from gem_core.background import in_thread
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError
 from gem_core.records.episode import Episode
 from gem_core.records.plans import EpisodeQueue, PlanItem, count_plan, cover_plan, interleaved
-from gem_core.registry.lookup import make_vec
 from gem_core.rollouts.agent import Agent, Reading, as_agent, prepare_agent
 from gem_core.rollouts.loop import EpisodeLoop
 from gem_core.rollouts.requests import AgentRequests, is_asynchronous

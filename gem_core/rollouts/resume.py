@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from gem_core.errors import ArgumentError
-from gem_core.records.episode import Episode, read_episodes
+from gem_core.records.episode import Episode
+from gem_core.records.files import read_episodes
 from gem_core.records.plain_json import to_plain
 from gem_core.records.plans import EpisodeStart
 
