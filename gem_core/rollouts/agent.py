@@ -198,7 +198,7 @@ def load_agent(name: str, **options: Any) -> Agent:
     head, colon, rest = name.partition(":")
     registry().refuse_contested("agent", head)
     registered = [record.name for record in registry().named(AgentSpec)]
-    if head in registered:
+    if head in registered or registry().how_to_get(head, "agent"):  # else a module may have the name, as openai's own
         return as_agent(construct(registry().agent(head), *([rest] if colon else []), **options))
     if colon and not (head and rest):
         raise UnknownAgentError(f"no agent {name!r}: name one as MODULE:CALLABLE, or one of {', '.join(registered)}")

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from gem_core import Observation, Response
-from gem_core.env.observations import is_messages
+from gem_core.env import is_messages
 
 _PNG_MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I;16")
 
