@@ -58,13 +58,14 @@ class OpenAIAgent:
         max_concurrency: Requests at once; more wait for a place.
         timeout_s: Limit of a request in seconds, from when it has its place, all attempts and waits included.
         attempt_timeout_s: Limit of one attempt, after which it is tried again; None for no other limit.
-        max_retries: Attempts after the first. Tried again are 408, 409, 425, 429, 5xx, broken connections and answers
-            that are no completion; with waits of full jitter up to 0.5, 1, 2, … 30 s, or what ``Retry-After`` asks for.
+        max_retries: Attempts after the first. A request is tried again on 408, 409, 425, 429, 5xx, a broken connection
+            or an answer that is no completion; after a random wait of up to 0.5, 1, 2, … 30 s, or what ``Retry-After``
+            asks for.
         stream: Whether the server sends the answer in pieces, which some proxies need to keep long requests open.
         return_token_ids: Whether to ask for token ids and log-probabilities, as training needs them. A server that
             refuses to give them is not asked again.
-        native_tools: Whether tools are offered in the API's own way. Without, a model calls them in its text, as it
-            has to where the server has no parser of tool calls.
+        native_tools: Whether tools are offered in the API's own way. If not, the model calls them in its text, as it
+            must where the server has no parser of tool calls.
 
     Raises:
         ArgumentError: A value that cannot be right.
@@ -114,14 +115,14 @@ class OpenAIAgent:
         )
         sampling = {"temperature": temperature, "top_p": top_p, "max_tokens": max_tokens, "seed": seed, "stop": stop}
         fields = _checked_fields(sampling, extra_body or {})
-        spared: dict[str, Any] = {}  # what a server may refuse, and we can do without
+        optional: dict[str, Any] = {}
         if return_token_ids:
-            spared |= {"return_token_ids": True, "logprobs": True}
+            optional |= {"return_token_ids": True, "logprobs": True}
         if stream:
-            spared["stream_options"] = {"include_usage": True}
+            optional["stream_options"] = {"include_usage": True}
             fields["stream"] = True
-        self._fields = spared | fields
-        self._spared = spared.keys() - fields.keys()
+        self._fields = optional | fields
+        self._optional = optional.keys() - fields.keys()  # left out once the server has refused them
         self._refused: set[str] = set()
         self._timeout_s = timeout_s
         self._prepared = self._answered = False
@@ -133,9 +134,10 @@ class OpenAIAgent:
         """Return the model's answer to an observation.
 
         Raises:
-            RequestError: There is none; the message says why.
-            MissingRequirementError: The key or the address was refused before any answer came.
-            UnknownModelError: So was the model.
+            RequestError: The server gave no answer; the message says why.
+            ContextOverflowError: The history is longer than the model takes.
+            MissingRequirementError: The server refused the key or the address, and has not answered before.
+            UnknownModelError: It refused the model, and has not answered before.
         """
         return await on_library_loop(self._answer(observation, context))
 
@@ -177,7 +179,7 @@ class OpenAIAgent:
         return response
 
     async def _ask(self, payload: Mapping[str, Any], timeout_s: float, **options: Any) -> Response:
-        """Send a request; where the server refuses a field that can be spared, do without it from then on."""
+        """Send a request; leave out an optional field that the server refuses, from then on."""
         while True:
             sent = {name: value for name, value in payload.items() if name not in self._refused}
             if "max_tokens" in payload and "max_tokens" in self._refused:
@@ -188,7 +190,7 @@ class OpenAIAgent:
                 )
                 return response
             except ServerFault as fault:
-                refused = {name for name in self._spared if name in sent and name in fault.body}
+                refused = {name for name in self._optional if name in sent and name in fault.body}
                 if "max_tokens" in sent and "max_completion_tokens" in fault.body:
                     refused.add("max_tokens")
                 # 403 is OpenAI's answer where a model gives no log-probabilities.
@@ -219,7 +221,7 @@ class OpenAIAgent:
             named = self.model in fault.body or fault.code == "model_not_found"
             if fault.status not in (400, 422) or named:
                 raise self._at_start(fault, names, named) from None
-            # It took the model, and minds something of so short a request.
+            # It has the model, and refused something else about so short a request.
 
     def _at_start(self, fault: ServerFault, names: list[str] | None = None, named: bool = False) -> GemError:
         where, key_name = self.base_url, self.client.key_name

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from chat_server import KEY, ChatServer, Reply, Request, completion, error
 
+from gem_core import extract_code_blocks
 from gem_core.cli import main
 from gem_core.records.files import read_episodes
 
@@ -146,3 +147,15 @@ def test_gem_info_tells_what_the_agent_takes(capsys: pytest.CaptureFixture[str],
     assert caught.value.code in (None, 0)
     assert "  argument:     model: str = '', as in openai:…" in lines
     assert "  options:      base_url: str | None = None" in lines
+
+
+def test_the_example_of_the_readme_runs(
+    server: ChatServer, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Against a server elsewhere."""
+    pytest.importorskip("gem_games")
+    monkeypatch.delenv("OPENAI_API_KEY", raising=False)
+    readme = Path(__file__).parent.parent / "README.md"
+    (example,) = extract_code_blocks(readme.read_text(encoding="utf-8"), "python")
+    exec(example.code.replace("http://localhost:8000/v1", server.url), {})
+    assert len(capsys.readouterr().out.splitlines()) == 16
