@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from gem_core.cli.terminal import BLOCK
 from gem_core.records.files import read_episodes
 from gem_core.terminal import BLOCK
 
