@@ -36,6 +36,8 @@ class Context:
         transitions: The turns so far, oldest first.
         deadline: Time on ``time.monotonic()`` by which the answer is wanted; None for none.
         system: System text: the agent's own, or else the task's; None for none.
+        draw_action: What ``sample_random_action`` calls.
+        read_messages: What ``messages`` calls.
     """
 
     episode: str
@@ -47,8 +49,8 @@ class Context:
     transitions: list[Transition]
     deadline: float | None = None
     system: str | None = None
-    _sample: Callable[[], str] = field(default=lambda: "", repr=False)
-    _messages: Callable[[], list[dict[str, Any]]] = field(default=list, repr=False)
+    draw_action: Callable[[], str] = field(default=lambda: "", repr=False)
+    read_messages: Callable[[], list[dict[str, Any]]] = field(default=list, repr=False)
 
     @property
     def messages(self) -> list[dict[str, Any]]:
@@ -57,7 +59,7 @@ class Context:
         The system text comes first, where there is one; tool calls and their results have their ids. A later list
         begins with the earlier one.
         """
-        return self._messages()
+        return self.read_messages()
 
     @property
     def responses(self) -> list[Response]:
@@ -66,7 +68,7 @@ class Context:
 
     def sample_random_action(self) -> str:
         """Return a valid action, drawn by the environment from a generator of the episode's own."""
-        return self._sample()
+        return self.draw_action()
 
 
 Answer = str | Awaitable[str]

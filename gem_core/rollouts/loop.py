@@ -148,8 +148,8 @@ class _RunningEpisode:
             tools=info.get("tools", []),
             transitions=self.episode.transitions,
             system=self.conversation.system,
-            _messages=self.conversation.messages,
-            _sample=lambda: vector.sample_random_action(slot),
+            draw_action=lambda: vector.sample_random_action(slot),
+            read_messages=self.conversation.messages,
         )
 
     def add(self, reward: float, terminated: bool, truncated: bool, observation: Observation, info: Info) -> None:
