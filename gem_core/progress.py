@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Self
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
 
-_LINE_EVERY_S = 10.0
+LINE_EVERY_S = 10.0
 _NARROW = 70  # columns
 
 
@@ -45,7 +45,7 @@ class Progress:
         """Note that so many are done."""
         if self._bar is not None:
             self._bar.update(self._bar.task_ids[0], completed=done, status=status)
-        elif not self._quiet and time.monotonic() - self._last_line > _LINE_EVERY_S:
+        elif not self._quiet and time.monotonic() - self._last_line > LINE_EVERY_S:
             self._last_line = time.monotonic()
             counted = f"{done} {self._unit}" if self._total is None else f"{done} of {self._total} {self._unit}"
             with suppress(OSError, ValueError):  # nobody reads standard error any more; the run goes on
@@ -54,13 +54,14 @@ class Progress:
 
 def _started_bar(title: str, total: int | None) -> RichProgress:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as RichProgress
 
     console = Console(stderr=True)
     count, status = MofNCompleteColumn(), TextColumn("{task.fields[status]}")
     # Where it is narrow, rich would cut the count.
     narrow = console.width < _NARROW
-    bar = Progress(
+    bar = RichProgress(
         *([count, status] if narrow else [title, BarColumn(), count, status, TimeRemainingColumn()]),
         console=console,
         # In a terminal, what is printed meanwhile goes above the bar; a file or a pipe gets it as it is.

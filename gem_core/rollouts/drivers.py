@@ -166,24 +166,24 @@ class _Run:
         if self.max_requests is not None and (type(self.max_requests) is not int or self.max_requests < 1):
             raise ArgumentError(f"max_requests must be a positive whole number, not {self.max_requests!r}")
 
-    def vector(self, *, plain: bool) -> tuple[VectorEnv, bool]:
-        """Return where the episodes run, and whether it was made here.
+    def vector(self, *, plain: bool) -> VectorEnv:
+        """Return the vector environment in which the episodes run: the one given, or a new one.
 
         Args:
             plain: Run an environment that was given in the calling thread.
         """
         if isinstance(self.env, Sequence):
             num_envs = _asked_at_once(self.agent, self.max_requests) if self.num_envs is None else self.num_envs
-            return make_vec(self.env, num_envs, seed=self.seed), True
+            return make_vec(self.env, num_envs, seed=self.seed)
         if self.num_envs is not None:
             raise ArgumentError("num_envs goes with an id: what is made already has its number of environments")
         if isinstance(self.env, VectorEnv):
-            return self.env, False
+            return self.env
         if not isinstance(self.env, gymnasium.Env):
             raise ArgumentError(
                 f"rollout takes a vector environment, an environment, an id or several, not {self.env!r:.200}"
             )
-        return around(self.env, seed=self.seed, keep_open=True, plain=plain), True
+        return around(self.env, seed=self.seed, keep_open=True, plain=plain)
 
     def queue(self, vector: VectorEnv, finished: FinishedEpisodes) -> EpisodeQueue:
         """Return what the episodes start from, those left out that are finished."""
@@ -198,7 +198,7 @@ class _Run:
 
     @contextmanager
     def counting(self, queue: EpisodeQueue, finished: FinishedEpisodes) -> Iterator[Callable[[], None]]:
-        """Show how far the run is; yield what to call for each episode that is over."""
+        """Show how far the run is, inside this context; yield what to call for each episode that is over."""
         if not self.progress:
             yield lambda: None
             return
@@ -211,10 +211,10 @@ class _Run:
 
 def _drive(run: _Run) -> Iterator[Episode]:
     finished = finished_episodes(run.resume)
-    vector, made_here = run.vector(plain=True)
+    vector = run.vector(plain=True)
     requests = AgentRequests(run.agent, vector.signal.set, most=run.max_requests)
     with ExitStack() as at_end:
-        if made_here:
+        if vector is not run.env:
             at_end.callback(vector.close)
         at_end.callback(requests.close)
         prepare_agent(run.agent)
@@ -230,11 +230,11 @@ def _drive(run: _Run) -> Iterator[Episode]:
 
 async def _drive_async(run: _Run) -> AsyncIterator[Episode]:
     finished = await in_thread(finished_episodes, run.resume)
-    vector, made_here = await in_thread(lambda: run.vector(plain=False))
+    vector = await in_thread(lambda: run.vector(plain=False))
     loop = asyncio.get_running_loop()
     requests = AgentRequests(run.agent, vector.signal.set, most=run.max_requests, loop=loop)
     async with AsyncExitStack() as at_end:
-        if made_here:
+        if vector is not run.env:
             at_end.push_async_callback(in_thread, vector.close)
         at_end.push_async_callback(requests.aclose)
         prepared = getattr(run.agent, "prepare", lambda: None)()

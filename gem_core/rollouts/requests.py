@@ -46,16 +46,11 @@ class AgentRequests:
         self._loop = loop
         self._waiting: deque[tuple[int, Observation, Context]] = deque()
         self._open: set[int] = set()
-        self._tasks: set[asyncio.Future[str]] = set()
-        """Belongs to the thread of the loop, unlike all else."""
+        self._tasks: set[asyncio.Future[str]] = set()  # used in the thread of the loop only
         self._ready: deque[tuple[int, Response | BaseException]] = deque()
 
     def ask(self, slot: int, observation: Observation, context: Context) -> None:
-        """Ask for one slot.
-
-        Raises:
-            AgentError: A plain agent returned something else than text.
-        """
+        """Ask for one slot, now or once fewer questions are open."""
         self._waiting.append((slot, observation, context))
         self._ask_waiting()
 
