@@ -90,14 +90,14 @@ class EpisodeLoop:
             self._begin(slot, observation, info)
             return
         over = bool(terminated or truncated)
-        begins = over and self._vector.autoreset == "same_step"
-        last = (info.pop("final_obs"), info.pop("final_info")) if begins else (observation, info)
+        next_began = over and self._vector.autoreset == "same_step"
+        last = (info.pop("final_obs"), info.pop("final_info")) if next_began else (observation, info)
         running.add(float(reward), bool(terminated), bool(truncated), *last)
         if not over:
             self._unasked.append(slot)
             return
         self._finished.append(self._running.pop(slot).episode)
-        if begins:
+        if next_began:
             self._begin(slot, observation, info)
         else:
             self._vector.begin_next(slot)
