@@ -36,6 +36,7 @@ SORTS: dict[str, Callable[[Entry], Any]] = {
 
 def select(
     file: EpisodeFile,
+    entries: Iterable[Entry],
     *,
     env: str | None = None,
     success: bool | None = None,
@@ -44,10 +45,11 @@ def select(
     group: str | None = None,
     grep: str | None = None,
 ) -> Iterator[Entry]:
-    """Yield the entries of the episodes that fit all conditions, in the order of the file, as they are found.
+    """Yield those entries of a file that fit all conditions, as they come.
 
     Args:
         file: The file.
+        entries: Its entries.
         env: Part of the id, or a glob for the whole of it.
         success: True for those that solved the task, False for those that are known not to have.
         returns: A test of the return.
@@ -55,7 +57,7 @@ def select(
         group: The group's name.
         grep: Text that stands in an observation, a response or an info; case does not count.
     """
-    for entry in file.entries():
+    for entry in entries:
         if (
             (env is None or matches_id(entry.id, env))
             and (success is None or entry.success is success)

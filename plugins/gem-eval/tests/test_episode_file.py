@@ -181,6 +181,16 @@ def test_an_index_that_cannot_be_written_is_no_obstacle(tmp_path: Path) -> None:
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["run.jsonl", "run.jsonl.index"]
 
 
+def test_a_file_may_be_closed_twice(tmp_path: Path) -> None:
+    """The second time does nothing."""
+    path = tmp_path / "run.jsonl"
+    write_episodes(path, [maze()])
+    file = EpisodeFile(path, index_from_bytes=0)
+    assert len(list(file.entries())) == 1
+    file.close()
+    file.close()
+
+
 def test_an_index_is_no_more_readable_than_its_file(tmp_path: Path) -> None:
     """It holds ids and errors of the episodes."""
     path = tmp_path / "run.jsonl"

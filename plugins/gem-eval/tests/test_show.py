@@ -6,6 +6,7 @@ import json
 import os
 import pty
 import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterable
@@ -29,6 +30,7 @@ from gem_eval.show.text import escaped, highlighted, one_line
 from gem_eval.turns import parts_of, turn_views
 
 ANY_TEXT = st.text(st.characters(codec=None, categories=None), max_size=60)
+README = Path(__file__).parent.parent / "README.md"
 COLOURS = re.compile(r"\x1b\[[\d;]*m")
 
 
@@ -142,6 +144,16 @@ def test_json_lists_what_fits(show) -> None:
         "group": "g1",
     }
     assert json.loads(show("2", "--json").out)["final_observation"] == "Night falls."
+
+
+COMMANDS = re.findall(r"^gem show runs/guess.jsonl(.*?)(?:  |$)", README.read_text(encoding="utf-8"), re.MULTILINE)
+
+
+@pytest.mark.parametrize("arguments", COMMANDS)
+def test_what_the_readme_shows_can_be_typed(show, arguments: str) -> None:
+    """With another file."""
+    outcome = show(*shlex.split(arguments))
+    assert (outcome.code, bool(outcome.out), outcome.err) == (0, True, "")
 
 
 @pytest.mark.parametrize("text", ["x", "> y", ">>1", "", "1 2", ">"])

@@ -99,17 +99,17 @@ def command(
             raise EpisodeFileError(f"{path} is empty: it holds no episodes (yet)")
         if diff is not None:
             _show_diff(file, diff)
-        elif html is not None:
-            fitting = _with_progress(file, select(file, **conditions)) if number is None else iter([file.entry(number)])
-            _write_page(file, ordered(fitting, sort, reverse, None), html, limit or _HTML_LIMIT)
-        elif number is not None:
+        elif number is not None and html is None:
             _show_episode(file, number, full, as_json)
         else:
-            fitting = select(file, **conditions)
-            # A list that fills a terminal as it grows needs no other sign of progress.
-            if as_json or sort is not None or reverse or not sys.stdout.isatty():
-                fitting = _with_progress(file, fitting)
-            _show_list(file, ordered(fitting, sort, reverse, limit), as_json)
+            # A list that grows in a terminal shows by itself how far it is.
+            grows = sys.stdout.isatty() and html is None and not as_json and sort is None and not reverse
+            entries = file.entries() if grows else _with_progress(file)
+            fitting = select(file, entries, **conditions) if number is None else iter([file.entry(number)])
+            if html is not None:
+                _write_page(file, ordered(fitting, sort, reverse, None), html, limit or _HTML_LIMIT)
+            else:
+                _show_list(file, ordered(fitting, sort, reverse, limit), as_json)
         _report_damage(file)
 
 
@@ -203,17 +203,15 @@ def _write(lines: Iterable[str]) -> None:
     click.echo_via_pager((f"{line}\n" for line in lines), color=colours)
 
 
-def _with_progress(file: EpisodeFile, entries: Iterator[Entry]) -> Iterator[Entry]:
-    """Say how much of the file is read, in a terminal and when it takes longer than a moment."""
-    if not sys.stderr.isatty() or file.share_indexed == 1:
-        yield from entries
-        return
-    started = shown = time.monotonic()
-    for entry in entries:
-        now = time.monotonic()
-        if now - started > _SILENT_S and now - shown > 0.2:
-            shown = now
+def _with_progress(file: EpisodeFile) -> Iterator[Entry]:
+    """Yield the entries of a file, and say in a terminal how much of it is read, if that takes more than a moment."""
+    shown = sys.stderr.isatty() and file.share_indexed < 1
+    due = time.monotonic() + _SILENT_S
+    written = False
+    for entry in file.entries():
+        if shown and time.monotonic() > due:
+            due, written = time.monotonic() + 0.2, True
             click.echo(f"\rgem: reading {file.path.name}, {file.share_indexed:.0%} ", err=True, nl=False)
         yield entry
-    if shown != started:
+    if written:
         click.echo("\r\x1b[K", err=True, nl=False)

@@ -17,7 +17,7 @@ from typing import Any
 from gem_core import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records import ImageFolder
-from gem_eval.episode_file import write_whole
+from gem_eval.files import write_whole
 from gem_eval.show.text import escaped
 from gem_eval.turns import Part, TurnView, error_text, outcome_of, parts_of, start_of, turn_views
 
