@@ -123,7 +123,10 @@ class EpisodeFile:
     def entries(self) -> Iterator[Entry]:
         """Yield the whole episodes in order: at once those that are indexed, then the others as they are found."""
         place = 0
-        while place < len(self._entries) or self._index_next():
+        while place < len(self._entries) or not self._ended:
+            if place == len(self._entries):
+                self._index_line()
+                continue
             entry = self._entries[place]
             place += 1
             if entry.damage is None:
@@ -170,22 +173,16 @@ class EpisodeFile:
                 raise ArgumentError(f"no episode {number} in {self.path}: that line is blank. Run 'gem show FILE'")
         raise ArgumentError(f"no episode {number} in {self.path}, which has {lines:,} lines. Run 'gem show FILE'")
 
-    def _index_next(self) -> bool:
-        """Index the next line that is not blank; return whether there is one."""
+    def _index_line(self) -> None:
         self._file.seek(self._covered)
-        while not self._ended:
-            line = self._file.readline(self.size - self._covered)
-            blank = not line.strip()
-            if not blank:
-                self._entries.append(_entry(self._lines + 1, self._covered, line))
-            if line.endswith(b"\n"):
-                self._covered += len(line)
-                self._lines += 1
-            else:
-                self._ended = True
-            if not blank:
-                return True
-        return False
+        line = self._file.readline(self.size - self._covered)
+        if line.strip():
+            self._entries.append(_entry(self._lines + 1, self._covered, line))
+        if line.endswith(b"\n"):
+            self._covered += len(line)
+            self._lines += 1
+        else:
+            self._ended = True
 
     def _load(self) -> None:
         digest, _, body = self.index_path.read_bytes().partition(b"\n")
