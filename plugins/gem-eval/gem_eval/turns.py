@@ -171,7 +171,7 @@ def _parts_of_item(item: Any) -> list[Part]:
 
 def _repeated(text: str, before: str) -> int:
     """Return how many characters at the start stand in the text before as well: whole lines, and enough of them."""
-    # A tenth of a millisecond for 200,000 characters; os.path.commonprefix takes 13.
+    # 0.3 ms for 200,000 characters; os.path.commonprefix takes 13.
     lengths = range(1, min(len(text), len(before)) + 1)
     length = bisect_left(lengths, True, key=lambda length: not before.startswith(text[:length]))
     if length < len(text):
