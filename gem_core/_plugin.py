@@ -101,7 +101,6 @@ def gem_add_commands() -> Iterable[CommandSpec]:
         "info": "Describe one environment, tool, wrapper, agent or backend.",
         "play": "Play an environment yourself, in the terminal.",
         "run": "Let an agent act in environments and record its episodes.",
-        "show": "Show recorded episodes: a list, one of them, two compared, or a page.",
         "plugins": "List the installed plugins, and what is wrong with them.",
         "doctor": "Find out what is broken, and what is missing to run the rest.",
         "new-plugin": "Start a plugin that installs and passes its own tests.",

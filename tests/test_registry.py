@@ -14,7 +14,7 @@ from gem_core.errors import ArgumentError, EntryPointError, MissingRequirementEr
 from gem_core.registry import lookup as registry
 from gem_core.registry import plugins
 from gem_core.registry.specs import EnvSpec, WrapperSpec
-from gem_core.rollouts.agent import load_agent
+from gem_core.rollouts import load_agent
 
 if TYPE_CHECKING:
     from pathlib import Path

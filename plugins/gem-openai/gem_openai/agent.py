@@ -25,7 +25,7 @@ from gem_openai.chat_format import has_images, messages_from
 from gem_openai.client import ChatClient, ServerFault
 
 if TYPE_CHECKING:
-    from gem_core.rollouts.agent import Context
+    from gem_core.rollouts import Context
 
 DEFAULT_BASE_URL = "https://api.openai.com/v1"
 START_TIMEOUT_S = 30.0

@@ -13,7 +13,7 @@ from typing import Any
 
 from gem_core import Response
 from gem_core.background import run_sync
-from gem_core.rollouts.agent import Context
+from gem_core.rollouts import Context
 from gem_openai import OpenAIAgent
 
 MODEL = "toy-model"

@@ -14,7 +14,7 @@ from typing import Any
 from gem_core.background import in_thread, on_background_loop, run_sync
 from gem_core.errors import ArgumentError, GemError, GradingError
 from gem_core.registry import load_entry_point
-from gem_core.rollouts.agent import Context, load_agent
+from gem_core.rollouts import Context, load_agent
 
 Verdict = bool | int | float
 Judge = Callable[[str, Sequence[str], str], Verdict | Awaitable[Verdict]]
