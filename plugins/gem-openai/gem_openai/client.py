@@ -24,14 +24,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import aiohttp
-from tenacity import (
-    AsyncRetrying,
-    RetryCallState,
-    retry_if_exception,
-    stop_after_attempt,
-    stop_before_delay,
-    wait_exponential,
-)
+import tenacity
 
 from gem_core import Response, __version__
 from gem_core.background import background_loop, close_later
@@ -42,7 +35,7 @@ CONNECT_TIMEOUT_S = 10.0
 
 _KEEP_ALIVE_S = 4.0  # below the 5 s of uvicorn and others, which close a connection while we begin to write
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.5, 30.0
-_GROWING_WAIT_S = wait_exponential(multiplier=_FIRST_WAIT_S, max=_LONGEST_WAIT_S)
+_GROWING_WAIT_S = tenacity.wait_exponential(multiplier=_FIRST_WAIT_S, max=_LONGEST_WAIT_S)
 _SHOWN_CHARS = 300
 _SHORTEST_SECRET = 6  # a shorter key, as the "x" that local servers are given, is no secret, and part of many words
 _SHORTEST_IN_ANSWER = 16  # a model may well write a shorter one, as "lm-studio"
@@ -195,10 +188,11 @@ class ChatClient:
         def may_pass(error: BaseException) -> bool:
             return isinstance(error, ServerFault) and error.transient and (request.patient or not error.unreachable)
 
-        retrying = AsyncRetrying(
-            retry=retry_if_exception(may_pass),
+        retrying = tenacity.AsyncRetrying(
+            retry=tenacity.retry_if_exception(may_pass),
             wait=self._wait_s,
-            stop=stop_after_attempt(1 + self._max_retries) | stop_before_delay(request.end - time.monotonic()),
+            stop=tenacity.stop_after_attempt(1 + self._max_retries)
+            | tenacity.stop_before_delay(request.end - time.monotonic()),
             sleep=self.sleep,
             reraise=True,
         )
@@ -212,7 +206,7 @@ class ChatClient:
             fault.message += f" ({attempts} attempts)" if attempts > 1 else ""
             raise
 
-    def _wait_s(self, state: RetryCallState) -> float:
+    def _wait_s(self, state: tenacity.RetryCallState) -> float:
         """Return how long to wait for the next attempt.
 
         Where the server asks for a time, a little chance comes on top, so that not all whom it sent away come back in

@@ -20,14 +20,7 @@ import weakref
 from collections import OrderedDict
 from typing import TYPE_CHECKING, NamedTuple
 
-from tenacity import (
-    AsyncRetrying,
-    RetryCallState,
-    retry_if_exception,
-    stop_after_attempt,
-    stop_before_delay,
-    wait_exponential,
-)
+import tenacity
 
 from gem_core.background import background_loop, close_later, in_thread, on_library_loop
 from gem_core.errors import ArgumentError, GemError, MissingRequirementError
@@ -47,7 +40,7 @@ CONNECT_TIMEOUT_S = 5.0
 LONGEST_PAUSE_S = 60.0
 
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.5, 30.0
-_GROWING_WAIT_S = wait_exponential(multiplier=_FIRST_WAIT_S, max=_LONGEST_WAIT_S)
+_GROWING_WAIT_S = tenacity.wait_exponential(multiplier=_FIRST_WAIT_S, max=_LONGEST_WAIT_S)
 _KEEP_ALIVE_S = 4.0  # below the 5 s of uvicorn and others, which close a connection while we begin to write
 _SHOWN = 200
 _SECRET = 4
@@ -210,10 +203,11 @@ class RemoteEngine:
         def may_pass(error: BaseException) -> bool:
             return isinstance(error, SearchFault) and error.transient
 
-        retrying = AsyncRetrying(
-            retry=retry_if_exception(may_pass),
+        retrying = tenacity.AsyncRetrying(
+            retry=tenacity.retry_if_exception(may_pass),
             wait=self._wait_s,
-            stop=stop_after_attempt(1 + self.limits.max_retries) | stop_before_delay(end - self.now()),
+            stop=tenacity.stop_after_attempt(1 + self.limits.max_retries)
+            | tenacity.stop_before_delay(end - self.now()),
             sleep=self.sleep,
             reraise=True,
         )
@@ -227,7 +221,7 @@ class RemoteEngine:
             fault.message += f" ({attempts} attempts)" if attempts > 1 else ""
             raise
 
-    def _wait_s(self, state: RetryCallState) -> float:
+    def _wait_s(self, state: tenacity.RetryCallState) -> float:
         """Return how long to wait for the next attempt: at random, so that not all come back in one instant.
 
         Source: "full jitter", https://aws.amazon.com/blogs/architecture/exponential-backoff-and-jitter/.
