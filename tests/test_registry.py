@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING, Any
@@ -140,12 +141,22 @@ def test_name_of_a_plugin_that_is_not_installed(
     assert text == f"{wrong} It comes with a plugin: try 'pip install {plugin}'.{there_are}"
 
 
-def test_agent_of_a_plugin_that_is_not_installed_is_no_module(own_registry: registry.Registry) -> None:
-    """Though a module of its name may be installed, as OpenAI's package."""
-    assert message(load_agent, "openai:some-model") == (
+@pytest.mark.parametrize("name", ["openai", "openai:", "openai:some-model"])
+@pytest.mark.parametrize("module", ["", "def act(observation):\n    return 'a'\n"])
+def test_agent_of_a_plugin_that_is_not_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, module: str
+) -> None:
+    """Though a module may have its name, as OpenAI's package; an agent in such a module is found."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "openai", raising=False)
+    (tmp_path / "openai.py").write_text(module, encoding="utf-8")
+    assert message(load_agent, name) == (
         "UnknownAgentError: no agent 'openai'. It comes with a plugin: try 'pip install gem-openai'. "
         "There are: human, random."
     )
+    if module:
+        assert callable(load_agent("openai:act"))
+    sys.modules.pop("openai", None)
 
 
 def test_unknown_plugin(own_registry: registry.Registry) -> None:
