@@ -103,6 +103,7 @@ class TerminalEnv(Env):
     concurrency: ClassVar[Concurrency] = "thread"
     answer_fences: ClassVar[tuple[str, ...]] = ("bash", "sh", "shell")
     answer_tags: ClassVar[tuple[str, ...]] = ("bash", "keys", "finish")
+    num_tasks: int
 
     def __init__(
         self,
@@ -155,6 +156,7 @@ class TerminalEnv(Env):
             limits=Limits(cpus, memory_mb, processes, storage_mb, network),
         )
         self.tasks = select_tasks(path, tasks)
+        self.num_tasks = len(self.tasks)
         self.backend = shared_backend(backend, build_args)
         self._holdings = Holdings(self, shared_pool())
         self._episode: Episode | None = None
@@ -163,11 +165,6 @@ class TerminalEnv(Env):
             for task in self.tasks:
                 self.backend.check(task)
                 self._holdings.prestart(self.backend, task, self.settings.limits, max(1, pool_size))
-
-    @property
-    def num_tasks(self) -> int:
-        """Number of tasks."""
-        return len(self.tasks)
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Begin a task on a machine that nothing has touched.

@@ -74,6 +74,7 @@ class ReasoningGymEnv(Env):
     """
 
     concurrency: ClassVar[Concurrency] = "thread"
+    endless_tasks = True
 
     def __init__(
         self,
@@ -96,6 +97,7 @@ class ReasoningGymEnv(Env):
         if not isinstance(time_limit_s, int | float) or not 0 < time_limit_s < math.inf:
             raise ArgumentError(f"time_limit_s must be a positive number of seconds, not {time_limit_s!r}")
         self.task, self.size, self.seed = task, size, seed
+        self.num_tasks = size
         self.prompt_template = prompt_template
         self.time_limit_s = float(time_limit_s)
         self._rows = MOST_ROWS // size * size if epochs is None else size * epochs
@@ -104,16 +106,6 @@ class ReasoningGymEnv(Env):
         self._index = 0
         self._row: dict[str, Any] | None = None
         self._check()
-
-    @property
-    def num_tasks(self) -> int:
-        """Rows of an epoch."""
-        return self.size
-
-    @property
-    def endless_tasks(self) -> bool:
-        """Whether ``options={"index": i}`` takes numbers from ``num_tasks`` up, for the rows of later epochs."""
-        return True
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Ask a row.
