@@ -302,6 +302,21 @@ def test_hub_that_is_not_reached_is_an_error_with_advice() -> None:
     assert second == first
 
 
+def test_hub_that_failed_is_not_asked_again_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its library tries for half a minute, and each of many environments would."""
+    asked = []
+
+    def unreachable(name: str, *_: object, **__: object) -> None:
+        asked.append(name)
+        raise ConnectionError("no route to host")
+
+    monkeypatch.setattr(datasets, "load_dataset", unreachable)
+    for _ in range(64):
+        with pytest.raises(DatasetError, match=r"the hub does not answer \(ConnectionError: no route to host\)"):
+            load_rows("nobody/unreachable")
+    assert asked == ["nobody/unreachable"]
+
+
 def test_file_that_a_package_ships(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By the package's name, so that the arguments of an environment are the same on every machine."""
     (tmp_path / "shipping" / "data").mkdir(parents=True)

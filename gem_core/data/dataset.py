@@ -141,7 +141,7 @@ class DatasetEnv(Env):
             ArgumentError: An option that does not exist, or an index that is out of range.
         """
         super().reset(seed=seed)
-        self._take(self._chosen(options) if options else int(self.np_random.integers(self.num_tasks)))
+        self._take(chosen_index(options, self.num_tasks) if options else int(self.np_random.integers(self.num_tasks)))
         return self.prompt(self._row), {"task_id": self.task_id(self._index, self._row), "index": self._index}
 
     def step(self, action: str) -> StepResult:
@@ -189,17 +189,6 @@ class DatasetEnv(Env):
         row = self.rows[int(self.action_random.integers(self.num_tasks))]
         return f"\\boxed{{{row[self.answer_key]}}}"
 
-    def _chosen(self, options: dict[str, Any]) -> int:
-        wrong = [name for name in options if name != "index"]
-        if wrong:
-            raise ArgumentError(f"no option {wrong[0]!r}.{did_you_mean(wrong[0], ['index'])} There is: index")
-        index = options["index"]
-        # Samplers give whole numbers of NumPy too.
-        number = operator.index(index) if hasattr(index, "__index__") and not isinstance(index, bool) else -1
-        if not 0 <= number < self.num_tasks:
-            raise ArgumentError(f"options['index'] must be from 0 to {self.num_tasks - 1}, not {index!r}")
-        return number
-
     def _take(self, index: int) -> None:
         row = self.rows[index]
         for key in (self.question_key, self.answer_key, self.id_key):
@@ -240,7 +229,24 @@ class DatasetEnv(Env):
         return {"index": self._index}
 
     def _set_state(self, state: dict[str, Any]) -> None:
-        self._take(self._chosen({"index": state["index"]}))
+        self._take(chosen_index({"index": state["index"]}, self.num_tasks))
+
+
+def chosen_index(options: Mapping[str, Any], count: int) -> int:
+    """Return the task that the options of a reset choose: ``{"index": i}``, with ``i`` from 0 to under ``count``.
+
+    Raises:
+        ArgumentError: Another option, or an index that is out of range.
+    """
+    wrong = [name for name in options if name != "index"]
+    if wrong:
+        raise ArgumentError(f"no option {wrong[0]!r}.{did_you_mean(wrong[0], ['index'])} There is: index")
+    index = options["index"]
+    # Samplers give whole numbers of NumPy too.
+    number = operator.index(index) if hasattr(index, "__index__") and not isinstance(index, bool) else -1
+    if not 0 <= number < count:
+        raise ArgumentError(f"options['index'] must be from 0 to {count - 1}, not {index!r}")
+    return number
 
 
 def _listed(row: Row) -> str:

@@ -72,8 +72,7 @@ def dataset_rows(dataset: Any) -> Rows:
 
 def is_from_datasets(rows: object, kind: str) -> bool:
     """Tell whether something is of a class of ``datasets``, which cannot be where that package was not imported."""
-    datasets = sys.modules.get("datasets")
-    return datasets is not None and isinstance(rows, getattr(datasets, kind))
+    return isinstance(rows, getattr(sys.modules.get("datasets"), kind, ()))
 
 
 def one_split(loaded: Any, name: str, split: str | None) -> Any:

@@ -68,8 +68,8 @@ def load_rows(
     with _lock:
         rows = _whole_split(source, whole, config, revision)
         if part is not None or keep is not None:
-            selected = partial(_selected, rows, part, keep, source)
-            rows = _shared(("selected", id(rows), len(rows), part, keep), selected)
+            key = ("selected", id(rows), len(rows), part, keep)
+            rows = _shared(key, lambda: _selected(rows, part, keep, source))
     return rows if change is None else Rows(range(len(rows)), partial(_changed_row, change, rows))
 
 
@@ -78,14 +78,12 @@ def _whole_split(source: RowSource, split: str | None, config: str | None, revis
         return _given_rows(source, split, config, revision)
     path = local_path(source)
     if path is None:
-        key: Hashable = ("hub", str(source), split, config, revision)
-        load = partial(load_with_datasets, str(source), split=split, config=config, revision=revision)
-        rows = _shared(key, partial(_once_in_a_while, key, load))
+        asked = str(source), split, config, revision
+        rows = _shared(("hub", *asked), lambda: _hub_rows(*asked))
     else:
         there = f"what is on the hub, and {str(path)!r} is here"
         _refuse(there, config=config if path.is_file() else None, revision=revision)
-        load = partial(_local_rows, path, split, config)
-        rows = _shared(("local", stamp(path), split, config), load)
+        rows = _shared(("local", stamp(path), split, config), lambda: _local_rows(path, split, config))
     _recent.append(rows)
     return rows
 
@@ -98,7 +96,7 @@ def _given_rows(source: Any, split: str | None, config: str | None, revision: st
     if not hasattr(source, "__len__") or not hasattr(source, "__getitem__"):
         raise DatasetError(f"rows must be a sequence of mappings, not {type(source).__name__}")
     if is_from_datasets(source, "Dataset"):
-        return _shared(("given", source), partial(dataset_rows, source))
+        return _shared(("given", source), lambda: dataset_rows(source))
     return cast("Sequence[Row]", source)
 
 
@@ -112,6 +110,18 @@ def _local_rows(path: Path, split: str | None, config: str | None) -> Rows:
     if ending(path) in JSON_ENDINGS:
         return read_json(path)
     return load_with_datasets(path, split=None, config=None, revision=None)
+
+
+def _hub_rows(name: str, split: str | None, config: str | None, revision: str | None) -> Rows:
+    asked = name, split, config, revision
+    failed_at, message = _failures.get(asked, (float("-inf"), ""))
+    if time.monotonic() - failed_at < _HUB_PAUSE_S:
+        raise DatasetError(message)
+    try:
+        return load_with_datasets(name, split=split, config=config, revision=revision)
+    except DatasetError as error:
+        _failures[asked] = (time.monotonic(), str(error))
+        raise
 
 
 def _refuse(what: str, **choices: str | None) -> None:
@@ -204,15 +214,3 @@ def _shared(key: Hashable, load: Callable[[], Rows]) -> Rows:
     if rows is None:
         rows = _living[key] = load()
     return rows
-
-
-def _once_in_a_while(key: Hashable, load: Callable[[], Rows]) -> Rows:
-    """Load from the hub, unless that failed a moment ago."""
-    failed_at, message = _failures.get(key, (float("-inf"), ""))
-    if time.monotonic() - failed_at < _HUB_PAUSE_S:
-        raise DatasetError(message)
-    try:
-        return load()
-    except DatasetError as error:
-        _failures[key] = (time.monotonic(), str(error))
-        raise

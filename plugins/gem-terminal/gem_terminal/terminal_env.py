@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+from gem_core.data import chosen_index
 from gem_core.env.base import Env
 from gem_core.errors import ArgumentError, ResetNeededError, StateNotSupported
 from gem_core.suggestions import did_you_mean
@@ -359,11 +359,7 @@ class TerminalEnv(Env):
             raise ArgumentError("give one of the options task and index, not both")
         if "task" in options:
             return self._named(options["task"])
-        index = options["index"]
-        number = operator.index(index) if hasattr(index, "__index__") and not isinstance(index, bool) else -1
-        if not 0 <= number < self.num_tasks:
-            raise ArgumentError(f"options['index'] must be from 0 to {self.num_tasks - 1}, not {index!r}")
-        return number
+        return chosen_index(options, self.num_tasks)
 
     def _named(self, name: object) -> int:
         names = [task.name for task in self.tasks]
