@@ -94,11 +94,17 @@ def test_every_form_gives_the_same_rows(kind: str, tmp_path: Path) -> None:
     assert [dict(row) for row in pickle.loads(pickle.dumps(rows))] == expected
 
 
+@pytest.mark.filterwarnings("ignore:Length of header or names")
 def test_values_of_csv_stay_as_they_are_written(tmp_path: Path) -> None:
-    """An answer 007, 1.50, NA or an empty one is a text, and no number or nothing."""
-    path = tmp_path / "a.csv"
-    path.write_text("question,answer\na,007\nb,1.50\nc,NA\nd,\n", encoding="utf-8")
+    """An answer 007, 1.50, NA or an empty one is a text, and no number or nothing; an index of pandas is left out."""
+    path = tmp_path / "sums[1].csv"
+    path.write_text(",question,answer\n0,a,007\n1,b,1.50\n2,c,NA\n3,d,\n", encoding="utf-8")
     assert [row["answer"] for row in load_rows(path)] == ["007", "1.50", "NA", ""]
+    path.write_text("question,answer\na,1,\nb,2,\n", encoding="utf-8")
+    assert [dict(row) for row in load_rows(path)] == [
+        {"question": "a", "answer": "1"},
+        {"question": "b", "answer": "2"},
+    ]
 
 
 def test_json_that_holds_lines_is_read_as_lines(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import glob
 import io
 import os
 import sys
@@ -52,15 +53,17 @@ def load_with_datasets(source: str | Path, *, split: str | None, config: str | N
 
 
 def _load_file(datasets: Any, path: Path) -> Any:
-    kind = ending(path)
+    kind, file_name = ending(path), glob.escape(str(path))
     if kind not in (".csv", ".tsv"):
-        return datasets.load_dataset(kind[1:], data_files=str(path))
-    # Every value is a text, as in the file: an answer 007, 1.50 or NA would become the number 7, 1.5 or nothing.
+        return datasets.load_dataset(kind[1:], data_files=file_name)
     separator = "\t" if kind == ".tsv" else ","
     with opened(path) as file, io.TextIOWrapper(file, "utf-8-sig", newline="") as text:
         header = next(csv.reader(text, delimiter=separator), [])
-    columns = datasets.Features({column: datasets.Value("string") for column in header})
-    return datasets.load_dataset("csv", data_files=str(path), sep=separator, features=columns, keep_default_na=False)
+    # Every value is the text in the file: an answer 007, 1.50 or NA would become the number 7, 1.5, or nothing, and
+    # where a row has more fields than the header, each would move to the column before its own.
+    columns = datasets.Features({column: datasets.Value("string") for column in header if column})
+    as_written = {"sep": separator, "features": columns, "keep_default_na": False, "index_col": False}
+    return datasets.load_dataset("csv", data_files=file_name, **as_written)
 
 
 def dataset_rows(dataset: Any) -> Rows:

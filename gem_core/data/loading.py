@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import threading
 import time
@@ -74,7 +75,7 @@ def load_rows(
 
 
 def _whole_split(source: RowSource, split: str | None, config: str | None, revision: str | None) -> Sequence[Row]:
-    if not isinstance(source, str | Path):
+    if not isinstance(source, str | os.PathLike):
         return _given_rows(source, split, config, revision)
     path = local_path(source)
     if path is None:
@@ -157,7 +158,7 @@ def _selected(
         total = len(indices)
         indices = array("q", (index for index in indices if _called("row_filter", keep, rows, index)))
         if not indices:
-            where = f" of {str(source)!r}" if isinstance(source, str | Path) else ""
+            where = f" of {str(source)!r}" if isinstance(source, str | os.PathLike) else ""
             raise DatasetError(f"row_filter leaves none of the {total} rows{where}")
     return Rows(indices, rows.__getitem__)
 
