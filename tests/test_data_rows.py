@@ -432,31 +432,6 @@ def test_registered_file_is_made_and_planned(lines: Path, own_registry: Registry
         assert [episode.transitions[-1].reward for episode in episodes] == [1.0] * 4
 
 
-def test_braces_of_a_problem_survive() -> None:
-    """Only places of the template are filled, and what fills them is not read again."""
-    rows = [{"question": "{level} of {question} in \\frac{1}{2}", "answer": "1", "level": "{answer}"}]
-    env = gem.DatasetEnv(rows, prompt_template="{level}: {question} {}{{x}}")
-    assert env.reset()[0] == "{answer}: {level} of {question} in \\frac{1}{2} {}{{x}}"
-
-
-def test_template_without_a_place_is_refused() -> None:
-    """The error names the places there could be, the gold answer's not among them."""
-    with pytest.raises(ArgumentError) as caught:
-        gem.DatasetEnv(ROWS, question_key="problem", prompt_template="Solve {questoin}: {answer}")
-    assert str(caught.value) == (
-        "prompt_template shows nothing of a row: 'Solve {questoin}: {answer}'. "
-        "It may name {question} or a column: {problem}, {level}"
-    )
-
-
-def test_later_row_without_a_column_is_an_error_at_its_reset() -> None:
-    """Columns of JSON lines may differ from row to row."""
-    env = gem.DatasetEnv([{"question": "a", "answer": "b"}, {"question": "a"}])
-    env.reset(options={"index": 0})
-    with pytest.raises(DatasetError, match=r"row 1 has no column 'answer'\. Columns: 'question'"):
-        env.reset(options={"index": 1})
-
-
 @pytest.mark.parametrize("given", [{}, {"rows": ROWS, "dataset_name": "x"}])
 def test_rows_or_a_name_must_be_given(given: dict[str, Any]) -> None:
     """Exactly one of them."""
