@@ -53,7 +53,7 @@ class ServerFault(Exception):
         transient: Whether the same request may be answered later.
         retry_after: Seconds that the server asks to wait.
         unreachable: Whether there was no connection at all.
-        body: All that the server said.
+        body: All that the server said, without the key.
     """
 
     message: str
@@ -243,9 +243,9 @@ class ChatClient:
             proxy=link.proxy,
         ) as response:
             text = (await response.read()).decode("utf-8-sig", "replace")
+            text = self._without_key(text, _SHORTEST_IN_ANSWER if response.status == 200 else _SHORTEST_SECRET)
             if response.status != 200:
                 raise self._refusal(response, text)
-        text = self._without_key(text, _SHORTEST_IN_ANSWER)
         in_chunks = request.streamed and "json" not in response.headers.get("Content-Type", "")
         try:
             answer = _joined(text) if in_chunks else json.loads(text)
