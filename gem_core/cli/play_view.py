@@ -9,11 +9,12 @@ import click
 
 from gem_core.agents.answer_form import AnswerForm
 from gem_core.cli.play_session import PlaySession
-from gem_core.cli.terminal import BLOCK, Terminal, observation_text, printable
+from gem_core.env.base import Env
 from gem_core.env.observations import split_observation
 from gem_core.errors import SamplingNotSupported
 from gem_core.records.episode import Episode, Transition
 from gem_core.records.plain_json import ImageFolder
+from gem_core.terminal import BLOCK, Terminal, observation_text, printable
 from gem_core.types import TERMINAL_STATE, Info, Observation
 
 _LONGEST_ACTION = 60
@@ -133,8 +134,8 @@ class PlayView:
 
     def _example(self) -> str:
         # An answer drawn from a data set may be the right one.
-        form = self._session.form()
-        if form and isinstance(getattr(self._session.env.unwrapped, "num_tasks", None), int):
+        form, task = self._session.form(), self._session.env.unwrapped
+        if form and isinstance(task, Env) and task.num_tasks is not None:
             return f"The form of an answer: {in_one_line(str(form))}"
         try:
             return f"A valid action, for example: {in_one_line(self._session.random_action())}"
@@ -144,7 +145,9 @@ class PlayView:
     # Observations.
 
     def _text(self, observation: Observation) -> str:
-        return observation_text(observation, self._images)
+        images = self._images
+        save_image = None if images is None else lambda image: images.path / images.write(image)
+        return observation_text(observation, save_image)
 
     def _laid_out(self, observation: Observation, info: Info) -> None:
         feedback, suffix = split_observation(observation, info)

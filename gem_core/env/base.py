@@ -49,7 +49,8 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
                 right = extract_last_boxed_answer(action) == self.word[::-1]
                 return TERMINAL_STATE, float(right), True, False, {"correct": right}
 
-    It may override ``sample_random_action``, ``render`` and ``close``, and ``_get_state`` with ``_set_state``.
+    It may override ``sample_random_action``, ``render`` and ``close``, and ``_get_state`` with ``_set_state``. Where
+    ``reset`` takes ``options={"index": i}``, it sets ``num_tasks``.
     ``gem_core.testing.check_env`` tries whether it keeps what this class promises.
 
     A response is untrusted text of a model: any string gives an observation and a reward, in bounded time.

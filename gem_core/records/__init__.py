@@ -11,7 +11,7 @@ from gem_core.records.files import (
     read_episodes,
     write_episodes,
 )
-from gem_core.records.plain_json import from_plain, to_plain
+from gem_core.records.plain_json import ImageFolder, from_plain, to_plain
 from gem_core.records.plans import EpisodeStart, PlanItem
 from gem_core.records.summary import EnvSummary, RunSummary
 from gem_core.records.turns import Turn, without_thinking
@@ -23,6 +23,7 @@ __all__ = [
     "EpisodeLine",
     "EpisodeStart",
     "EpisodeWriter",
+    "ImageFolder",
     "PlanItem",
     "RunSummary",
     "Transition",

@@ -9,7 +9,7 @@ from gem_core.env.observations import is_messages, observation_from, split_obser
 from gem_core.records.turns import Turn, call_id, with_actions
 from gem_core.types import TERMINAL_STATE, Info, Observation, Response
 
-Message = dict[str, Any]
+ChatMessage = dict[str, Any]
 
 CONCAT_WITH_ACTION = "concat_with_action"
 
@@ -38,7 +38,7 @@ class Recorded(Protocol):
 
 
 class Conversation:
-    """What was said in an episode so far, read from its record, each turn once and when somebody asks.
+    """What was said in an episode so far, read from its record; each turn is read once, when it is asked for.
 
     The messages are append-only: each answer of the environment keeps how things stood then.
 
@@ -50,7 +50,7 @@ class Conversation:
 
     def __init__(self, episode: Recorded) -> None:
         self._episode = episode
-        # A record that does not say what was sent is of an earlier version, and may have had a view.
+        # Records of earlier versions do not say what was sent; they may have had a view.
         self._viewed = "view" in episode.info or episode.reads is None
         self.system = self._system()
         self._instructions = self._in_both_wordings()
@@ -67,7 +67,7 @@ class Conversation:
         shown: Observation = self._explained_once(newest)
         return shown
 
-    def messages(self) -> list[Message]:
+    def messages(self) -> list[ChatMessage]:
         """Return the chat so far; the list and its messages are the caller's own."""
         self._catch_up()
         return [dict(message) for message in self._chat]
@@ -93,7 +93,7 @@ class Conversation:
             else:
                 self._chat += [assistant_message(turn), *self._explained_once(answer_messages(turn))]
 
-    def _opening(self) -> list[Message]:
+    def _opening(self) -> list[ChatMessage]:
         task = self._explained_once(self._task)
         if is_messages(task):  # the environment, or a wrapper that is no view of ours, keeps the chat itself
             return _with_system(task, self.system)
@@ -125,14 +125,14 @@ class Conversation:
         return observation, ""  # a wrapper that is no view has changed it
 
 
-def opening_messages(system: str | None, task: Observation) -> list[Message]:
+def opening_messages(system: str | None, task: Observation) -> list[ChatMessage]:
     """Return the messages with which a chat begins."""
     return _with_system([{"role": "user", "content": task}], system)
 
 
-def assistant_message(turn: Turn, *, keep_reasoning: bool = False) -> Message:
+def assistant_message(turn: Turn, *, keep_reasoning: bool = False) -> ChatMessage:
     """Return a response as a message, with those native calls that were answered."""
-    message: Message = {"role": "assistant", "content": turn.action}
+    message: ChatMessage = {"role": "assistant", "content": turn.action}
     if turn.tool_calls and turn.messages is not None:
         message["tool_calls"] = [{**call, "id": call_id(call, place)} for place, call in enumerate(turn.tool_calls)]
     if keep_reasoning and turn.reasoning:
@@ -140,14 +140,14 @@ def assistant_message(turn: Turn, *, keep_reasoning: bool = False) -> Message:
     return message
 
 
-def answer_messages(turn: Turn, *, with_suffix: bool = True) -> list[Message]:
+def answer_messages(turn: Turn, *, with_suffix: bool = True) -> list[ChatMessage]:
     """Return what the environment answered: under the ids of native calls, or as the user."""
     if turn.messages is not None:
         return [dict(message) for message in turn.messages]
     return [{"role": "user", "content": observation_from(turn.feedback, turn.suffix if with_suffix else "")}]
 
 
-def _with_system(messages: Observation, system: str | None) -> list[Message]:
+def _with_system(messages: Observation, system: str | None) -> list[ChatMessage]:
     chat = [dict(message) for message in messages if isinstance(message, dict)]
     if system is not None and not any(message.get("role") in ("system", "developer") for message in chat):
         chat.insert(0, {"role": "system", "content": system})

@@ -161,11 +161,11 @@ class Episode:
             images: Where images are written; None leaves their content out.
         """
         fields = {name: value for name, value in vars(self).items() if name != "transitions"}
-        # By their number first: to write a data set out only to find it long would take its time for every episode.
+        # Long collections go before they are converted: a data set would take seconds for every episode.
         fields["kwargs"] = {name: value for name, value in self.kwargs.items() if not _has_many_parts(value)}
         record = {name: to_plain(value, images) for name, value in fields.items()}
         kept = {name: value for name, value in record["kwargs"].items() if len(str(value)) <= _LONG_ARGUMENT}
-        # Files are handed on: to whoever trains on them, or looks at them.
+        # Files are shared with other people.
         record["kwargs"], record["wrappers"] = without_secrets(kept), without_secrets(record["wrappers"])
         record["transitions"] = [
             {

@@ -9,7 +9,7 @@ from gem_core.env.observations import observation_from
 from gem_core.env.spaces import Messages
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, StateNotSupported
-from gem_core.records.conversation import Message, answer_messages, assistant_message, opening_messages
+from gem_core.records.conversation import ChatMessage, answer_messages, assistant_message, opening_messages
 from gem_core.records.turns import Turn
 from gem_core.types import Observation, ResetResult
 from gem_core.wrappers.views import ObservationView
@@ -69,7 +69,7 @@ class MessagesView(ObservationView):
         """Return the messages."""
         return self.messages(task, turns, suffix)
 
-    def messages(self, task: Observation, turns: list[Turn], suffix: Observation) -> list[Message]:
+    def messages(self, task: Observation, turns: list[Turn], suffix: Observation) -> list[ChatMessage]:
         """Return the chat so far."""
         system = self.system if self.system is not None else self._task_system
         first_suffix = self._first_suffix if self.repeat_suffix or not turns else ""
@@ -144,7 +144,7 @@ class ConcatChat(MessagesView):
             bridge = bridge[len(end_of_turn) :]
         return bridge
 
-    def _render(self, messages: list[Message]) -> str:
+    def _render(self, messages: list[ChatMessage]) -> str:
         text = self.tokenizer.apply_chat_template(
             messages, tokenize=False, add_generation_prompt=True, **self.template_options
         )
