@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import pytest
-from held_envs import GATES, KINDS, LONG_S, register_held
+from held_envs import BEGUN, GATES, KINDS, LONG_S, register_held
 from toys import sampling_agent
 
 import gem_core as gem
@@ -31,6 +31,7 @@ BACKENDS = ("sync", "async", "process")
 def _held() -> None:
     register_held()
     GATES.clear()
+    BEGUN.clear()
 
 
 def run(coroutine: Coroutine[Any, Any, T]) -> T:
@@ -187,11 +188,16 @@ def test_the_loop_goes_on_while_environments_are_slow(kind: str, wrappers: str, 
 def test_the_loop_goes_on_while_what_an_abandoned_run_left_is_waited_for() -> None:
     """A run that begins in a vector environment of which another was stopped."""
 
+    async def agent(observation: gem.Observation, context: Context) -> str:
+        while context.episode != "0.0" and not BEGUN:
+            await asyncio.sleep(0)  # until the step that is held up has begun
+        return "a"
+
     async def main() -> None:
         plan = [PlanItem(kwargs={"gate": "left"}), *lasting(1, 1)]
         begin = asyncio.Event()
         with gem.make_vec(KINDS["thread"], 2, seed=0) as vector:
-            first = gem.arollout(vector, answer_a, plan=plan)
+            first = gem.arollout(vector, agent, plan=plan)
             await anext(first)
             await first.aclose()  # type: ignore[attr-defined]  # it is a generator
             begin.set()
