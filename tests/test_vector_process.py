@@ -144,7 +144,6 @@ def test_a_batch_of_deaths_loses_nothing() -> None:
 def test_times_are_read_while_a_worker_changes_them() -> None:
     """A command that ends between two looks is no error."""
     with tempfile.TemporaryFile() as file:
-        file.truncate(16)
         theirs, ours = CommandTimes(2, file.fileno()), CommandTimes(2, file.fileno())
     over = threading.Event()
 

@@ -24,7 +24,6 @@ from gem_core.rollouts.agent import Agent, Reading, as_agent, is_asynchronous, p
 from gem_core.rollouts.loop import EpisodeLoop
 from gem_core.rollouts.requests import AgentRequests
 from gem_core.rollouts.resume import FinishedEpisodes, finished_episodes
-from gem_core.vector.backends import around
 from gem_core.vector.setup import IdOrIds
 from gem_core.vector.vector_env import VectorEnv
 
@@ -183,7 +182,7 @@ class _Run:
             raise ArgumentError(
                 f"rollout takes a vector environment, an environment, an id or several, not {self.env!r:.200}"
             )
-        return around(self.env, seed=self.seed, keep_open=True, plain=plain)
+        return VectorEnv.around(self.env, seed=self.seed, keep_open=True, plain=plain)
 
     def queue(self, vector: VectorEnv, finished: FinishedEpisodes) -> EpisodeQueue:
         """Return what the episodes start from, those left out that are finished."""

@@ -6,15 +6,12 @@ Each takes a ``VectorSetup`` and, by keyword, its own options; plugins add more 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, cast
-
-from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError
 from gem_core.types import Concurrency
 from gem_core.vector.local import LocalExecutor, SyncExecutor
 from gem_core.vector.setup import VectorSetup
 from gem_core.vector.vector_env import VectorEnv
+from gem_core.vector.workers.process import ProcessExecutor
 
 
 def sync(setup: VectorSetup) -> VectorEnv:
@@ -58,8 +55,6 @@ def processes(setup: VectorSetup, *, workers: int | None = None, worker_memory_b
         worker_memory_bytes: Address space that a worker may use; beyond it, an environment meets a ``MemoryError``.
             None for as much as there is.
     """
-    from gem_core.vector.workers.process import ProcessExecutor
-
     return VectorEnv(setup, ProcessExecutor(setup, workers=workers, worker_memory_bytes=worker_memory_bytes))
 
 
@@ -72,8 +67,6 @@ def auto(setup: VectorSetup, *, workers: int | None = None, worker_memory_bytes:
     in_workers = {env_id: _needs_worker(setup, setup.concurrency(env_id)) for env_id in setup.all_ids}
     if not any(in_workers.values()):
         return VectorEnv(setup, _local(setup))
-    from gem_core.vector.workers.process import ProcessExecutor
-
     remote = ProcessExecutor(setup, workers=workers, worker_memory_bytes=worker_memory_bytes)
     if all(in_workers.values()):
         return VectorEnv(setup, remote)
@@ -85,34 +78,6 @@ def auto(setup: VectorSetup, *, workers: int | None = None, worker_memory_bytes:
         return int(in_workers[env_id])
 
     return VectorEnv(setup, _local(setup), remote, executor_of=executor_of)
-
-
-def around(
-    env: AnyEnv, *, seed: int | None = None, on_error: str = "truncate", keep_open: bool = False, plain: bool = True
-) -> VectorEnv:
-    """Return a vector environment of one slot around a given environment; see ``VectorEnv.around``.
-
-    Args:
-        env: What the slot begins with.
-        seed: Seed of the run; None draws one.
-        on_error: ``"truncate"`` or ``"raise"``.
-        keep_open: Leave closing ``env`` to the caller.
-        plain: Run it in the calling thread, whatever its ``concurrency``.
-    """
-    spares = [env]
-    own_id = getattr(env.unwrapped, "env_id", None)
-
-    def factory(env_id: str | None, overrides: Mapping[str, Any]) -> AnyEnv:
-        if env_id is not None and env_id != own_id:
-            raise ArgumentError(f"the plan asks for {env_id!r}, and the environment given is {env}")
-        if spares and not overrides:
-            return spares.pop()
-        return cast("AnyEnv", env.get_wrapper_attr("spawn")(**overrides))
-
-    setup = VectorSetup([own_id], [{}], [(own_id, {})], seed=seed, on_error=on_error, factory=factory)  # type: ignore[arg-type,list-item]  # checked there
-    executor = SyncExecutor(setup) if plain else LocalExecutor(setup)
-    executor.runners[0].borrowed = env if keep_open else None
-    return VectorEnv(setup, executor)
 
 
 def _needs_worker(setup: VectorSetup, concurrency: Concurrency | None) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mmap
+import os
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -95,11 +96,13 @@ class CommandTimes:
 
     Args:
         slots: Number of slots.
-        file: Number of an open file of eight bytes for each slot, and eight at least; None for memory of this process.
+        file: Number of an open file, which is given the size that it needs; None for memory of this process.
     """
 
     def __init__(self, slots: int, file: int | None = None) -> None:
         size = max(8, 8 * slots)
+        if file is not None:
+            os.ftruncate(file, size)
         self._since = memoryview(bytearray(size) if file is None else mmap.mmap(file, size)).cast("d")
 
     def begin(self, slot: int) -> None:

@@ -33,7 +33,7 @@ class VectorSetup:
     """What a vector environment is made from; see ``make_vec``, which gives it to a backend.
 
     Args:
-        ids: Id of each slot's own environment.
+        ids: Id of each slot's own environment; None for one that has no id.
         slot_kwargs: Keyword arguments of each slot's own environment, over ``kwargs``.
         entries: Every id that was asked for with its keyword arguments, once.
         wrappers: Put around each environment.
@@ -47,9 +47,9 @@ class VectorSetup:
         records: Records of environments that go before those of the registry, as a worker is sent them.
     """
 
-    ids: list[str]
+    ids: Sequence[str | None]
     slot_kwargs: list[Mapping[str, Any]]
-    entries: list[IdWithKwargs]
+    entries: Sequence[tuple[str | None, Mapping[str, Any]]]
     wrappers: Wrappers = ()
     kwargs: Mapping[str, Any] = field(default_factory=dict)
     seed: int | None = None
@@ -96,7 +96,7 @@ class VectorSetup:
     @property
     def all_ids(self) -> list[str]:
         """Every id that was asked for, once."""
-        return list(dict.fromkeys(env_id for env_id, _ in self.entries))
+        return list(dict.fromkeys(env_id for env_id, _ in self.entries if env_id is not None))
 
     def rules(self) -> Rules:
         """Return what all slots share."""

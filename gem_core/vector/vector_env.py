@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from gem_core.vector.actions import Actions, Received, VectorStep, checked_slot,
 from gem_core.vector.call import Call
 from gem_core.vector.commands import Failure
 from gem_core.vector.executor import Executor
+from gem_core.vector.local import LocalExecutor, SyncExecutor
 from gem_core.vector.scheduler import Batch, First, Scheduler, StepBatch
 from gem_core.vector.setup import VectorSetup
 from gem_core.vector.slot import LIVE, Autoreset, OnError, Slot
@@ -61,7 +62,13 @@ class VectorEnv:
 
     @classmethod
     def around(
-        cls, env: AnyEnv, *, seed: int | None = None, on_error: str = "truncate", keep_open: bool = False
+        cls,
+        env: AnyEnv,
+        *,
+        seed: int | None = None,
+        on_error: OnError = "truncate",
+        keep_open: bool = False,
+        plain: bool = True,
     ) -> VectorEnv:
         """Return a vector environment of one slot, which begins with a given environment and does not make its own.
 
@@ -72,10 +79,22 @@ class VectorEnv:
             seed: Seed of the run; None draws one.
             on_error: ``"truncate"`` or ``"raise"``.
             keep_open: Leave closing ``env`` to the caller; replacements are closed in any case.
+            plain: Run it in the calling thread, whatever its ``concurrency``.
         """
-        from gem_core.vector.backends import around
+        spares = [env]
+        own_id = getattr(env.unwrapped, "env_id", None)  # any environment of Gymnasium's may be given
 
-        return around(env, seed=seed, on_error=on_error, keep_open=keep_open)
+        def factory(env_id: str | None, overrides: Mapping[str, Any]) -> AnyEnv:
+            if env_id is not None and env_id != own_id:
+                raise ArgumentError(f"the plan asks for {env_id!r}, and the environment given is {env}")
+            if spares and not overrides:
+                return spares.pop()
+            return cast("AnyEnv", env.get_wrapper_attr("spawn")(**overrides))
+
+        setup = VectorSetup([own_id], [{}], [(own_id, {})], seed=seed, on_error=on_error, factory=factory)
+        executor = SyncExecutor(setup) if plain else LocalExecutor(setup)
+        executor.runners[0].borrowed = env if keep_open else None
+        return cls(setup, executor)
 
     @property
     def _slots(self) -> list[Slot]:

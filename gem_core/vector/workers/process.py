@@ -76,12 +76,10 @@ class ProcessLink(WorkerLink):
 
     def __init__(self, executor: ProcessExecutor) -> None:
         super().__init__(executor)
-        slots = len(executor.setup.ids)
         ours, theirs = socket.socketpair()
         lifeline, held = os.pipe()
         with theirs, tempfile.TemporaryFile() as times:
-            times.truncate(max(8, 8 * slots))
-            self._times = CommandTimes(slots, times.fileno())
+            self._times = CommandTimes(len(executor.setup.ids), times.fileno())
             files = theirs.fileno(), lifeline, times.fileno()
             path = json.dumps([entry or os.getcwd() for entry in sys.path])
             arguments = *files, executor.worker_memory_bytes or 0
@@ -105,11 +103,6 @@ class ProcessLink(WorkerLink):
         _thread("gem-reap", _reap, self._process, self._connection, reading, self._outbox)
         self.started_by = os.getpid()
         _links.add(self)
-
-    @property
-    def pid(self) -> int:
-        """Number of the process."""
-        return self._process.pid
 
     def send(self, data: bytes) -> None:
         """Hand bytes to the worker without waiting for it."""

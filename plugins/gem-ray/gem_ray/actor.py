@@ -34,14 +34,12 @@ class EnvActor:
 
     Args:
         setup: What environments are made from.
-        slots: Number of slots.
         path: ``sys.path`` of the program; what of it exists here is searched last.
     """
 
-    def __init__(self, setup: bytes, slots: int, path: list[str]) -> None:
+    def __init__(self, setup: bytes, path: list[str]) -> None:
         sys.path.extend(entry for entry in path if entry not in sys.path and os.path.exists(entry))
         file, self._times = tempfile.mkstemp(prefix="gem-times-")
-        os.truncate(file, max(8, 8 * slots))
         self._worker = Worker(setup, file)
         os.close(file)
 

@@ -106,7 +106,7 @@ class RayLink(WorkerLink):
         self._over = self._buried = False
         self.place: Place | None = None
         """Where it lives; None until it has started."""
-        self.actor: Any = actor_class(dict(options)).remote(executor.packed, slots, [each for each in sys.path if each])
+        self.actor: Any = actor_class(dict(options)).remote(executor.packed, [each for each in sys.path if each])
         stream = self.actor.give.remote()
         self._ended = weakref.finalize(self, kill, self.actor)
         self._ended.atexit = False  # Ray ends before that; see end_at_exit
