@@ -374,24 +374,23 @@ class Scheduler:
         for executor in self.executors:
             for index, since in executor.running().items():
                 if now - since >= limit:
-                    self._abandon(executor, index, since)
+                    self._abandon(executor, index, limit)
                 else:
                     oldest = min(oldest, since)
         # In a worker commands wait for one another, and how long one takes may be known only a look later.
         self._check_at = now + min(max(0.001, oldest + limit - now), max(0.02, limit / 8))
         return self._check_at - now
 
-    def _abandon(self, executor: Executor, index: int, since: float) -> None:
+    def _abandon(self, executor: Executor, index: int, limit: float) -> None:
         with self._lock:
-            ticket = self._tickets[index]
             # Asked again, since it may have come back, and gone on, in the meantime.
-            if ticket is None or executor.running().get(index) != since or not self._claim(index, ticket):
+            now, ticket = time.monotonic(), self._tickets[index]
+            is_overdue = now - executor.running().get(index, now) >= limit
+            if not is_overdue or ticket is None or not self._claim(index, ticket):
                 return
 
         def took() -> Command | None:
-            failure = Failure(
-                "timeout", f"a step or reset took longer than step_timeout, {self.rules.step_timeout:g} s"
-            )
+            failure = Failure("timeout", f"a step or reset took longer than step_timeout, {limit:g} s")
             executor.abandon(index, failure)
             return self.slots[index].took(failure)
 
