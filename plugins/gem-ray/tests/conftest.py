@@ -36,6 +36,23 @@ def toys() -> None:
     register_toys()
 
 
+@pytest.fixture
+def executors(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The executors that have started an actor in this test, in order; ``links`` of each are its actors."""
+    from gem_ray.backend import RayExecutor
+
+    found: list[Any] = []
+    start_worker = RayExecutor.start_worker
+
+    def noted(self: Any) -> Any:
+        if self not in found:
+            found.append(self)
+        return start_worker(self)
+
+    monkeypatch.setattr(RayExecutor, "start_worker", noted)
+    return found
+
+
 @pytest.fixture(scope="module")
 def ray_folder(toys: None) -> Iterator[str]:
     """A folder for a Ray, given to one process of this machine at a time: several Rays at once need too much memory."""

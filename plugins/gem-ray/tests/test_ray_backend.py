@@ -49,11 +49,6 @@ def plain(num_envs: int, turns: list[list[str]]) -> list[list[Any]]:
     return observed(gem.make_vec("raytoy:Tally-v0", num_envs, backend="sync", seed=1), turns)
 
 
-def link(vector: gem.VectorEnv, actor: int = 0) -> Any:
-    """Return the link to an actor."""
-    return vector._scheduler.executors[0].links[actor]  # type: ignore[attr-defined]  # a RayExecutor has them
-
-
 def test_trajectories_are_those_of_sync(vec: Callable[..., gem.VectorEnv]) -> None:
     """The same seed and actions give the same, over the ends of episodes, with several environments an actor."""
     turns = [[f"{turn} {slot}" for slot in range(5)] for turn in range(30)]
@@ -95,13 +90,13 @@ def test_what_hangs_is_killed_past_step_timeout(vec: Callable[..., gem.VectorEnv
 
 
 @pytest.mark.thorough
-def test_an_idle_actor_that_is_killed_costs_nothing(vec: Callable[..., gem.VectorEnv]) -> None:
+def test_an_idle_actor_that_is_killed_costs_nothing(vec: Callable[..., gem.VectorEnv], executors: list[Any]) -> None:
     """Nothing ran: what was there is replayed in a new actor."""
     import ray
 
     vector = vec(2)
     seen = observed(vector, [["a", "a"]])
-    old = link(vector)
+    (old,) = executors[0].links
     ray.kill(old.actor)
     old._reading.join(LONG_S)
     seen = [[*each, step] for each, step in zip(seen, zip(*vector.step(["a", "a"]), strict=True), strict=True)]
@@ -109,7 +104,9 @@ def test_an_idle_actor_that_is_killed_costs_nothing(vec: Callable[..., gem.Vecto
     assert vector.faults == 0
 
 
-def test_an_actor_killed_in_a_step_is_a_truncated_slot(vec: Callable[..., gem.VectorEnv], tmp_path: Path) -> None:
+def test_an_actor_killed_in_a_step_is_a_truncated_slot(
+    vec: Callable[..., gem.VectorEnv], executors: list[Any], tmp_path: Path
+) -> None:
     """The one that ran; the other, which waited for its turn, goes on."""
     import ray
 
@@ -120,7 +117,7 @@ def test_an_actor_killed_in_a_step_is_a_truncated_slot(vec: Callable[..., gem.Ve
     vector.send([f"await {pipe}", "a"])
     # Opened for writing once the environment has opened it for reading, and then never written to.
     with open(pipe, "w"):
-        ray.kill(link(vector).actor)
+        ray.kill(executors[0].links[0].actor)
         received = vector.recv(min_envs=2, timeout=LONG_S)
     by_slot = dict(zip(received.slots, received.infos, strict=True))
     assert by_slot[0]["final_info"]["error"]["kind"] == "died"
@@ -191,21 +188,24 @@ def test_rollouts_sample_in_the_actors(vec: Callable[..., gem.VectorEnv]) -> Non
 
 
 @pytest.mark.thorough
-def test_close_leaves_no_actor_and_keeps_the_connection(vec: Callable[..., gem.VectorEnv]) -> None:
+def test_close_leaves_no_actor_and_keeps_the_connection(
+    vec: Callable[..., gem.VectorEnv], executors: list[Any]
+) -> None:
     """The program's own connection is not ours to cut."""
     import ray
     from ray._private.state import actors
 
     vector = vec(3, options={"num_actors": 2})
     vector.reset()
-    ids = [link(vector, number).actor._actor_id.hex() for number in range(2)]
+    ids = [link.actor._actor_id.hex() for link in executors[0].links]
     vector.close()
     assert ray.is_initialized()
     assert [actors(actor_id=each)["State"] for each in ids] == ["DEAD", "DEAD"]
 
 
-def test_there_are_no_more_actors_than_slots(vec: Callable[..., gem.VectorEnv]) -> None:
+def test_there_are_no_more_actors_than_slots(vec: Callable[..., gem.VectorEnv], executors: list[Any]) -> None:
     """By default, and when more are asked for."""
     for number in (None, 9):
         vector = vec(1, options={"num_actors": number, "num_cpus": 0.5})
-        assert len(vector._scheduler.executors[0].links) == 1  # type: ignore[attr-defined]  # a RayExecutor has them
+        vector.reset()
+        assert len(executors[-1].links) == 1

@@ -36,9 +36,9 @@ def vec(cluster: Any) -> Iterator[Callable[..., gem.VectorEnv]]:
         each.close()
 
 
-def places(vector: gem.VectorEnv) -> list[str]:
-    """Return the node of each actor."""
-    return [link.place.node for link in vector._scheduler.executors[0].links]  # type: ignore[attr-defined]  # a RayExecutor
+def places(executors: list[Any]) -> list[str]:
+    """Return the node of each actor of the only vector environment."""
+    return [link.place.node for link in executors[0].links]
 
 
 def undisturbed(num_envs: int, turns: int) -> list[str]:
@@ -48,25 +48,27 @@ def undisturbed(num_envs: int, turns: int) -> list[str]:
     return [str(each) for each in [vector.step(["a"] * num_envs) for _ in range(turns)][-1].observations]
 
 
-def test_actors_are_spread_over_the_nodes(vec: Callable[..., gem.VectorEnv]) -> None:
+def test_actors_are_spread_over_the_nodes(vec: Callable[..., gem.VectorEnv], executors: list[Any]) -> None:
     """By default; the connection that was made for them ends with them, and the cluster goes on."""
     import ray
 
     vector = vec(4, {"num_actors": 2})
     vector.reset()
-    assert len(set(places(vector))) == 2
+    assert len(set(places(executors))) == 2
     assert vector.step(["a"] * 4).observations == undisturbed(4, 1)
     vector.close()
     assert not ray.is_initialized()
 
 
-def test_on_another_node_the_slot_that_ended_the_process_is_known(vec: Callable[..., gem.VectorEnv]) -> None:
+def test_on_another_node_the_slot_that_ended_the_process_is_known(
+    vec: Callable[..., gem.VectorEnv], executors: list[Any]
+) -> None:
     """Though nothing of its memory can be read from here."""
     import ray
 
     vector = vec(3, FAR)
     vector.reset()
-    assert places(vector) != [ray.get_runtime_context().get_node_id()]
+    assert places(executors) != [ray.get_runtime_context().get_node_id()]
     step = vector.step(["a", "exit 3", "a"])
     assert step.truncated.tolist() == [False, True, False]
     assert step.infos[1]["final_info"]["error"]["kind"] == "died"
@@ -107,7 +109,9 @@ def test_a_script_that_ends_without_closing_leaves_no_actor(cluster: Any, tmp_pa
             options = {{"num_actors": 2, "address": "{cluster.address}"}}
             vec = gem.make_vec("mine:Double-v0", 2, backend=("ray", options))
             vec.reset()
-            ids = [link.actor._actor_id.hex() for link in vec._scheduler.executors[0].links]
+            from ray._private.state import actors
+            kind = "EnvActor", "ALIVE"
+            ids = [key for key, row in actors().items() if (row["ActorClassName"], row["State"]) == kind]
             print(json.dumps([vec.step(["a", "b"]).observations, ids]))
             """
         )
@@ -119,15 +123,17 @@ def test_a_script_that_ends_without_closing_leaves_no_actor(cluster: Any, tmp_pa
     assert {_state(cluster, actor_id) for actor_id in ids} == {"DEAD"}
 
 
-def test_the_end_of_a_node_is_survived(cluster: Any, vec: Callable[..., gem.VectorEnv], tmp_path: Path) -> None:
+def test_the_end_of_a_node_is_survived(
+    cluster: Any, vec: Callable[..., gem.VectorEnv], executors: list[Any], tmp_path: Path
+) -> None:
     """What ran there is truncated once, and goes on where there is room. The last test: the node does not come back."""
     import ray
 
     vector = vec(4, {"num_actors": 2})
     vector.reset()
     ours = ray.get_runtime_context().get_node_id()
-    assert sorted(place == ours for place in places(vector)) == [False, True]
-    lost = places(vector).index(next(place for place in places(vector) if place != ours))
+    assert sorted(place == ours for place in places(executors)) == [False, True]
+    lost = places(executors).index(next(place for place in places(executors) if place != ours))
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     vector.send({lost: f"await {pipe}", lost + 2: "a"})
@@ -138,7 +144,7 @@ def test_the_end_of_a_node_is_survived(cluster: Any, vec: Callable[..., gem.Vect
     assert by_slot[lost]["final_info"]["error"]["kind"] == "died"
     assert by_slot[lost + 2] == {"turn": 1}
     vector.step(["a"] * 4)
-    assert set(places(vector)) == {ours}
+    assert set(places(executors)) == {ours}
 
 
 def _state(cluster: Any, actor_id: str) -> str:
