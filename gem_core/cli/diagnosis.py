@@ -9,6 +9,7 @@ import os
 import platform
 import queue
 import re
+import shutil
 import sys
 import threading
 from collections import Counter
@@ -20,9 +21,9 @@ from typing import Any
 from gem_core import __version__
 from gem_core.progress import Progress
 from gem_core.registry.lookup import Registry, registry
-from gem_core.registry.plugins import Plugin
-from gem_core.registry.requirements import SERVICES, find, installed_version, which_gem
-from gem_core.registry.specs import EnvSpec, ToolSpec
+from gem_core.registry.plugins import Plugin, one_line
+from gem_core.registry.requirements import RequirementStatus, find, installed_version
+from gem_core.registry.specs import EnvSpec, RequirementSpec, ToolSpec
 from gem_core.testing.importing import TIMEOUT_S, imported
 
 PACKAGES = ("gymnasium", "numpy", "pydantic", "pluggy", "click", "rich")
@@ -100,16 +101,20 @@ def listed(plugin: Plugin | dict[str, Any]) -> str:
 def requirements(found: Registry) -> list[dict[str, Any]]:
     """Return every requirement of an environment, with what is known of it, those to act on first.
 
-    The services of the machine are in it whether an environment needs them or not.
+    What plugins offer a probe for, the hub and the network are in it whether an environment needs them or not.
     """
-    needing: dict[str, list[str]] = {service: [] for service in SERVICES}
+    needing: dict[str, list[str]] = {}
     for record in found.envs():
         for requirement in record.requires:
             needing.setdefault(requirement, []).append(record.id)
+    words = {requirement.partition(":")[0] for requirement in needing}
+    for word in [*(record.name for record in found.named(RequirementSpec)), "hub", "network"]:
+        if word not in words:
+            needing[word] = []
     rows = [
         {
             "requirement": requirement,
-            **vars(find(requirement, closely=True)),
+            **vars(_probed(requirement)),
             "environments": len(ids),
             "example": ids[0] if ids else None,
         }
@@ -117,6 +122,16 @@ def requirements(found: Registry) -> list[dict[str, Any]]:
     ]
     order = ["unmet", "unknown", "untried", "met"]
     return sorted(rows, key=lambda row: (not row["environments"], order.index(row["status"])))
+
+
+def _probed(requirement: str) -> RequirementStatus:
+    try:
+        status = find(requirement, closely=True)
+        if not isinstance(status, RequirementStatus):
+            raise TypeError(f"it returned {type(status).__name__}")
+    except Exception as error:  # noqa: BLE001 - a plugin's probe, which must not end the report
+        return RequirementStatus("unknown", f"its probe failed: {one_line(error)}")
+    return status
 
 
 def tool_statuses(found: Registry, timeout_s: float = 30.0) -> list[dict[str, Any]]:
@@ -241,3 +256,24 @@ def _runs_folder() -> dict[str, Any]:
         return {"status": "met" if writable else "unmet", "detail": "can be made" if writable else "cannot be made"}
     writable = runs.is_dir() and os.access(runs, os.W_OK | os.X_OK)
     return {"status": "met" if writable else "unmet", "detail": "is writable" if writable else "cannot be written to"}
+
+
+def which_gem() -> RequirementStatus:
+    """Tell whether the command ``gem`` of this PATH is ours; RubyGems has one of that name."""
+    path = shutil.which("gem")
+    if path is None:
+        return RequirementStatus(
+            "unmet", "no 'gem' is on the PATH", "activate its environment, or use 'python -m gem_core'"
+        )
+    if Path(path).resolve().parent == Path(sys.executable).parent.resolve():
+        return RequirementStatus("met", path)
+    try:
+        with open(path, "rb") as script:
+            ours = b"gem_core" in script.read(4096)
+    except OSError:
+        ours = False
+    if ours:
+        return RequirementStatus("met", f"{path}, of another installation of GEM")
+    return RequirementStatus(
+        "unmet", f"{path} is another program called 'gem'", "use 'gem-core', or 'python -m gem_core'"
+    )

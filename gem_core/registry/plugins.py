@@ -22,7 +22,16 @@ import pluggy
 
 from gem_core.errors import PluginError, RegistrationError
 from gem_core.registry import hookspecs
-from gem_core.registry.specs import AgentSpec, CommandSpec, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+from gem_core.registry.specs import (
+    AgentSpec,
+    CommandSpec,
+    EnvSpec,
+    NamedSpec,
+    RequirementSpec,
+    ToolSpec,
+    VectorBackendSpec,
+    WrapperSpec,
+)
 from gem_core.suggestions import did_you_mean
 
 logger = logging.getLogger(__name__)
@@ -36,6 +45,7 @@ RECORD_TYPES: dict[str, type[EnvSpec | NamedSpec]] = {
     "gem_register_wrappers": WrapperSpec,
     "gem_register_vector_backends": VectorBackendSpec,
     "gem_register_agents": AgentSpec,
+    "gem_register_requirements": RequirementSpec,
     "gem_add_commands": CommandSpec,
 }
 
