@@ -78,7 +78,7 @@ def complete_tools(ctx: click.Context, param: click.Parameter, incomplete: str) 
 
 def complete_ids_and_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
     """Return the ids that begin so, and behind a first letter the tools, wrappers, agents and backends."""
-    from gem_core.cli.tool_info import KINDS
+    from gem_core.cli.descriptions import KINDS
 
     found = complete_env_ids(ctx, param, incomplete)
     if not incomplete:
