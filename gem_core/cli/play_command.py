@@ -12,12 +12,12 @@ from gem_core.cli.completion import complete_env_ids, complete_wrappers
 from gem_core.cli.play_session import PlaySession
 from gem_core.cli.play_view import PlayView
 from gem_core.cli.run_command import free_path
-from gem_core.cli.terminal import EndOfInput, Terminal
 from gem_core.cli.tool_options import options_again, tool_options, wrapper_stack
 from gem_core.env.wrapper import AnyEnv
 from gem_core.records.episode import EpisodeWriter
 from gem_core.records.plain_json import ImageFolder
 from gem_core.registry.lookup import make, registry
+from gem_core.terminal import EndOfInput, Terminal
 
 
 @click.command(

@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import cast
 
 from gem_core.cli.play_view import PlayView, in_one_line
-from gem_core.cli.terminal import EndOfInput, Terminal
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, EnvFaultError, NotSupportedError
 from gem_core.records.episode import Episode, EpisodeWriter, Transition
@@ -21,6 +20,7 @@ from gem_core.records.plans import EpisodeQueue, EpisodeStart
 from gem_core.rollouts.agent import Context
 from gem_core.rollouts.drivers import default_plan, rollout
 from gem_core.suggestions import did_you_mean
+from gem_core.terminal import EndOfInput, Terminal
 from gem_core.types import Observation
 from gem_core.vector.env import VectorEnv
 
