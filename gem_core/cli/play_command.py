@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from contextlib import ExitStack, closing
 
 import click
@@ -12,7 +11,7 @@ from gem_core.cli.completion import complete_env_ids, complete_wrappers
 from gem_core.cli.play_session import PlaySession
 from gem_core.cli.play_view import PlayView
 from gem_core.cli.run_command import free_path
-from gem_core.cli.tool_options import options_again, tool_options, wrapper_stack
+from gem_core.cli.tool_options import call_again, tool_options, wrapper_stack
 from gem_core.env.wrapper import AnyEnv
 from gem_core.records.episode import EpisodeWriter
 from gem_core.records.plain_json import ImageFolder
@@ -117,11 +116,8 @@ def command(
             if writer is not None and not writer.count:
                 writer.discard()
             if view.began:
-                again = ["gem", "play", record.id, "--seed", str(session.seed)]
-                again += [] if max_turns is None else ["--max-turns", str(max_turns)]
-                again += [word for text in wrappers for word in ("--wrappers", text)]
-                again += [*options_again(tools, max_tool_uses), *["--raw"] * raw]
-                view.farewell(session.finished, out, shlex.join(again))
+                again = call_again(ctx, {"seed", "episodes", "out", "overwrite"}, "--seed", str(session.seed))
+                view.farewell(session.finished, out, again)
     if interrupted:
         click.echo("gem: interrupted", err=True)
         ctx.exit(INTERRUPTED)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import shlex
 import signal
 import threading
 import time
@@ -20,7 +21,7 @@ from gem_core.cli.agent_options import agent_options, given
 from gem_core.cli.completion import complete_agents, complete_backends, complete_env_ids, complete_wrappers
 from gem_core.cli.layout import echo_line
 from gem_core.cli.list_command import matching
-from gem_core.cli.tool_options import tool_options, wrapper_stack
+from gem_core.cli.tool_options import call_again, tool_options, wrapper_stack
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.registry.lookup import make_vec, registry
 from gem_core.registry.requirements import unmet
@@ -231,13 +232,12 @@ def _stop(
     ctx: click.Context, stopped_by: BaseException, count: int, total: int, path: Path, deaf: ExitStack
 ) -> NoReturn:
     """Say how a run that was stopped goes on, and end as what stopped it asks for."""
-    from gem_core.cli.resumed_run import command_to_go_on
-
     interrupted = isinstance(stopped_by, KeyboardInterrupt)
     if interrupted:
         click.echo(f"gem: interrupted after {count} of {total} episodes", err=True)
     if count:
-        click.echo(f"gem: go on with: {command_to_go_on(ctx, path)}", err=True)
+        again = call_again(ctx, {"seed", "out", "overwrite", "resume"})
+        click.echo(f"gem: go on with: {again} --resume {shlex.quote(str(path))}", err=True)
     deaf.close()
     if interrupted:
         ctx.exit(INTERRUPTED)
