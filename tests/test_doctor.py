@@ -221,14 +221,6 @@ def test_another_gem_on_the_path_is_told(
     assert finding.detail.endswith(end)
 
 
-def test_a_file_called_runs_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """``gem run`` could not write there."""
-    monkeypatch.chdir(tmp_path)
-    assert diagnosis._runs_folder() == {"status": "met", "detail": "can be made"}
-    (tmp_path / "runs").touch()
-    assert diagnosis._runs_folder() == {"status": "unmet", "detail": "cannot be written to"}
-
-
 def test_tools_say_what_is_in_force(toolbox_site: Path) -> None:
     """A line or facts, each in a row, and in the JSON as they are; a tool that says nothing is listed."""
     report = found([toolbox_site])

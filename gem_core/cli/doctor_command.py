@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from gem_core.cli.diagnosis import diagnose, listed, status_line
+from gem_core.cli.diagnosis import diagnose, offers_in_words, status_line
 from gem_core.cli.layout import output_width
 
 _WIDTH = 80  # at most
@@ -70,7 +70,7 @@ def _print_plugins(found: dict[str, Any]) -> None:
         state, colour = ("disabled", "yellow") if plugin["disabled"] else ("ok", "green")
         if failure:
             state, colour = "broken", "red"
-        what = f"at stage '{failure['stage']}'" if failure else "" if plugin["disabled"] else listed(plugin)
+        what = f"at stage '{failure['stage']}'" if failure else "" if plugin["disabled"] else offers_in_words(plugin)
         name = f"{plugin['name']} ({plugin['distribution']} {plugin['version']})"
         _row(f"{name}, {plugin['load_time_ms']:.1f} ms: {what}".removesuffix(": "), state, colour)
         if failure:
@@ -116,8 +116,10 @@ def _print_rest(found: dict[str, Any]) -> None:
         _row(f"{extra['extra']}: {packages}{advice}", state, colour)
     program = found["command"]
     advice = f"; {program['advice']}" if program["advice"] else ""
-    _row(f"command gem: {program['detail']}{advice}", *_ok(program["status"]))
-    _row(f"folder runs/: {found['runs']['detail']}", *_ok(found["runs"]["status"]))
+    _row(
+        f"command gem: {program['detail']}{advice}",
+        *(("ok", "green") if program["status"] == "met" else ("note", "yellow")),
+    )
 
 
 def _print_verdict(found: dict[str, Any]) -> None:
@@ -129,10 +131,6 @@ def _print_verdict(found: dict[str, Any]) -> None:
         _row(f"{len(unmet)} unmet requirement{'s' if len(unmet) > 1 else ''}, see the arrows above", "note", "yellow")
     if not found["broken"]:
         _row("nothing that is installed is broken", "ok", "green")
-
-
-def _ok(status: str) -> tuple[str, str]:
-    return ("ok", "green") if status == "met" else ("note", "yellow")
 
 
 def _heading(text: str) -> None:
