@@ -14,17 +14,14 @@ from typing import cast
 
 from gem_core.cli.play_view import PlayView, in_one_line
 from gem_core.env.wrapper import AnyEnv
-from gem_core.errors import ArgumentError, EnvFaultError, NotSupportedError
+from gem_core.errors import ArgumentError, EnvFaultError
 from gem_core.records.episode import Episode, EpisodeWriter, Transition
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
 from gem_core.rollouts.agent import Context
 from gem_core.rollouts.drivers import default_plan, rollout
-from gem_core.suggestions import did_you_mean
-from gem_core.terminal import EndOfInput, Terminal
+from gem_core.terminal import EndOfInput, Terminal, Typed, whole_command
 from gem_core.types import Observation
 from gem_core.vector.env import VectorEnv
-
-COMMANDS = ("help", "undo", "random", "restart", "next", "quit")
 
 
 class _PlayAgain(Exception):
@@ -159,41 +156,28 @@ class PlaySession:
             self._again = []
         self._show()
         self._show = self._view.turn
-        while True:
-            typed = self._terminal.ask(f"turn {context.turn + 1}> ")
-            try:
-                if typed.is_command:
-                    answer = self._obey(typed.text, context)
-                else:
-                    answer = typed.text if self._raw else self._view.form().around(typed.text, self._view.tools)
-            except (NotSupportedError, ArgumentError) as error:
-                self._terminal.show(f"{error}.", fg="yellow")
-                continue
-            if answer is not None:
-                return answer
+        return self._terminal.ask_for_answer(f"turn {context.turn + 1}> ", lambda typed: self._answer(typed, context))
 
-    def _obey(self, typed: str, context: Context) -> str | None:
-        """Do what a command says; return the answer that it gives, if it is one."""
-        found = [name for name in COMMANDS if name.startswith(typed.casefold())] if typed else []
-        match found:
-            case ["help"]:
+    def _answer(self, typed: Typed, context: Context) -> str | None:
+        """Return the answer that was typed, or that a command gives."""
+        if not typed.is_command:
+            return typed.text if self._raw else self._view.form().around(typed.text, self._view.tools)
+        match whole_command(typed.text, ("help", "undo", "random", "restart", "next", "quit")):
+            case "help":
                 self._view.help()
-            case ["random"]:
+                return None
+            case "random":
                 return context.sample_random_action()
-            case ["undo"]:
+            case "undo":
                 self._undo(context.transitions)
                 raise _PlayAgain
-            case ["restart"]:
+            case "restart":
                 self._restart()
                 raise _PlayAgain
-            case ["next"]:
+            case "next":
                 raise _PlayNext
-            case ["quit"]:
-                raise EndOfInput
             case _:
-                listed = ", ".join(f"!{name}" for name in found or COMMANDS)
-                raise ArgumentError(f"no command '!{typed}'.{did_you_mean(typed, COMMANDS)} There are: {listed}, and ?")
-        return None
+                raise EndOfInput
 
     def _undo(self, transitions: list[Transition]) -> None:
         if not transitions:

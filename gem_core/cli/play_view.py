@@ -80,10 +80,7 @@ class PlayView:
 
     def form(self) -> AnswerForm:
         """Return the form that answers have in the present state."""
-        try:
-            return AnswerForm.of_example(self._context.sample_random_action())
-        except SamplingNotSupported:
-            return AnswerForm.of_instructions(self._rules) if isinstance(self._rules, str) else AnswerForm()
+        return AnswerForm.of_task(self._observation, self._context)
 
     def opening(self) -> None:
         """Show what the present episode begins with."""
