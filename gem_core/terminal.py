@@ -20,7 +20,7 @@ from gem_core.types import Observation
 BLOCK = '"""'
 
 _MOST_COLUMNS = 100
-# What a terminal would obey rather than show. Colours (SGR) are let through where an environment draws.
+# Control characters, on which a terminal acts instead of showing them. Colours (SGR) pass where an environment draws.
 _CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _CONTROLS_BUT_COLOURS = re.compile(r"\x1b(?!\[[\d;]*m)|[\x00-\x08\x0b-\x1a\x1c-\x1f\x7f-\x9f]")
 
@@ -58,7 +58,7 @@ class Terminal:
         self._edited = self.interactive and sys.stdout.isatty()
         for stream, errors in ((sys.stdin, "replace"), (sys.stderr if err else sys.stdout, "backslashreplace")):
             if hasattr(stream, "reconfigure"):
-                stream.reconfigure(errors=errors)  # a byte that is no text is no reason to stop
+                stream.reconfigure(errors=errors)  # bytes that are no text are shown, and do not raise
 
     @property
     def columns(self) -> int | None:
@@ -94,7 +94,7 @@ class Terminal:
     def show_exactly(self, text: str) -> None:
         """Write text to the letter, and a line break if it has none at its end.
 
-        On a terminal, control characters are made visible: there they would not be shown but obeyed.
+        On a terminal, control characters are made visible, since it would act on them.
         """
         if self.drawn:
             text = printable(text)

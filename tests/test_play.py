@@ -15,7 +15,7 @@ from toys import Calculator
 
 import gem_core as gem
 from gem_core.cli import main
-from gem_core.records.episode import read_episodes
+from gem_core.records.files import read_episodes
 from gem_core.terminal import BLOCK, observation_text
 
 COUNTDOWN, ECHO, SUMS = "toy:Countdown-v0", "toy:Echo-v0", "toy:Sums-v0"

@@ -13,6 +13,7 @@ import pytest
 from gem_core.parsing import CodeBlock, extract_code_blocks
 
 pytest.importorskip("gem_games", reason="the README's examples play games; install plugins/gem-games")
+pytest.importorskip("gem_eval", reason="the README's examples show episodes; install plugins/gem-eval")
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -6,6 +6,7 @@ from contextlib import ExitStack, closing
 
 import click
 
+from gem_core.api import make
 from gem_core.cli import INTERRUPTED
 from gem_core.cli.completion import complete_env_ids, complete_wrappers
 from gem_core.cli.play_session import PlaySession
@@ -13,9 +14,9 @@ from gem_core.cli.play_view import PlayView
 from gem_core.cli.run_command import free_path
 from gem_core.cli.tool_options import call_again, tool_options, wrapper_stack
 from gem_core.env.wrapper import AnyEnv
-from gem_core.records.episode import EpisodeWriter
+from gem_core.records.files import EpisodeWriter
 from gem_core.records.plain_json import ImageFolder
-from gem_core.registry.lookup import make, registry
+from gem_core.registry.lookup import registry
 from gem_core.terminal import EndOfInput, Terminal
 
 

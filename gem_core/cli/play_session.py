@@ -15,7 +15,8 @@ from typing import cast
 from gem_core.cli.play_view import PlayView, in_one_line
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, EnvFaultError
-from gem_core.records.episode import Episode, EpisodeWriter, Transition
+from gem_core.records.episode import Episode, Transition
+from gem_core.records.files import EpisodeWriter
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
 from gem_core.rollouts.agent import Context
 from gem_core.rollouts.drivers import default_plan, rollout
