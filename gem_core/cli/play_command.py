@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, closing
+from typing import TYPE_CHECKING
 
 import click
 
 from gem_core.api import make
 from gem_core.cli import INTERRUPTED
 from gem_core.cli.completion import complete_env_ids, complete_wrappers
-from gem_core.cli.play_session import PlaySession
-from gem_core.cli.play_view import PlayView
 from gem_core.cli.run_command import free_path
 from gem_core.cli.tool_options import call_again, tool_options, wrapper_stack
-from gem_core.env.wrapper import AnyEnv
-from gem_core.records.files import EpisodeWriter
-from gem_core.records.plain_json import ImageFolder
 from gem_core.registry.lookup import registry
-from gem_core.terminal import EndOfInput, Terminal
+
+if TYPE_CHECKING:
+    from gem_core.env.wrapper import AnyEnv
 
 
 @click.command(
@@ -95,6 +93,13 @@ def command(
 
     Shows each observation and reads your answer, with the reward of each turn.
     """
+    # Imported here, so that help and the completion of options need not wait for them.
+    from gem_core.cli.play_session import PlaySession
+    from gem_core.cli.play_view import PlayView
+    from gem_core.records.files import EpisodeWriter
+    from gem_core.records.plain_json import ImageFolder
+    from gem_core.terminal import EndOfInput, Terminal
+
     record = registry().env(env_id)
     stack = wrapper_stack(wrappers, tools, max_tool_uses, max_turns)
     path = None if out is None else free_path(out, overwrite)
