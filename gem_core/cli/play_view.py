@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from gem_core.agents.answer_form import AnswerForm
+from gem_core.env.base import Env
 from gem_core.env.observations import split_observation
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import SamplingNotSupported
@@ -151,8 +152,8 @@ class PlayView:
 
     def _example(self) -> str:
         # An answer drawn from a data set may be the right one.
-        form = self.form()
-        if form and isinstance(getattr(self._env.unwrapped, "num_tasks", None), int):
+        form, task = self.form(), self._env.unwrapped
+        if form and isinstance(task, Env) and task.num_tasks is not None:
             return f"The form of an answer: {in_one_line(str(form))}"
         try:
             return f"A valid action, for example: {in_one_line(self._context.sample_random_action())}"
