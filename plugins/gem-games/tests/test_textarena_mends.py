@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 import gem_core as gem
-from gem_core.env.seeding import Draws
 from gem_core.errors import EnvFaultError
+from gem_games.cheap_random import CheapRandom
 from gem_games.sokoban_levels import make_level
 from gem_games.textarena import searches
 from gem_games.textarena.env import TextArenaEnv
@@ -107,7 +107,7 @@ def test_sokoban_can_be_won(game: str, rows: int, boxes: int, steps: int) -> Non
     names = {**MOVES, -rows: "[up]", rows: "[down]"}
     for seed in range(30):
         env.reset(seed=seed)
-        solution = make_level(rows, rows, boxes, steps, Draws(env.np_random_seed % 2**32)).solution
+        solution = make_level(rows, rows, boxes, steps, CheapRandom(env.np_random_seed % 2**32)).solution
         results = [env.step(names[move]) for move in solution]
         assert [result[2] for result in results] == [False] * (len(solution) - 1) + [True]
         assert results[-1][1] == 1.0

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gem_core as gem
-from gem_core.env.seeding import Draws
 from gem_core.env.wrapper import concurrency_of
 from gem_core.errors import ArgumentError
 from gem_core.types import TERMINAL_STATE
+from gem_games.cheap_random import CheapRandom
 from gem_games.wiki.embedded import EmbeddedArticles
 from gem_games.wiki.graph import Article, ArticleError, ArticleGraph, ArticleNotFound
 from gem_games.wiki_game import VARIANTS, WikiGameEnv
@@ -376,7 +376,7 @@ class Flaky(ArticleGraph):
             raise ArticleError("the server burns; put it out")
         return self.inner.article(title)
 
-    def random_article(self, draws: Draws) -> Article:
+    def random_article(self, draws: CheapRandom) -> Article:
         return self.inner.random_article(draws)
 
 
@@ -409,8 +409,8 @@ def test_walks_give_pairs_where_no_map_is_known() -> None:
     """No link of an earlier article leads to the target, and links lead there."""
     graph = Flaky("")
     for seed in range(200):
-        pair = graph.pair(Draws(seed), 2, 3)
+        pair = graph.pair(CheapRandom(seed), 2, 3)
         assert 2 <= pair.distance <= 3
         assert len(graph.inner.way(pair.start, pair.target)) - 1 == pair.distance
     with pytest.raises(ArticleError, match=r"^no walk of 9 links was found in 10 attempts; lower min_distance"):
-        graph.pair(Draws(0), 9, 9)
+        graph.pair(CheapRandom(0), 9, 9)

@@ -14,8 +14,8 @@ from urllib.parse import parse_qs, quote, unquote, urlsplit
 import pytest
 
 import gem_core as gem
-from gem_core.env.seeding import Draws
 from gem_core.testing import check_env
+from gem_games.cheap_random import CheapRandom
 from gem_games.wiki import backends, web
 from gem_games.wiki.graph import ArticleError, ArticleNotFound
 from gem_games.wiki.kiwix import KiwixArticles
@@ -222,14 +222,14 @@ def test_kiwix_has_no_such_article(serve: Any, title: str) -> None:
 @pytest.mark.thorough
 def test_kiwix_draws_the_same_article_for_a_seed(serve: Any) -> None:
     graph, other = (KiwixArticles(serve(kiwix()).url, BOOK) for _ in range(2))
-    drawn = [graph.random_article(Draws(seed)).title for seed in range(100)]
-    assert drawn == [other.random_article(Draws(seed)).title for seed in range(100)]
+    drawn = [graph.random_article(CheapRandom(seed)).title for seed in range(100)]
+    assert drawn == [other.random_article(CheapRandom(seed)).title for seed in range(100)]
     assert "End of the world" not in drawn
     assert len(set(drawn)) >= 4
 
 
 def test_kiwix_draws_itself_if_nothing_is_suggested(serve: Any) -> None:
-    assert KiwixArticles(serve(kiwix(suggests=False)).url, BOOK).random_article(Draws(0)).title == "River"
+    assert KiwixArticles(serve(kiwix(suggests=False)).url, BOOK).random_article(CheapRandom(0)).title == "River"
 
 
 @pytest.mark.parametrize("body", ["", "[", "{}", "[1]", "[" * 100_000, '[{"kind": "path"}]', "null"])
@@ -238,7 +238,7 @@ def test_kiwix_with_broken_suggestions(serve: Any, body: str) -> None:
         return page(body, "application/json") if path == "/suggest" else kiwix()(path, query)
 
     with pytest.raises(ArticleError, match=r"gave suggestions that cannot be read|has no article with links"):
-        KiwixArticles(serve(reply).url, BOOK).random_article(Draws(0))
+        KiwixArticles(serve(reply).url, BOOK).random_article(CheapRandom(0))
 
 
 # A MediaWiki.
@@ -320,8 +320,8 @@ def test_mediawiki_has_no_such_article(serve: Any, title: str) -> None:
 
 def test_mediawiki_draws_the_same_article_for_a_seed(serve: Any) -> None:
     graph, other = (MediaWikiArticles(serve(mediawiki()).url + "/w/api.php") for _ in range(2))
-    drawn = [graph.random_article(Draws(seed)).title for seed in range(60)]
-    assert drawn == [other.random_article(Draws(seed)).title for seed in range(60)]
+    drawn = [graph.random_article(CheapRandom(seed)).title for seed in range(60)]
+    assert drawn == [other.random_article(CheapRandom(seed)).title for seed in range(60)]
     assert set(drawn) == set(LINKS) - {"End of the world"}
 
 
@@ -346,7 +346,7 @@ def test_mediawiki_without_pages(serve: Any, body: str) -> None:
     with pytest.raises(ArticleNotFound):
         graph.article("Sea")
     with pytest.raises(ArticleError, match=r"has no article with links; give the address of its api.php as url"):
-        graph.random_article(Draws(0))
+        graph.random_article(CheapRandom(0))
 
 
 # What any server can do to us.

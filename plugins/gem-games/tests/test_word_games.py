@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gem_core as gem
-from gem_core.env.seeding import Draws
+from gem_games.cheap_random import CheapRandom
 from gem_games.clean_letters import fill
 from gem_games.crossword_layout import lay_out
 from gem_games.crosswords import clues
@@ -203,7 +203,7 @@ def test_random_difficulty(name: str) -> None:
 def test_layouts_are_crosswords(hard: bool, count: int, cells: int) -> None:
     """Each run of letters, across or down, is one of the words; all are connected; and there are cells enough."""
     for seed in range(50):
-        placed = lay_out(clues(hard).words, count, cells, Draws(seed))
+        placed = lay_out(clues(hard).words, count, cells, CheapRandom(seed))
         letters: dict[tuple[int, int], str] = {}
         for row, column, across, word in placed:
             for place, letter in enumerate(word):
@@ -326,11 +326,11 @@ def test_words_that_are_rude_side_by_side_are_placed_anew() -> None:
     """Their own letters stay; what a free cell would complete gets another letter; what is within one word stands."""
     letters, rude = b"A" * 36, RUDE_IN_GRIDS[1]
     halves = [{0: rude[0], 1: rude[1]}, {2: rude[2], 3: "E"}]
-    assert fill(halves, letters, 6, Draws(1)) is None
-    whole = fill([dict(enumerate(rude))], letters, 6, Draws(1))
+    assert fill(halves, letters, 6, CheapRandom(1)) is None
+    whole = fill([dict(enumerate(rude))], letters, 6, CheapRandom(1))
     assert whole is not None
     assert whole.startswith(rude)
-    mended = fill([{0: rude[0], 1: rude[1]}], rude.encode() + b"A" * 33, 6, Draws(1))
+    mended = fill([{0: rude[0], 1: rude[1]}], rude.encode() + b"A" * 33, 6, CheapRandom(1))
     assert mended is not None
     assert mended[:2] == rude[:2]
     assert not mended.startswith(rude)
