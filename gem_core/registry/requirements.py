@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import importlib.util
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -19,6 +20,8 @@ from gem_core.registry.specs import EnvSpec
 _DOCKER_SOCKET = "/var/run/docker.sock"
 _PROBE_S = 2.0
 _ON = {"1", "ON", "YES", "TRUE"}
+# A line of a distribution's metadata that belongs to an extra: the package and the extra.
+_OF_EXTRA = re.compile(r"""([\w.-]+).*;.*\bextra\s*==\s*["']([\w.-]+)["']""")
 
 
 @dataclass(frozen=True)
@@ -104,6 +107,9 @@ def _key(name: str) -> Finding:
 
 
 def _package(name: str) -> Finding:
+    distribution, _, extra = name.removesuffix("]").partition("[")
+    if extra:
+        return _extra(distribution, extra)
     version = installed_version(name)
     if version is not None:
         return Finding("met", f"version {version}")
@@ -114,6 +120,20 @@ def _package(name: str) -> Finding:
     if importable:
         return Finding("met", "can be imported")
     return Finding("unmet", "is not installed", f"it needs the package {name}: 'pip install {name}'")
+
+
+def _extra(distribution: str, extra: str) -> Finding:
+    """Tell whether the packages are installed that an extra adds, as in ``gem-games[textarena]``."""
+    try:
+        lines = importlib.metadata.requires(distribution) or []
+    except (importlib.metadata.PackageNotFoundError, ValueError):
+        lines = []
+    added = [match[1] for line in lines if (match := _OF_EXTRA.match(line)) and match[2] == extra]
+    missing = [name for name in added if installed_version(name) is None]
+    if added and not missing:
+        return Finding("met", f"has {', '.join(added)}")
+    advice = f"it needs an extra of {distribution}: 'pip install \"{distribution}[{extra}]\"'"
+    return Finding("unmet", f"lacks {', '.join(missing)}" if missing else "is not installed", advice)
 
 
 def _command(name: str) -> Finding:

@@ -36,8 +36,8 @@ class EnvSpec:
         max_turns: Turns after which ``make`` truncates an episode, on top of what the task itself announces.
             A task that announces its own limit takes it as a keyword instead, in ``kwargs``.
         requires: What must be there to run it, as in ``"docker"``, ``"network"``, ``"hub"``, ``"key:NAME"``,
-            ``"package:NAME"``, ``"command:NAME"``, ``"argument:NAME"`` (of ``make``), or ``"never:REASON"`` where it
-            cannot run at all.
+            ``"package:NAME"`` or ``"package:NAME[EXTRA]"``, ``"command:NAME"``, ``"argument:NAME"`` (of ``make``), or
+            ``"never:REASON"`` where it cannot run at all.
         deterministic: Whether a seed and the actions fix the whole episode.
 
     Raises:

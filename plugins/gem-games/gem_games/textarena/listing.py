@@ -15,6 +15,10 @@ _CLOSED = {
 }
 
 
+EXTRA = "package:gem-games[textarena]"
+"""What every game requires that can run at all."""
+
+
 def textarena_specs() -> Iterator[EnvSpec]:
     """Return a record for each game. A slash in a name of TextArena becomes a hyphen."""
     for name, players in GAMES.items():
@@ -32,9 +36,9 @@ def textarena_specs() -> Iterator[EnvSpec]:
 
 def _needs(family: str) -> tuple[str, ...]:
     if family in _JUDGED:
-        return ("argument:judge",)
+        return (EXTRA, "argument:judge")
     if family in _FILES:
         return ("never:textarena 0.7.4 does not ship the text files of this game",)
     if family in _CLOSED:
         return (f"never:{_CLOSED[family]}",)
-    return ()
+    return (EXTRA,)
