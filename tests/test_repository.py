@@ -120,6 +120,24 @@ def test_plugin_has_what_a_distribution_needs(plugin: Path):
     assert project["requires-python"] == core["requires-python"]
     assert project["description"].strip()
     assert any(re.match(r"gem-core\b", line) for line in project["dependencies"])
-    python = {line for line in core["classifiers"] if "Python ::" in line}
-    assert {*python, "Typing :: Typed"} <= set(project["classifiers"])
+    assert project["classifiers"] == core["classifiers"]
+    assert project["urls"] == core["urls"]
     assert list(project["entry-points"]["gem.plugins"].values()) == [f"{package}._plugin"]
+
+
+@pytest.mark.parametrize("folder", [ROOT, *PLUGINS], ids=lambda folder: folder.name)
+def test_wheel_holds_the_type_marker(folder: Path):
+    """Users' type checkers read our annotations: each wheel has ``py.typed``, and the metadata says so."""
+    wheel = pytest.importorskip("hatchling.builders.wheel", reason="what a wheel holds is asked of hatchling")
+    project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    held = {file.distribution_path for file in wheel.WheelBuilder(str(folder)).recurse_included_files()}
+    assert f"{project['name'].replace('-', '_')}/py.typed" in held
+    assert "Typing :: Typed" in project["classifiers"]
+
+
+def test_the_systems_are_named():
+    """Linux and macOS, in the metadata and to the reader."""
+    core = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    named = {line for line in core["classifiers"] if line.startswith("Operating System")}
+    assert named == {"Operating System :: MacOS", "Operating System :: POSIX :: Linux"}
+    assert "Linux and macOS" in (ROOT / "README.md").read_text(encoding="utf-8")

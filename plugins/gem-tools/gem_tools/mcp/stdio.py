@@ -24,7 +24,7 @@ import anyio
 from anyio.streams.memory import MemoryObjectReceiveStream, MemoryObjectSendStream
 from mcp.shared.message import SessionMessage
 
-from gem_core.errors import MissingRequirementError
+from gem_core.errors import MissingRequirementError, refuse_windows
 from gem_tools.mcp.messages import Lines, shortened
 
 if TYPE_CHECKING:
@@ -85,6 +85,7 @@ async def stdio_transport(server: Server, remarks: Remarks, max_bytes: int) -> A
     Raises:
         MissingRequirementError: There is no such program, or it cannot be started.
     """
+    refuse_windows("an MCP server that is started by a command")
     process = await _started(server)
     to_session, from_server = anyio.create_memory_object_stream[SessionMessage | Exception](0)
     to_server, from_session = anyio.create_memory_object_stream[SessionMessage](0)
