@@ -169,8 +169,8 @@ def test_anything_else_ends_the_game(answer: str) -> None:
 def test_situation_and_drawing() -> None:
     env = game((2, 0), (16, 1024))
     env.render_mode = "ansi"
-    assert env._situation() == (
+    assert env.step(box("left"))[4]["suffix"] == (  # nothing moves
         "\nThe goal is a tile of 16. The board (. is free):\n   2    .\n  16 1024\n"
-        "Turns left: 1000. Answer like \\boxed{up}: up, down, left or right."
+        "Turns left: 999. Answer like \\boxed{up}: up, down, left or right."
     )
     assert str(env.render()).startswith("\x1b[34m     2\x1b[0m\x1b[2m     ·\x1b[0m\n")

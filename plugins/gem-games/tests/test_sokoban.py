@@ -22,7 +22,13 @@ def corridor(**kwargs: Any) -> SokobanEnv:
     """Return a game on a small board whose rows are ``#@$.-##`` and ``#-$-.##``."""
     env = SokobanEnv((5, 7), num_boxes=2, **kwargs)
     env.reset(seed=0)
-    env._set_cells(CORRIDOR)
+    return put(env, CORRIDOR)
+
+
+def put(env: SokobanEnv, cells: str) -> SokobanEnv:
+    """Put a game into a position, by its state."""
+    state = env.get_state()
+    env.set_state({**state, "task": {**state["task"], "cells": cells}})
     return env
 
 
@@ -175,8 +181,7 @@ def test_anything_else_ends_the_game(answer: str) -> None:
 
 
 def test_walled_in_player_can_still_sample() -> None:
-    env = corridor()
-    env._set_cells("########@$$####$#..#########")
+    env = put(corridor(), "########@$$####$#..#########")
     assert env.sample_random_action().startswith("\\boxed{")
 
 

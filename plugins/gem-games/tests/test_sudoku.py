@@ -23,8 +23,9 @@ def small(*empty: int, **kwargs: Any) -> SudokuEnv:
     """Return a 4x4 game whose solution is known, with some empty cells."""
     env = SudokuEnv(clues=16 - len(empty), scale=4, **kwargs)
     env.reset(seed=0)
-    env.solution = SOLUTION.copy()
-    env._put([0 if cell in empty else number for cell, number in enumerate(SOLUTION)])
+    cells = [0 if cell in empty else number for cell, number in enumerate(SOLUTION)]
+    state = env.get_state()
+    env.set_state({**state, "task": {**state["task"], "solution": SOLUTION, "cells": cells}})
     return env
 
 

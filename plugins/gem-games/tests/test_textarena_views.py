@@ -10,11 +10,11 @@ import pytest
 import gem_core as gem
 from gem_games.textarena.env import TextArenaEnv
 from gem_games.textarena.listing import EXTRA, textarena_specs
-from gem_games.textarena.table import _TALK
+from gem_games.textarena.table import TALK
 
 OWN = "<think>Hidden thoughts.</think>I reason SELFISHLY for long here."
 OTHER = "<think>Hidden thoughts.</think>I reason OTHERWISE for long here."
-HEARD = {*_TALK, "SettlersOfCatan", "TwoDollar"}
+HEARD = {*TALK, "SettlersOfCatan", "TwoDollar"}
 """Families in which what is said is part of the game."""
 
 

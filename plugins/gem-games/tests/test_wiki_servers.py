@@ -358,7 +358,8 @@ def fetching(server: Any, **kwargs: Any) -> MediaWikiArticles:
 
 def test_busy_server_is_asked_again(serve: Any) -> None:
     replies = iter([(503, {"Retry-After": "0"}, b""), (429, {}, b""), page("{}")])
-    assert fetching(serve(lambda path, query: next(replies)))._ask({}) == {}
+    with pytest.raises(ArticleNotFound):  # the third answer
+        fetching(serve(lambda path, query: next(replies))).article("Sea")
 
 
 def test_server_that_stays_busy(serve: Any) -> None:
@@ -366,14 +367,14 @@ def test_server_that_stays_busy(serve: Any) -> None:
     with pytest.raises(
         ArticleError, match=r"answered 503 Service Unavailable; give the address of its api\.php as url"
     ):
-        fetching(server)._ask({})
+        fetching(server).article("Sea")
     assert server.asked == {"": 3} or server.asked == {"/": 3}
 
 
 def test_server_that_refuses_is_not_asked_again(serve: Any) -> None:
     server = serve(lambda path, query: (403, {}, b""))
     with pytest.raises(ArticleError, match="answered 403 Forbidden"):
-        fetching(server)._ask({})
+        fetching(server).article("Sea")
     assert sum(server.asked.values()) == 1
 
 
@@ -387,7 +388,7 @@ def test_server_that_hangs(serve: Any) -> None:
 
     try:
         with pytest.raises(ArticleError, match=r"took longer than timeout_s=0\.05"):
-            fetching(serve(reply), timeout_s=0.05)._ask({})
+            fetching(serve(reply), timeout_s=0.05).article("Sea")
     finally:
         hang.set()
 
@@ -397,13 +398,13 @@ def test_slow_drip_meets_the_same_limit(serve: Any, monkeypatch: pytest.MonkeyPa
     moments = iter(range(0, 1_000, 6))
     monkeypatch.setattr(web.time, "monotonic", lambda: next(moments))
     with pytest.raises(ArticleError, match="took longer than timeout_s=10"):
-        graph._ask({})
+        graph.article("Sea")
 
 
 def test_answer_without_end(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(web, "_MOST_BYTES", 100_000)
     with pytest.raises(ArticleError, match="answered more than 100,000 bytes to one request"):
-        fetching(serve(lambda path, query: page("x" * 200_000)))._ask({})
+        fetching(serve(lambda path, query: page("x" * 200_000))).article("Sea")
 
 
 @pytest.mark.parametrize(
@@ -417,12 +418,13 @@ def test_answer_without_end(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None
 )
 def test_broken_answers_are_errors_of_the_server(serve: Any, reply: Reply) -> None:
     with pytest.raises(ArticleError, match="the server of articles at http"):
-        fetching(serve(lambda path, query: reply))._ask({})
+        fetching(serve(lambda path, query: reply)).article("Sea")
 
 
 def test_unknown_charset_is_read_as_utf_8(serve: Any) -> None:
-    server = serve(lambda path, query: (200, {"Content-Type": "text/html; charset=klingon"}, b'{"a": "\xc3\xa9\xff"}'))
-    assert fetching(server)._ask({}) == {"a": "é\ufffd"}
+    body = b'{"query": {"pages": [{"ns": 0, "title": "Sea", "extract": "\xc3\xa9\xff"}]}}'
+    server = serve(lambda path, query: (200, {"Content-Type": "text/html; charset=klingon"}, body))
+    assert fetching(server).article("Sea").text == "é\ufffd"
 
 
 def closed_port() -> int:

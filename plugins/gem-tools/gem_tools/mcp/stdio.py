@@ -39,7 +39,7 @@ KILL_S = 6.0
 HARMLESS = ("HOME", "LANG", "LC_ALL", "LC_CTYPE", "LOGNAME", "PATH", "SHELL", "TERM", "TMPDIR", "TZ", "USER")
 """Variables of the environment that every server gets."""
 
-_KEEPER = str(Path(__file__).with_name("keeper.py"))
+KEEPER = str(Path(__file__).with_name("keeper.py"))
 _CHUNK = 1 << 16
 
 _keepers: set[int] = set()
@@ -118,7 +118,7 @@ async def _started(server: Server) -> asyncio.subprocess.Process:
         raise MissingRequirementError(f"the MCP server {server.name!r} cannot be started: no folder {server.cwd!r}")
     command = [os.path.abspath(found), *server.args]
     if sys.executable and os.name == "posix":
-        command = [sys.executable, "-I", "-S", _KEEPER, str(os.getpid()), *command]
+        command = [sys.executable, "-I", "-S", KEEPER, str(os.getpid()), *command]
     try:
         process = await asyncio.create_subprocess_exec(
             *command,
