@@ -12,7 +12,6 @@ import vector_envs
 from chat_server import KEY, MODEL, ChatServer, HandClock, MakeAgent
 from command_calls import Outcome, RunGem
 from distributions import install
-from hypothesis import settings
 from in_terminal import InTerminal
 
 from gem_core.agents.openai import OpenAIAgent
@@ -24,9 +23,6 @@ from gem_core.registry.specs import NamedSpec
 
 toys.register_toys()
 vector_envs.register_vector_envs()
-# How long an example takes is a matter of the machine, and of what else runs on it.
-settings.register_profile("gem", deadline=None)
-settings.load_profile("gem")
 
 
 @pytest.fixture

@@ -33,9 +33,9 @@ NOT_TYPED = "pip install ", "make ", "export ", "gem run game:GuessTheNumber-v0 
 
 
 def examples() -> list[pytest.ParameterSet]:
-    """Return each block of Python that is no file, with a name that says where it stands."""
+    """Return each block of Python that is no file; in a quick run the README's, and some of the others."""
     return [
-        pytest.param(block.code, id=f"{page}:{number}")
+        pytest.param(block.code, id=f"{page}:{number}", marks=() if page == "README.md" else pytest.mark.few(8))
         for page, text in PAGES.items()
         if page not in ELSEWHERE
         for number, block in enumerate(extract_code_blocks(text, "python"))
@@ -69,7 +69,7 @@ def test_python_example_runs(code: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(page, marks=pytest.mark.thorough if "pip" in " ".join(commands(page)) else ())
+        pytest.param(page, marks=() if page == "README.md" else pytest.mark.thorough)
         for page in PAGES
         if page not in ELSEWHERE and commands(page)
     ],

@@ -57,6 +57,7 @@ def is_even(tiles: list[int], num_rows: int) -> bool:
 
 
 @pytest.mark.parametrize(("num_rows", "max_turns"), [(2, 10), (3, 20)])
+@pytest.mark.few(1)
 def test_search_reaches_many_boards_within_the_turns(num_rows: int, max_turns: int, many: int) -> None:
     env, away = FifteenPuzzleEnv(max_turns, num_rows), distances(num_rows)
     for seed in range(many):

@@ -57,6 +57,7 @@ def test_solver_wins_many_games(target: int, turns: int, many: int) -> None:
         assert any(wins(env, seed, 0.1 if attempt else 0.0, choices) for attempt in range(100)), f"seed {seed}"
 
 
+@pytest.mark.thorough
 def test_larger_targets_can_be_reached_given_turns() -> None:
     """What the ids' turns cannot do: the tiles add up to at most 4 a turn and 8 at the beginning."""
     env, choices = Game2048Env(512, 1_000), random.Random(0)

@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import gem_core as gem
@@ -50,7 +50,6 @@ def rewards(env: WikiGameEnv, *titles: str) -> list[float]:
     return [env.step(says(title))[1] for title in titles]
 
 
-@settings(deadline=None, max_examples=200)
 @given(
     st.lists(st.text() | st.sampled_from([*SMALL, "<PREV_PAGE>", "<LINKS 1>"]), max_size=12), st.sampled_from(VARIANTS)
 )

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import gem_core as gem
@@ -159,6 +159,7 @@ def test_solver_wins_many_games(env_id: str, many: int) -> None:
     ("env_id", "least"),
     [("game:Hangman-v0-easy", 800), ("game:Hangman-v0-hard", 1_000), ("game:Hangman-v0-random", 900)],
 )
+@pytest.mark.few(1)
 def test_hangman_is_won_a_thousand_times(env_id: str, least: int) -> None:
     """Asking for the letters that a word has, and then saying it, takes few enough turns.
 
@@ -286,7 +287,6 @@ def test_random_actions_exhaust_a_game(env_id: str, kwargs: dict[str, Any]) -> N
     assert all(played(env, seed)[-1][4]["correct"] for seed in range(3))
 
 
-@settings(deadline=None)
 @given(st.text("ABC", min_size=5, max_size=5), st.text("ABC", min_size=5, max_size=5))
 def test_marks_count_each_letter_of_the_word_once(guess: str, word: str) -> None:
     """G where the letters are the same; G and Y of a letter together as often as both words have it."""

@@ -81,6 +81,7 @@ def test_the_numbers_stand_in_the_figure_alone() -> None:
         assert len({each["answer"] for each in rows}) > 1, kind.__name__
 
 
+@pytest.mark.thorough
 def test_figures_are_drawn_the_same_in_every_process() -> None:
     """Whatever the hash seed, and whichever is drawn first."""
     code = (

@@ -81,6 +81,7 @@ def theirs() -> dict[str, Any]:
     return found
 
 
+@pytest.mark.thorough
 def test_the_table_of_tasks_is_that_of_the_installed_library() -> None:
     """And so is every id; the script that made it makes it again."""
     script = ROOT / "scripts" / "list_reasoning_tasks.py"
@@ -288,12 +289,14 @@ def test_parameters_take_the_forms_that_the_library_has() -> None:
         gem.make("rg:word_sorting", transformation="loud")
 
 
+@pytest.mark.thorough
 def test_no_parameter_of_the_library_has_a_name_of_ours(theirs: dict[str, Any]) -> None:
     """Else it could not be given."""
     ours = {"task", "epochs", "level", "levels", "prompt_template", "time_limit_s", "weight", "name", "config"}
     assert not ours & set(theirs["fields"])
 
 
+@pytest.mark.thorough
 def test_a_mixture_has_the_rows_of_the_library(theirs: dict[str, Any]) -> None:
     """Each task scores its own."""
     tasks = [("leg_counting", {"weight": 2}), {"name": "rg:chain_sum", "weight": 1, "config": {"max_terms": 3}}]
