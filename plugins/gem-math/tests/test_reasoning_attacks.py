@@ -95,7 +95,7 @@ def test_no_answer_runs_code_or_goes_unscored(name: str, tmp_path: Path) -> None
         assert "error" not in info, answer[:50]
     assert not flag.exists()
     env.reset(options={"index": 0})
-    right = env.unwrapped._row["answer"]
+    right = env.unwrapped.present_row()["answer"]
     if right is not None:
         assert env.step(f"<answer>{right}</answer>")[1] == 1.0
 
