@@ -17,15 +17,16 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from gem_core.api import list_envs, make, make_vec, print_envs, register, spec
     from gem_core.data.dataset import DatasetEnv, Grade
     from gem_core.env.base import AsyncEnv, Env
     from gem_core.env.wrapper import Wrapper
     from gem_core.errors import GemError
     from gem_core.parsing import extract_code_blocks, extract_last_boxed_answer, extract_last_tagged_answer
-    from gem_core.records.episode import Episode, Transition, read_episodes, write_episodes
+    from gem_core.records.episode import Episode, Transition
+    from gem_core.records.files import read_episodes, write_episodes
     from gem_core.records.plans import PlanItem
     from gem_core.registry.hookspecs import hookimpl
-    from gem_core.registry.lookup import list_envs, make, make_vec, print_envs, register, spec
     from gem_core.registry.specs import AgentSpec, CommandSpec, EnvSpec, ToolSpec, VectorBackendSpec, WrapperSpec
     from gem_core.rollouts.drivers import arollout, rollout
     from gem_core.tools.env import ToolEnv
@@ -38,12 +39,13 @@ __version__ = "0.1.0"
 _HOME = {
     "data.dataset": ("DatasetEnv", "Grade"),
     "env.base": ("AsyncEnv", "Env"),
-    "records.episode": ("Episode", "Transition", "read_episodes", "write_episodes"),
+    "records.episode": ("Episode", "Transition"),
+    "records.files": ("read_episodes", "write_episodes"),
     "errors": ("GemError",),
     "registry.hookspecs": ("hookimpl",),
     "parsing": ("extract_code_blocks", "extract_last_boxed_answer", "extract_last_tagged_answer"),
     "records.plans": ("PlanItem",),
-    "registry.lookup": ("list_envs", "make", "make_vec", "print_envs", "register", "spec"),
+    "api": ("list_envs", "make", "make_vec", "print_envs", "register", "spec"),
     "rollouts.drivers": ("arollout", "rollout"),
     "registry.specs": ("AgentSpec", "CommandSpec", "EnvSpec", "ToolSpec", "VectorBackendSpec", "WrapperSpec"),
     "tools.env": ("ToolEnv",),

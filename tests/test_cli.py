@@ -16,7 +16,7 @@ from command_calls import subprocess_gem
 
 import gem_core as gem
 from gem_core.cli.layout import echo_line
-from gem_core.records.episode import read_episodes
+from gem_core.records.files import read_episodes
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import ToolSpec
 
@@ -43,7 +43,7 @@ def act(observation, context):
     [
         (["--vesion"], "gem: No such option '--vesion'. Did you mean '--version'? Run 'gem --help'\n"),
         (["run", COUNTDOWN, "--agent"], "Option '--agent' requires an argument. Run 'gem run --help'\n"),
-        (["lst"], "no command 'lst'. Did you mean 'list'? There are: list, info, play, run, show, plugins"),
+        (["lst"], "no command 'lst'. Did you mean 'list'? There are: list, info, play, run, plugins"),
         (["run", "--agnt", "x", COUNTDOWN], "No such option '--agnt'. Did you mean '--agent'?"),
         (["run", "toy:Cuntdown-v0"], "no environment 'toy:Cuntdown-v0'. Did you mean 'toy:Countdown-v0'"),
         (["run", "toy:nothing*"], "no environment matches 'toy:nothing*'"),
@@ -94,7 +94,7 @@ def test_version_and_help(run_gem) -> None:
     for arguments in (
         ["--help"],
         ["list", "-h"],
-        *([name, "--help"] for name in ("info", "play", "run", "show", "plugins")),
+        *([name, "--help"] for name in ("info", "play", "run", "plugins")),
     ):
         outcome = run_gem(*arguments)
         assert outcome.code == 0
@@ -310,7 +310,7 @@ def test_progress_and_a_table_in_a_terminal(tmp_path: Path) -> None:
 @pytest.mark.parametrize("columns", [40, 60, 80, 100])
 @pytest.mark.few(2)
 def test_a_table_keeps_id_success_and_errors_whole_in_any_width(tmp_path: Path, columns: int) -> None:
-    """Of a run, and of the list of its episodes; what matters least is left out, or follows below."""
+    """What matters least is left out, or follows below."""
     name = "toy:HasANameOf29Letters-v0-ab"
     program = TERMINAL_PROGRAM.replace(
         "main()", f"import gem_core; gem_core.register({name!r}, 'toys:CountdownEnv'); main()"
@@ -320,16 +320,13 @@ def test_a_table_keeps_id_success_and_errors_whole_in_any_width(tmp_path: Path, 
     closing = output[output.rindex("4 episodes in ") :].splitlines()
     assert max(map(len, closing)) <= columns
     assert " ".join(closing).endswith("(seed 1), written to a.jsonl")
-    ran = table_in(output)
-    shown = table_in(in_terminal([sys.executable, "-m", "gem_core", "show", "a.jsonl"], tmp_path, columns))
-    for table in (ran, shown):
-        assert max(map(len, table)) <= columns
-        assert any(name in line.split() for line in table)
-        assert not any("…" in line for line in table)
-    text = "\n".join(ran)
+    table = table_in(output)
+    assert max(map(len, table)) <= columns
+    assert any(name in line.split() for line in table)
+    assert not any("…" in line for line in table)
+    text = "\n".join(table)
     assert "0.0% ± 16.7%" in text
     assert re.search(r"\berrors\b", text)
-    assert "\n".join(shown).count("failure") == 4
 
 
 def test_an_error_is_broken_between_words_in_a_narrow_terminal(capsys: pytest.CaptureFixture[str]) -> None:

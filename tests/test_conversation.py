@@ -15,7 +15,8 @@ from toys import Calculator, CountdownEnv, EchoEnv, Notebook
 import gem_core as gem
 from gem_core.agents import chat_format
 from gem_core.errors import AgentError
-from gem_core.records.episode import Episode, read_episodes, write_episodes
+from gem_core.records.episode import Episode
+from gem_core.records.files import read_episodes, write_episodes
 from gem_core.rollouts.agent import Context
 from gem_core.tools.env import ToolEnv
 from gem_core.types import Observation, Response

@@ -72,7 +72,7 @@ def test_specification_makes_the_same_again() -> None:
 def test_specification_keeps_wrappers_of_gymnasium_in_their_place() -> None:
     """Wrappers of Gymnasium are made again between ours, in the same order."""
     env: Any = gym_wrappers.TimeLimit(gem.make("test:Guess-v3", wrappers="episode_stats"), 4)
-    env = wrap(env, [("turn_limit", {"max_turns": 3})], registry.registry().wrapper)
+    env = wrap(env, [("turn_limit", {"max_turns": 3})])
     env = gym_wrappers.TimeLimit(env, 9)
     assert str(env.spec.make()) == str(env)
 

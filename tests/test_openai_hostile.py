@@ -16,7 +16,7 @@ from toys import CountdownEnv
 import gem_core as gem
 from gem_core.background import run_sync
 from gem_core.errors import ContextOverflowError, RequestError
-from gem_core.records.episode import EpisodeWriter, read_episodes
+from gem_core.records.files import EpisodeWriter, read_episodes
 
 NESTED = b"[" * 900 + b"]" * 900
 VERY_NESTED = b"[" * 100_000 + b"]" * 100_000

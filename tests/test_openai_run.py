@@ -12,7 +12,7 @@ import pytest
 from chat_server import KEY, ChatServer, Reply, Request, completion, error
 
 from gem_core.cli import main
-from gem_core.records.episode import read_episodes
+from gem_core.records.files import read_episodes
 
 COUNTDOWN = "toy:Countdown-v0"
 

@@ -15,9 +15,9 @@ from toys import Calculator
 import gem_core as gem
 from gem_core.cli import main
 from gem_core.cli.play_session import PlaySession
-from gem_core.cli.terminal import BLOCK, observation_text
 from gem_core.errors import ArgumentError, StateNotSupported
-from gem_core.records.episode import read_episodes
+from gem_core.records.files import read_episodes
+from gem_core.terminal import BLOCK, observation_text
 
 COUNTDOWN, ECHO, SUMS = "toy:Countdown-v0", "toy:Echo-v0", "toy:Sums-v0"
 BOARD = "play:Board-v0"

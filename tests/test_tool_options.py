@@ -14,7 +14,7 @@ import pytest
 import gem_core as gem
 from gem_core.cli.tool_options import parsed_choices, wrapper_stack
 from gem_core.errors import ArgumentError, UnknownToolError
-from gem_core.records.episode import read_episodes
+from gem_core.records.files import read_episodes
 
 if TYPE_CHECKING:
     from command_calls import RunGem

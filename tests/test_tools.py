@@ -17,7 +17,7 @@ from toys import AsyncNotebook, Calculator, CountdownEnv, EchoEnv, Notebook
 
 import gem_core as gem
 from gem_core.background import run_sync
-from gem_core.env.wrapper import Guard
+from gem_core.env.guard import Guard
 from gem_core.errors import ArgumentError, ResetNeededError, StateNotSupported, UnknownToolError
 from gem_core.testing.hostile import hostile_actions
 from gem_core.tools.env import ToolEnv

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from toys import CountdownEnv, EchoEnv
 
 import gem_core as gem
+from gem_core.env.guard import Guard
 from gem_core.env.observations import join_observations
-from gem_core.env.wrapper import Guard
 from gem_core.errors import ArgumentError, StateNotSupported
 from gem_core.records.turns import without_thinking
 from gem_core.types import StepResult

@@ -19,7 +19,8 @@ from hypothesis import strategies as st
 
 import gem_core as gem
 from gem_core.background import background_loop
-from gem_core.env.wrapper import Guard, Wrapper, concurrency_of, step_async
+from gem_core.env.guard import Guard
+from gem_core.env.wrapper import Wrapper, concurrency_of, step_async
 from gem_core.errors import BridgeError, ResetNeededError, StateError, StateNotSupported
 from gem_core.registry import lookup as registry
 from gem_core.wrappers.episode_stats import EpisodeStats
@@ -410,7 +411,7 @@ EXIT = """
 import asyncio, threading
 import gem_core as gem
 from gem_core.background import background_loop
-from gem_core.env.wrapper import Guard
+from gem_core.env.guard import Guard
 
 class Hung(gem.Env):
     concurrency = "thread"

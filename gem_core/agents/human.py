@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from gem_core.agents.answer_form import AnswerForm
-from gem_core.cli.terminal import EndOfInput, Terminal, observation_text
 from gem_core.errors import AgentError, SamplingNotSupported
 from gem_core.rollouts.agent import Context
+from gem_core.terminal import EndOfInput, Terminal, observation_text
 from gem_core.types import Observation
 
 _HELP = """\

@@ -11,6 +11,7 @@ import click
 
 from gem_core import __version__
 from gem_core._plugin import gem_add_commands
+from gem_core.cli.layout import Layout, echo_line, output_width
 from gem_core.cli.said_today import said_once
 from gem_core.errors import GemError
 from gem_core.registry.specs import CommandSpec
@@ -18,6 +19,8 @@ from gem_core.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
+
+__all__ = ["Layout", "cli", "main", "output_width"]
 
 _OWN = {record.name: record for record in gem_add_commands()}
 
@@ -28,7 +31,6 @@ Examples:
   gem play game:GuessTheNumber-v0
   gem run game:GuessTheNumber-v0 --agent bisect --episodes 50
   gem run 'game:*' --agent my_module:my_agent --num-envs 16 --out runs/mine.jsonl
-  gem show runs/mine.jsonl --failure
 """
 
 INTERRUPTED = 130
@@ -139,8 +141,6 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def _complain(message: str) -> None:
-    from gem_core.cli.layout import echo_line
-
     echo_line(f"gem: {' '.join(message.split())}", err=True)
 
 

@@ -70,8 +70,8 @@ def _lines(record: EnvSpec, facts: dict[str, object]) -> list[tuple[str, str]]:
 
 
 def _print_class(record: EnvSpec) -> None:
+    from gem_core.api import make
     from gem_core.registry.entry_points import load_entry_point
-    from gem_core.registry.lookup import make
 
     maker = load_entry_point(record.entry_point, f"environment {record.id!r}")
     print_field("accepts", option_lines(maker) or "no arguments")

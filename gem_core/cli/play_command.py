@@ -8,19 +8,21 @@ from contextlib import ExitStack, closing
 
 import click
 
+from gem_core.api import make
 from gem_core.cli import INTERRUPTED
 from gem_core.cli.completion import complete_env_ids, complete_wrappers
 from gem_core.cli.play_session import PlaySession, was_not_played
 from gem_core.cli.play_view import PlayView, in_one_line
 from gem_core.cli.run_command import free_path
-from gem_core.cli.terminal import EndOfInput, Terminal
 from gem_core.cli.tool_options import options_again, tool_options, wrapper_stack
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, NotSupportedError
-from gem_core.records.episode import Episode, EpisodeWriter
+from gem_core.records.episode import Episode
+from gem_core.records.files import EpisodeWriter
 from gem_core.records.plain_json import ImageFolder
-from gem_core.registry.lookup import make, registry
+from gem_core.registry.lookup import registry
 from gem_core.suggestions import did_you_mean
+from gem_core.terminal import EndOfInput, Terminal
 
 _COMMANDS = ("help", "undo", "random", "restart", "next", "quit")
 

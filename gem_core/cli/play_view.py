@@ -9,11 +9,11 @@ import click
 
 from gem_core.agents.answer_form import AnswerForm
 from gem_core.cli.play_session import PlaySession
-from gem_core.cli.terminal import BLOCK, Terminal, observation_text, printable
 from gem_core.env.observations import split_observation
 from gem_core.errors import SamplingNotSupported
 from gem_core.records.episode import Episode, Transition
 from gem_core.records.plain_json import ImageFolder
+from gem_core.terminal import BLOCK, Terminal, observation_text, printable
 from gem_core.types import TERMINAL_STATE, Info, Observation
 
 _LONGEST_ACTION = 60
@@ -144,7 +144,9 @@ class PlayView:
     # Observations.
 
     def _text(self, observation: Observation) -> str:
-        return observation_text(observation, self._images)
+        images = self._images
+        save_image = None if images is None else lambda image: images.path / images.write(image)
+        return observation_text(observation, save_image)
 
     def _laid_out(self, observation: Observation, info: Info) -> None:
         feedback, suffix = split_observation(observation, info)

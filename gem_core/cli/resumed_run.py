@@ -12,10 +12,10 @@ import click
 from click.core import ParameterSource
 
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records.episode import EpisodeLine, episode_lines
+from gem_core.records.files import EpisodeLine, episode_lines
 from gem_core.records.plans import EpisodeQueue
 from gem_core.records.summary import RunSummary
-from gem_core.rollouts.resume import Done
+from gem_core.rollouts.resume import FinishedEpisodes
 
 _REPLACED = {"seed", "out", "overwrite", "resume"}
 """Options of the first time that ``--resume`` stands for."""
@@ -34,7 +34,7 @@ class ResumedRun:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.done = Done()
+        self.done = FinishedEpisodes()
         self._again = 0
         if not path.exists():
             raise ArgumentError(f"--resume: there is no file {path}; a run that begins takes --out")
@@ -42,7 +42,7 @@ class ResumedRun:
             if line.episode is not None:
                 self.done.add(line.episode)
             self._again += not _stays(line)
-        if self.done.starts and not self.done.run_seeds:
+        if self.done and not self.done.run_seeds:
             raise ArgumentError(
                 f"--resume: {path} does not say from which seed its run was started, since an earlier version wrote it"
             )
@@ -63,7 +63,7 @@ class ResumedRun:
             ArgumentError: The file is of another run; it has not been changed.
             EpisodeFileError: It cannot be written.
         """
-        source.skip(self.done.starts, self.done.check)
+        self.done.leave_out_of(source)
         for line in episode_lines(self.path):
             if line.episode is not None and _stays(line):
                 summary.add(line.episode)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
+from gem_core.api import make_vec
 from gem_core.cli import INTERRUPTED
 from gem_core.cli.agent_options import agent_options, given
 from gem_core.cli.completion import complete_agents, complete_backends, complete_env_ids, complete_wrappers
@@ -22,7 +23,7 @@ from gem_core.cli.layout import echo_line
 from gem_core.cli.list_command import matching
 from gem_core.cli.tool_options import tool_options, wrapper_stack
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.registry.lookup import make_vec, registry
+from gem_core.registry.lookup import registry
 from gem_core.registry.requirements import unmet
 from gem_core.registry.specs import EnvSpec
 
@@ -154,7 +155,7 @@ def command(
     from gem_core.cli.report import print_table, status_of
     from gem_core.cli.resumed_run import ResumedRun
     from gem_core.progress import Progress
-    from gem_core.records.episode import EpisodeWriter
+    from gem_core.records.files import EpisodeWriter
     from gem_core.records.summary import RunSummary
     from gem_core.rollouts.agent import current_folder_importable, load_agent
     from gem_core.rollouts.drivers import default_plan, rollout

@@ -15,7 +15,7 @@ from gem_core.registry.lookup import registry
 from gem_core.registry.specs import ToolSpec, WrapperSpec
 
 if TYPE_CHECKING:
-    from gem_core.making.environment import WrapperChoice
+    from gem_core.making.layers import WrapperChoice
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 

@@ -22,13 +22,12 @@ from gem_core.env.seeding import (
     start_generator,
 )
 from gem_core.env.spaces import Text
+from gem_core.env.spec import EnvRecipe
 from gem_core.errors import GemError, SamplingNotSupported, StateError, StateNotSupported
 from gem_core.types import Concurrency, ResetResult, StepResult
 
 if TYPE_CHECKING:
     from gymnasium import spaces
-
-    from gem_core.making.environment import MadeSpec
 
 
 _FOREIGN = -1
@@ -72,7 +71,7 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
     """Tags around answers of this task; a tool of such a name is called in JSON only."""
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium declares it as an instance attribute
-    spec: MadeSpec | None = None
+    spec: EnvRecipe | None = None
 
     _generator: np.random.Generator | None = None
     _generator_started: bool = True

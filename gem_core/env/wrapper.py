@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Awaitable, Callable, Mapping
-from math import isfinite
-from typing import TYPE_CHECKING, Any, Self, cast
+from collections.abc import Awaitable, Mapping
+from typing import Any, Self, cast
 
 import gymnasium
 
 from gem_core.arguments import RemembersArguments, signature_of
 from gem_core.background import in_thread, on_library_loop, run_sync
 from gem_core.env.base import AsyncEnv, Env, reset_arguments
-from gem_core.env.results import checked_reset, checked_result, refuse_action
-from gem_core.errors import ArgumentError, GemError, ResetNeededError, StateError, StateNotSupported
+from gem_core.env.results import refuse_action
+from gem_core.env.spec import EnvRecipe
+from gem_core.errors import ArgumentError, GemError, StateError, StateNotSupported
 from gem_core.types import Concurrency, ResetResult, StepResult
-
-if TYPE_CHECKING:
-    from gem_core.making.environment import MadeSpec
 
 AnyEnv = gymnasium.Env[Any, str]
 """An ``Env``, a ``Wrapper``, or a wrapper of Gymnasium's around either."""
@@ -42,7 +39,7 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
     """Whether ``make`` puts it there by itself, so that ``spec`` does not list it."""
 
     env: AnyEnv
-    _made_as: tuple[str, dict[str, Any]] | None = None
+    made_as: tuple[str, dict[str, Any]] | None = None
     _plain_only = False
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
@@ -70,7 +67,7 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         """Return the environment's result, changed as wanted; ``action`` is what the agent gave, to the letter."""
         return result
 
-    # What is made from them.
+    # The methods made from them.
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Begin an episode; see ``Env.reset``."""
@@ -130,7 +127,7 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
             f"{type(self).__name__}.{hook} returned {value!r}; see Wrapper.{hook} for what it has to return"
         )
 
-    # What is passed on.
+    # Passed on to the environment inside.
 
     @property
     def concurrency(self) -> Concurrency:
@@ -150,12 +147,12 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         return self.unwrapped.env_id
 
     @property
-    def spec(self) -> MadeSpec | None:  # type: ignore[override]  # Gymnasium has a property too, typed as its EnvSpec
+    def spec(self) -> EnvRecipe | None:  # type: ignore[override]  # Gymnasium has a property too, typed as its EnvSpec
         """What the environment was made from, this wrapper included; None for one that ``make`` did not make."""
-        inner = cast("MadeSpec | None", self.env.spec)
+        inner = cast("EnvRecipe | None", self.env.spec)
         if inner is None or self.implicit:
             return inner
-        return inner.with_wrapper(*(self._made_as or self._own_record()))
+        return inner.with_wrapper(*(self.made_as or self._own_record()))
 
     def _own_record(self) -> tuple[str, dict[str, Any]]:
         args, kwargs = self._init_args
@@ -202,7 +199,7 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         args, kwargs = self._init_args
         inner = _inner(self.env).spawn(**overrides)
         sibling = type(self)(inner, *args[1:], **kwargs) if args else type(self)(**{**kwargs, "env": inner})
-        sibling._made_as, sibling.implicit = self._made_as, self.implicit
+        sibling.made_as, sibling.implicit = self.made_as, self.implicit
         if same_state:
             sibling.set_state(self.get_state())
         return sibling
@@ -218,89 +215,6 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
             return object.__getattribute__(self, name)
         inner = self.env
         return getattr(inner, name) if isinstance(inner, Env | Wrapper) else inner.get_wrapper_attr(name)
-
-
-class Guard(Wrapper):
-    """Refuses steps outside an episode and results that are none, and reports seeds; ``make`` puts it innermost."""
-
-    implicit = True
-    checks_results = True
-    """Whether a result that is none is refused; ``check_env`` looks at them itself."""
-    _plain_only = False  # its hooks say the same as its reset and step
-    _live = False
-
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
-        """Begin an episode and write its seed to ``info``."""
-        # This and step say the same as the hooks below, without the calls: they are run around every task.
-        self._live = False
-        return self.after_reset(self.env.reset(seed=seed, options=options) if options else self.env.reset(seed=seed))
-
-    def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> None:
-        """Refuse steps until the reset has succeeded."""
-        self._live = False
-
-    def after_reset(self, result: ResetResult) -> ResetResult:
-        """Write the episode's seed to ``info``."""
-        if type(result) is not tuple or len(result) != 2 or type(result[0]) is not str or type(result[1]) is not dict:
-            result = self._checked(checked_reset, result)
-        result[1]["seed"] = self.env.np_random_seed
-        self._live = True
-        return result
-
-    def step(self, action: str) -> StepResult:
-        """Step, if the episode is under way."""
-        if not self._live:
-            raise reset_needed(self)
-        if not isinstance(action, str):
-            refuse_action(action)
-        result: Any = self.env.step(action)
-        if type(result) is tuple and len(result) == 5:
-            observation, reward, terminated, truncated, info = result
-            if (
-                type(observation) is str
-                and type(reward) is float
-                and isfinite(reward)
-                and type(terminated) is type(truncated) is bool
-                and type(info) is dict
-            ):
-                if terminated or truncated:
-                    self._live = False
-                return result
-        return self.after_step(action, result)
-
-    def before_step(self, action: str) -> str:
-        """Refuse a step outside an episode."""
-        if not self._live:
-            raise reset_needed(self)
-        return action
-
-    def after_step(self, action: str, result: StepResult) -> StepResult:
-        """Refuse a result that is none, and note the end of the episode."""
-        result = self._checked(checked_result, result)
-        if result[2] or result[3]:
-            self._live = False
-        return result
-
-    def _checked(self, check: Callable[[object], Any], result: Any) -> Any:
-        if not self.checks_results:
-            return result
-        try:
-            check(result)
-        except (TypeError, ValueError) as error:
-            raise type(error)(f"{type(self.unwrapped).__name__}: {error}") from None
-        return result
-
-    def _get_state(self) -> dict[str, Any]:
-        return {"live": self._live}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self._live = bool(state["live"])
-
-
-def reset_needed(env: Wrapper) -> ResetNeededError:
-    """Return the error of a step outside an episode."""
-    name = env.env_id or type(env.unwrapped).__name__
-    return ResetNeededError(f"{name}: the episode is over or has not begun; call reset() before the next step()")
 
 
 def concurrency_of(env: AnyEnv) -> Concurrency:

@@ -1,13 +1,14 @@
-"""Imports what a record points to, with errors that say whose record it is; loads nothing else."""
+"""Import what a record points to, and call it; the errors say whose record it is."""
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, cast
 
+from gem_core.arguments import check_arguments
 from gem_core.errors import EntryPointError
-from gem_core.registry.specs import EntryPoint
+from gem_core.registry.specs import EntryPoint, NamedSpec
 from gem_core.suggestions import did_you_mean
 
 
@@ -33,7 +34,7 @@ def load_entry_point(entry_point: EntryPoint, owner: str) -> Callable[..., Any]:
         if package == module_name.partition(".")[0]:
             raise EntryPointError(f"{missing}there; correct the import, or add the module") from error
         raise EntryPointError(f"{missing}installed; try 'pip install {package.replace('_', '-')}'") from error
-    except (Exception, SystemExit) as error:  # a module of somebody else's may fail in any way while it is imported
+    except (Exception, SystemExit) as error:  # third-party code may raise anything while it is imported
         raise EntryPointError(f"{owner}: importing {module_name!r} failed: {type(error).__name__}: {error}") from error
     for part in path.split("."):
         try:
@@ -47,3 +48,15 @@ def load_entry_point(entry_point: EntryPoint, owner: str) -> Callable[..., Any]:
     if not callable(target):
         raise EntryPointError(f"{owner}: {entry_point!r} is a {type(target).__name__}, which cannot be called")
     return cast("Callable[..., Any]", target)
+
+
+def construct(record: NamedSpec, *args: Any, **options: Any) -> Any:
+    """Call the entry point of a named record with arguments that are checked first."""
+    owner = f"{record.kind} {record.name!r}"
+    return call_entry_point(load_entry_point(record.entry_point, owner), args, options, owner)
+
+
+def call_entry_point(maker: Callable[..., Any], args: tuple[Any, ...], options: Mapping[str, Any], owner: str) -> Any:
+    """Call what an entry point named, with arguments that are checked first."""
+    check_arguments(maker, args, options, owner)
+    return maker(*args, **options)

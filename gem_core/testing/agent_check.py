@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from gem_core.api import make_vec
 from gem_core.records.episode import Episode
-from gem_core.registry.lookup import make_vec
 from gem_core.rollouts.agent import Agent, as_agent, load_agent
 from gem_core.rollouts.drivers import rollout
 from gem_core.testing.backend_check import FRAGILE, register_small_tasks

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from typing import Any
 
+from gem_core.api import make_vec, register
 from gem_core.errors import ClosedError
-from gem_core.registry.lookup import make_vec, register
 from gem_core.testing.comparing import plain
 from gem_core.testing.findings import Findings
 from gem_core.testing.wrapper_check import SmallTask

@@ -14,10 +14,10 @@ from typing import Any, cast
 import gymnasium
 
 from gem_core.env.base import Env
-from gem_core.env.wrapper import AnyEnv, Guard, Wrapper
+from gem_core.env.guard import Guard
+from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.making.environment import make_from, wrap
 from gem_core.registry.entry_points import load_entry_point
-from gem_core.registry.lookup import registry
 from gem_core.registry.specs import EnvSpec
 from gem_core.testing.comparing import json_loss, shown
 from gem_core.testing.contract import NotTriedError
@@ -59,7 +59,7 @@ def remade(env: AnyEnv) -> AnyEnv:
         return cast("AnyEnv", type(env)(inner, **getattr(env, "_saved_kwargs", {})))
     args, kwargs = env._init_args
     wrapper = type(env)(inner, *args[1:], **kwargs) if args else type(env)(**{**kwargs, "env": inner})
-    wrapper._made_as, wrapper.implicit = env._made_as, env.implicit
+    wrapper.made_as, wrapper.implicit = env.made_as, env.implicit
     return wrapper
 
 
@@ -102,16 +102,16 @@ def build(recipe: Mapping[str, Any]) -> AnyEnv:
     wrappers = [(name, options) for name, options in recipe["wrappers"]]
     if recipe["record"] is not None:
         record = EnvSpec(entry_point=recipe["entry_point"], kwargs=recipe["kwargs"], **recipe["record"])
-        return guarded(make_from(record, {}, wrappers, registry().wrapper))
+        return guarded(make_from(record, {}, wrappers))
     maker = load_entry_point(recipe["entry_point"], "the environment under check")
-    return guarded(wrap(maker(*recipe["args"], **recipe["kwargs"]), wrappers, registry().wrapper))
+    return guarded(wrap(maker(*recipe["args"], **recipe["kwargs"]), wrappers))
 
 
 def _record_of(layer: AnyEnv) -> tuple[str, dict[str, Any]]:
     if not isinstance(layer, Wrapper):
         raise NotTriedError(f"Gymnasium's wrapper {type(layer).__name__} inside the stack cannot be handed over")
-    if layer._made_as is not None:
-        return layer._made_as
+    if layer.made_as is not None:
+        return layer.made_as
     _, options = layer._own_record()
     return _importable(type(layer), {}), options
 

@@ -9,11 +9,11 @@ from typing import Any, cast
 
 import gymnasium
 
+from gem_core.api import make
 from gem_core.env.base import Env
 from gem_core.env.seeding import stable_hash
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, StateNotSupported
-from gem_core.registry.lookup import make
 from gem_core.registry.specs import EnvSpec
 from gem_core.testing.comparing import play, shown
 from gem_core.testing.contract import NotTriedError

@@ -1,11 +1,14 @@
-"""Which tools are asked for: by object, by class or by name, each with its options, and none named as another."""
+"""Which tools are asked for: by object, class or name, each with its options."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from gem_core.arguments import check_arguments
 from gem_core.errors import ArgumentError
+from gem_core.registry.entry_points import construct
+from gem_core.registry.lookup import registry
 from gem_core.tools.tool import Tool
 
 ToolChoice = Tool | type[Tool] | str | tuple[str | type[Tool], Mapping[str, Any]]
@@ -47,10 +50,6 @@ def _resolved(choice: ToolChoice) -> tuple[str, list[Tool]]:
     """Return where tools come from, in words, and the tools."""
     if isinstance(choice, Tool):
         return f"an instance of {type(choice).__name__}", [choice]
-    from gem_core.arguments import check_arguments
-    from gem_core.making.environment import construct
-    from gem_core.registry.lookup import registry
-
     maker, options = _maker_and_options(choice)
     if isinstance(maker, type):
         check_arguments(maker, (), options, f"tool {maker.__name__!r}")

@@ -9,9 +9,10 @@ from math import isfinite
 from typing import Any, cast
 
 from gem_core.background import in_thread
+from gem_core.env.guard import Guard
 from gem_core.env.results import checked_reset, checked_result
 from gem_core.env.seeding import checked_seed
-from gem_core.env.wrapper import AnyEnv, Guard, concurrency_of, reset_async, step_async
+from gem_core.env.wrapper import AnyEnv, concurrency_of, reset_async, step_async
 from gem_core.types import Concurrency, Observation, ResetResult, StepResult
 from gem_core.vector.commands import Command, Failure, Outcome, Rebuild, Rebuilt, Reset
 

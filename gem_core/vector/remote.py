@@ -13,7 +13,7 @@ from typing import Any, cast
 import cloudpickle  # type: ignore[import-untyped]  # it has no types
 
 from gem_core.errors import ArgumentError, EnvFaultError, WorkerLostError
-from gem_core.making.environment import wrapper_targets
+from gem_core.making.layers import wrapper_targets
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import EnvSpec
 from gem_core.vector.commands import Failure, Reset

@@ -9,7 +9,8 @@ from typing import Any
 
 from gem_core.env.wrapper import AnyEnv, concurrency_of
 from gem_core.errors import ArgumentError
-from gem_core.making.environment import Wrappers, check_choices, make_from, wrapper_targets
+from gem_core.making.environment import check_choices, make_from
+from gem_core.making.layers import Wrappers, wrapper_targets
 from gem_core.records.plans import EpisodeQueue, PlanItem
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.lookup import registry
@@ -83,7 +84,7 @@ class VectorSetup:
         setup = cls([env_id for env_id, _ in own], [kwargs for _, kwargs in own], distinct, **options)
         for env_id, kwargs in distinct:
             record = registry().env(env_id)
-            check_choices(record, {**setup.kwargs, **kwargs}, setup.wrappers, registry().wrapper)
+            check_choices(record, {**setup.kwargs, **kwargs}, setup.wrappers)
         return setup
 
     @property
@@ -98,7 +99,7 @@ class VectorSetup:
 
     def make(self, env_id: str, overrides: Mapping[str, Any]) -> AnyEnv:
         """Make an environment, with some keyword arguments changed."""
-        return make_from(registry().env(env_id), {**self.kwargs, **overrides}, self.wrappers, registry().wrapper)
+        return make_from(registry().env(env_id), {**self.kwargs, **overrides}, self.wrappers)
 
     def factories(self) -> list[EnvFactory]:
         """Return what makes the environment of each slot in this process."""

@@ -142,7 +142,7 @@ class Worker:
     def _factory(self, own_id: str) -> Callable[[str | None, Mapping[str, Any]], AnyEnv]:
         def factory(env_id: str | None, overrides: Mapping[str, Any]) -> AnyEnv:
             record = self._record(env_id or own_id)
-            return make_from(record, {**self._kwargs, **overrides}, self._wrappers, registry().wrapper)
+            return make_from(record, {**self._kwargs, **overrides}, self._wrappers)
 
         return factory
 

@@ -88,7 +88,7 @@ class ObservationView(Wrapper):
         """Begin a new list of turns."""
         observation, info = result
         self._begin(*_split(observation, info))
-        info["view"] = self._made_as[0] if self._made_as else type(self).__name__
+        info["view"] = self.made_as[0] if self.made_as else type(self).__name__
         shown = self._shown()
         if self._is_too_long(shown):
             raise ArgumentError(
@@ -195,6 +195,6 @@ class ConcatWithAction(ObservationView):
 
 
 def _split(observation: Observation, info: Info) -> tuple[Observation, Observation]:
-    """Tell apart what happened and how things stand, and note it: a view may show something else than what was said."""
+    """Split an observation, and write both parts to ``info``, since the view may show something else."""
     info["feedback"], info["suffix"] = split_observation(observation, info)
     return info["feedback"], info["suffix"]

@@ -14,8 +14,9 @@ from typing import Any, ClassVar
 
 from reference_envs import GoodEnv
 
+from gem_core.env.guard import Guard
 from gem_core.env.spaces import Text
-from gem_core.env.wrapper import Guard, Wrapper
+from gem_core.env.wrapper import Wrapper
 from gem_core.errors import ResetNeededError
 
 BROKEN: dict[Callable[[], Any], tuple[set[str], set[str]]] = {}

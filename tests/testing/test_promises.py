@@ -16,7 +16,7 @@ from broken_envs import BROKEN, BacktrackingEnv, DyingEnv, NullHangsEnv, Raising
 from reference_envs import CountingWrapper, GoodAsyncEnv, GoodEnv, PictureEnv, ReverseStringEnv, ThreadEnv
 
 from gem_core import register
-from gem_core.env.wrapper import Guard
+from gem_core.env.guard import Guard
 from gem_core.errors import ArgumentError, GemError, UnknownEnvError
 from gem_core.testing import ContractError, check_env
 from gem_core.testing.contract import PROMISES

@@ -9,7 +9,7 @@ from collections import Counter
 import pytest
 
 import gem_core as gem
-from gem_core.agents.random import RandomAgent
+from gem_core.agents import RandomAgent
 from gem_math import grade
 from gem_math.grading import readings
 from gem_math.grading_compare import Comparison

@@ -1,4 +1,4 @@
-"""The index of a file of episodes: it finds what is there, whatever the file holds and whatever became of it."""
+"""The index of a file of episodes: it finds what is there, whatever the file holds and however it changes."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import broken, failed, maze, write_all
 
-from gem_core.cli.viewing.index import Entry, EpisodeFile
+from gem_core import Episode, read_episodes, write_episodes
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records.episode import Episode, read_episodes, write_episodes
+from gem_eval.episode_file import Entry, EpisodeFile
 
 GOOD = json.dumps(maze().to_dict()).encode()
 LINES = st.one_of(
@@ -41,10 +41,10 @@ def entries(path: Path) -> list[Entry]:
         return list(file.entries())
 
 
-def indexed_when_opened(path: Path) -> int:
-    """How many episodes a new look at the file knows before it reads any line."""
+def bytes_indexed_when_opened(path: Path) -> int:
+    """How much of the file its index covers, before any line is read."""
     with EpisodeFile(path, index_from_bytes=0) as file:
-        return len(file._known)
+        return round(file.share_indexed * file.size)
 
 
 def figures(episode: Episode) -> tuple[object, ...]:
@@ -116,7 +116,7 @@ def test_an_index_is_kept_beside_a_large_file_only(tmp_path: Path) -> None:
     assert [*tmp_path.iterdir()] == [path]
     entries(path)
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["run.jsonl", "run.jsonl.index"]
-    assert indexed_when_opened(path) == 1
+    assert bytes_indexed_when_opened(path) == path.stat().st_size
 
 
 def test_an_index_begun_is_gone_on_with(tmp_path: Path) -> None:
@@ -126,7 +126,7 @@ def test_an_index_begun_is_gone_on_with(tmp_path: Path) -> None:
     with EpisodeFile(path, index_from_bytes=0) as file:
         next(file.entries())
         assert 0 < file.share_indexed < 1
-    assert indexed_when_opened(path) == 1
+    assert bytes_indexed_when_opened(path) == path.stat().st_size / 5
     assert len(entries(path)) == 5
 
 
@@ -135,8 +135,9 @@ def test_an_appended_file_is_indexed_from_where_it_ended(tmp_path: Path) -> None
     path = tmp_path / "run.jsonl"
     write_episodes(path, [maze()] * 3)
     entries(path)
+    before = path.stat().st_size
     write_episodes(path, [broken()], append=True)
-    assert indexed_when_opened(path) == 3
+    assert bytes_indexed_when_opened(path) == before
     assert [entry.id for entry in entries(path)] == ["maze:Room-v0"] * 3 + ["chat:Talk-v0"]
 
 
@@ -158,7 +159,7 @@ def test_a_rewritten_file_is_indexed_anew(tmp_path: Path, longer: bool) -> None:
     before = path.stat()
     path.write_bytes(GOOD.replace(b"maze:Room", b"maze:Hall") + b"\n" * (2 if longer else 1))
     os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns + 1))
-    assert indexed_when_opened(path) == 0
+    assert bytes_indexed_when_opened(path) == 0
     assert [entry.id for entry in entries(path)] == ["maze:Hall-v0"]
 
 
@@ -171,17 +172,32 @@ def test_a_truncated_file_is_indexed_anew(tmp_path: Path) -> None:
     assert len(entries(path)) == 1
 
 
-def test_a_folder_that_cannot_be_written_is_no_obstacle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is kept, and nothing is said; root may write anywhere, so the refusal is played."""
+def test_an_index_that_cannot_be_written_is_no_obstacle(tmp_path: Path) -> None:
+    """Nothing is kept or left behind, and nothing is said. A folder at its place stops root, too."""
     path = tmp_path / "run.jsonl"
     write_episodes(path, [maze()])
-
-    def refuse(**options: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr("gem_core.cli.viewing.index.tempfile.mkstemp", refuse)
+    (tmp_path / "run.jsonl.index").mkdir()
     assert len(entries(path)) == 1
-    assert [*tmp_path.iterdir()] == [path]
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["run.jsonl", "run.jsonl.index"]
+
+
+def test_a_file_may_be_closed_twice(tmp_path: Path) -> None:
+    """The second time does nothing."""
+    path = tmp_path / "run.jsonl"
+    write_episodes(path, [maze()])
+    file = EpisodeFile(path, index_from_bytes=0)
+    assert len(list(file.entries())) == 1
+    file.close()
+    file.close()
+
+
+def test_an_index_is_no_more_readable_than_its_file(tmp_path: Path) -> None:
+    """It holds ids and errors of the episodes."""
+    path = tmp_path / "run.jsonl"
+    write_episodes(path, [maze()])
+    path.chmod(0o600)
+    entries(path)
+    assert (tmp_path / "run.jsonl.index").stat().st_mode & 0o777 == 0o600
 
 
 def test_one_episode_needs_no_index(tmp_path: Path) -> None:
@@ -190,7 +206,7 @@ def test_one_episode_needs_no_index(tmp_path: Path) -> None:
     path.write_bytes(b"\n" + GOOD + b"\n\n" + GOOD)
     with EpisodeFile(path) as file:
         assert [file.entry(number).number for number in (2, 4)] == [2, 4]
-        assert file._known == []
+        assert file.share_indexed == 0
         blank = ": that line is blank"
         for number, reason in ((1, blank), (3, blank), (5, ", which has 4 lines"), (99, ", which has 4 lines")):
             with pytest.raises(ArgumentError) as caught:

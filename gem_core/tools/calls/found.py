@@ -1,4 +1,4 @@
-"""From what a reader found in a response to a call of one of the tools."""
+"""``Call``: what a reader found in a response; and the call of a tool that is made from it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Call(NamedTuple):
         name: Of the tool; empty where the form names none.
         arguments: An object, as a rule; or text, which is JSON or what the text parameter takes; ``Raw`` text is the
             latter. Values that are ``Raw`` are typed by the schema.
-        end: Index behind the call.
+        end: Index of the first character after the call.
         takes: In place of a name, the parameter that is given, as ``"code"``.
         problem: Why it cannot be read.
         cut: Whether the text ends before the call is closed.
@@ -83,7 +83,7 @@ def called(name: str, given: Any, tools: Tools) -> tuple[dict[str, Any], str | N
 
 
 def unknown(name: str, tools: Tools) -> str:
-    """Return what is said of a call of no tool."""
+    """Return the error of a call that names no tool."""
     return f"no tool {name[:100]!r}.{did_you_mean(name[:100], tools)} There are: {', '.join(tools) or 'none'}"
 
 

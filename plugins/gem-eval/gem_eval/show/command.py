@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import json
 import os
-import shutil
 import sys
 import time
 from collections.abc import Iterable, Iterator
@@ -13,16 +13,16 @@ from typing import Any
 
 import click
 
-from gem_core.cli.viewing.filters import SORTS, Filters, chosen
-from gem_core.cli.viewing.index import Entry, EpisodeFile
-from gem_core.cli.viewing.pages import episode_lines, list_lines
-from gem_core.cli.viewing.terminal import Paint, in_terminal, one_line, wants_colours
+from gem_core.cli import output_width
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records.plain_json import ImageFolder, to_plain
+from gem_core.records import ImageFolder, to_plain
+from gem_eval.episode_file import Entry, EpisodeFile
+from gem_eval.filters import SORTS, ordered, parse_comparison, select
+from gem_eval.show.lines import episode_lines, list_lines
+from gem_eval.show.text import count, one_line
 
 _HTML_LIMIT = 500
 _SILENT_S = 2.0
-_BATCH = 100
 
 
 @click.command(
@@ -53,7 +53,9 @@ the one asked for is damaged, 2 for a wrong argument.
 @click.option("--episode", "option_number", metavar="N", type=click.IntRange(min=1), help="The same as N.")
 @click.option("--env", metavar="PATTERN", help="Only ids with this part, or that fit a glob in quotes.")
 @click.option("--success/--failure", "success", default=None, help="Only solved, or only known as not solved.")
-@click.option("--return", "returns", metavar="COMPARISON", help="Only these returns: '>0.5', '<=0', '=1'.")
+@click.option(
+    "--return", "returns", metavar="COMPARISON", type=parse_comparison, help="Only these returns: '>0.5', '<=0', '=1'."
+)
 @click.option("--errors/--no-errors", "errors", default=None, help="Only with, or only without an error.")
 @click.option("--group", metavar="G", help="Only this group.")
 @click.option("--grep", metavar="TEXT", help="Only with this text in an observation, response or info.")
@@ -86,9 +88,12 @@ def command(
     if number is not None and option_number not in (None, number):
         raise ArgumentError(f"N is {number}, but --episode is {option_number}; name one")
     number = option_number if number is None else number
-    _check_combination(number, diff, html, as_json)
-    filters = Filters(**conditions)
-    _make_output_safe()
+    if diff is not None and (number is not None or html is not None or as_json):
+        raise ArgumentError("--diff goes with no other form: leave out N, --html and --json")
+    if html is not None and as_json:
+        raise ArgumentError("--html and --json are two forms; choose one")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # for what its encoding does not have
     with EpisodeFile(path) as file:
         if not file.size:
             raise EpisodeFileError(f"{path} is empty: it holds no episodes (yet)")
@@ -96,69 +101,55 @@ def command(
             _show_diff(file, diff)
         elif number is not None and html is None:
             _show_episode(file, number, full, as_json)
-        elif html is not None:
-            entries = filters.select(file) if number is None else iter([_whole(file, number)])
-            _write_page(file, chosen(_with_progress(file, entries), sort, reverse, None), html, limit or _HTML_LIMIT)
         else:
-            entries = filters.select(file)
-            if as_json or sort is not None or reverse or not in_terminal():
-                entries = _with_progress(file, entries)
-            _show_list(file, chosen(entries, sort, reverse, limit), as_json)
+            # A list that grows in a terminal shows by itself how far it is.
+            grows = sys.stdout.isatty() and html is None and not as_json and sort is None and not reverse
+            entries = file.entries() if grows else _with_progress(file)
+            fitting = select(file, entries, **conditions) if number is None else iter([file.entry(number)])
+            if html is not None:
+                _write_page(file, ordered(fitting, sort, reverse, None), html, limit or _HTML_LIMIT)
+            else:
+                _show_list(file, ordered(fitting, sort, reverse, limit), as_json)
         _report_damage(file)
 
 
-def _check_combination(number: int | None, diff: object, html: str | None, as_json: bool) -> None:
-    if diff is not None and (number is not None or html is not None or as_json):
-        raise ArgumentError("--diff goes with no other form: leave out N, --html and --json")
-    if html is not None and as_json:
-        raise ArgumentError("--html and --json are two forms; choose one")
-
-
 def _show_list(file: EpisodeFile, entries: Iterator[Entry], as_json: bool) -> None:
+    first = list(itertools.islice(entries, 1))
+    entries = itertools.chain(first, entries)
     if as_json:
         click.echo(json.dumps([to_plain(entry.to_dict()) for entry in entries], indent=1))
     else:
-        first = list(itertools.islice(entries, 1))
-        width = shutil.get_terminal_size().columns if in_terminal() else None
-        _print(list_lines(itertools.chain(first, entries), Paint(wants_colours()), width))
-        if first:
-            return
-    if file.share_indexed < 1:
-        return
-    whole = sum(1 for _ in file.entries())
-    if not whole and file.damaged:
-        worst = file.damaged[0]
-        raise EpisodeFileError(f"{file.path} holds no whole episode; line {worst.number}: {worst.damage}")
-    if not whole:
-        raise EpisodeFileError(f"{file.path} holds no episode: its lines are blank")
-    if not as_json:
-        click.echo(f"gem: none of the {whole:,} episodes of {file.path} fits", err=True)
+        _write(list_lines(entries, output_width()))
+    if not first:
+        whole = _count_whole(file)
+        if not as_json:
+            click.echo(f"gem: none of the {whole:,} episodes of {file.path} fits", err=True)
 
 
 def _show_episode(file: EpisodeFile, number: int, full: bool, as_json: bool) -> None:
-    episode = file.read(_whole(file, number))
+    episode = file.read(file.entry(number))
     if as_json:
         click.echo(json.dumps(to_plain({"number": number, **episode.to_dict()}), indent=1))
     else:
-        _print(episode_lines(episode, number, Paint(wants_colours()), full=full))
+        _write(episode_lines(episode, number, full=full))
 
 
 def _show_diff(file: EpisodeFile, numbers: tuple[int, int]) -> None:
-    from gem_core.cli.viewing.diff import diff_lines
+    from gem_eval.show.diff import diff_lines
 
-    one, other = (file.read(_whole(file, number)) for number in numbers)
-    _print(diff_lines(numbers, (one, other), Paint(wants_colours())))
+    one, other = (file.read(file.entry(number)) for number in numbers)
+    _write(diff_lines(numbers, (one, other)))
 
 
 def _write_page(file: EpisodeFile, entries: Iterator[Entry], out: str, limit: int) -> None:
-    from gem_core.cli.viewing.html import PageWriter
+    from gem_eval.show.page import PageWriter
 
     if os.path.realpath(out) == os.path.realpath(file.path):
         raise ArgumentError(f"--html {out} is the file of episodes itself; name another")
     page = PageWriter(file.path.name, ImageFolder.beside(file.path))
-    count = left_out = 0
+    written = left_out = 0
     for entry in entries:
-        if count == limit:
+        if written == limit:
             left_out += 1
             continue
         try:
@@ -166,27 +157,30 @@ def _write_page(file: EpisodeFile, entries: Iterator[Entry], out: str, limit: in
         except EpisodeFileError as error:
             click.echo(f"gem: passed over, {one_line(str(error))}", err=True)
         else:
-            count += 1
-    if not count:
-        if any(True for _ in file.entries()):
-            raise ArgumentError(f"no episode of {file.path} fits; no page is written")
-        raise EpisodeFileError(f"{file.path} holds no whole episode; no page is written")
+            written += 1
+    if not written:
+        _count_whole(file)
+        raise ArgumentError(f"no episode of {file.path} fits; no page is written")
     if left_out:
         page.notes.append(
-            f"{left_out:,} more episodes are left out of this page; --limit {count + left_out} takes all."
+            f"{left_out:,} more episodes are left out of this page; --limit {written + left_out} takes all."
         )
     if file.damaged:
         page.notes.append(f"{len(file.damaged):,} lines of the file hold no whole episode.")
     page.write(out)
     rest = f" ({left_out:,} more left out: raise --limit)" if left_out else ""
-    click.echo(f"{count} episode{'s' if count != 1 else ''} written to {out}{rest}")
+    click.echo(f"{count(written, 'episode')} written to {out}{rest}")
 
 
-def _whole(file: EpisodeFile, number: int) -> Entry:
-    entry = file.entry(number)
-    if entry.damage is not None:
-        raise EpisodeFileError(f"{file.path}, line {number} holds no whole episode: {entry.damage}")
-    return entry
+def _count_whole(file: EpisodeFile) -> int:
+    """Return how many whole episodes a file holds; raise where there is none."""
+    whole = sum(1 for _ in file.entries())
+    if whole:
+        return whole
+    if file.damaged:
+        first = file.damaged[0]
+        raise EpisodeFileError(f"{file.path} holds no whole episode; line {first.number}: {first.damage}")
+    raise EpisodeFileError(f"{file.path} holds no episode: its lines are blank")
 
 
 def _report_damage(file: EpisodeFile) -> None:
@@ -197,42 +191,27 @@ def _report_damage(file: EpisodeFile) -> None:
         click.echo(f"gem: {file.path}, line {damaged[0].number}: passed over, because {reason}{more}", err=True)
 
 
-def _print(lines: Iterable[str]) -> None:
-    """Write lines: paged in a terminal, else as they come."""
-    if in_terminal():
-        # F: what fits the screen stays there without a pager. R: colours, and no other codes. X: no clearing.
-        os.environ.setdefault("LESS", "-FRX")
-        click.echo_via_pager((f"{line}\n" for line in lines), color=wants_colours())
+def _write(lines: Iterable[str]) -> None:
+    """Write lines: paged in a terminal, else plain and as they come."""
+    if not sys.stdout.isatty():
+        # click.echo would flush each line, at the cost of a system call.
+        sys.stdout.writelines(f"{click.unstyle(line)}\n" for line in lines)
         return
-    for batch in _batches(lines):
-        click.echo("\n".join(batch))
+    # F: what fits the screen stays there without a pager. R: colours, and no other codes. X: no clearing.
+    os.environ.setdefault("LESS", "-FRX")
+    colours = not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+    click.echo_via_pager((f"{line}\n" for line in lines), color=colours)
 
 
-def _batches(lines: Iterable[str]) -> Iterator[list[str]]:
-    # Each line written alone would cost a system call.
-    remaining = iter(lines)
-    while batch := list(itertools.islice(remaining, _BATCH)):
-        yield batch
-
-
-def _make_output_safe() -> None:
-    """Let what the output's encoding does not have be shown as its code."""
-    reconfigure = getattr(sys.stdout, "reconfigure", None)
-    if reconfigure is not None:
-        reconfigure(errors="backslashreplace")
-
-
-def _with_progress(file: EpisodeFile, entries: Iterator[Entry]) -> Iterator[Entry]:
-    """Say how far the indexing is, in a terminal and when it takes longer than a moment."""
-    if not sys.stderr.isatty() or file.share_indexed == 1:
-        yield from entries
-        return
-    started = shown = time.monotonic()
-    for entry in entries:
-        now = time.monotonic()
-        if now - started > _SILENT_S and now - shown > 0.2:
-            shown = now
+def _with_progress(file: EpisodeFile) -> Iterator[Entry]:
+    """Yield the entries of a file, and say in a terminal how much of it is read, if that takes more than a moment."""
+    shown = sys.stderr.isatty() and file.share_indexed < 1
+    due = time.monotonic() + _SILENT_S
+    written = False
+    for entry in file.entries():
+        if shown and time.monotonic() > due:
+            due, written = time.monotonic() + 0.2, True
             click.echo(f"\rgem: reading {file.path.name}, {file.share_indexed:.0%} ", err=True, nl=False)
         yield entry
-    if shown != started:
+    if written:
         click.echo("\r\x1b[K", err=True, nl=False)

@@ -7,8 +7,7 @@ from typing import Any
 
 from PIL import Image
 
-from gem_core.records.episode import Episode, Transition, write_episodes
-from gem_core.types import Response
+from gem_core import Episode, Response, Transition, write_episodes
 
 HOSTILE = (
     "</script><script>alert(1)</script><!-- <img src=x onerror=alert(2)> ]]> &lt; \u2028\u2029 \x1b[2J\x1b]0;owned\x07 "

@@ -1,14 +1,14 @@
-"""An episode as it is shown: its turns in pieces, each with what happened in it, whatever shows them."""
+"""An episode as it is shown, in a terminal, in a comparison and in a page: its turns in pieces of text."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any, Literal
 
-from gem_core.records.episode import Episode, Transition
-from gem_core.types import Observation
+from gem_core import Episode, Observation, Transition
 
 _SHORTEST_REPEAT = 200
 # Shown under names of their own, or (the suffix) as part of the next observation.
@@ -29,6 +29,10 @@ class Part:
     text: str
     repeated: bool = False
 
+    def __str__(self) -> str:
+        """Return it as text."""
+        return {"role": f"[{self.text}]", "image": f"[image {self.text}]"}.get(self.kind, self.text)
+
 
 @dataclass(frozen=True)
 class TurnView:
@@ -42,8 +46,8 @@ class TurnView:
         calls: Native tool calls, each as ``name(arguments)``.
         reported: What else the server reported, in words: model, tokens, why it stopped.
         reward: Reward of the turn.
-        flags: ``terminated``, ``truncated`` and ``cut off``, where they hold.
-        feedback: What the environment said to it, where that is told apart from the next observation.
+        flags: ``terminated``, ``truncated`` and ``cut off at the token limit``, where they hold.
+        feedback: What the environment said to it, where that is not the next observation.
         error: What failed in the machinery.
         rest: The rest of the info, as plain JSON.
     """
@@ -58,7 +62,7 @@ class TurnView:
     flags: list[str]
     feedback: list[Part]
     error: str
-    rest: dict[str, str] = field(default_factory=dict)
+    rest: dict[str, str]
 
 
 def turn_views(episode: Episode, *, fold: bool = True) -> Iterator[TurnView]:
@@ -87,14 +91,21 @@ def parts_of(observation: Any, before: Any = "") -> list[Part]:
     if isinstance(before, list):
         while same < min(len(before), len(observation) - 1) and before[same] == observation[same]:
             same += 1
-    parts: list[Part] = []
-    for place, item in enumerate(observation):
-        parts += [Part(part.kind, part.text, repeated=place < same) for part in _parts_of_item(item)]
-    return parts
+    return [
+        Part(part.kind, part.text, repeated=place < same)
+        for place, item in enumerate(observation)
+        for part in _parts_of_item(item)
+    ]
+
+
+def text_of(parts: Iterable[Part]) -> str:
+    """Return the pieces of an observation as one text."""
+    return "\n".join(map(str, parts))
 
 
 def start_of(episode: Episode) -> dict[str, str]:
     """Return what an episode started from, in words; what is empty is left out."""
+    read = "" if episode.reads in (None, "observation") else str(episode.reads)
     facts = {
         "seed": episode.seed,
         "group": episode.group,
@@ -103,22 +114,17 @@ def start_of(episode: Episode) -> dict[str, str]:
         "wrappers": episode.wrappers,
         "tools": episode.tools,
         "system": episode.system,
-        "sent": _sent(episode),
+        # Where the agent was sent something else than what is shown of a turn.
+        "sent": ", ".join(filter(None, [read, "tools natively" if episode.native_tools else ""])),
         "task": episode.info.get("task_id"),
         "versions": episode.versions,
     }
     return {name: _words(value) for name, value in facts.items() if value not in (None, "", [], {})}
 
 
-def _sent(episode: Episode) -> str | None:
-    """Return what the agent was sent, where that is not what is shown of a turn."""
-    sent = "" if episode.reads in (None, "observation") else str(episode.reads)
-    return ", ".join(filter(None, [sent, "tools natively" if episode.native_tools else ""])) or None
-
-
-def outcome_of(success: bool | None, error: str | None) -> str:
-    """Return how an episode ended, in one word."""
-    return "error" if error is not None else {True: "success", False: "failure", None: "unknown"}[success]
+def outcome_of(success: bool | None, *, failed: bool) -> str:
+    """Return how an episode ended, in one word; ``failed`` stands for an error of the machinery."""
+    return "error" if failed else {True: "success", False: "failure", None: "unknown"}[success]
 
 
 def error_text(error: Mapping[str, Any] | None) -> str:
@@ -165,16 +171,12 @@ def _parts_of_item(item: Any) -> list[Part]:
 
 def _repeated(text: str, before: str) -> int:
     """Return how many characters at the start stand in the text before as well: whole lines, and enough of them."""
-    low, high = 0, min(len(text), len(before))
-    while low < high:
-        middle = (low + high + 1) // 2
-        if text[low:middle] == before[low:middle]:
-            low = middle
-        else:
-            high = middle - 1
-    if low < len(text):
-        low = text.rfind("\n", 0, low) + 1
-    return low if low >= _SHORTEST_REPEAT else 0
+    # 0.3 ms for 200,000 characters; os.path.commonprefix takes 13.
+    lengths = range(1, min(len(text), len(before)) + 1)
+    length = bisect_left(lengths, True, key=lambda length: not before.startswith(text[:length]))
+    if length < len(text):
+        length = text.rfind("\n", 0, length) + 1
+    return length if length >= _SHORTEST_REPEAT else 0
 
 
 def _call(call: Any) -> str:

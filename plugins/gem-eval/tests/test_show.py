@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 import os
 import pty
+import re
+import shlex
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,18 +18,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import broken, failed, hostile, maze, turn, write_all
 
+from gem_core import Episode, Response, write_episodes
 from gem_core.cli import main
-from gem_core.cli.viewing.diff import diff_lines
-from gem_core.cli.viewing.filters import matches_id, parse_comparison
-from gem_core.cli.viewing.pages import episode_lines
-from gem_core.cli.viewing.terminal import Paint, escaped, one_line
-from gem_core.cli.viewing.turns import parts_of, turn_views
 from gem_core.errors import ArgumentError
-from gem_core.records.episode import Episode, write_episodes
-from gem_core.types import Response
+from gem_core.testing import check_plugin
+from gem_eval.episode_file import EpisodeFile
+from gem_eval.filters import matches_id, parse_comparison
+from gem_eval.show.diff import diff_lines
+from gem_eval.show.lines import episode_lines, list_lines
+from gem_eval.show.text import escaped, highlighted, one_line
+from gem_eval.turns import parts_of, turn_views
 
 ANY_TEXT = st.text(st.characters(codec=None, categories=None), max_size=60)
-PLAIN = Paint(False)
+README = Path(__file__).parent.parent / "README.md"
+COLOURS = re.compile(r"\x1b\[[\d;]*m")
 
 
 class Outcome(NamedTuple):
@@ -57,6 +62,16 @@ def numbers(outcome: Outcome) -> list[int]:
     return [int(line.split()[0]) for line in outcome.out.splitlines()[1:]]
 
 
+def plain(lines: Iterable[str]) -> list[str]:
+    """Lines without their colours."""
+    return [COLOURS.sub("", line) for line in lines]
+
+
+def test_the_plugin_keeps_to_the_rules() -> None:
+    """Its command is found, says what it does, and is not imported before it is called."""
+    check_plugin("gem-eval")
+
+
 def test_the_list_has_a_line_for_each_episode(show) -> None:
     """A header, then plain columns."""
     lines = show().out.splitlines()
@@ -65,6 +80,17 @@ def test_the_list_has_a_line_for_each_episode(show) -> None:
     assert lines[2].split() == ["2", "maze:Room-v0", "failure", "0.25", "2", "7", "g1"]
     assert lines[3].split() == ["3", "chat:Talk-v0", "error", "0", "1", "3", "timeout:", "no", "answer", "in", "5", "s"]
     assert len(lines) == 6
+
+
+@pytest.mark.parametrize("width", [30, 50, 80, 120])
+def test_the_list_keeps_ids_and_outcomes_whole_in_any_width(tmp_path: Path, width: int) -> None:
+    """What matters least is left out, or each episode is a paragraph."""
+    write_episodes(tmp_path / "run.jsonl", [maze(), failed()])
+    with EpisodeFile(tmp_path / "run.jsonl") as file:
+        lines = plain(list_lines(file.entries(), width))
+    assert max(map(len, lines)) <= width
+    assert "\n".join(lines).count("maze:Room-v0") == 2
+    assert {"success", "failure"} <= {word for line in lines for word in re.findall(r"\w+", line)}
 
 
 @pytest.mark.parametrize(
@@ -118,6 +144,16 @@ def test_json_lists_what_fits(show) -> None:
         "group": "g1",
     }
     assert json.loads(show("2", "--json").out)["final_observation"] == "Night falls."
+
+
+COMMANDS = re.findall(r"^gem show runs/guess.jsonl(.*?)(?:  |$)", README.read_text(encoding="utf-8"), re.MULTILINE)
+
+
+@pytest.mark.parametrize("arguments", COMMANDS)
+def test_what_the_readme_shows_can_be_typed(show, arguments: str) -> None:
+    """With another file."""
+    outcome = show(*shlex.split(arguments))
+    assert (outcome.code, bool(outcome.out), outcome.err) == (0, True, "")
 
 
 @pytest.mark.parametrize("text", ["x", "> y", ">>1", "", "1 2", ">"])
@@ -178,9 +214,18 @@ def test_one_episode_is_told_turn_by_turn(show) -> None:
 def test_an_episode_without_turns_is_shown() -> None:
     """A reset that failed: the observation and the error."""
     episode = Episode("toy:A-v0", None, "first", {"error": {"kind": "crash", "message": "gone"}})
-    lines = list(episode_lines(episode, 1, PLAIN))
+    lines = plain(episode_lines(episode, 1))
     assert lines[:2] == ["Episode 1 · toy:A-v0", "error, return 0, 0 turns"]
     assert {"  first", "error: crash: gone"} <= {*lines}
+
+
+def test_an_observation_that_only_repeats_is_counted() -> None:
+    """A turn after which the environment says the same again."""
+    episode = maze()
+    episode.transitions[1].observation = episode.observation
+    length = len(str(episode.observation))
+    lines = plain(episode_lines(episode, 1))
+    assert f"  … {length} characters as in the turn before (--full shows them)" in lines
 
 
 def test_messages_are_told_by_role_and_those_said_before_are_folded() -> None:
@@ -238,12 +283,12 @@ def test_a_diff_says_when_the_start_is_another(show) -> None:
 
 def test_a_diff_of_episodes_that_are_alike_says_so() -> None:
     """And one whose environment answers alike with something else."""
-    same = list(diff_lines((1, 2), (maze(), maze()), PLAIN))
+    same = plain(diff_lines((1, 2), (maze(), maze())))
     assert same[-1] == "All 3 turns are alike."
     other = maze()
     other.transitions[1].observation = "Another room."
     assert "They part at turn 2, with the observation, although all before it was alike." in [
-        *diff_lines((1, 2), (maze(), other), PLAIN)
+        *plain(diff_lines((1, 2), (maze(), other)))
     ]
 
 
@@ -253,11 +298,11 @@ def test_a_diff_of_episodes_that_are_alike_says_so() -> None:
 def test_no_text_of_others_reaches_the_terminal_as_it_is(make, text: str) -> None:
     """No control character but line feed and tab, no mark that reorders text, no half of a character."""
     episode = make()
+    text = f"\x1b[2J{text}"  # which is no colour of our own, wherever it stands unescaped
     episode.transitions[0].action = Response(text, reasoning=text, model=text)
     episode.transitions[0].info[text] = text
     episode.final_observation, episode.id, episode.seed = text, text, text
-    lines = [*episode_lines(episode, 1, PLAIN), *diff_lines((1, 2), (episode, maze()), PLAIN)]
-    for line in lines:
+    for line in plain([*episode_lines(episode, 1), *diff_lines((1, 2), (episode, maze()))]):
         assert "\n" not in line
         assert escaped(line) == line
         line.encode("utf-8")
@@ -266,7 +311,7 @@ def test_no_text_of_others_reaches_the_terminal_as_it_is(make, text: str) -> Non
 def test_what_is_escaped_stands_as_its_code() -> None:
     """In reverse where there are colours; a list's cell is one line."""
     assert escaped("a\x1b[0m\x9b\u202e\ud800\U000e0041\tb\n") == "a\\x1b[0m\\x9b\\u202e\\ud800\\U000e0041\tb\n"
-    assert Paint(True).foreign("a\x07") == "a\x1b[7m\\x07\x1b[0m"
+    assert highlighted("a\x07") == "a\x1b[7m\\x07\x1b[0m"
     assert one_line("a\nb\tc" + "d" * 10, 8) == "a\\nb cd…"
     assert escaped("👩\u200d🔬 naïve 漢字") == "👩\u200d🔬 naïve 漢字"
 

@@ -8,18 +8,17 @@ import os
 import re
 import sys
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import click
 
-from gem_core.records.plain_json import ImageFolder
 from gem_core.types import Observation
 
 BLOCK = '"""'
 
 _MOST_COLUMNS = 100
-# What a terminal would obey rather than show. Colours (SGR) are let through where an environment draws.
+# Control characters, on which a terminal acts instead of showing them. Colours (SGR) pass where an environment draws.
 _CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _CONTROLS_BUT_COLOURS = re.compile(r"\x1b(?!\[[\d;]*m)|[\x00-\x08\x0b-\x1a\x1c-\x1f\x7f-\x9f]")
 
@@ -57,7 +56,7 @@ class Terminal:
         self._edited = self.interactive and sys.stdout.isatty()
         for stream, errors in ((sys.stdin, "replace"), (sys.stderr if err else sys.stdout, "backslashreplace")):
             if hasattr(stream, "reconfigure"):
-                stream.reconfigure(errors=errors)  # a byte that is no text is no reason to stop
+                stream.reconfigure(errors=errors)  # bytes that are no text are shown, and do not raise
 
     @property
     def columns(self) -> int | None:
@@ -93,7 +92,7 @@ class Terminal:
     def show_exactly(self, text: str) -> None:
         """Write text to the letter, and a line break if it has none at its end.
 
-        On a terminal, control characters are made visible: there they would not be shown but obeyed.
+        On a terminal, control characters are made visible, since it would act on them.
         """
         if self.drawn:
             text = printable(text)
@@ -199,26 +198,27 @@ def printable(text: str) -> str:
     return _CONTROLS.sub(_visible, text)
 
 
-def observation_text(observation: Observation, images: ImageFolder | None = None) -> str:
+def observation_text(observation: Observation, save_image: Callable[[Any], object] | None = None) -> str:
     """Return an observation as text: what it holds to the letter, and a line for each image and each message's role.
 
     Args:
         observation: Text, content parts, or messages.
-        images: Where images are written, so that a person can open them; None only tells their size.
+        save_image: Writes an image to a file, so that a person can open it, and returns the path; None only tells the
+            image's size.
     """
     if isinstance(observation, str):
         return observation
-    return "\n".join(_part_text(part, images) for part in observation)
+    return "\n".join(_part_text(part, save_image) for part in observation)
 
 
-def _part_text(part: Mapping[str, Any], images: ImageFolder | None) -> str:
+def _part_text(part: Mapping[str, Any], save_image: Callable[[Any], object] | None) -> str:
     if "role" in part:
         calls = f"\n{json.dumps(part['tool_calls'], default=repr)}" if part.get("tool_calls") else ""
-        return f"[{part['role']}]\n{observation_text(part.get('content') or '', images)}{calls}"
+        return f"[{part['role']}]\n{observation_text(part.get('content') or '', save_image)}{calls}"
     if part.get("type") == "text":
         return str(part.get("text", ""))
     image: Any = part.get("image")
     if hasattr(image, "size") and hasattr(image, "tobytes"):
-        place = "" if images is None else f" {images.path / images.write(image)}"
+        place = "" if save_image is None else f" {save_image(image)}"
         return f"[image {image.size[0]}x{image.size[1]}{place}]"
     return json.dumps(part, default=repr)

@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from PIL import Image
 from recorded import HOSTILE, hostile, maze, turn, write_all
 
+from gem_core import Episode, write_episodes
 from gem_core.cli import main
-from gem_core.cli.viewing.html import MOST_TEXT, PageWriter, inert_json
-from gem_core.cli.viewing.terminal import escaped
 from gem_core.errors import ArgumentError
-from gem_core.records.episode import Episode, write_episodes
-from gem_core.records.plain_json import ImageFolder
+from gem_core.records import ImageFolder
+from gem_eval.show.page import MOST_TEXT, PageWriter, inert_json
+from gem_eval.show.text import escaped
 
 ANY_TEXT = st.text(st.characters(codec=None, categories=None), max_size=60)
 
@@ -129,7 +129,7 @@ def test_hostile_text_stays_text(written) -> None:
     """It is in the data with its control characters as codes, and nowhere else in the page."""
     page, _ = written()
     evil = page.data["episodes"][3]
-    assert evil["final"] == [{"kind": "text", "text": escaped(HOSTILE)}]
+    assert evil["final"] == [{"kind": "text", "text": escaped(HOSTILE), "repeated": False}]
     assert evil["turns"][0]["response"] == escaped(HOSTILE)
     tags = [tag for tag, _ in page.elements]
     assert tags == [tag for tag, _ in page_of(maze()).elements]
@@ -163,7 +163,7 @@ def test_the_data_hold_what_is_shown(written) -> None:
     assert [turn["reward"] for turn in episode["turns"]] == [0.25, -0.5, 1.0]
     assert episode["turns"][0]["calls"] == ['python({"code": "print(6 * 7)"})']
     assert episode["turns"][1]["flags"] == ["cut off at the token limit"]
-    assert [part.get("repeated", False) for part in episode["turns"][1]["observation"]] == [True, False]
+    assert [part["repeated"] for part in episode["turns"][1]["observation"]] == [True, False]
     assert episode["start"]["task"] == "room-7"
 
 
@@ -185,7 +185,7 @@ def test_images_stand_in_the_page_once(written) -> None:
     """As data, written anew as PNG; a name that is none of ours is not looked for."""
     page, _ = written()
     ((name, source),) = page.data["images"].items()
-    assert page.data["episodes"][4]["turns"][0]["observation"][1] == {"kind": "image", "text": name}
+    assert page.data["episodes"][4]["turns"][0]["observation"][1] == {"kind": "image", "text": name, "repeated": False}
     assert base64.b64decode(source.removeprefix("data:image/png;base64,")).startswith(b"\x89PNG")
     assert page.data["notes"] == ["Images that cannot be read, or would be too much: 1. Their names stand instead."]
 

@@ -1,0 +1,143 @@
+"""The functions that everything begins with: ``make``, ``make_vec``, ``register``, and what there is to make."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from gem_core.registry.entry_points import construct
+from gem_core.registry.lookup import registry
+from gem_core.registry.specs import EntryPoint, EnvSpec
+
+if TYPE_CHECKING:
+    from gem_core.env.wrapper import AnyEnv
+    from gem_core.making.environment import MadeSpec
+    from gem_core.making.layers import Wrappers
+    from gem_core.records.plans import PlanItem
+    from gem_core.vector.env import VectorEnv
+    from gem_core.vector.setup import IdOrIds
+    from gem_core.vector.slot import Autoreset, OnError
+
+_SPEC_KEYWORDS = ("summary", "tags", "requires", "deterministic")
+
+
+def register(id: str, entry_point: EntryPoint, **kwargs: Any) -> None:
+    """Register an environment under an id.
+
+    Args:
+        id: ``namespace:Name[-vN][-variant]``.
+        entry_point: ``"package.module:Class"``, or a callable that returns an environment.
+        **kwargs: ``summary``, ``tags``, ``requires`` and ``deterministic`` describe it (see ``EnvSpec``); every other
+            keyword goes to the environment when it is made.
+
+    Raises:
+        RegistrationError: The id is malformed or taken.
+    """
+    described = {name: kwargs.pop(name) for name in _SPEC_KEYWORDS if name in kwargs}
+    registry().add(EnvSpec(id=id, entry_point=entry_point, kwargs=kwargs, **described))
+
+
+def make(id: str | EnvSpec | MadeSpec, *, wrappers: Wrappers = (), **kwargs: Any) -> AnyEnv:
+    """Make an environment by id.
+
+    Args:
+        id: Id of a registered environment, or its record, or the ``spec`` of one that was made.
+        wrappers: Names of wrappers and tools, innermost first: ``"python,concat"``, or with options
+            ``["python", ("concat", {"max_turns": 4})]``. They go around those that a ``spec`` has already.
+        **kwargs: Keyword arguments over the registered ones; ``render_mode`` works for every environment.
+
+    Raises:
+        UnknownEnvError: No such id; the message names the nearest, or the plugin to install.
+        UnknownWrapperError: No such wrapper or tool.
+        ArgumentError: A keyword argument that the environment does not have; the message names those it has.
+        MissingRequirementError: Something has to be installed, started or set first.
+        EntryPointError: The environment's module cannot be imported.
+    """
+    from gem_core.making.environment import MadeSpec, make_from
+
+    if isinstance(id, MadeSpec):
+        return id.make(wrappers=wrappers, **kwargs)
+    record = id if isinstance(id, EnvSpec) else registry().env(id)
+    return make_from(record, kwargs, wrappers)
+
+
+def make_vec(
+    ids: IdOrIds,
+    num_envs: int | None = None,
+    *,
+    backend: str | tuple[str, Mapping[str, Any]] = "auto",
+    autoreset: Autoreset = "same_step",
+    wrappers: Wrappers = (),
+    seed: int | None = None,
+    plan: Iterable[PlanItem] | None = None,
+    step_timeout: float | None = None,
+    on_error: OnError = "truncate",
+    **kwargs: Any,
+) -> VectorEnv:
+    """Make several environments that are reset and stepped together.
+
+    Args:
+        ids: One id, or several for a mixed batch; the slots take them in turn. Each may come with keyword arguments of
+            its own, as in ``("game:Sudoku-v0-easy", {"max_turns": 9})``. Where there are fewer slots than ids, a plan
+            reaches them all, as that of ``rollout`` does.
+        num_envs: Number of slots; by default one for each id.
+        backend: Where environments live: ``"sync"``, ``"async"``, ``"process"``, one that a plugin brings, or
+            ``"auto"``, which chooses by each environment's ``concurrency``. Its options go along as in
+            ``("process", {"workers": 4})``.
+        autoreset: When the next episode begins. ``"same_step"``: in the step that ended the last one, whose end is in
+            ``info["final_obs"]`` and ``info["final_info"]``. ``"next_step"``: in the next step, whose action is
+            ignored. ``"disabled"``: when ``reset(options={"reset_mask": …})`` says so.
+        wrappers: Put around each environment; see ``make``.
+        seed: Seed of the run, from which every episode's own is made; None draws one, found as ``vec.seed``.
+        plan: What episodes start from, drawn by all slots; see ``gem_core.records.plans``.
+        step_timeout: Seconds that a step, or a reset with the making of its environment, may take; None for as long as
+            it likes. What takes longer is given up as a fault of its slot: its thread is abandoned, or its worker
+            killed. What runs in place cannot be given up: it goes to worker processes under ``"auto"``, and is refused
+            by ``"sync"`` and ``"async"``.
+        on_error: ``"truncate"`` ends the episode of an environment that fails and replaces it; ``"raise"`` raises.
+        **kwargs: Keyword arguments for every environment.
+
+    Raises:
+        UnknownEnvError: No such id.
+        UnknownBackendError: No such backend.
+        ArgumentError: A value that is not accepted.
+    """
+    from gem_core.vector.setup import VectorSetup, backend_and_options
+
+    name, options = backend_and_options(backend)
+    setup = VectorSetup.of(
+        ids,
+        num_envs,
+        wrappers=wrappers,
+        kwargs=kwargs,
+        seed=seed,
+        plan=plan,
+        autoreset=autoreset,
+        step_timeout=step_timeout,
+        on_error=on_error,
+    )
+    vector: VectorEnv = construct(registry().backend(name), setup, **options)
+    return vector
+
+
+def spec(id: str) -> EnvSpec:
+    """Return the record of an environment.
+
+    Raises:
+        UnknownEnvError: No such id; the message names the nearest.
+    """
+    return registry().env(id)
+
+
+def list_envs(namespace: str | None = None) -> list[str]:
+    """Return the ids of all environments, in order, or those of one namespace (or a glob such as ``game:*-easy``)."""
+    return [record.id for record in registry().envs(namespace)]
+
+
+def print_envs(namespace: str | None = None) -> None:
+    """Write the ids of all environments to standard output, each with its summary."""
+    records = registry().envs(namespace)
+    width = max((len(record.id) for record in records), default=0)
+    for record in records:
+        sys.stdout.write(f"{record.id:<{width}}  {record.summary}".rstrip() + "\n")
