@@ -59,8 +59,6 @@ PRIVATE_IN_TESTS = {
     "tests/test_data_rows.py": {"_descriptor", "_living", "_recent"},
     "tests/test_doctor.py": {"_named", "_runs_folder"},
     "tests/test_lazy_generator.py": {"_np_random"},
-    "tests/test_rollout_slots.py": {"_engine"},
-    "tests/test_show_index.py": {"_known"},
     "tests/test_tool_limits.py": {"_sessions"},
     "tests/test_vector.py": {"_engine"},
     "tests/test_vector_chaos.py": {"_engine", "_links", "_rules"},
