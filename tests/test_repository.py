@@ -56,7 +56,6 @@ PRIVATE_IN_TESTS = {
     "tests/conftest.py": {"_find", "_named", "_registry"},
     "tests/test_cli.py": {"_named"},
     "tests/test_completion.py": {"_named", "_registry"},
-    "tests/test_data_rows.py": {"_descriptor", "_living", "_recent"},
     "tests/test_doctor.py": {"_named", "_runs_folder"},
     "tests/test_lazy_generator.py": {"_np_random"},
     "tests/test_tool_limits.py": {"_sessions"},

@@ -173,9 +173,10 @@ def was_not_played(turn: Transition) -> bool:
 
 def _endless_plan(env: AnyEnv) -> Iterator[PlanItem]:
     """Yield what ``gem run`` starts from: the rows of a data set in order, over and over; for others just seeds."""
-    rows = getattr(env.unwrapped, "num_tasks", None)
-    if not isinstance(rows, int):
+    task = env.unwrapped
+    if not isinstance(task, Env) or task.num_tasks is None:
         return (PlanItem() for _ in count())
-    if getattr(env.unwrapped, "endless_tasks", False) is True:
+    rows = task.num_tasks
+    if task.endless_tasks:
         return (PlanItem(options={"index": index}) for index in count())
     return (PlanItem(options={"index": index % rows}) for index in count())

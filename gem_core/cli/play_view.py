@@ -9,6 +9,7 @@ import click
 
 from gem_core.agents.answer_form import AnswerForm
 from gem_core.cli.play_session import PlaySession
+from gem_core.env.base import Env
 from gem_core.env.observations import split_observation
 from gem_core.errors import SamplingNotSupported
 from gem_core.records.episode import Episode, Transition
@@ -133,8 +134,8 @@ class PlayView:
 
     def _example(self) -> str:
         # An answer drawn from a data set may be the right one.
-        form = self._session.form()
-        if form and isinstance(getattr(self._session.env.unwrapped, "num_tasks", None), int):
+        form, task = self._session.form(), self._session.env.unwrapped
+        if form and isinstance(task, Env) and task.num_tasks is not None:
             return f"The form of an answer: {in_one_line(str(form))}"
         try:
             return f"A valid action, for example: {in_one_line(self._session.random_action())}"

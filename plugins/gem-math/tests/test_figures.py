@@ -111,7 +111,7 @@ def test_nobody_draws_into_another_ones_figure() -> None:
     first.paste((0, 0, 0), (0, 0, 50, 50))
     assert GEOMETRY_SAMPLE[3]["images"][0].tobytes() != first.tobytes()
     assert GEOMETRY_SAMPLE[-1]["answer"] == GEOMETRY_SAMPLE[114]["answer"]
-    with pytest.raises(IndexError, match="there are 115 rows, and none at 115"):
+    with pytest.raises(IndexError):
         GEOMETRY_SAMPLE[115]
 
 
