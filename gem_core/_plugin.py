@@ -78,7 +78,7 @@ def gem_register_vector_backends() -> Iterable[VectorBackendSpec]:
 
 @hookimpl
 def gem_register_agents() -> Iterable[AgentSpec]:
-    """An agent that needs no model, and one for any model behind an OpenAI-compatible server."""
+    """Agents that need no model."""
     return [
         AgentSpec(
             name="random",
@@ -89,11 +89,6 @@ def gem_register_agents() -> Iterable[AgentSpec]:
             name="human",
             entry_point="gem_core.agents.human:HumanAgent",
             summary="Asks a person at the terminal.",
-        ),
-        AgentSpec(
-            name="openai",
-            entry_point="gem_core.agents.openai:OpenAIAgent",
-            summary="Asks a model behind an OpenAI-compatible server, as openai:MODEL.",
         ),
     ]
 

@@ -1,21 +1,17 @@
-"""Registers small environments for every test of the core; offers an empty registry, terminals and a model server."""
+"""Registers small environments for every test of the core; offers an empty registry and terminals."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import toys
 import vector_envs
-from chat_server import KEY, MODEL, ChatServer, HandClock, MakeAgent
 from command_calls import Outcome, RunGem
 from distributions import install
 from in_terminal import InTerminal
 
-from gem_core.agents.openai import OpenAIAgent
-from gem_core.background import run_sync
 from gem_core.cli import main
 from gem_core.registry import lookup as registry
 from gem_core.registry import plugins
@@ -88,28 +84,3 @@ def terminal(tmp_path: Path) -> Iterator[Callable[..., InTerminal]]:
     yield start
     for each in started:
         each.close()
-
-
-@pytest.fixture
-def server() -> Iterator[ChatServer]:
-    """A server that speaks the OpenAI chat API."""
-    served = ChatServer()
-    yield served
-    served.close()
-
-
-@pytest.fixture
-def make_agent(server: ChatServer, monkeypatch: pytest.MonkeyPatch) -> Iterator[MakeAgent]:
-    """Makes agents that ask the server, with a key and with time in hand."""
-    monkeypatch.setenv("OPENAI_API_KEY", KEY)
-    made: list[OpenAIAgent] = []
-
-    def make(**options: Any) -> OpenAIAgent:
-        agent = OpenAIAgent(MODEL, **{"base_url": server.url, **options})
-        agent.client.clock = HandClock()
-        made.append(agent)
-        return agent
-
-    yield make
-    for agent in made:
-        run_sync(agent.aclose())

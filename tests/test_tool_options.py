@@ -219,8 +219,6 @@ def test_info_of_a_tool_that_needs_options_says_so(run_gem: RunGem, offer: Calla
     ("name", "lines"),
     [
         ("concat", ["  kind:         wrapper", "  options:      max_turns: int | None = None"]),
-        ("openai", ["  argument:     model: str = '', as in openai:…", "  options:      base_url: str | None = None"]),
-        ("openai:some-model", ["  kind:         agent"]),
         ("random", ["  kind:         agent", "  options:      none"]),
         ("process", ["  kind:         vector backend", "  options:      workers: int | None = None"]),
         (COUNTDOWN, ["  accepts:      longest: int = 4"]),

@@ -71,10 +71,11 @@ class _Commands(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
+            from gem_core.registry.lookup import registry
+
             names = self.list_commands(ctx)
-            raise click.UsageError(
-                f"no command {args[0]!r}.{did_you_mean(args[0], names)} There are: {', '.join(names)}"
-            )
+            hint = registry().how_to_get(args[0], "command") or did_you_mean(args[0], names)
+            raise click.UsageError(f"no command {args[0]!r}.{hint} There are: {', '.join(names)}")
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:

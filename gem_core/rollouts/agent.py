@@ -210,7 +210,8 @@ def load_agent(name: str, **options: Any) -> Agent:
     head, colon, rest = name.partition(":")
     registry().refuse_contested("agent", head)
     registered = [record.name for record in registry().named(AgentSpec)]
-    if head in registered:
+    is_of_plugin = bool(registry().how_to_get(head, "agent"))  # of one that is not installed
+    if head in registered or (is_of_plugin and not rest):
         return as_agent(construct(registry().agent(head), *([rest] if colon else []), **options))
     if colon and not (head and rest):
         raise UnknownAgentError(f"no agent {name!r}: name one as MODULE:CALLABLE, or one of {', '.join(registered)}")
@@ -220,7 +221,12 @@ def load_agent(name: str, **options: Any) -> Agent:
             f"no agent {name!r}.{did_you_mean(name, registered)} There are: {listed}; or name one as MODULE:CALLABLE"
         )
     with current_folder_importable():  # a class may import more when it is made
-        return _agent_of_module(name, head, rest, registered, options)
+        try:
+            return _agent_of_module(name, head, rest, registered, options)
+        except UnknownAgentError:
+            if is_of_plugin:  # though there may be a module of the name, as OpenAI's own package
+                registry().agent(head)  # raises an error that says what to install
+            raise
 
 
 def _agent_of_module(name: str, module: str, path: str, registered: list[str], options: dict[str, Any]) -> Agent:

@@ -47,7 +47,8 @@ def server() -> Iterator[Server]:
 def tool_for(server: Server, engine: str = "retrieve", **options: Any) -> tuple[RemoteSearch, QuickClock]:
     tool = make_search(engine, url=f"{server.url}/path", **options)
     assert isinstance(tool, RemoteSearch)
-    tool.engine.clock = clock = QuickClock()
+    clock = QuickClock()
+    tool.engine.now, tool.engine.sleep, tool.engine.jitter = clock.now, clock.sleep, max
     return tool, clock
 
 

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from gem_core.records.turns import without_thinking
+from gem_core.records import without_thinking
 from gem_games.textarena.fence import Fence
 from gem_games.textarena.judging import JudgeError, judges_of
 from gem_games.textarena.library import copied, load

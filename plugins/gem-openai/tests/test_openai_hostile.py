@@ -16,7 +16,7 @@ from toys import CountdownEnv
 import gem_core as gem
 from gem_core.background import run_sync
 from gem_core.errors import ContextOverflowError, RequestError
-from gem_core.records.files import EpisodeWriter, read_episodes
+from gem_core.records import EpisodeWriter, read_episodes
 
 NESTED = b"[" * 900 + b"]" * 900
 VERY_NESTED = b"[" * 100_000 + b"]" * 100_000
@@ -67,7 +67,7 @@ def test_the_key_is_in_no_frame_of_a_failure(server: ChatServer, make_agent: Mak
         seen.append(one)
         left += [one.__cause__, one.__context__]
         shown = traceback.TracebackException.from_exception(one, capture_locals=True)
-        assert not [frame.name for frame in shown.stack if KEY in str(frame.locals) and "gem_core" in frame.filename]
+        assert not [frame.name for frame in shown.stack if KEY in str(frame.locals) and "/tests/" not in frame.filename]
 
 
 def test_usage_is_asked_for_after_a_start_without_streaming(server: ChatServer, make_agent: MakeAgent) -> None:
@@ -119,21 +119,16 @@ def test_names_of_models_are_shown_on_one_line(server: ChatServer, make_agent: M
 
 
 @pytest.mark.parametrize("raw", [NESTED, VERY_NESTED])
-def test_nested_chunks_are_a_fault_or_left_out(server: ChatServer, make_agent: MakeAgent, raw: bytes) -> None:
+def test_nested_chunks_are_a_fault_or_read(server: ChatServer, make_agent: MakeAgent, raw: bytes) -> None:
     """Of a stream, too. How deep Python itself reads JSON differs between its versions."""
     whole = json.dumps({"choices": [{"delta": {"content": "a"}, "finish_reason": "stop"}], "usage": "RAW"}).encode()
     body = b"data: " + whole.replace(b'"RAW"', b'{"a":' + raw + b"}") + b"\n\ndata: [DONE]\n\n"
     server.otherwise = Reply(body, headers={"Content-Type": "text/event-stream"})
-    agent = make_agent(stream=True, max_retries=0)
-    outcome: gem.Response | RequestError
     try:
-        outcome = ask(agent)
+        outcome = str(ask(make_agent(stream=True, max_retries=0)))
     except RequestError as error:
-        outcome = error
-    if isinstance(outcome, RequestError):
-        assert re.search(r"no valid JSON|nested too deeply", str(outcome))
-    else:
-        assert (outcome, outcome.usage) == ("a", None)
+        outcome = str(error)
+    assert re.search(r"^a$|no valid JSON|nested too deeply", outcome)
 
 
 def test_passwords_in_netrc_are_neither_sent_nor_in_the_way(

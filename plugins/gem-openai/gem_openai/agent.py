@@ -8,10 +8,9 @@ import os
 import re
 import urllib.parse
 from collections.abc import Mapping, Sequence
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
-from gem_core.agents.chat_client import ChatClient, ServerFault, check_installed
-from gem_core.agents.chat_format import has_images, messages_from
+from gem_core import Observation, Response
 from gem_core.background import in_thread, on_library_loop
 from gem_core.errors import (
     ArgumentError,
@@ -21,9 +20,12 @@ from gem_core.errors import (
     RequestError,
     UnknownModelError,
 )
-from gem_core.rollouts.agent import Context
 from gem_core.suggestions import did_you_mean
-from gem_core.types import Observation, Response
+from gem_openai.chat_format import has_images, messages_from
+from gem_openai.client import ChatClient, ServerFault
+
+if TYPE_CHECKING:
+    from gem_core.rollouts import Context
 
 DEFAULT_BASE_URL = "https://api.openai.com/v1"
 START_TIMEOUT_S = 30.0
@@ -56,17 +58,17 @@ class OpenAIAgent:
         max_concurrency: Requests at once; more wait for a place.
         timeout_s: Limit of a request in seconds, from when it has its place, all attempts and waits included.
         attempt_timeout_s: Limit of one attempt, after which it is tried again; None for no other limit.
-        max_retries: Attempts after the first. Tried again are 408, 409, 425, 429, 5xx, broken connections and answers
-            that are no completion; with waits of full jitter up to 0.5, 1, 2, … 30 s, or what ``Retry-After`` asks for.
+        max_retries: Attempts after the first. A request is tried again on 408, 409, 425, 429, 5xx, a broken connection
+            or an answer that is no completion; after a random wait of up to 0.5, 1, 2, … 30 s, or what ``Retry-After``
+            asks for.
         stream: Whether the server sends the answer in pieces, which some proxies need to keep long requests open.
         return_token_ids: Whether to ask for token ids and log-probabilities, as training needs them. A server that
             refuses to give them is not asked again.
-        native_tools: Whether tools are offered in the API's own way. Without, a model calls them in its text, as it
-            has to where the server has no parser of tool calls.
+        native_tools: Whether tools are offered in the API's own way. If not, the model calls them in its text, as it
+            must where the server has no parser of tool calls.
 
     Raises:
         ArgumentError: A value that cannot be right.
-        MissingRequirementError: The extra ``gem-core[openai]`` is not installed.
     """
 
     reads = "messages"
@@ -92,13 +94,17 @@ class OpenAIAgent:
         return_token_ids: bool = False,
         native_tools: bool = True,
     ) -> None:
-        check_installed()
         if not model:
             raise ArgumentError("the agent 'openai' needs the name of a model, as in openai:MODEL")
-        _check_numbers(max_concurrency, timeout_s, attempt_timeout_s, max_retries)
+        _check_whole("max_concurrency", max_concurrency, 1)
+        _check_whole("max_retries", max_retries, 0)
+        _check_seconds("timeout_s", timeout_s)
+        if attempt_timeout_s is not None:
+            _check_seconds("attempt_timeout_s", attempt_timeout_s)
         self.model = model
         self.system = system
         self.max_concurrency = max_concurrency
+        self.native_tools = native_tools
         self.base_url = _checked_url(base_url or os.environ.get("OPENAI_BASE_URL") or DEFAULT_BASE_URL)
         self.client = ChatClient(
             self.base_url,
@@ -108,16 +114,16 @@ class OpenAIAgent:
             attempt_timeout_s=attempt_timeout_s,
         )
         sampling = {"temperature": temperature, "top_p": top_p, "max_tokens": max_tokens, "seed": seed, "stop": stop}
-        self._fields = _checked_fields(sampling, extra_body or {})
-        extras: dict[str, Any] = {}  # what a server may refuse, and we can do without
-        if stream:
-            self._fields["stream"] = True
-            extras["stream_options"] = {"include_usage": True}
+        fields = _checked_fields(sampling, extra_body or {})
+        optional: dict[str, Any] = {}
         if return_token_ids:
-            extras |= {"return_token_ids": True, "logprobs": True}
-        self._extras = {name: value for name, value in extras.items() if name not in self._fields}
+            optional |= {"return_token_ids": True, "logprobs": True}
+        if stream:
+            optional["stream_options"] = {"include_usage": True}
+            fields["stream"] = True
+        self._fields = optional | fields
+        self._optional = optional.keys() - fields.keys()  # left out once the server has refused them
         self._refused: set[str] = set()
-        self.native_tools = native_tools
         self._timeout_s = timeout_s
         self._prepared = self._answered = False
 
@@ -128,9 +134,10 @@ class OpenAIAgent:
         """Return the model's answer to an observation.
 
         Raises:
-            RequestError: There is none; the message says why.
-            MissingRequirementError: The key or the address was refused before any answer came.
-            UnknownModelError: So was the model.
+            RequestError: The server gave no answer; the message says why.
+            ContextOverflowError: The history is longer than the model takes.
+            MissingRequirementError: The server refused the key or the address, and has not answered before.
+            UnknownModelError: It refused the model, and has not answered before.
         """
         return await on_library_loop(self._answer(observation, context))
 
@@ -161,43 +168,35 @@ class OpenAIAgent:
         if context.tools and self.native_tools:
             payload["tools"] = context.tools
         try:
-            response = await self._ask(payload, self._timeout_s, context.deadline)
+            response = await self._ask(payload, self._timeout_s, deadline=context.deadline)
         except ServerFault as fault:
             if context.turn > 0 and fault.status == 400 and _OVERFLOW.search(fault.body):
                 raise ContextOverflowError(f"the history is longer than {self.model} takes") from None
-            self._raise(fault)
+            if not self._answered and fault.status in (401, 404):
+                raise self._at_start(fault) from None
+            raise RequestError(f"{self.model} at {self.base_url} gave no answer: {fault.message}") from None
         self._answered = True
         return response
 
-    async def _ask(
-        self, payload: dict[str, Any], timeout_s: float, deadline: float | None = None, *, patient: bool = True
-    ) -> Response:
-        """Send a request; where the server does not know a field that can be spared, do without it from then on."""
+    async def _ask(self, payload: Mapping[str, Any], timeout_s: float, **options: Any) -> Response:
+        """Send a request; leave out an optional field that the server refuses, from then on."""
         while True:
-            sent = {name: value for name, value in self._extras.items() if name not in self._refused} | payload
-            if not sent.get("stream"):
-                sent.pop("stream_options", None)  # the request of the start is not streamed
-            if "max_tokens" in self._refused and "max_tokens" in sent:
-                sent["max_completion_tokens"] = sent.pop("max_tokens")  # its name for newer models of OpenAI
+            sent = {name: value for name, value in payload.items() if name not in self._refused}
+            if "max_tokens" in payload and "max_tokens" in self._refused:
+                sent["max_completion_tokens"] = payload["max_tokens"]  # its name for newer models of OpenAI
             try:
-                return await self.client.complete(sent, timeout_s=timeout_s, deadline=deadline, patient=patient)
+                response: Response = await self.client.request(
+                    "/chat/completions", sent, timeout_s=timeout_s, **options
+                )
+                return response
             except ServerFault as fault:
+                refused = {name for name in self._optional if name in sent and name in fault.body}
+                if "max_tokens" in sent and "max_completion_tokens" in fault.body:
+                    refused.add("max_tokens")
                 # 403 is OpenAI's answer where a model gives no log-probabilities.
-                if fault.status not in (400, 403, 422) or not self._adapt(fault.body, sent):
+                if fault.status not in (400, 403, 422) or not refused:
                     raise
-
-    def _adapt(self, complaint: str, sent: Mapping[str, Any]) -> bool:
-        """Note what a server does not take, and tell whether the request can be sent in another form."""
-        refused = {name for name in self._extras if name in sent and name in complaint}
-        if "max_tokens" in sent and "max_completion_tokens" in complaint:
-            refused.add("max_tokens")
-        self._refused |= refused
-        return bool(refused)
-
-    def _raise(self, fault: ServerFault) -> NoReturn:
-        if not self._answered and fault.status in (401, 404):
-            raise self._at_start(fault, None) from None
-        raise RequestError(f"{self.model} at {self.base_url} gave no answer: {fault.message}") from None
+                self._refused |= refused
 
     # The start.
 
@@ -208,11 +207,11 @@ class OpenAIAgent:
             )
         names: list[str] | None = None
         try:
-            names = _model_names(await self.client.fetch("/models", timeout_s=START_TIMEOUT_S))
+            names = _model_names(await self.client.request("/models", timeout_s=START_TIMEOUT_S, patient=False))
         except ServerFault as fault:
             # Not every server lists its models, and not every key may see them.
             if fault.unreachable or fault.transient or fault.status in (401, None):
-                raise self._at_start(fault, None) from None
+                raise self._at_start(fault) from None
         if names is not None and self.model in names:
             return
         payload = {"model": self.model, "messages": [{"role": "user", "content": "Hi"}], "max_tokens": 1}
@@ -222,9 +221,9 @@ class OpenAIAgent:
             named = self.model in fault.body or fault.code == "model_not_found"
             if fault.status not in (400, 422) or named:
                 raise self._at_start(fault, names, named) from None
-            # It took the model, and minds something of so short a request.
+            # It has the model, and refused something else about so short a request.
 
-    def _at_start(self, fault: ServerFault, names: list[str] | None, named: bool = False) -> GemError:
+    def _at_start(self, fault: ServerFault, names: list[str] | None = None, named: bool = False) -> GemError:
         where, key_name = self.base_url, self.client.key_name
         if fault.unreachable:
             return MissingRequirementError(
@@ -254,20 +253,16 @@ def _model_names(listing: Mapping[str, Any]) -> list[str] | None:
 
 def _checked_url(url: str) -> str:
     url = url.strip().rstrip("/")
-    if not re.fullmatch(r"https?://[^\s/@?#]+(/[^\s@?#]*)?", url) or not _has_host(url):
+    try:
+        host = (urllib.parse.urlsplit(url).hostname or "").encode("idna")
+    except ValueError:  # a bracket is open, or a label is empty or too long
+        host = b""
+    if not host or not re.fullmatch(r"https?://[^\s/@?#]+(/[^\s@?#]*)?", url):
         # It is not shown: it may hold a password.
         raise ArgumentError(
             "the base URL must look like http://localhost:8000/v1, without a user, a query or a key in it"
         )
     return url
-
-
-def _has_host(url: str) -> bool:
-    """Tell whether the host can be looked up: a bracket may be open, or a label empty or too long."""
-    try:
-        return bool((urllib.parse.urlsplit(url).hostname or "").encode("idna"))
-    except ValueError:
-        return False
 
 
 def _checked_key_name(name: str) -> str:
@@ -277,15 +272,14 @@ def _checked_key_name(name: str) -> str:
     return name
 
 
-def _check_numbers(max_concurrency: int, timeout_s: float, attempt_timeout_s: float | None, max_retries: int) -> None:
-    for name, number, least in (("max_concurrency", max_concurrency, 1), ("max_retries", max_retries, 0)):
-        if type(number) is not int or number < least:
-            raise ArgumentError(f"{name} must be a whole number from {least} up, not {number!r}")
-    for name, seconds in (("timeout_s", timeout_s), ("attempt_timeout_s", attempt_timeout_s)):
-        if seconds is None and name == "attempt_timeout_s":
-            continue
-        if not isinstance(seconds, int | float) or not (0 < seconds < math.inf):
-            raise ArgumentError(f"{name} must be a number of seconds above 0, not {seconds!r}")
+def _check_whole(name: str, number: object, least: int) -> None:
+    if type(number) is not int or number < least:
+        raise ArgumentError(f"{name} must be a whole number from {least} up, not {number!r}")
+
+
+def _check_seconds(name: str, seconds: object) -> None:
+    if not isinstance(seconds, int | float) or not 0 < seconds < math.inf:
+        raise ArgumentError(f"{name} must be a number of seconds above 0, not {seconds!r}")
 
 
 def _checked_fields(sampling: Mapping[str, Any], extra_body: Mapping[str, Any]) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.util
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -11,8 +10,9 @@ from pathlib import Path
 import pytest
 from chat_server import KEY, ChatServer, Reply, Request, completion, error
 
+from gem_core import extract_code_blocks
 from gem_core.cli import main
-from gem_core.records.files import read_episodes
+from gem_core.records import read_episodes
 
 COUNTDOWN = "toy:Countdown-v0"
 
@@ -116,15 +116,6 @@ def test_what_cannot_work_is_said_at_the_start(server: ChatServer, run: Run) -> 
     assert not Path("runs").exists()
 
 
-def test_without_the_extra_the_command_to_install_it_is_given(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As for everything that is missing."""
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    assert run(COUNTDOWN, "--agent", "openai:m")[::2] == (
-        1,
-        "gem: the agent 'openai' needs aiohttp: pip install 'gem-core[openai]'\n",
-    )
-
-
 def test_as_many_environments_as_requests_at_once(server: ChatServer, run: Run) -> None:
     """Without being told; the server answers when all are there."""
     opened = asyncio.Event()
@@ -145,3 +136,26 @@ def test_usage_that_is_no_count_is_left_out(server: ChatServer, run: Run) -> Non
     server.otherwise = Reply(completion() | {"usage": {"prompt_tokens": None, "completion_tokens": "many"}})
     code, out, _ = run(COUNTDOWN, "-n", "1", "--agent", "openai:toy-model")
     assert (code, "tokens in" in out) == (0, False)
+
+
+@pytest.mark.parametrize("name", ["openai", "openai:some-model"])
+def test_gem_info_tells_what_the_agent_takes(capsys: pytest.CaptureFixture[str], name: str) -> None:
+    """With a model or without one."""
+    with pytest.raises(SystemExit) as caught:
+        main(["info", name])
+    lines = capsys.readouterr().out.splitlines()
+    assert caught.value.code in (None, 0)
+    assert "  argument:     model: str = '', as in openai:…" in lines
+    assert "  options:      base_url: str | None = None" in lines
+
+
+def test_the_example_of_the_readme_runs(
+    server: ChatServer, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Against a server elsewhere."""
+    pytest.importorskip("gem_games")
+    monkeypatch.delenv("OPENAI_API_KEY", raising=False)
+    readme = Path(__file__).parent.parent / "README.md"
+    (example,) = extract_code_blocks(readme.read_text(encoding="utf-8"), "python")
+    exec(example.code.replace("http://localhost:8000/v1", server.url), {})
+    assert len(capsys.readouterr().out.splitlines()) == 16

@@ -11,9 +11,9 @@ import pytest
 from chat_server import KEY, MODEL, USAGE, ChatServer, MakeAgent, Reply, ask, completion, error, waits
 
 import gem_core as gem
-from gem_core.agents.openai import OpenAIAgent
 from gem_core.background import run_sync
 from gem_core.errors import ArgumentError, MissingRequirementError, UnknownModelError
+from gem_openai import OpenAIAgent
 
 
 def start(agent: OpenAIAgent) -> None:

@@ -1,4 +1,4 @@
-"""A server that speaks the OpenAI chat API and its faults, and a clock that tests wind by hand.
+"""A server that speaks the OpenAI chat API and its faults, and what tests ask an agent with.
 
 The server runs on the library's loop, as the agent does, so that tests can wait for events instead of sleeping.
 """
@@ -11,11 +11,10 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from gem_core.agents.openai import OpenAIAgent
-from gem_core.agents.retries import Clock
+from gem_core import Response
 from gem_core.background import run_sync
-from gem_core.rollouts.agent import Context
-from gem_core.types import Response
+from gem_core.rollouts import Context
+from gem_openai import OpenAIAgent
 
 MODEL = "toy-model"
 KEY = "key-0123456789-abcdefghij"
@@ -146,44 +145,12 @@ class ChatServer:
         return answer if isinstance(answer, Reply) else await answer(request)
 
 
-class HandClock(Clock):
-    """Time that passes only when a test says so; waits take no time and are noted."""
+class Waits(list[float]):
+    """Stands in for ``asyncio.sleep``: notes how long each wait would be, and does not wait."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.time = 1000.0
-        self.waits: list[float] = []
-        self._timeouts: list[tuple[float, asyncio.Timeout]] = []
-
-    def now(self) -> float:
-        return self.time
-
-    def wall(self) -> float:
-        return 1_000_000_000.0 + self.time
-
-    async def sleep(self, seconds: float) -> None:
-        self.waits.append(seconds)
-        self.advance(seconds)
-        await asyncio.sleep(0)
-
-    def timeout(self, seconds: float | None) -> asyncio.Timeout:
-        timeout = asyncio.timeout(None)
-        if seconds is not None:
-            self._timeouts.append((self.time + seconds, timeout))
-        return timeout
-
-    def chance(self, most: float) -> float:
-        return most
-
-    def advance(self, seconds: float) -> None:
-        """Let time pass, and end what is due."""
-        self.time += seconds
-        for end, timeout in self._timeouts:
-            if end <= self.time and not timeout.expired():
-                try:
-                    timeout.reschedule(asyncio.get_running_loop().time())
-                except RuntimeError:
-                    continue  # what it limited is over
+    async def __call__(self, seconds: float) -> None:
+        self.append(seconds)
+        await asyncio.sleep(0)  # the loop learns of connections that were closed
 
 
 def context(
@@ -200,5 +167,5 @@ def ask(agent: OpenAIAgent, observation: Any = "hello", **options: Any) -> Respo
 
 def waits(agent: OpenAIAgent) -> list[float]:
     """Return how long an agent waited between its attempts."""
-    assert isinstance(agent.client.clock, HandClock)
-    return agent.client.clock.waits
+    assert isinstance(agent.client.sleep, Waits)
+    return agent.client.sleep
