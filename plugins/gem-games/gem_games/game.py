@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from typing import Any
 
-from gem_core.env.base import Env
+from gem_core.env import Env
 from gem_core.errors import ArgumentError, ResetNeededError
 from gem_core.parsing import extract_boxed_answers, extract_last_boxed_answer
 from gem_core.types import ResetResult, StepResult

@@ -164,7 +164,7 @@ def test_solver_reads_a_history(env_id: str, wrappers: str) -> None:
 
 
 def test_solvers_are_found_by_name_and_refuse_other_games() -> None:
-    from gem_core.registry.lookup import registry
+    from gem_core.registry import registry
 
     observation, _ = gem.make("game:TowerofHanoi-v0-easy").reset(seed=0)
     guess, _ = gem.make("game:GuessTheNumber-v0").reset(seed=0)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gem_core as gem
-from gem_core.env.wrapper import concurrency_of
+from gem_core.env import concurrency_of
 from gem_core.errors import ArgumentError
 from gem_core.types import TERMINAL_STATE
 from gem_games.cheap_random import CheapRandom

@@ -15,7 +15,7 @@ from PIL import Image
 
 import gem_core as gem
 from gem_core.errors import ArgumentError, DatasetError
-from gem_core.records.files import read_episodes
+from gem_core.records import read_episodes
 from gem_core.testing import check_env
 from gem_math.figures.env import FigureEnv
 from gem_math.figures.sample import EACH, GEOMETRY_SAMPLE, KINDS

@@ -19,8 +19,7 @@ import pytest
 import gem_core as gem
 from gem_core.errors import ArgumentError, EnvFaultError
 from gem_core.testing import check_env
-from gem_core.tools.env import ToolEnv
-from gem_core.tools.tool import Tool
+from gem_core.tools import Tool, ToolEnv
 from gem_math.reasoning import library
 from gem_math.reasoning.env import LONGEST_ANSWER, PROMPT
 from gem_math.reasoning.library import EndedError, LibraryError, ask, end_processes

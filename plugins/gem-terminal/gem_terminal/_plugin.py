@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gem_core.registry.hookspecs import hookimpl
-from gem_core.registry.specs import CommandSpec, EnvSpec
+from gem_core.registry import CommandSpec, EnvSpec, hookimpl
 
 _ENTRY = "gem_terminal:TerminalEnv"
 _TURNS = 50

@@ -13,7 +13,7 @@ from dataclasses import asdict, is_dataclass
 from typing import Any, ClassVar
 
 from gem_core.data import chosen_index
-from gem_core.env.base import Env
+from gem_core.env import Env
 from gem_core.errors import ArgumentError, EnvFaultError, ResetNeededError
 from gem_core.parsing import extract_last_boxed_answer, extract_last_tagged_answer
 from gem_core.suggestions import did_you_mean
