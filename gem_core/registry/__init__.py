@@ -5,6 +5,7 @@ from __future__ import annotations
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.hookspecs import hookimpl
 from gem_core.registry.lookup import Registry, registry
+from gem_core.registry.requirements import RequirementStatus
 from gem_core.registry.specs import (
     AgentSpec,
     CommandSpec,
@@ -21,6 +22,7 @@ __all__ = [
     "EnvSpec",
     "Registry",
     "RequirementSpec",
+    "RequirementStatus",
     "ToolSpec",
     "VectorBackendSpec",
     "WrapperSpec",

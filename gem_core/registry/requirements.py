@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import importlib.util
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -16,6 +17,8 @@ from gem_core.registry.lookup import registry
 from gem_core.registry.specs import EnvSpec, RequirementSpec
 
 _ON = {"1", "ON", "YES", "TRUE"}
+# A line of a distribution's metadata that belongs to an extra: the package and the extra.
+_OF_EXTRA = re.compile(r"""([\w.-]+).*;.*\bextra\s*==\s*["']([\w.-]+)["']""")
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,9 @@ def _key(name: str) -> RequirementStatus:
 
 
 def _package(name: str) -> RequirementStatus:
+    distribution, _, extra = name.removesuffix("]").partition("[")
+    if extra:
+        return _extra(distribution, extra)
     version = installed_version(name)
     if version is not None:
         return RequirementStatus("met", f"version {version}")
@@ -101,6 +107,20 @@ def _package(name: str) -> RequirementStatus:
     if importable:
         return RequirementStatus("met", "can be imported")
     return RequirementStatus("unmet", "is not installed", f"it needs the package {name}: 'pip install {name}'")
+
+
+def _extra(distribution: str, extra: str) -> RequirementStatus:
+    """Tell whether the packages are installed that an extra adds, as in ``gem-games[textarena]``."""
+    try:
+        lines = importlib.metadata.requires(distribution) or []
+    except (importlib.metadata.PackageNotFoundError, ValueError):
+        lines = []
+    added = [match[1] for line in lines if (match := _OF_EXTRA.match(line)) and match[2] == extra]
+    missing = [name for name in added if installed_version(name) is None]
+    if added and not missing:
+        return RequirementStatus("met", f"has {', '.join(added)}")
+    advice = f"it needs an extra of {distribution}: 'pip install \"{distribution}[{extra}]\"'"
+    return RequirementStatus("unmet", f"lacks {', '.join(missing)}" if missing else "is not installed", advice)
 
 
 def _command(name: str) -> RequirementStatus:

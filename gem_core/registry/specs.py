@@ -35,9 +35,9 @@ class EnvSpec:
         tags: Words to search by.
         max_turns: Turns after which ``make`` truncates an episode, on top of what the task itself announces.
             A task that announces its own limit takes it as a keyword instead, in ``kwargs``.
-        requires: What must be there to run it, as in ``"network"``, ``"hub"``, ``"key:NAME"``, ``"package:NAME"``,
-            ``"command:NAME"``, ``"argument:NAME"`` (of ``make``), or ``"never:REASON"`` where it cannot run at all;
-            plugins offer more words, such as ``"docker"`` (see ``RequirementSpec``).
+        requires: What must be there to run it, as in ``"network"``, ``"hub"``, ``"key:NAME"``, ``"package:NAME"`` or
+            ``"package:NAME[EXTRA]"``, ``"command:NAME"``, ``"argument:NAME"`` (of ``make``), or ``"never:REASON"``
+            where it cannot run at all; plugins offer more words, such as ``"docker"`` (see ``RequirementSpec``).
         deterministic: Whether a seed and the actions fix the whole episode.
 
     Raises:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gem_core.registry.hookspecs import hookimpl
-from gem_core.registry.specs import CommandSpec, EnvSpec, RequirementSpec
+from gem_core.registry import CommandSpec, EnvSpec, RequirementSpec, hookimpl
 
 _ENTRY = "gem_terminal:TerminalEnv"
 _TURNS = 50

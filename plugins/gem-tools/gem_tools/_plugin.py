@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gem_core.registry.hookspecs import hookimpl
-from gem_core.registry.specs import CommandSpec, RequirementSpec, ToolSpec
+from gem_core.registry import CommandSpec, RequirementSpec, ToolSpec, hookimpl
 
 
 @hookimpl
