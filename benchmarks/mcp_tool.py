@@ -64,7 +64,7 @@ OURS = """
 import asyncio, json, sys, time
 from gem_core.background import run_sync
 from gem_core.data import DatasetEnv
-from gem_core.tools.env import ToolEnv
+from gem_core.tools import ToolEnv
 
 def make():
     task = DatasetEnv([{"question": "?", "answer": "1"}])

@@ -27,7 +27,16 @@ if TYPE_CHECKING:
     from gem_core.records.files import read_episodes, write_episodes
     from gem_core.records.plans import PlanItem
     from gem_core.registry.hookspecs import hookimpl
-    from gem_core.registry.specs import AgentSpec, CommandSpec, EnvSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+    from gem_core.registry.requirements import RequirementStatus
+    from gem_core.registry.specs import (
+        AgentSpec,
+        CommandSpec,
+        EnvSpec,
+        RequirementSpec,
+        ToolSpec,
+        VectorBackendSpec,
+        WrapperSpec,
+    )
     from gem_core.rollouts.drivers import arollout, rollout
     from gem_core.tools.env import ToolEnv
     from gem_core.tools.tool import Tool, ToolCall, ToolResult
@@ -47,7 +56,16 @@ _HOME = {
     "records.plans": ("PlanItem",),
     "api": ("list_envs", "make", "make_vec", "print_envs", "register", "spec"),
     "rollouts.drivers": ("arollout", "rollout"),
-    "registry.specs": ("AgentSpec", "CommandSpec", "EnvSpec", "ToolSpec", "VectorBackendSpec", "WrapperSpec"),
+    "registry.requirements": ("RequirementStatus",),
+    "registry.specs": (
+        "AgentSpec",
+        "CommandSpec",
+        "EnvSpec",
+        "RequirementSpec",
+        "ToolSpec",
+        "VectorBackendSpec",
+        "WrapperSpec",
+    ),
     "tools.env": ("ToolEnv",),
     "tools.tool": ("Tool", "ToolCall", "ToolResult"),
     "types": ("TERMINAL_STATE", "Observation", "Response"),
@@ -69,6 +87,8 @@ __all__ = [
     "Grade",
     "Observation",
     "PlanItem",
+    "RequirementSpec",
+    "RequirementStatus",
     "Response",
     "Tool",
     "ToolCall",

@@ -8,11 +8,13 @@ import os
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import click
 
+from gem_core.errors import ArgumentError, NotSupportedError
+from gem_core.suggestions import did_you_mean
 from gem_core.types import Observation
 
 BLOCK = '"""'
@@ -121,6 +123,26 @@ class Terminal:
             if self.interactive:
                 self.show(f"Type an answer, or ? for help. {BLOCK * 2} is the empty answer.", dim=True)
 
+    def ask_for_answer(self, prompt: str, answer_of: Callable[[Typed], str | None]) -> str:
+        """Ask until what was typed gives an answer.
+
+        Args:
+            prompt: What stands before the answer.
+            answer_of: Returns the answer, or None for a command that gives none; what is wrong with it is shown.
+
+        Raises:
+            EndOfInput: There is nothing more.
+        """
+        while True:
+            typed = self.ask(prompt)
+            try:
+                answer = answer_of(typed)
+            except (ArgumentError, NotSupportedError) as error:
+                self.show(f"{error}.", fg="yellow")
+                continue
+            if answer is not None:
+                return answer
+
     def confirm(self, question: str, *, other: str) -> bool | None:
         """Ask for yes or no; Enter is yes.
 
@@ -191,6 +213,19 @@ class Terminal:
 
 def _visible(match: re.Match[str]) -> str:
     return "".join(f"\\x{ord(character):02x}" for character in match[0])
+
+
+def whole_command(typed: str, commands: Sequence[str]) -> str:
+    """Return the command that was typed, or cut short.
+
+    Raises:
+        ArgumentError: There is none, or several begin so.
+    """
+    found = [name for name in commands if name.startswith(typed.casefold())] if typed else []
+    if len(found) == 1:
+        return found[0]
+    listed = ", ".join(f"!{name}" for name in found or commands)
+    raise ArgumentError(f"no command '!{typed}'.{did_you_mean(typed, commands)} There are: {listed}, and ?")
 
 
 def printable(text: str) -> str:

@@ -10,18 +10,15 @@ import toys
 import vector_envs
 from command_calls import Outcome, RunGem
 from distributions import install
-from hypothesis import settings
 from in_terminal import InTerminal
 
 from gem_core.cli import main
 from gem_core.registry import lookup as registry
 from gem_core.registry import plugins
+from gem_core.registry.specs import NamedSpec
 
 toys.register_toys()
 vector_envs.register_vector_envs()
-# How long an example takes is a matter of the machine, and of what else runs on it.
-settings.register_profile("gem", deadline=None)
-settings.load_profile("gem")
 
 
 @pytest.fixture
@@ -31,6 +28,19 @@ def own_registry(monkeypatch: pytest.MonkeyPatch) -> registry.Registry:
     monkeypatch.setattr(plugins, "_find", list)
     monkeypatch.setattr(registry, "_registry", fresh)
     return fresh
+
+
+@pytest.fixture
+def offer(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Add records of tools and wrappers to the registry, as a plugin would, for one test."""
+
+    def add(*records: NamedSpec) -> None:
+        found = registry.registry()
+        found.load()
+        offered = {record.name: record for record in records}
+        monkeypatch.setitem(found._named, "wrapper", {**found._named.get("wrapper", {}), **offered})
+
+    return add
 
 
 @pytest.fixture(scope="session")

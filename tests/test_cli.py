@@ -21,6 +21,7 @@ from gem_core.registry.lookup import registry
 from gem_core.registry.specs import ToolSpec
 
 COUNTDOWN = "toy:Countdown-v0"
+COLOUR = re.compile(r"\x1b\[[\d;]*m")
 
 SLOW_AGENT = """
 import os, signal
@@ -294,6 +295,19 @@ def test_no_color_is_heeded_in_a_terminal(tmp_path: Path, monkeypatch: pytest.Mo
     assert "\x1b[36m" in in_terminal(program, tmp_path)
     monkeypatch.setenv("NO_COLOR", "1")
     assert "\x1b" not in in_terminal(program, tmp_path)
+
+
+def test_list_in_a_terminal_has_a_line_for_each_namespace(tmp_path: Path) -> None:
+    """With their number, what all of a namespace lacks here, and their names; then the names of tools and the like."""
+    needs = "summary='Shut.', requires=('never:it is under repair',)"
+    shut = "; ".join(f"gem_core.register('shut:{name}', 'toys:EchoEnv', {needs})" for name in ("A-v0", "A-v1", "B-v0"))
+    command = [sys.executable, "-c", TERMINAL_PROGRAM.replace("main()", f"import gem_core; {shut}; main()"), "list"]
+    shown = COLOUR.sub("", in_terminal(command, tmp_path))
+    assert re.search(r"^shut: +3  \[it is under repair\] A, B\r?$", shown, re.MULTILINE)
+    assert re.search(r"^toy: +3  Countdown, Echo, Sums\r?$", shown, re.MULTILINE)
+    assert re.search(r"^backends  async, auto, process", shown, re.MULTILINE)
+    assert COUNTDOWN not in shown
+    assert {COUNTDOWN, "shut:A-v1"} <= set(COLOUR.sub("", in_terminal([*command, "--all"], tmp_path)).split())
 
 
 def test_progress_and_a_table_in_a_terminal(tmp_path: Path) -> None:

@@ -147,7 +147,6 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         """The source of randomness of the task; started anew by every ``reset``.
 
         It starts when it is first asked for, since a start costs more than the whole reset of a small task does.
-        A task that needs but a few numbers at reset may take them from ``seeding.Draws(self.np_random_seed)``.
         """
         if not self._generator_started:
             self._generator = start_generator(self._generator, cast("int", self._np_random_seed))

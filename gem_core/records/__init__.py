@@ -12,7 +12,7 @@ from gem_core.records.files import (
     write_episodes,
 )
 from gem_core.records.plain_json import ImageFolder, from_plain, to_plain
-from gem_core.records.plans import EpisodeStart, PlanItem
+from gem_core.records.plans import EpisodeStart, PlanItem, count_plan, cover_plan, group_plan, mixture_plan
 from gem_core.records.summary import EnvSummary, RunSummary
 from gem_core.records.turns import Turn, without_thinking
 
@@ -28,8 +28,12 @@ __all__ = [
     "RunSummary",
     "Transition",
     "Turn",
+    "count_plan",
+    "cover_plan",
     "episode_lines",
     "from_plain",
+    "group_plan",
+    "mixture_plan",
     "read_episodes",
     "to_plain",
     "without_thinking",

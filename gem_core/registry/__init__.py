@@ -5,13 +5,24 @@ from __future__ import annotations
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.hookspecs import hookimpl
 from gem_core.registry.lookup import Registry, registry
-from gem_core.registry.specs import AgentSpec, CommandSpec, EnvSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+from gem_core.registry.requirements import RequirementStatus
+from gem_core.registry.specs import (
+    AgentSpec,
+    CommandSpec,
+    EnvSpec,
+    RequirementSpec,
+    ToolSpec,
+    VectorBackendSpec,
+    WrapperSpec,
+)
 
 __all__ = [
     "AgentSpec",
     "CommandSpec",
     "EnvSpec",
     "Registry",
+    "RequirementSpec",
+    "RequirementStatus",
     "ToolSpec",
     "VectorBackendSpec",
     "WrapperSpec",

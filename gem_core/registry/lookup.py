@@ -19,7 +19,16 @@ from gem_core.errors import (
 )
 from gem_core.registry.known_distributions import distributions_with
 from gem_core.registry.plugins import Plugin, Record, complain, load_plugins
-from gem_core.registry.specs import AgentSpec, EntryPoint, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+from gem_core.registry.specs import (
+    AgentSpec,
+    EntryPoint,
+    EnvSpec,
+    NamedSpec,
+    RequirementSpec,
+    ToolSpec,
+    VectorBackendSpec,
+    WrapperSpec,
+)
 from gem_core.suggestions import did_you_mean
 
 N = TypeVar("N", bound=NamedSpec)
@@ -198,6 +207,9 @@ class Registry:
             if not plugin.disabled:
                 claims.setdefault(("plugin name", plugin.name), []).append((plugin, None))
             for offered in plugin.records:
+                if isinstance(offered, RequirementSpec):  # several may need the same word; the first is asked
+                    self._named.setdefault(offered.kind, {}).setdefault(offered.name, offered)
+                    continue
                 claims.setdefault(_key(offered), []).append((plugin, offered))
         disputes: dict[tuple[Plugin, ...], list[str]] = {}
         for key, claimants in claims.items():

@@ -25,8 +25,8 @@ from gem_core.registry import specs
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.hookspecs import ENTRY_POINT_GROUP
 from gem_core.registry.plugins import Record, one_line
-from gem_core.registry.requirements import unmet
-from gem_core.registry.specs import CommandSpec, EnvSpec, NamedSpec, ToolSpec, WrapperSpec
+from gem_core.registry.requirements import RequirementStatus, unmet
+from gem_core.registry.specs import CommandSpec, EnvSpec, NamedSpec, RequirementSpec, ToolSpec, WrapperSpec
 from gem_core.testing.places import place_of, shown_place
 
 TIMEOUT_S = 60.0
@@ -291,12 +291,17 @@ def _package(record: Record) -> str:
 
 
 def _check_kind(record: Record, maker: Any) -> None:
-    """Refuse what is found and is no environment, tool, wrapper, backend or command."""
+    """Refuse what is no environment, tool, wrapper, backend or command, and a probe that gives no status."""
     if isinstance(record, CommandSpec):
         import click
 
         if not isinstance(maker, click.Command):
             raise RegistrationError(f"{record.entry_point!r} is a {type(maker).__name__}, and no click.Command")
+    elif isinstance(record, RequirementSpec):
+        check_arguments(maker, ("",), {"closely": False}, "its probe")
+        answer = maker("", closely=False)
+        if not isinstance(answer, RequirementStatus):
+            raise RegistrationError(f"{record.entry_point!r} returned {answer!r:.100}, and no RequirementStatus")
     elif isinstance(maker, type):
         base = _base_of(record)
         if base is not None and not issubclass(maker, base):

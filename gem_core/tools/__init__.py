@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
+from gem_core.tools.calls.reading import json_call, native_calls
 from gem_core.tools.env import ToolEnv
 from gem_core.tools.tool import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, ToolResult
 
-__all__ = ["CALL_CLOSE", "CALL_OPEN", "Tool", "ToolCall", "ToolEnv", "ToolResult"]
+__all__ = ["CALL_CLOSE", "CALL_OPEN", "Tool", "ToolCall", "ToolEnv", "ToolResult", "json_call", "native_calls"]

@@ -15,7 +15,7 @@ from PIL import Image
 
 import gem_core as gem
 from gem_core.errors import ArgumentError, DatasetError
-from gem_core.records.files import read_episodes
+from gem_core.records import read_episodes
 from gem_core.testing import check_env
 from gem_math.figures.env import FigureEnv
 from gem_math.figures.sample import EACH, GEOMETRY_SAMPLE, KINDS
@@ -81,6 +81,7 @@ def test_the_numbers_stand_in_the_figure_alone() -> None:
         assert len({each["answer"] for each in rows}) > 1, kind.__name__
 
 
+@pytest.mark.thorough
 def test_figures_are_drawn_the_same_in_every_process() -> None:
     """Whatever the hash seed, and whichever is drawn first."""
     code = (

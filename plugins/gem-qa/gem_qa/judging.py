@@ -58,7 +58,7 @@ def find_judge(judge: str | Judge | None, url: str | None, options: Mapping[str,
         written = json.dumps(dict(options or {}), sort_keys=True)
     except TypeError as error:
         raise ArgumentError(f"judge_options must be plain JSON: {error}") from None
-    return _shared_model(judge.removeprefix(_MODEL_PREFIX), url, written)
+    return shared_model(judge.removeprefix(_MODEL_PREFIX), url, written)
 
 
 def verdict_of(
@@ -184,6 +184,6 @@ def _line(value: Any) -> str:
 
 
 @lru_cache(maxsize=16)
-def _shared_model(model: str, url: str | None, options: str) -> ModelJudge:
+def shared_model(model: str, url: str | None, options: str) -> ModelJudge:
     """Return one judge for all environments that ask for the same, so that its limit of requests holds for all."""
     return ModelJudge(model, base_url=url, **json.loads(options))

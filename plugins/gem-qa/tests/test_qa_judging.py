@@ -143,7 +143,7 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     served = chat_server.ChatServer()
     yield served
     served.close()
-    judging._shared_model.cache_clear()
+    judging.shared_model.cache_clear()
 
 
 def judged_by(server: Any, reply: str | None, action: str) -> tuple[float, bool, dict[str, Any]]:

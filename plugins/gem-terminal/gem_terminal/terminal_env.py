@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from gem_core.data import chosen_index
-from gem_core.env.base import Env
+from gem_core.env import Env
 from gem_core.errors import ArgumentError, ResetNeededError, StateNotSupported
 from gem_core.suggestions import did_you_mean
 from gem_core.types import Concurrency, ResetResult, StepResult

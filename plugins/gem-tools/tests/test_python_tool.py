@@ -17,7 +17,7 @@ from gem_core.background import run_sync
 from gem_core.data import DatasetEnv
 from gem_core.errors import ArgumentError
 from gem_core.testing import check_plugin, check_tool
-from gem_core.tools.env import ToolEnv
+from gem_core.tools import ToolEnv
 from gem_tools.python import SandboxError, make_python
 from gem_tools.python.tool import PACKAGES
 

@@ -18,7 +18,7 @@ from search_server import QuickClock, Reply, Server, serving
 from gem_core.background import run_sync
 from gem_core.errors import ArgumentError, MissingRequirementError
 from gem_core.testing import check_tool
-from gem_core.tools.tool import ToolResult
+from gem_core.tools import ToolResult
 from gem_tools.search import remote
 from gem_tools.search.passages import Passage
 from gem_tools.search.remote import RemoteEngine

@@ -13,7 +13,7 @@ from dataclasses import asdict, is_dataclass
 from typing import Any, ClassVar
 
 from gem_core.data import chosen_index
-from gem_core.env.base import Env
+from gem_core.env import Env
 from gem_core.errors import ArgumentError, EnvFaultError, ResetNeededError
 from gem_core.parsing import extract_last_boxed_answer, extract_last_tagged_answer
 from gem_core.suggestions import did_you_mean
@@ -121,7 +121,7 @@ class ReasoningGymEnv(Env):
         super().reset(seed=seed)
         self._row = None
         self._index = chosen_index(options, MOST_ROWS) if options else int(self.np_random.integers(self._rows))
-        row = self._present_row()
+        row = self.present_row()
         return self.prompt_template.replace("{question}", row["question"]), self._about()
 
     def step(self, action: str) -> StepResult:
@@ -132,7 +132,7 @@ class ReasoningGymEnv(Env):
         info = self._about() | {"parsed_action": answer}
         if answer is not None and len(answer) > LONGEST_ANSWER:
             return self._refused(info, f"an answer has at most {LONGEST_ANSWER} characters")
-        row = self._present_row()
+        row = self.present_row()
         request = {"do": "score", "spec": self._spec, "entry": row["entry"], "answer": answer}
         try:
             verdict = ask(request, self.time_limit_s)
@@ -172,12 +172,13 @@ class ReasoningGymEnv(Env):
     def _about(self) -> Info:
         epoch, row = divmod(self._index, self.size)
         info: Info = {"task_id": f"{self._seed_of(epoch)}-{row}", "index": self._index, "epoch": epoch}
-        return info | {"source": self._present_row()["source"]}
+        return info | {"source": self.present_row()["source"]}
 
     def _seed_of(self, epoch: int) -> int:
         return self.seed + epoch * self.size
 
-    def _present_row(self) -> dict[str, Any]:
+    def present_row(self) -> dict[str, Any]:
+        """Return the row that is asked: question, answer, and what the library keeps beside them."""
         if self._row is None:
             epoch, row = divmod(self._index, self.size)
             seed = self._seed_of(epoch)
@@ -215,7 +216,7 @@ class ReasoningGymEnv(Env):
         self._index = chosen_index({"index": state["index"]}, MOST_ROWS)
         self._row = None
         if state["begun"]:
-            self._present_row()
+            self.present_row()
 
 
 def _check_range(name: str, value: Any, least: int, most: int) -> None:

@@ -1,20 +1,17 @@
-"""What ``gem info`` and ``gem list`` say of tools and other things that have a short name."""
+"""What ``gem list`` and ``gem info`` say of a record: of an environment, tool, wrapper, agent, backend or command."""
 
 from __future__ import annotations
 
 import inspect
-import textwrap
 from collections.abc import Callable
 from typing import Any
 
-import click
-
 from gem_core.arguments import signature_of
-from gem_core.cli.layout import output_width
 from gem_core.errors import GemError
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.lookup import registry
-from gem_core.registry.specs import AgentSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+from gem_core.registry.plugins import Record
+from gem_core.registry.specs import AgentSpec, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
 
 KINDS: dict[str, type[NamedSpec]] = {
     "tools": ToolSpec,
@@ -34,19 +31,31 @@ def find_named(name: str) -> list[NamedSpec]:
     return [record for kind in kinds for record in registry().named(kind) if record.name == head]
 
 
-def described(record: NamedSpec) -> dict[str, Any]:
-    """Return what is known of a record without importing what it points to."""
-    provider = next((plugin for plugin in registry().plugins() if record in plugin.records), None)
+def described(record: Record) -> dict[str, Any]:
+    """Return what is known of a record without importing what it points to, as plain JSON."""
+    point = record.entry_point
+    if isinstance(record, EnvSpec):
+        provider = registry().provider(record.id)
+        facts: dict[str, Any] = {
+            "id": record.id,
+            "summary": record.summary,
+            "kwargs": {key: value if _is_plain(value) else repr(value) for key, value in record.kwargs.items()},
+            "max_turns": record.turn_limit,
+            "tags": list(record.tags),
+            "requires": list(record.requires),
+            "deterministic": record.deterministic,
+        }
+    else:
+        provider = next((plugin for plugin in registry().plugins() if record in plugin.records), None)
+        facts = {"kind": record.kind, "name": record.name, "summary": record.summary}
     return {
-        "kind": record.kind,
-        "name": record.name,
-        "summary": record.summary,
-        "entry_point": record.entry_point if isinstance(record.entry_point, str) else repr(record.entry_point),
+        **facts,
+        "entry_point": point if isinstance(point, str) else repr(point),
         "distribution": None if provider is None else provider.distribution,
     }
 
 
-def all_about(record: NamedSpec) -> dict[str, Any]:
+def described_in_full(record: NamedSpec) -> dict[str, Any]:
     """Return what is known of a record, with the options of what it points to, as plain JSON."""
     facts = described(record)
     maker = load_entry_point(record.entry_point, f"{record.kind} {record.name!r}")
@@ -57,54 +66,22 @@ def all_about(record: NamedSpec) -> dict[str, Any]:
         facts["argument"] = f"{_option(parameters.pop(0))}, as in {record.name}:…"
     facts["options"] = [_option(parameter) for parameter in parameters]
     facts["documentation"] = own_documentation(maker)
-    if isinstance(record, ToolSpec):
-        from gem_core.cli.diagnosis import status_of
-        from gem_core.tools.selection import tools_by_name
-
-        status, broken = status_of(record)
-        facts |= {"schemas": [], "instructions": [], "status": status, "problem": broken}
-        try:
-            tools = tools_by_name([record.name]).values()
-        except GemError as error:  # it may need options, a key or a server; all else can be told without
-            facts["problem"] = str(error)
-        else:
-            facts |= {
-                "schemas": [tool.schema() for tool in tools],
-                "instructions": [tool.instructions() for tool in tools],
-            }
-    return facts
+    return {**facts, **_described_tools(record)} if isinstance(record, ToolSpec) else facts
 
 
-def print_named(facts: dict[str, Any]) -> None:
-    """Describe a tool, wrapper, agent or backend: its options, and what an agent is told of a tool."""
-    click.echo(click.style(facts["name"], bold=True) + (f" · {facts['summary']}" if facts["summary"] else ""))
-    print_field("kind", facts["kind"])
-    print_field("argument", facts.get("argument"))
-    print_field("options", facts["options"] or "none")
-    print_field("offered by", facts["distribution"] or "this program")
-    print_field("entry point", facts["entry_point"])
-    if facts.get("status"):
-        from gem_core.cli.diagnosis import status_line
+def _described_tools(record: ToolSpec) -> dict[str, Any]:
+    """Return what a tool says of itself on this machine, and what an agent is told of it."""
+    from gem_core.cli.diagnosis import status_of
+    from gem_core.tools.selection import tools_by_name
 
-        print_field("here", status_line(facts["status"]))
-    print_field("missing", facts.get("problem"))
-    if facts["documentation"]:
-        click.echo(f"\n{facts['documentation']}")
-    if facts.get("instructions"):
-        click.echo(click.style("\nWhat an agent is told, without options:", bold=True))
-        for line in facts["instructions"]:
-            click.echo(line)
-
-
-def print_field(label: str, value: str | list[str] | None) -> None:
-    """Show a fact behind its label, a list with a line for each; nothing where there is none."""
-    lines = [value] if isinstance(value, str) else value or []
-    width = output_width()
-    if width is not None:
-        lines = [piece for line in lines for piece in textwrap.wrap(line, max(width - 16, 20), break_long_words=False)]
-    for number, line in enumerate(lines):
-        head = f"{label}:" if number == 0 else ""
-        click.echo(f"  {head:<14}{line}")
+    status, problem = status_of(record)
+    tools: list[Any] = []
+    try:
+        tools = list(tools_by_name([record.name]).values())
+    except GemError as error:  # it may need options, a key or a server; all else can be told without
+        problem = str(error)
+    schemas, instructions = [tool.schema() for tool in tools], [tool.instructions() for tool in tools]
+    return {"schemas": schemas, "instructions": instructions, "status": status, "problem": problem}
 
 
 def option_lines(maker: Callable[..., Any]) -> list[str]:
@@ -127,3 +104,7 @@ def _option(parameter: inspect.Parameter) -> str:
     equals = " = " if typed else "="
     default = "" if parameter.default is parameter.empty else f"{equals}{parameter.default!r}"
     return f"{stars}{parameter.name}{typed}{default}"
+
+
+def _is_plain(value: object) -> bool:
+    return value is None or isinstance(value, bool | int | float | str)
