@@ -85,7 +85,9 @@ KINDS = {
 
 
 def register_held() -> None:
-    """Register the environments above, if they are not there."""
+    """Register the environments above, with all gates closed and no step begun."""
+    GATES.clear()
+    BEGUN.clear()
     gem.register(KINDS["thread"], ThreadCountdownEnv)
     gem.register(KINDS["async"], AsyncCountdownEnv)
     gem.register(KINDS["process"], PipeCountdownEnv)

@@ -30,8 +30,6 @@ BACKENDS = ("sync", "async", "process")
 @pytest.fixture(autouse=True)
 def _held() -> None:
     register_held()
-    GATES.clear()
-    BEGUN.clear()
 
 
 def run(coroutine: Coroutine[Any, Any, T]) -> T:

@@ -24,8 +24,6 @@ ECHO = "toy:Echo-v0"
 @pytest.fixture(autouse=True)
 def _held() -> None:
     register_held()
-    GATES.clear()
-    BEGUN.clear()
 
 
 class Unsampled(CountdownEnv):
