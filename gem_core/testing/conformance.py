@@ -13,9 +13,8 @@ from gem_core.registry.specs import EnvSpec
 from gem_core.suggestions import did_you_mean
 from gem_core.testing import promises_actions, promises_interface, promises_randomness, promises_state
 from gem_core.testing.contract import PROMISES, ContractError, NotTriedError, Promise, Report
-from gem_core.testing.global_random import preserved
+from gem_core.testing.isolation import TookTooLongError, preserved
 from gem_core.testing.subject import Limits, Subject
-from gem_core.testing.watch import TookTooLongError
 
 __all__ = ["PROMISE_MODULES", "check_env"]
 

@@ -6,10 +6,11 @@ from collections.abc import Iterator, Sequence
 
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import SamplingNotSupported
-from gem_core.testing.comparing import first_difference, json_loss, shown
+from gem_core.testing.comparing import first_difference, json_loss
 from gem_core.testing.contract import NotTriedError, promise
-from gem_core.testing.helper import HelperError
+from gem_core.testing.findings import shown
 from gem_core.testing.hostile import hostile_actions
+from gem_core.testing.interpreter import CallError, InterpreterLostError
 from gem_core.testing.promises_interface import problems_of
 from gem_core.testing.subject import Subject
 from gem_core.types import Response
@@ -96,11 +97,23 @@ def _fatal_action(subject: Subject, env: AnyEnv, actions: Sequence[str]) -> str 
     """
     if getattr(env.unwrapped, "concurrency", None) in ("thread", "async"):
         return None
+    label = "reset()"
     try:
-        subject.elsewhere(None, seed=subject.limits.seed)
+        with subject.elsewhere() as other:
+            other.reset(subject.limits.seed)
+            for number, action in enumerate(actions):
+                label = f"step({shown(action)})"
+                try:
+                    _, over = other.step(action)
+                except InterpreterLostError:
+                    raise
+                except CallError:  # tried here too, and named then
+                    over = True
+                if over:
+                    label = "reset()"
+                    other.reset(number)
     except NotTriedError:
         return None
-    except HelperError as error:
-        where = f"step({shown(actions[error.records])})" if error.records < len(actions) else "reset()"
-        return f"{where}, tried in another process: {error}"
+    except CallError as error:
+        return f"{label}, tried in another process: {error}"
     return None

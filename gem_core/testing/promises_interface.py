@@ -12,8 +12,9 @@ import numpy as np
 
 from gem_core.env.observations import observation_from
 from gem_core.errors import ResetNeededError
-from gem_core.testing.comparing import json_loss, mutable_parts, plain, shown
+from gem_core.testing.comparing import json_loss, mutable_parts, plain
 from gem_core.testing.contract import promise
+from gem_core.testing.findings import shown
 from gem_core.testing.subject import Subject
 
 _CONCURRENCY = ("inline", "thread", "process", "async")

@@ -11,10 +11,11 @@ from typing import Any
 from gem_core.background import run_sync
 from gem_core.env.wrapper import AnyEnv, reset_async, step_async
 from gem_core.errors import NotSupportedError
-from gem_core.testing.comparing import first_difference, play, shown
+from gem_core.testing.comparing import first_difference, play
 from gem_core.testing.contract import NotTriedError, promise
-from gem_core.testing.global_random import changed, global_state, scramble
-from gem_core.testing.helper import HelperError
+from gem_core.testing.findings import shown
+from gem_core.testing.interpreter import CallError
+from gem_core.testing.isolation import global_random_state, scramble
 from gem_core.testing.subject import Record, Script, Subject
 
 _FROM_NP_RANDOM = "draw only from self.np_random, and make everything of an episode anew in reset."
@@ -79,8 +80,9 @@ def process_determinism(subject: Subject) -> Iterator[str]:
     """Another process, in which strings hash differently, plays the same episode."""
     for script, expected in subject.references:
         try:
-            found = subject.elsewhere(script.actions, seed=script.seed)
-        except HelperError as error:
+            with subject.elsewhere() as env:
+                found = [env.reset(script.seed), *env.play(script.actions)]
+        except CallError as error:
             yield f"with seed {script.seed}, {error}"
             return
         difference = first_difference(expected, found)
@@ -161,11 +163,12 @@ def _stream(subject: Subject, env: AnyEnv, script: Script, later: tuple[str, ...
 
 
 def _touching(label: str, call: Callable[[], object]) -> Iterator[str]:
-    before = global_state()
+    before = global_random_state()
     call()
-    names = changed(before, global_state())
-    if names is not None:
-        yield f"{label} changed the state of {names}"
+    after = global_random_state()
+    names = [name for name in before if before[name] != after[name]]
+    if names:
+        yield f"{label} changed the state of {' and '.join(names)}"
 
 
 def _sampled(subject: Subject, env: AnyEnv) -> None:

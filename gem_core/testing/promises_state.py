@@ -10,10 +10,11 @@ from typing import Any, cast
 from gem_core.env.base import Env
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import StateNotSupported
-from gem_core.testing.comparing import first_difference, json_loss, plain, shown
+from gem_core.testing.comparing import first_difference, json_loss, plain
 from gem_core.testing.contract import NotTriedError, promise
-from gem_core.testing.helper import HelperError
-from gem_core.testing.serialization import unchecked
+from gem_core.testing.findings import shown
+from gem_core.testing.interpreter import CallError
+from gem_core.testing.remaking import unchecked
 from gem_core.testing.subject import Record, Script, Subject
 
 
@@ -72,8 +73,10 @@ def state_process(subject: Subject) -> Iterator[str]:
             _advance(subject, original, script, steps)
             state = _carried(subject.saved(original))
             try:
-                found = subject.elsewhere(script.actions[steps:], state=state)
-            except HelperError as error:
+                with subject.elsewhere() as env:
+                    env.set_state(state)
+                    found = env.play(script.actions[steps:])
+            except CallError as error:
                 yield f"with seed {script.seed}, restored after {steps} steps, {error}"
                 return
             difference = first_difference(expected[steps + 1 :], found, steps + 1)
@@ -113,11 +116,13 @@ def _sibling_problems(subject: Subject, script: Script, expected: list[Record], 
         yield f"with seed {script.seed}, the sibling differs {difference}"
     for _ in subject.play(sibling, between):
         pass
-    difference = first_difference(expected, before + list(subject.play_on(env, script, steps)))
+    difference = first_difference(expected, before + list(subject.play_on(env, script.actions[steps:])))
     if difference is not None:
         yield f"what a sibling played changed the first one: with seed {script.seed}, it differs {difference}"
     if twin is not None:
-        difference = first_difference(expected[steps + 1 :], list(subject.play_on(twin, script, steps)), steps + 1)
+        difference = first_difference(
+            expected[steps + 1 :], list(subject.play_on(twin, script.actions[steps:])), steps + 1
+        )
         if difference is not None:
             yield f"with seed {script.seed}, spawn(same_state=True) after {steps} steps differs {difference}"
 
@@ -129,7 +134,7 @@ def _advance(subject: Subject, env: AnyEnv, script: Script, steps: int) -> list[
 
 def _continued(subject: Subject, env: AnyEnv, script: Script, steps: int) -> list[Record]:
     """Play the rest of a script, and begin the next episode of the stream."""
-    rest = list(subject.play_on(env, script, steps))
+    rest = list(subject.play_on(env, script.actions[steps:]))
     return [*rest, *subject.play_from(env, None, ())]
 
 
