@@ -68,10 +68,11 @@ def is_image(value: Any) -> bool:
     return pil is not None and isinstance(value, pil.Image)
 
 
-def first_difference(expected: Sequence[Any], found: Sequence[Any], first_step: int = 0) -> str | None:
-    """Tell where two recorded episodes begin to differ, or None.
+def differences(what: str, expected: Sequence[Any], found: Sequence[Any], first_step: int = 0) -> Iterator[str]:
+    """Say where two recorded episodes begin to differ, if they do.
 
     Args:
+        what: How the sentence begins, as in ``"a used instance differs"``.
         expected: One recording.
         found: The other.
         first_step: Number of the step that the first record belongs to; 0 is the reset.
@@ -79,10 +80,11 @@ def first_difference(expected: Sequence[Any], found: Sequence[Any], first_step: 
     for index, (left, right) in enumerate(zip(expected, found, strict=False), first_step):
         where = _difference(left, right, "")
         if where is not None:
-            return f"at {f'step {index}' if index else 'reset'}{where}"
+            yield f"{what} at {f'step {index}' if index else 'reset'}{where}"
+            return
     if len(expected) != len(found):
-        return f"one has {len(expected) + first_step - 1} steps and the other {len(found) + first_step - 1}"
-    return None
+        lengths = (len(episode) + first_step - 1 for episode in (expected, found))
+        yield "{} one has {} steps and the other {}".format(what, *lengths)
 
 
 def json_loss(value: Any) -> str | None:

@@ -9,6 +9,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from types import FunctionType
 from typing import Any
 
@@ -16,12 +17,12 @@ import cloudpickle  # type: ignore[import-untyped]  # it has no types
 
 from gem_core.testing.comparing import record_of
 from gem_core.testing.contract import NotTriedError
-from gem_core.testing.interpreter import CallError, Interpreter, InterpreterLostError
+from gem_core.testing.interpreter import CallError, Interpreter
 from gem_core.testing.remaking import guarded
 
 
 class EnvElsewhere:
-    """An environment in an interpreter. Calls raise ``CallError``, and give plain data.
+    """An environment in another process. Calls raise ``CallError``; results are plain data.
 
     Args:
         interpreter: Where it is.
@@ -30,31 +31,16 @@ class EnvElsewhere:
     """
 
     def __init__(self, interpreter: Interpreter, step_timeout_s: float, reset_timeout_s: float) -> None:
-        self._interpreter = interpreter
-        self._step_timeout_s = step_timeout_s
-        self._reset_timeout_s = reset_timeout_s
-
-    def make(self, packed_maker: bytes) -> None:
-        """Call the constructor.
-
-        Raises:
-            NotTriedError: It raises something there.
-        """
-        try:
-            self._interpreter.call(_make, packed_maker, timeout_s=self._reset_timeout_s)
-        except InterpreterLostError:
-            raise
-        except CallError as error:
-            message = str(error).removeprefix("it raised ")
-            raise NotTriedError(f"in another process it cannot be made there: {message}") from error
+        self.call = partial(interpreter.call, timeout_s=reset_timeout_s)
+        self._call_step = partial(interpreter.call, timeout_s=step_timeout_s)
 
     def reset(self, seed: int) -> dict[str, Any]:
         """Begin an episode."""
-        return dict(self._interpreter.call(_reset, seed, timeout_s=self._reset_timeout_s))
+        return dict(self.call(_reset, seed))
 
     def step(self, action: str) -> tuple[dict[str, Any], bool]:
         """Step, and tell whether the episode is over."""
-        record, over = self._interpreter.call(_step, action, timeout_s=self._step_timeout_s)
+        record, over = self._call_step(_step, action)
         return record, over
 
     def play(self, actions: Iterable[str]) -> list[dict[str, Any]]:
@@ -69,12 +55,7 @@ class EnvElsewhere:
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Go on from a state."""
-        self._interpreter.call(_set_state, state, timeout_s=self._reset_timeout_s)
-
-    def close(self) -> None:
-        """Close the environment; what goes wrong is named by ``close-twice``."""
-        with suppress(CallError):
-            self._interpreter.call(_close, timeout_s=self._reset_timeout_s)
+        self.call(_set_state, state)
 
 
 class OtherProcess:
@@ -89,7 +70,7 @@ class OtherProcess:
         self._started_in: tuple[list[str], str] | None = None
 
     @contextmanager
-    def env(self, maker: Callable[[], Any], *, step_timeout_s: float, reset_timeout_s: float) -> Iterator[EnvElsewhere]:
+    def env(self, maker: Callable[[], Any], step_timeout_s: float, reset_timeout_s: float) -> Iterator[EnvElsewhere]:
         """Make an environment there, and close it at the end.
 
         Raises:
@@ -100,10 +81,13 @@ class OtherProcess:
         with self._lock:
             env = EnvElsewhere(self._started(), step_timeout_s, reset_timeout_s)
             try:
-                env.make(packed_maker)
+                why_not = env.call(_make, packed_maker)
+                if why_not:
+                    raise NotTriedError(f"in another process it cannot be made there: {why_not}")
                 yield env
             finally:
-                env.close()
+                with suppress(CallError):  # a promise of its own tries and names it
+                    env.call(_close)
 
     def _started(self) -> Interpreter:
         here = (list(sys.path), os.getcwd())
@@ -113,7 +97,7 @@ class OtherProcess:
         if self._interpreter is None:
             try:
                 self._interpreter, self._started_in = Interpreter(), here
-            except InterpreterLostError as error:
+            except CallError as error:
                 raise NotTriedError(f"no other process could be started ({error})") from error
         return self._interpreter
 
@@ -130,9 +114,9 @@ def packed(maker: Callable[[], Any]) -> bytes:
     buffer = io.BytesIO()
     try:
         _Packer(buffer).dump(maker)
-    except Exception as error:
-        message = f"{type(error).__name__}: {error}"
-        raise NotTriedError(f"its arguments cannot be handed to another process: {message}") from error
+    except Exception as error:  # pickle calls methods of third-party classes
+        why_not = f"{type(error).__name__}: {error}"
+        raise NotTriedError(f"its arguments cannot be handed to another process: {why_not}") from error
     return buffer.getvalue()
 
 
@@ -160,8 +144,13 @@ def _is_found(module: Any) -> bool:
 # In the other process.
 
 
-def _make(kept: dict[str, Any], packed_maker: bytes) -> None:
-    kept["env"] = guarded(pickle.loads(packed_maker)())
+def _make(kept: dict[str, Any], packed_maker: bytes) -> str:
+    """Make the environment, and return why that cannot be done."""
+    try:
+        kept["env"] = guarded(pickle.loads(packed_maker)())
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code
+        return f"{type(error).__name__}: {error}"
+    return ""
 
 
 def _reset(kept: dict[str, Any], seed: int) -> dict[str, Any]:

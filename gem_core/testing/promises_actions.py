@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import SamplingNotSupported
-from gem_core.testing.comparing import first_difference, json_loss
+from gem_core.testing.comparing import differences, json_loss
 from gem_core.testing.contract import NotTriedError, promise
 from gem_core.testing.findings import shown
 from gem_core.testing.hostile import hostile_actions
@@ -47,9 +47,8 @@ def response(subject: Subject) -> Iterator[str]:
             Response(action, finish_reason="stop", model="none", token_ids=[1, 2], logprobs=[-0.1, -0.2])
             for action in script.actions
         )
-        difference = first_difference(expected, list(subject.play_from(subject.new(), script.seed, actions)))
-        if difference is not None:
-            yield f"with seed {script.seed}, answers of type Response differ {difference}"
+        found = list(subject.play_from(subject.new(), script.seed, actions))
+        yield from differences(f"with seed {script.seed}, answers of type Response differ", expected, found)
 
 
 @promise("treat what cannot be read as a wrong answer: an observation, a reward, no exception, in bounded time.")
@@ -82,11 +81,10 @@ def hostile_actions_(subject: Subject) -> Iterator[str]:
         if result[2] or result[3]:
             subject.reset(env, number)
     # Whatever was said before, the next episode is the usual one.
-    expected = subject.references[0][1] if subject.repeats else None
     after = list(subject.play(env, script))
-    difference = None if expected is None else first_difference(expected, after)
-    if difference is not None:
-        yield f"with seed {script.seed}, the episode after all of them differs {difference}"
+    if subject.recorded is not None:
+        what = f"with seed {script.seed}, the episode after all of them differs"
+        yield from differences(what, subject.recorded[0], after)
 
 
 def _fatal_action(subject: Subject, env: AnyEnv, actions: Sequence[str]) -> str | None:

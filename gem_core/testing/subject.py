@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, cast
 
 import gymnasium
@@ -89,7 +89,8 @@ class Subject:
         self.package = ""
         """The module of the task's class."""
         self._scripts: list[Script] | None = None
-        self._references: list[list[Record]] | None = None
+        self.recorded: list[list[Record]] | None = None
+        """What each script gives, once it is known to repeat."""
 
     # Instances.
 
@@ -124,10 +125,7 @@ class Subject:
             NotTriedError: When it is entered: this environment cannot be made there.
             CallError: When it is entered: its constructor hangs there, or ends the process.
         """
-        limits = self.limits
-        return OTHER_PROCESS.env(
-            self._make, step_timeout_s=limits.step_timeout_s, reset_timeout_s=limits.reset_timeout_s
-        )
+        return OTHER_PROCESS.env(self._make, self.limits.step_timeout_s, self.limits.reset_timeout_s)
 
     # Calls.
 
@@ -201,6 +199,21 @@ class Subject:
             ended = bool(result[2] or result[3])
         return Script(seed, tuple(actions), ended)
 
+    @cached_property
+    def results(self) -> list[tuple[str, Any]]:
+        """Every result of the scripts as it is, with the name of its call."""
+        return list(self.results_of(self.new()))
+
+    def results_of(self, env: AnyEnv) -> Iterator[tuple[str, Any]]:
+        """Play all scripts, and give each result with the name of its call."""
+        for script in self.scripts:
+            yield f"reset(seed={script.seed})", self.reset(env, script.seed)
+            for action in script.actions:
+                result = self.step(env, action)
+                yield f"step({shown(action)})", result
+                if result[2] or result[3]:
+                    break
+
     def play(self, env: AnyEnv, script: Script) -> Iterator[Record]:
         """Play a script from its reset."""
         return self.play_from(env, script.seed, script.actions)
@@ -226,18 +239,9 @@ class Subject:
         """Every script with what it gives, known to be the same each time."""
         self.need_episodes()
         self.expect_determinism()
-        if self._references is None:
+        if self.recorded is None:
             raise NotTriedError("the same seed and actions do not repeat; see 'determinism'")
-        return list(zip(self.scripts, self._references, strict=True))
-
-    @property
-    def repeats(self) -> bool:
-        """Whether episodes are known to repeat."""
-        return self._references is not None
-
-    def keep_references(self, references: list[list[Record]]) -> None:
-        """Note what each script gives, once it is known to repeat."""
-        self._references = references
+        return list(zip(self.scripts, self.recorded, strict=True))
 
     def cuts(self, script: Script) -> list[int]:
         """Return the numbers of actions after which states are saved: none, half, and all but the last."""
