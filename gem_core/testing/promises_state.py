@@ -113,9 +113,8 @@ def _sibling_problems(subject: Subject, script: Script, expected: list[Record], 
     for _ in subject.play(sibling, between):
         pass
     found = [*before, *subject.play_on(env, script.actions[steps:])]
-    yield from differences(
-        f"what a sibling played changed the first one: with seed {seed}, it differs", expected, found
-    )
+    what = f"what a sibling played changed the first one: with seed {seed}, it differs"
+    yield from differences(what, expected, found)
     if twin is not None:
         what = f"with seed {seed}, spawn(same_state=True) after {steps} steps differs"
         found = list(subject.play_on(twin, script.actions[steps:]))
