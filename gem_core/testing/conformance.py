@@ -143,5 +143,5 @@ def _sightings(promise: Promise, subject: Subject) -> Iterator[str]:
     except NotTriedError:
         if not found:
             raise
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - foreign code: whatever it raises breaks the promise
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code: all that it raises breaks the promise
         yield f"{subject.watch.last_call} raised {subject.told(error)}"

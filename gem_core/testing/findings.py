@@ -44,7 +44,7 @@ class Findings:
         """Note whether a call returns; what it raises is what was seen."""
         try:
             action()
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code: whatever it raises breaks the promise
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code: all that it raises breaks the promise
             return self.expect(promise, False, f"{type(error).__name__}: {error}")
         return self.expect(promise, True)
 

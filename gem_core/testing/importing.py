@@ -82,9 +82,9 @@ def imported(point: EntryPoint, timeout_s: float = TIMEOUT_S, stop: threading.Ev
                 with closing(Interpreter(_others_disabled(point), printed, complained, stop)) as interpreter:
                     loaded = interpreter.call(_load, point.name, _distribution(point), timeout_s=timeout_s)
                     seen = seen or Imported(**loaded)
-                    for record in seen.untried:
-                        number = seen.records.index(record)
-                        record["error"] = interpreter.call(_problem, number, timeout_s=timeout_s)
+                    for number, record in enumerate(seen.records):
+                        if record["error"] is None:
+                            record["error"] = interpreter.call(_problem, number, timeout_s=timeout_s)
             except CallError as error:
                 complaint = _text(complained)
                 if seen is None:

@@ -65,7 +65,7 @@ def hostile_actions_(subject: Subject) -> Iterator[str]:
     for number, action in enumerate(actions):
         try:
             result = subject.step(env, action)
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - foreign code, and no error is allowed
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code, and no error is allowed
             yield f"step({shown(action)}) raised {subject.told(error)}"
             env = subject.new()
             subject.reset(env, number)
