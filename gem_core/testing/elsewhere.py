@@ -9,7 +9,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import partial
+from functools import cache, partial
 from types import FunctionType
 from typing import Any
 
@@ -17,6 +17,7 @@ import cloudpickle  # type: ignore[import-untyped]  # it has no types
 
 from gem_core.testing.comparing import record_of
 from gem_core.testing.contract import NotTriedError
+from gem_core.testing.hostile import hostile_actions
 from gem_core.testing.interpreter import CallError, Interpreter
 from gem_core.testing.remaking import guarded
 
@@ -42,6 +43,10 @@ class EnvElsewhere:
         """Step, and tell whether the episode is over."""
         record, over = self._call_step(_step, action)
         return record, over
+
+    def step_hostile(self, seed: int, number: int) -> bool:
+        """Step with a hostile action, and tell whether the episode is over; it is made there, for all are 13 MB."""
+        return bool(self._call_step(_step_hostile, seed, number))
 
     def play(self, actions: Iterable[str]) -> list[dict[str, Any]]:
         """Step until the end of the episode, or the last action."""
@@ -130,6 +135,7 @@ class _Packer(cloudpickle.Pickler):  # type: ignore[misc]  # as above
         return super().reducer_override(obj)
 
 
+@cache
 def _is_found(module: Any) -> bool:
     """Tell whether an import of its name, in an interpreter that has not imported it, leads to the file of a module."""
     package = module.__name__.rpartition(".")[0]
@@ -160,6 +166,13 @@ def _reset(kept: dict[str, Any], seed: int) -> dict[str, Any]:
 def _step(kept: dict[str, Any], action: str) -> tuple[dict[str, Any], bool]:
     result = kept["env"].step(action)
     return record_of(result), bool(result[2] or result[3])
+
+
+def _step_hostile(kept: dict[str, Any], seed: int, number: int) -> bool:
+    if kept.get("hostile_seed") != seed:
+        kept["hostile_seed"], kept["hostile_actions"] = seed, hostile_actions(seed=seed)
+    _, _, terminated, truncated, _ = kept["env"].step(kept["hostile_actions"][number])
+    return bool(terminated or truncated)
 
 
 def _set_state(kept: dict[str, Any], state: Mapping[str, Any]) -> None:

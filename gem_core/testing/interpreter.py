@@ -10,7 +10,7 @@ import faulthandler
 import json
 import os
 import pickle
-import queue
+import select
 import signal
 import subprocess
 import sys
@@ -152,21 +152,22 @@ def serve(number: int) -> None:
     faulthandler.enable()
     faulthandler.register(signal.SIGUSR1, chain=True)
     connection = Connection(number)
-    requests: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     # In a thread, so that the end of the other side is noticed while a call hangs.
-    threading.Thread(target=_read, args=(connection, requests), daemon=True).start()
+    threading.Thread(target=_end_with, args=(number,), daemon=True).start()
     kept: dict[str, Any] = {}
     while True:
+        request = connection.recv_bytes()
         try:
-            function, args = pickle.loads(requests.get())
+            function, args = pickle.loads(request)
             answer = True, function(kept, *args)
         except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code; the other side is told
             answer = False, f"{type(error).__name__}: {error}"
         connection.send(answer)
 
 
-def _read(connection: Connection, requests: queue.SimpleQueue[bytes]) -> None:
-    with suppress(EOFError, OSError):
-        while True:
-            requests.put(connection.recv_bytes())
+def _end_with(number: int) -> None:
+    """Wait until the other side of a socket is closed, then kill this process and all that it has started."""
+    poll = select.poll()
+    poll.register(number, 0)  # no event but the end, which is always told
+    poll.poll()
     os.killpg(0, signal.SIGKILL)

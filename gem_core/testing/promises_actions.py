@@ -102,7 +102,7 @@ def _fatal_action(subject: Subject, env: AnyEnv, actions: Sequence[str]) -> str 
             for number, action in enumerate(actions):
                 label = f"step({shown(action)})"
                 try:
-                    _, over = other.step(action)
+                    over = other.step_hostile(subject.limits.seed, number)
                 except InterpreterLostError:
                     raise
                 except CallError:  # tried here too, and named then
