@@ -90,13 +90,18 @@ def test_strings_hash_differently_there() -> None:
     assert "  process-determinism: " in run_script("hash('number')", PYTHONHASHSEED="1")
 
 
-def test_a_class_of_a_function_is_tried_there_too() -> None:
-    """It is sent by value, as are those of a test module that only pytest can import."""
+class EnvOfATest(GoodEnv):
+    """In a module that only pytest can import by its name, with ``--import-mode=importlib``."""
+
+
+def test_classes_that_cannot_be_imported_there_are_sent_by_value() -> None:
+    """Those of a function, and of a test module."""
 
     class LocalEnv(GoodEnv):
         pass
 
-    assert set(check_env(LocalEnv).kept) == set(PROMISES)
+    for env in (LocalEnv, EnvOfATest):
+        assert set(check_env(env).kept) == set(PROMISES)
 
 
 def test_modules_of_one_name_are_not_confused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
