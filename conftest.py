@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 
 import pytest
+from hypothesis import settings
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell starts what runs in the background so, as many CI systems do; and programs inherit it.
@@ -16,6 +17,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--thorough", action="store_true", help="run all tests: whole matrices, soaks, and all that takes long"
     )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Say how many examples hypothesis tries; how long one takes is a matter of the machine, and never a failure."""
+    examples = 300 if config.getoption("--thorough") else 25
+    settings.register_profile("gem", deadline=None, max_examples=examples)
+    settings.load_profile("gem")
 
 
 @pytest.fixture(scope="session")

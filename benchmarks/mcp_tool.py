@@ -63,8 +63,8 @@ asyncio.run(main(int(CALLS), int(AT_ONCE), SERVER))
 OURS = """
 import asyncio, json, sys, time
 from gem_core.background import run_sync
-from gem_core.data.dataset import DatasetEnv
-from gem_core.tools.env import ToolEnv
+from gem_core.data import DatasetEnv
+from gem_core.tools import ToolEnv
 
 def make():
     task = DatasetEnv([{"question": "?", "answer": "1"}])

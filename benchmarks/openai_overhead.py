@@ -66,7 +66,7 @@ asyncio.run(main())
 CLIENT = f"""
 import json, subprocess, sys, time, urllib.request
 import gem_core as gem
-from gem_core.agents.openai import OpenAIAgent
+from gem_openai import OpenAIAgent
 
 class TalkEnv(gem.Env):
     def reset(self, seed=None, options=None):
@@ -98,8 +98,8 @@ print(json.dumps({{"own_s": used / turns, "rollout_s": wall, **figures}}))
 def main() -> None:
     """Measure and print the table."""
     sides = harness.arguments()
-    if subprocess.run([sides.ours, "-c", "import aiohttp"], capture_output=True, check=False).returncode:
-        print("\nthe agent 'openai' skipped: its extra is not installed; 'make lint' installs it")
+    if subprocess.run([sides.ours, "-c", "import gem_openai"], capture_output=True, check=False).returncode:
+        print("\nthe agent 'openai' skipped: gem-openai is not installed")
         return
     repeats = min(sides.repeats, MOST_REPEATS)
     case = harness.measure({"ours": harness.snippet(sides.ours, CLIENT)}, repeats=repeats, warm_up=1)["ours"]

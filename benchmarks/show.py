@@ -6,14 +6,20 @@ The file is written to a temporary folder and deleted: ``python benchmarks/show.
 from __future__ import annotations
 
 import argparse
+import itertools
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import harness
+
+if TYPE_CHECKING:
+    from gem_core import Episode
 
 MOVES = "look around, then go north and open the second door on the left; "
 
@@ -21,7 +27,7 @@ MOVES = "look around, then go north and open the second door on the left; "
 def main() -> None:
     """Generate a file, measure each way to look at it, and print the table."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--ours", default=sys.executable, help="interpreter that has gem_core")
+    parser.add_argument("--ours", default=sys.executable, help="interpreter that has gem_core and gem_eval")
     parser.add_argument("--peer", help="not used: the peer has no such command")
     parser.add_argument("--megabytes", type=int, default=50, help="size of the file")
     parser.add_argument("--repeats", type=int, default=3, help="runs of each command")
@@ -35,12 +41,12 @@ def main() -> None:
 
 def generate(path: Path, size: int) -> int:
     """Write episodes of 10 turns, with sampled tokens, until the file has the size; return their number."""
-    from gem_core.records.episode import Episode, EpisodeWriter, Transition
-    from gem_core.types import Response
+    from gem_core import Episode, Response, Transition, write_episodes
 
-    count = written = 0
-    with EpisodeWriter(path) as writer:
-        while written < size:
+    def episodes() -> Iterator[Episode]:
+        for count in itertools.count():
+            if count % 100 == 0 and path.stat().st_size >= size:
+                return
             turns = [
                 Transition(
                     f"Turn {turn}. " + MOVES * 12,
@@ -52,10 +58,9 @@ def generate(path: Path, size: int) -> int:
                 )
                 for turn in range(10)
             ]
-            writer.write(Episode(f"bench:Maze-v0-{count % 4}", count, turns[0].observation, {}, turns, "The end."))
-            count += 1
-            written = path.stat().st_size if count % 100 == 0 else written
-    return count
+            yield Episode(f"bench:Maze-v0-{count % 4}", count, turns[0].observation, {}, turns, "The end.")
+
+    return write_episodes(path, episodes())
 
 
 def measure(python: str, path: Path, count: int, repeats: int) -> None:

@@ -23,10 +23,20 @@ if TYPE_CHECKING:
     from gem_core.env.wrapper import Wrapper
     from gem_core.errors import GemError
     from gem_core.parsing import extract_code_blocks, extract_last_boxed_answer, extract_last_tagged_answer
-    from gem_core.records.episode import Episode, Transition, read_episodes, write_episodes
+    from gem_core.records.episode import Episode, Transition
+    from gem_core.records.files import read_episodes, write_episodes
     from gem_core.records.plans import PlanItem
     from gem_core.registry.hookspecs import hookimpl
-    from gem_core.registry.specs import AgentSpec, CommandSpec, EnvSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+    from gem_core.registry.requirements import RequirementStatus
+    from gem_core.registry.specs import (
+        AgentSpec,
+        CommandSpec,
+        EnvSpec,
+        RequirementSpec,
+        ToolSpec,
+        VectorBackendSpec,
+        WrapperSpec,
+    )
     from gem_core.rollouts.drivers import arollout, rollout
     from gem_core.tools.env import ToolEnv
     from gem_core.tools.tool import Tool, ToolCall, ToolResult
@@ -38,14 +48,24 @@ __version__ = "0.1.0"
 _HOME = {
     "data.dataset": ("DatasetEnv", "Grade"),
     "env.base": ("AsyncEnv", "Env"),
-    "records.episode": ("Episode", "Transition", "read_episodes", "write_episodes"),
+    "records.episode": ("Episode", "Transition"),
+    "records.files": ("read_episodes", "write_episodes"),
     "errors": ("GemError",),
     "registry.hookspecs": ("hookimpl",),
     "parsing": ("extract_code_blocks", "extract_last_boxed_answer", "extract_last_tagged_answer"),
     "records.plans": ("PlanItem",),
     "api": ("list_envs", "make", "make_vec", "print_envs", "register", "spec"),
     "rollouts.drivers": ("arollout", "rollout"),
-    "registry.specs": ("AgentSpec", "CommandSpec", "EnvSpec", "ToolSpec", "VectorBackendSpec", "WrapperSpec"),
+    "registry.requirements": ("RequirementStatus",),
+    "registry.specs": (
+        "AgentSpec",
+        "CommandSpec",
+        "EnvSpec",
+        "RequirementSpec",
+        "ToolSpec",
+        "VectorBackendSpec",
+        "WrapperSpec",
+    ),
     "tools.env": ("ToolEnv",),
     "tools.tool": ("Tool", "ToolCall", "ToolResult"),
     "types": ("TERMINAL_STATE", "Observation", "Response"),
@@ -67,6 +87,8 @@ __all__ = [
     "Grade",
     "Observation",
     "PlanItem",
+    "RequirementSpec",
+    "RequirementStatus",
     "Response",
     "Tool",
     "ToolCall",

@@ -22,7 +22,7 @@ def gem_register_wrappers() -> Iterable[WrapperSpec]:
         ),
         WrapperSpec(
             name="messages",
-            entry_point="gem_core.wrappers.chat:Messages",
+            entry_point="gem_core.wrappers.chat:MessagesView",
             summary="Show the history as a list of chat messages.",
         ),
         WrapperSpec(
@@ -78,7 +78,7 @@ def gem_register_vector_backends() -> Iterable[VectorBackendSpec]:
 
 @hookimpl
 def gem_register_agents() -> Iterable[AgentSpec]:
-    """An agent that needs no model, and one for any model behind an OpenAI-compatible server."""
+    """Agents that need no model."""
     return [
         AgentSpec(
             name="random",
@@ -89,11 +89,6 @@ def gem_register_agents() -> Iterable[AgentSpec]:
             name="human",
             entry_point="gem_core.agents.human:HumanAgent",
             summary="Asks a person at the terminal.",
-        ),
-        AgentSpec(
-            name="openai",
-            entry_point="gem_core.agents.openai:OpenAIAgent",
-            summary="Asks a model behind an OpenAI-compatible server, as openai:MODEL.",
         ),
     ]
 
@@ -106,7 +101,6 @@ def gem_add_commands() -> Iterable[CommandSpec]:
         "info": "Describe one environment, tool, wrapper, agent or backend.",
         "play": "Play an environment yourself, in the terminal.",
         "run": "Let an agent act in environments and record its episodes.",
-        "show": "Show recorded episodes: a list, one of them, two compared, or a page.",
         "plugins": "List the installed plugins, and what is wrong with them.",
         "doctor": "Find out what is broken, and what is missing to run the rest.",
         "new-plugin": "Start a plugin that installs and passes its own tests.",

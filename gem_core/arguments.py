@@ -61,7 +61,7 @@ def _constructor_parameters(maker: type) -> list[inspect.Parameter]:
 
 
 def check_arguments(maker: Callable[..., Any], args: tuple[Any, ...], options: Mapping[str, Any], owner: str) -> None:
-    """Raise when a call would not fit, before anything of the callee runs.
+    """Raise if a callable does not take these arguments, before it is called.
 
     Raises:
         ArgumentError: Names the arguments that are accepted.

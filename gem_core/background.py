@@ -1,7 +1,7 @@
-"""One event loop that the library owns, in a daemon thread, and the bridges to it.
+"""The library's own event loop, in a daemon thread, and the bridges to it.
 
-Coroutines of environments and tools always run here, whoever calls, so that a connection opened in one step can be
-used in the next.
+Coroutines of environments and tools always run on it, so that a connection opened in one step can be used in the next.
+Its globals are those of a process: there is one loop, and what was started on it without anyone waiting.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ T = TypeVar("T")
 _lock = threading.Lock()
 _loop: asyncio.AbstractEventLoop | None = None
 _started: set[asyncio.Future[Any]] = set()
-"""Tasks that nobody waits for; a loop keeps only weak references to its own."""
+"""Tasks without a waiter; a loop keeps only weak references to its own."""
 
 _of_parent: list[object] = []
-"""What a forked child must not even collect: to close it there would change what the parent's loop listens to."""
+"""The parent's loop and tasks, kept alive in a forked child: closing them would change the parent's epoll set."""
 
 
 def background_loop() -> asyncio.AbstractEventLoop:
@@ -110,7 +110,7 @@ def close_later(resource: Any, loop: asyncio.AbstractEventLoop) -> None:
 
 
 async def on_library_loop(awaitable: Awaitable[T]) -> T:
-    """Await on the library's loop, from whichever loop the caller runs on; free of charge on the library's own."""
+    """Await on the library's loop, from whichever loop the caller runs on; without a hop on the library's own."""
     loop = background_loop()
     if asyncio.get_running_loop() is loop:
         return await awaitable
@@ -131,7 +131,7 @@ async def in_thread(function: Callable[..., T], *args: Any) -> T:
         try:
             result = context.run(function, *args)
         except StopIteration as error:
-            # An asyncio future of Python 3.11 refuses a StopIteration, and whoever waits would wait for ever.
+            # An asyncio future of Python 3.11 refuses a StopIteration, and the waiter would wait for ever.
             stopped = RuntimeError(f"{getattr(function, '__qualname__', function)} raised StopIteration")
             stopped.__cause__ = error
             future.set_exception(stopped)
@@ -162,7 +162,7 @@ class DaemonPool:
     def _open_queue(self) -> None:
         self._work: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
         self._threads = self._open = 0
-        # Threads that wait hold the queue alone, so that a pool nobody uses any more is collected, and ends them.
+        # Idle threads hold only the queue, so that an unused pool is collected, which ends them.
         self._finalizer = weakref.finalize(self, _end_threads, self._work, self._most)
         self._finalizer.atexit = False
 
@@ -195,7 +195,7 @@ class DaemonPool:
 def _work_off(work: queue.SimpleQueue[Callable[[], object] | None]) -> None:
     while (job := work.get()) is not None:
         job()
-        del job  # while it waits, a thread holds nothing of what it did
+        del job  # an idle thread must not keep its last job alive
 
 
 def _end_threads(work: queue.SimpleQueue[Callable[[], object] | None], count: int) -> None:
@@ -209,8 +209,8 @@ def _serve(loop: asyncio.AbstractEventLoop) -> None:
         try:
             loop.run_forever()
         except (SystemExit, KeyboardInterrupt):
-            # asyncio lets these out of a task and so ends the loop, after it has noted them in the task. Whoever waits
-            # for the task gets them there; all others would wait for ever if the loop were not run on.
+            # asyncio lets these two out of a task, which ends the loop. The task's own waiter gets them there; every
+            # other waiter would wait for ever if the loop did not go on.
             continue
         return
 

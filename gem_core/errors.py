@@ -39,6 +39,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import ClassVar
 
 
@@ -169,3 +170,13 @@ class DatasetError(GemError, ValueError):
 
 class EpisodeFileError(GemError):
     """A file of episodes that cannot be read at all."""
+
+
+def refuse_windows(what: str) -> None:
+    """Raise on Windows; called first by modules that need processes, signals and files as Linux and macOS have them.
+
+    Raises:
+        MissingRequirementError: This is Windows.
+    """
+    if sys.platform == "win32":
+        raise MissingRequirementError(f"{what} cannot run on Windows: it needs Linux or macOS; use WSL")

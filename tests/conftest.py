@@ -1,31 +1,24 @@
-"""Registers small environments for every test of the core; offers an empty registry, terminals and a model server."""
+"""Registers small environments for every test of the core; offers an empty registry and terminals."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import toys
 import vector_envs
-from chat_server import KEY, MODEL, ChatServer, HandClock, MakeAgent
 from command_calls import Outcome, RunGem
 from distributions import install
-from hypothesis import settings
 from in_terminal import InTerminal
 
-from gem_core.agents.openai import OpenAIAgent
-from gem_core.background import run_sync
 from gem_core.cli import main
 from gem_core.registry import lookup as registry
 from gem_core.registry import plugins
+from gem_core.registry.specs import NamedSpec
 
 toys.register_toys()
 vector_envs.register_vector_envs()
-# How long an example takes is a matter of the machine, and of what else runs on it.
-settings.register_profile("gem", deadline=None)
-settings.load_profile("gem")
 
 
 @pytest.fixture
@@ -35,6 +28,19 @@ def own_registry(monkeypatch: pytest.MonkeyPatch) -> registry.Registry:
     monkeypatch.setattr(plugins, "_find", list)
     monkeypatch.setattr(registry, "_registry", fresh)
     return fresh
+
+
+@pytest.fixture
+def offer(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Add records of tools and wrappers to the registry, as a plugin would, for one test."""
+
+    def add(*records: NamedSpec) -> None:
+        found = registry.registry()
+        found.load()
+        offered = {record.name: record for record in records}
+        monkeypatch.setitem(found._named, "wrapper", {**found._named.get("wrapper", {}), **offered})
+
+    return add
 
 
 @pytest.fixture(scope="session")
@@ -78,28 +84,3 @@ def terminal(tmp_path: Path) -> Iterator[Callable[..., InTerminal]]:
     yield start
     for each in started:
         each.close()
-
-
-@pytest.fixture
-def server() -> Iterator[ChatServer]:
-    """A server that speaks the OpenAI chat API."""
-    served = ChatServer()
-    yield served
-    served.close()
-
-
-@pytest.fixture
-def make_agent(server: ChatServer, monkeypatch: pytest.MonkeyPatch) -> Iterator[MakeAgent]:
-    """Makes agents that ask the server, with a key and with time in hand."""
-    monkeypatch.setenv("OPENAI_API_KEY", KEY)
-    made: list[OpenAIAgent] = []
-
-    def make(**options: Any) -> OpenAIAgent:
-        agent = OpenAIAgent(MODEL, **{"base_url": server.url, **options})
-        agent.client.clock = HandClock()
-        made.append(agent)
-        return agent
-
-    yield make
-    for agent in made:
-        run_sync(agent.aclose())

@@ -16,7 +16,7 @@ from gem_core.env.observations import texts_of
 from gem_core.errors import ArgumentError
 from gem_core.records.turns import Turn
 from gem_core.tools.env import ToolEnv
-from gem_core.wrappers.chat import ConcatChat, Messages
+from gem_core.wrappers.chat import ConcatChat, MessagesView
 from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView
 
 
@@ -46,7 +46,7 @@ def played(view: Any, actions: list[str]) -> list[Any]:
 
 def test_messages_are_a_chat() -> None:
     """System first where there is one, then user and assistant in turn, each answer as it was then."""
-    assert played(Messages(CountdownEnv(), system="Be brief."), ["a", "b"])[-1] == [
+    assert played(MessagesView(CountdownEnv(), system="Be brief."), ["a", "b"])[-1] == [
         {"role": "system", "content": "Be brief."},
         {"role": "user", "content": "Count down.\nLeft: 100."},
         {"role": "assistant", "content": "a"},
@@ -58,7 +58,7 @@ def test_messages_are_a_chat() -> None:
 
 def test_messages_may_show_how_things_stand_once() -> None:
     """At the end, as the other views of the history do."""
-    assert [m["content"] for m in played(Messages(CountdownEnv(), repeat_suffix=False), ["a"])[-1]] == [
+    assert [m["content"] for m in played(MessagesView(CountdownEnv(), repeat_suffix=False), ["a"])[-1]] == [
         "Count down.\n",
         "a",
         "You said 'a'.\nLeft: 99.",
@@ -73,13 +73,13 @@ def test_the_system_message_of_a_task_is_taken() -> None:
             observation, info = super().reset(seed, options)
             return observation, {**info, "system": "You echo."}
 
-    assert Messages(WithSystem()).reset()[0][0] == {"role": "system", "content": "You echo."}
-    assert Messages(WithSystem(), system="Mine.").reset()[0][0] == {"role": "system", "content": "Mine."}
+    assert MessagesView(WithSystem()).reset()[0][0] == {"role": "system", "content": "You echo."}
+    assert MessagesView(WithSystem(), system="Mine.").reset()[0][0] == {"role": "system", "content": "Mine."}
 
 
 def test_native_calls_are_answered_under_their_ids() -> None:
     """Assistant message with its calls, then one tool message for each; a text call is answered as the user."""
-    env = Messages(ToolEnv(CountdownEnv(), [Notebook()]))
+    env = MessagesView(ToolEnv(CountdownEnv(), [Notebook()]))
     env.reset(seed=1, options={"left": 9})
     calls = [
         {"id": f"c{n}", "type": "function", "function": {"name": "note", "arguments": json.dumps({"line": f"l{n}"})}}
@@ -99,7 +99,7 @@ def test_native_calls_are_answered_under_their_ids() -> None:
 
 def test_reasoning_is_kept_on_request() -> None:
     """Some servers want it back."""
-    env = Messages(EchoEnv(), keep_reasoning=True)
+    env = MessagesView(EchoEnv(), keep_reasoning=True)
     env.reset()
     assert env.step(gem.Response("hi", reasoning="because"))[0][1] == {
         "role": "assistant",
@@ -148,9 +148,9 @@ def extends(earlier: Any, action: str, later: Any) -> bool:
 
 
 CHAT = [
-    Messages,
-    lambda env: Messages(env, repeat_suffix=False),
-    lambda env: Messages(env, max_turns=2),
+    MessagesView,
+    lambda env: MessagesView(env, repeat_suffix=False),
+    lambda env: MessagesView(env, max_turns=2),
     lambda env: ConcatChat(env, Template()),
     lambda env: ConcatChat(env, Template(), drop_thinking=True),
 ]
@@ -177,7 +177,7 @@ def test_what_drops_is_not_append_only(make: Any) -> None:
 
 def test_one_chat_view_is_append_only() -> None:
     """What single-sequence trainers need."""
-    assert Messages(EchoEnv()).append_only
+    assert MessagesView(EchoEnv()).append_only
     assert ConcatChat(EchoEnv(), Template()).append_only
 
 
@@ -255,7 +255,7 @@ def test_state_goes_on_in_another_instance(make: Any) -> None:
 
 def test_views_are_in_their_space() -> None:
     """A list of messages is no text."""
-    view: ObservationView = Messages(EchoEnv())
+    view: ObservationView = MessagesView(EchoEnv())
     assert view.observation_space.contains(view.reset()[0])
     text_view = ConcatChat(EchoEnv(), Template())
     assert text_view.observation_space.contains(text_view.reset()[0])
@@ -266,7 +266,7 @@ def test_native_calls_count_towards_the_budget() -> None:
     call = {"id": "a", "type": "function", "function": {"name": "note", "arguments": '{"line": "one two three four"}'}}
     message = {"role": "assistant", "content": "", "tool_calls": [call], "reasoning_content": "well"}
     assert texts_of([message]) == ["well", "note", '{"line": "one two three four"}']
-    env = Messages(
+    env = MessagesView(
         ToolEnv(CountdownEnv(), [Notebook()], max_tool_uses=None),
         max_tokens=150,
         count_tokens=lambda text: len(text.split()),
@@ -288,7 +288,7 @@ def test_a_task_may_say_what_the_bridge_is_found_by() -> None:
 @pytest.mark.parametrize("given", [{}, {"id": None}, {"id": ""}, {"id": 5}])
 def test_calls_without_a_usable_id_are_answered_all_the_same(given: dict[str, Any]) -> None:
     """Servers demand that each call has an id, and that the messages of tools name it."""
-    env = Messages(ToolEnv(CountdownEnv(), [Notebook()]))
+    env = MessagesView(ToolEnv(CountdownEnv(), [Notebook()]))
     env.reset(seed=1, options={"left": 100})
     call = {**given, "type": "function", "function": {"name": "note", "arguments": '{"line": "x"}'}}
     *_, assistant, first, second = env.step(gem.Response("", tool_calls=[call, {**call, "id": "b"}]))[0]

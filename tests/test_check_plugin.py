@@ -61,6 +61,7 @@ DANGLING = {
     "tool dangling_class": "gem_dangling.py:37: 'gem_dangling_env:Helper' does not derive from gem_core.Tool",
     "tool dangling_status": "gem_dangling.py:38: its status: 'gem_dangling_env' has no 'stat'. Correct the entry point "
     "'gem_dangling_env:stat'",
+    "requirement dangling": "gem_dangling.py:51: 'gem_dangling:weather' returned 'met', and no RequirementStatus",
     "command dangling": "gem_dangling.py:45: 'gem_dangling_env:make_tool' is a function, and no click.Command",
 }
 

@@ -16,11 +16,12 @@ from command_calls import subprocess_gem
 
 import gem_core as gem
 from gem_core.cli.layout import echo_line
-from gem_core.records.episode import read_episodes
+from gem_core.records.files import read_episodes
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import ToolSpec
 
 COUNTDOWN = "toy:Countdown-v0"
+COLOUR = re.compile(r"\x1b\[[\d;]*m")
 
 SLOW_AGENT = """
 import os, signal
@@ -43,7 +44,7 @@ def act(observation, context):
     [
         (["--vesion"], "gem: No such option '--vesion'. Did you mean '--version'? Run 'gem --help'\n"),
         (["run", COUNTDOWN, "--agent"], "Option '--agent' requires an argument. Run 'gem run --help'\n"),
-        (["lst"], "no command 'lst'. Did you mean 'list'? There are: list, info, play, run, show, plugins"),
+        (["lst"], "no command 'lst'. Did you mean 'list'? There are: list, info, play, run, plugins"),
         (["run", "--agnt", "x", COUNTDOWN], "No such option '--agnt'. Did you mean '--agent'?"),
         (["run", "toy:Cuntdown-v0"], "no environment 'toy:Cuntdown-v0'. Did you mean 'toy:Countdown-v0'"),
         (["run", "toy:nothing*"], "no environment matches 'toy:nothing*'"),
@@ -94,7 +95,7 @@ def test_version_and_help(run_gem) -> None:
     for arguments in (
         ["--help"],
         ["list", "-h"],
-        *([name, "--help"] for name in ("info", "play", "run", "show", "plugins")),
+        *([name, "--help"] for name in ("info", "play", "run", "plugins")),
     ):
         outcome = run_gem(*arguments)
         assert outcome.code == 0
@@ -296,6 +297,19 @@ def test_no_color_is_heeded_in_a_terminal(tmp_path: Path, monkeypatch: pytest.Mo
     assert "\x1b" not in in_terminal(program, tmp_path)
 
 
+def test_list_in_a_terminal_has_a_line_for_each_namespace(tmp_path: Path) -> None:
+    """With their number, what all of a namespace lacks here, and their names; then the names of tools and the like."""
+    needs = "summary='Shut.', requires=('never:it is under repair',)"
+    shut = "; ".join(f"gem_core.register('shut:{name}', 'toys:EchoEnv', {needs})" for name in ("A-v0", "A-v1", "B-v0"))
+    command = [sys.executable, "-c", TERMINAL_PROGRAM.replace("main()", f"import gem_core; {shut}; main()"), "list"]
+    shown = COLOUR.sub("", in_terminal(command, tmp_path))
+    assert re.search(r"^shut: +3  \[it is under repair\] A, B\r?$", shown, re.MULTILINE)
+    assert re.search(r"^toy: +3  Countdown, Echo, Sums\r?$", shown, re.MULTILINE)
+    assert re.search(r"^backends  async, auto, process", shown, re.MULTILINE)
+    assert COUNTDOWN not in shown
+    assert {COUNTDOWN, "shut:A-v1"} <= set(COLOUR.sub("", in_terminal([*command, "--all"], tmp_path)).split())
+
+
 def test_progress_and_a_table_in_a_terminal(tmp_path: Path) -> None:
     """A bar while it runs, and a table."""
     output = in_terminal(
@@ -310,7 +324,7 @@ def test_progress_and_a_table_in_a_terminal(tmp_path: Path) -> None:
 @pytest.mark.parametrize("columns", [40, 60, 80, 100])
 @pytest.mark.few(2)
 def test_a_table_keeps_id_success_and_errors_whole_in_any_width(tmp_path: Path, columns: int) -> None:
-    """Of a run, and of the list of its episodes; what matters least is left out, or follows below."""
+    """What matters least is left out, or follows below."""
     name = "toy:HasANameOf29Letters-v0-ab"
     program = TERMINAL_PROGRAM.replace(
         "main()", f"import gem_core; gem_core.register({name!r}, 'toys:CountdownEnv'); main()"
@@ -320,16 +334,13 @@ def test_a_table_keeps_id_success_and_errors_whole_in_any_width(tmp_path: Path, 
     closing = output[output.rindex("4 episodes in ") :].splitlines()
     assert max(map(len, closing)) <= columns
     assert " ".join(closing).endswith("(seed 1), written to a.jsonl")
-    ran = table_in(output)
-    shown = table_in(in_terminal([sys.executable, "-m", "gem_core", "show", "a.jsonl"], tmp_path, columns))
-    for table in (ran, shown):
-        assert max(map(len, table)) <= columns
-        assert any(name in line.split() for line in table)
-        assert not any("…" in line for line in table)
-    text = "\n".join(ran)
+    table = table_in(output)
+    assert max(map(len, table)) <= columns
+    assert any(name in line.split() for line in table)
+    assert not any("…" in line for line in table)
+    text = "\n".join(table)
     assert "0.0% ± 16.7%" in text
     assert re.search(r"\berrors\b", text)
-    assert "\n".join(shown).count("failure") == 4
 
 
 def test_an_error_is_broken_between_words_in_a_narrow_terminal(capsys: pytest.CaptureFixture[str]) -> None:

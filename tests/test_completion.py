@@ -150,14 +150,17 @@ def test_completion_of_the_other_name(capsys: pytest.CaptureFixture[str]) -> Non
     assert "complete -o nosort -F _gem_core_completion gem-core" in capsys.readouterr().out
 
 
-def test_completing_options_of_run_loads_nothing_heavy() -> None:
+@pytest.mark.parametrize("command", ["run", "play"])
+def test_completing_options_loads_nothing_heavy(command: str) -> None:
     """A shell asks at every press of the key."""
     code = (
         "import sys\nfrom click.shell_completion import ShellComplete\nfrom gem_core.cli import cli\n"
-        "ShellComplete(cli, {}, 'gem', '_GEM_COMPLETE').get_completions(['run', '--wrappers'], 'c')\n"
+        "ShellComplete(cli, {}, 'gem', '_GEM_COMPLETE').get_completions([NAME, '--wrappers'], 'c')\n"
         "print([name for name in ('gymnasium', 'numpy', 'pydantic', 'rich') if name in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", f"NAME = {command!r}\n{code}"], capture_output=True, text=True, timeout=60, check=True
+    )
     assert done.stdout == "[]\n"
 
 

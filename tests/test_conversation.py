@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import pytest
-from chat_server import ChatServer, MakeAgent, Reply, completion
 from PIL import Image
 from toys import Calculator, CountdownEnv, EchoEnv, Notebook
 
 import gem_core as gem
-from gem_core.agents import chat_format
 from gem_core.errors import AgentError
-from gem_core.records.episode import Episode, read_episodes, write_episodes
+from gem_core.records.episode import Episode
+from gem_core.records.files import read_episodes, write_episodes
 from gem_core.rollouts.agent import Context
 from gem_core.tools.env import ToolEnv
 from gem_core.types import Observation, Response
@@ -87,51 +85,54 @@ def played(agent: Any, wrappers: list[Any] = TOOLS, env: str = "toy:Echo-v0", **
     return episode
 
 
-def test_a_model_is_sent_the_conversation(server: ChatServer, make_agent: MakeAgent) -> None:
-    """Question, calls and results under their ids, each request beginning with the one before; the tools once."""
-    server.script = [
-        Reply(completion(str(a), **({"tool_calls": a.tool_calls} if a.tool_calls else {}))) for a in ANSWERS
-    ]
-    episode = played(make_agent(system="Be brief."))
+def test_an_agent_that_reads_messages_is_sent_the_conversation() -> None:
+    """Question, calls and results under their ids, each time beginning with what was sent before; the tools once."""
+    agent = Scripted(reads="messages", native_tools=True, system="Be brief.")
+    episode = played(agent)
     opening = [
         {"role": "system", "content": "Be brief."},
         {"role": "user", "content": f"Say something.\n{INSTRUCTIONS}"},
     ]
-    assert [chat["messages"] for chat in server.chats] == [[*opening, *CHAT[:end]] for end in (0, 2, 4, 7)]
-    assert all(chat["tools"] == [tool.schema() for tool in TOOLS] for chat in server.chats)
+    assert agent.sent == [[*opening, *CHAT[:end]] for end in (0, 2, 4, 7)]
     assert (episode.reads, episode.system, episode.native_tools) == ("messages", "Be brief.", True)
-    assert [episode.sent(turn) for turn in range(4)] == [chat["messages"] for chat in server.chats]
+    assert [episode.sent(turn) for turn in range(4)] == agent.sent
 
 
-def test_without_native_tools_the_text_explains_them(server: ChatServer, make_agent: MakeAgent) -> None:
-    """And no request names them."""
-    server.otherwise = Reply(completion("stop"))
-    episode = played(make_agent(native_tools=False))
-    (chat,) = server.chats
-    assert "tools" not in chat
-    assert chat["messages"] == [{"role": "user", "content": EXPLAINED}]
+def test_without_native_tools_the_text_explains_them() -> None:
+    """In the first message."""
+    agent = Scripted(reads="messages")
+    episode = played(agent)
+    assert agent.sent[0] == [{"role": "user", "content": EXPLAINED}]
     assert not episode.native_tools
 
 
 @pytest.mark.parametrize("view", ["latest", "concat", "concat_with_action", "messages"])
-def test_a_view_that_was_named_says_what_a_model_is_sent(server: ChatServer, make_agent: MakeAgent, view: str) -> None:
+def test_a_view_that_was_named_says_what_is_sent(view: str) -> None:
     """And what it shows does not explain native tools again."""
-    server.script = [Reply(completion("<note>three</note>")), Reply(completion("stop"))]
-    episode = played(make_agent(), [*TOOLS, view])
-    first, second = (chat["messages"] for chat in server.chats)
-    assert first == [{"role": "user", "content": f"Say something.\n{INSTRUCTIONS}"}]
+    agent = Scripted([Response("<note>three</note>"), Response("stop")], reads="messages", native_tools=True)
+    episode = played(agent, [*TOOLS, view])
     task, call, answer = f"Say something.\n{INSTRUCTIONS}", "<note>three</note>", CHAT[3]["content"].replace("3", "4")
-    shown = {"latest": answer, "concat": task + answer, "concat_with_action": f"{task}{call}\n{answer}"}
-    chat = [*first, {"role": "assistant", "content": call}] if view == "messages" else []
-    assert second == [*chat, {"role": "user", "content": shown.get(view, answer)}]
+    shown: dict[str, Observation] = {
+        "latest": answer,
+        "concat": task + answer,
+        "concat_with_action": f"{task}{call}\n{answer}",
+        "messages": [
+            {"role": "user", "content": task},
+            {"role": "assistant", "content": call},
+            {"role": "user", "content": answer},
+        ],
+    }
+    assert agent.sent == [[{"role": "user", "content": task}] if view == "messages" else task, shown[view]]
     assert (episode.reads, episode.info["view"]) == ("observation", view)
 
 
-def test_a_game_without_tools_is_a_conversation_too(server: ChatServer, make_agent: MakeAgent) -> None:
+def test_a_game_without_tools_is_a_conversation_too() -> None:
     """Each answer keeps how things stood."""
-    played(make_agent(), [], "toy:Countdown-v0")
-    assert [message["role"] for message in server.chats[-1]["messages"]] == ["user", *["assistant", "user"] * 3]
-    assert server.chats[-1]["messages"][-1]["content"] == "You said 'ok'.\nLeft: 1."
+    agent = Scripted([Response("ok")] * 4, reads="messages")
+    played(agent, [], "toy:Countdown-v0")
+    last: Any = agent.sent[-1]
+    assert [message["role"] for message in last] == ["user", *["assistant", "user"] * 3]
+    assert last[-1]["content"] == "You said 'ok'.\nLeft: 1."
 
 
 EXPLAINED = str(ToolEnv(EchoEnv(), TOOLS).reset()[0])
@@ -230,27 +231,21 @@ def test_a_view_inside_the_tools_is_none_of_the_whole() -> None:
     assert episode.messages[1:-1] == CHAT
 
 
-def test_images_stand_in_the_conversation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also once they were written and read; a conversation's later requests do not encode them again."""
+def test_images_stand_in_the_conversation(tmp_path: Path) -> None:
+    """Also once they were written and read."""
     picture = Image.new("RGB", (8, 8), "red")
 
     class Picture(EchoEnv):
         def reset(self, seed: Any = None, options: Any = None) -> Any:
             return [{"type": "image", "image": picture}, {"type": "text", "text": "Look."}], super().reset(seed)[1]
 
-    encoded = []
-    save = Image.Image.save
-    monkeypatch.setattr(
-        Image.Image, "save", lambda self, *args, **options: encoded.append(save(self, *args, **options))
-    )
     agent = Scripted(reads="messages")
     (episode,) = gem.rollout(ToolEnv(Picture(), TOOLS), agent, episodes=1)
-    assert len({json.dumps(chat_format.messages_from(sent)[0]) for sent in agent.sent}) == 1
-    assert len(encoded) == 1
+    assert all(sent[0] == agent.sent[0][0] for sent in agent.sent)
     assert episode.messages[0]["content"][0]["image"] is picture
     write_episodes(tmp_path / "a.jsonl", [episode])
     (read,) = read_episodes(tmp_path / "a.jsonl")
-    assert chat_format.messages_from(read.messages) == chat_format.messages_from(episode.messages)
+    assert read.messages == episode.messages
 
 
 def test_what_an_agent_does_to_its_messages_stays_with_it() -> None:

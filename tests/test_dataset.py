@@ -142,3 +142,28 @@ def test_what_was_read_is_the_parsed_action() -> None:
     env.reset(options={"index": 3})
     assert env.step("so \\boxed{ 9 }")[4]["parsed_action"] == "9"
     assert env.step("nine")[4]["parsed_action"] is None
+
+
+def test_braces_of_a_problem_survive() -> None:
+    """Only places of the template are filled, and what fills them is not read again."""
+    rows = [{"question": "{level} of {question} in \\frac{1}{2}", "answer": "1", "level": "{answer}"}]
+    env = gem.DatasetEnv(rows, prompt_template="{level}: {question} {}{{x}}")
+    assert env.reset()[0] == "{answer}: {level} of {question} in \\frac{1}{2} {}{{x}}"
+
+
+def test_template_without_a_place_is_refused() -> None:
+    """The error names the places there could be, the gold answer's not among them."""
+    with pytest.raises(ArgumentError) as caught:
+        gem.DatasetEnv(ROWS, prompt_template="Solve {questoin}: {answer}")
+    assert str(caught.value) == (
+        "prompt_template shows nothing of a row: 'Solve {questoin}: {answer}'. "
+        "It may name {question} or a column: {question}, {name}"
+    )
+
+
+def test_later_row_without_a_column_is_an_error_at_its_reset() -> None:
+    """Columns of JSON lines may differ from row to row."""
+    env = gem.DatasetEnv([{"question": "a", "answer": "b"}, {"question": "a"}])
+    env.reset(options={"index": 0})
+    with pytest.raises(DatasetError, match=r"row 1 has no column 'answer'\. Columns: 'question'"):
+        env.reset(options={"index": 1})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import socket
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,8 +13,9 @@ from distributions import install, python
 
 import gem_core as gem
 from gem_core.cli import diagnosis
-from gem_core.registry import requirements
 from gem_core.registry.lookup import Registry
+from gem_core.registry.requirements import RequirementStatus, find
+from gem_core.registry.specs import RequirementSpec
 
 if TYPE_CHECKING:
     import subprocess
@@ -167,6 +167,23 @@ def test_words_of_a_third_party_are_unknown(needy: Registry) -> None:
     assert row(diagnosis.requirements(needy), "quantum:4")["status"] == "unknown"
 
 
+def probe_of_gems(argument: str, *, closely: bool = False) -> RequirementStatus:
+    """Want seven of them, and fail where none is asked for."""
+    return RequirementStatus("met" if int(argument) > 6 else "unmet", f"looked at {'closely' * closely}")
+
+
+def test_words_of_plugins_are_probed_closely(needy: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With what stands behind the colon, or with nothing; a probe that fails does not end the report."""
+    record = RequirementSpec(name="gems", entry_point=probe_of_gems)
+    monkeypatch.setitem(needy._named, "requirement", {"gems": record})
+    unneeded = row(diagnosis.requirements(needy), "gems")
+    assert (unneeded["status"], unneeded["environments"]) == ("unknown", 0)
+    assert unneeded["detail"].startswith("its probe failed: ValueError: ")
+    gem.register("need:Gems", "toys:CountdownEnv", requires=("gems:7",))
+    assert row(diagnosis.requirements(needy), "gems:7")["detail"] == "looked at closely"
+    assert "gems" not in [each["requirement"] for each in diagnosis.requirements(needy)]
+
+
 def test_network_is_untried(needy: Registry) -> None:
     """Nothing is sent anywhere to find out."""
     assert row(diagnosis.requirements(needy), "network")["status"] == "untried"
@@ -181,75 +198,7 @@ def test_hub_says_whether_it_is_offline(value: str, detail: str, monkeypatch: py
     for name in ("HF_DATASETS_OFFLINE", "TRANSFORMERS_OFFLINE"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HF_HUB_OFFLINE", value)
-    assert requirements.find("hub").detail == detail
-
-
-def serve_once(answer: bytes) -> str:
-    """Answer one connection on this machine, and return its address as DOCKER_HOST has it."""
-    server = socket.create_server(("127.0.0.1", 0))
-
-    def serve() -> None:
-        with server, server.accept()[0] as connection:
-            connection.recv(1024)
-            connection.sendall(answer)
-
-    threading.Thread(target=serve, daemon=True).start()
-    return f"tcp://127.0.0.1:{server.getsockname()[1]}"
-
-
-@pytest.mark.parametrize(
-    ("answer", "status", "detail"),
-    [
-        (b"HTTP/1.0 200 OK\r\n\r\nOK", "met", "the engine answers"),
-        (b"SSH-2.0", "unmet", "what listens there is no container engine"),
-    ],
-)
-def test_engine_is_asked_whether_it_answers(
-    answer: bytes, status: str, detail: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A closer look than ``make`` takes, which believes DOCKER_HOST."""
-    monkeypatch.delenv("DOCKER_TLS_VERIFY", raising=False)
-    monkeypatch.setenv("DOCKER_HOST", serve_once(answer))
-    finding = requirements.find("docker", closely=True)
-    assert (finding.status, finding.detail) == (status, detail)
-
-
-def test_engine_that_is_down_is_unmet(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A socket that nobody listens to."""
-    monkeypatch.setenv("DOCKER_HOST", f"unix://{tmp_path}/none.sock")
-    finding = requirements.find("docker", closely=True)
-    assert (finding.status, finding.detail) == ("unmet", "the engine cannot be reached (FileNotFoundError)")
-    assert finding.advice == "start the container engine"
-
-
-@pytest.mark.parametrize(
-    ("host", "status"),
-    [("ssh://somebody@engine", "untried"), ("tcp://no-port-at-all:x", "unmet"), ("nonsense", "untried")],
-)
-def test_odd_docker_hosts_are_no_traceback(host: str, status: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever stands in the variable."""
-    monkeypatch.delenv("DOCKER_TLS_VERIFY", raising=False)
-    monkeypatch.setenv("DOCKER_HOST", host)
-    assert requirements.find("docker", closely=True).status == status
-
-
-@pytest.mark.parametrize(
-    ("script", "status", "detail"),
-    [
-        ("#!/bin/sh\nexit 0\n", "met", "a sandbox starts"),
-        ("#!/bin/sh\necho 'bwrap: no permission' >&2\nexit 1\n", "unmet", "it fails: bwrap: no permission"),
-    ],
-)
-def test_bubblewrap_is_tried(
-    script: str, status: str, detail: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Being on the PATH is not enough: many systems refuse user namespaces."""
-    bwrap = tmp_path / "bwrap"
-    bwrap.write_text(script)
-    bwrap.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    finding = requirements.find("bubblewrap", closely=True)
-    assert (finding.status, finding.detail) == (status, detail)
+    assert find("hub").detail == detail
 
 
 @pytest.mark.parametrize(
@@ -267,17 +216,9 @@ def test_another_gem_on_the_path_is_told(
     gem_script.write_text(script)
     gem_script.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    finding = requirements.which_gem()
+    finding = diagnosis.which_gem()
     assert finding.status == status
     assert finding.detail.endswith(end)
-
-
-def test_a_file_called_runs_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """``gem run`` could not write there."""
-    monkeypatch.chdir(tmp_path)
-    assert diagnosis._runs_folder() == {"status": "met", "detail": "can be made"}
-    (tmp_path / "runs").touch()
-    assert diagnosis._runs_folder() == {"status": "unmet", "detail": "cannot be written to"}
 
 
 def test_tools_say_what_is_in_force(toolbox_site: Path) -> None:

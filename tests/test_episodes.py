@@ -15,14 +15,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from gem_core.errors import EpisodeFileError
-from gem_core.records.episode import (
-    Episode,
-    EpisodeFileWarning,
-    EpisodeWriter,
-    Transition,
-    read_episodes,
-    write_episodes,
-)
+from gem_core.records.episode import Episode, Transition
+from gem_core.records.files import EpisodeFileWarning, EpisodeWriter, read_episodes, write_episodes
 from gem_core.records.plain_json import ImageFolder, to_plain
 from gem_core.types import Response
 

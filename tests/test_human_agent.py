@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from gem_core.cli import main
-from gem_core.records.episode import read_episodes
+from gem_core.records.files import read_episodes
 
 SUMS = "toy:Sums-v0"
 

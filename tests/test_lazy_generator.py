@@ -1,13 +1,11 @@
-"""``Env.np_random`` starts when it is first asked for; ``Draws`` takes a few numbers from a seed."""
+"""``Env.np_random`` starts when it is first asked for."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import pytest
-
 from gem_core.env.base import Env
-from gem_core.env.seeding import Draws, start_generator
+from gem_core.env.seeding import start_generator
 
 
 class Dice(Env):
@@ -67,18 +65,3 @@ def test_a_generator_that_was_set_is_kept_until_the_next_reset() -> None:
     env.np_random = mine
     assert env.np_random is mine
     assert env.np_random_seed == -1
-
-
-def test_draws_repeat_and_cover_their_range() -> None:
-    """The same seed gives the same numbers, over many blocks, and every value of the range turns up."""
-    draws, again = Draws(8), Draws(8)
-    numbers = [draws.below(6) for _ in range(1_000)]
-    assert numbers == [again.below(6) for _ in range(1_000)]
-    assert sorted(set(numbers)) == [0, 1, 2, 3, 4, 5]
-    assert min(numbers.count(face) for face in range(6)) > 120
-    assert numbers != [Draws(9).below(6) for _ in range(1_000)]
-
-
-@pytest.mark.parametrize("limit", [1, 2, 2**53, 2**256])
-def test_draws_stay_below_their_limit(limit: int) -> None:
-    assert all(0 <= Draws(seed).below(limit) < limit for seed in range(100))

@@ -1,4 +1,4 @@
-"""Options of agents that are named on the command line or in code."""
+"""Agents that are named on the command line or in code, and their options."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from chat_server import context
 
 from gem_core.errors import AgentError, ArgumentError, UnknownAgentError
-from gem_core.rollouts.agent import load_agent
+from gem_core.rollouts import Context, load_agent
+
+CONTEXT = Context("0.0", "toy:Echo-v0", None, 0, {}, [], [])
 
 MODULE = """
 class Mine:
@@ -30,9 +31,27 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return "agent_with_options"
 
 
-def test_a_class_gets_the_options(module: str) -> None:
-    """By keyword."""
-    assert load_agent(f"{module}:Mine", temperature=0.5)("x", context()) == "0.5"
+def test_agents_are_found_by_name_and_by_module(module: str) -> None:
+    """A registered one, a function, and a class, which is called with the options."""
+    assert callable(load_agent("random"))
+    assert load_agent(f"{module}:act")("x", CONTEXT) == "a"
+    assert load_agent(f"{module}:Mine")("x", CONTEXT) == "1.0"
+    assert load_agent(f"{module}:Mine", temperature=0.5)("x", CONTEXT) == "0.5"
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("randm", "no agent 'randm'. Did you mean 'random'? There are: "),
+        ("no_such_module:act", "no agent 'no_such_module:act': there is no agent and no module 'no_such_module'."),
+        ("json:dumsp", "no agent 'json:dumsp': 'json' has no 'dumsp'. Did you mean 'dump' or 'dumps'?"),
+    ],
+)
+def test_unknown_agents_name_the_nearest(name: str, message: str) -> None:
+    """One line that helps."""
+    with pytest.raises(UnknownAgentError) as caught:
+        load_agent(name)
+    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +85,7 @@ def test_the_current_folder_is_searched_only_while_an_agent_is_loaded(module: st
     )
     Path("broken_agent.py").write_text("import nothing_of_this_name", encoding="utf-8")
     before = list(sys.path)
-    assert load_agent("late_agent:Late")("x", context()) == "b"
+    assert load_agent("late_agent:Late")("x", CONTEXT) == "b"
     for name, kind in (("broken_agent:a", AgentError), (f"{module}:missing", UnknownAgentError)):
         with pytest.raises(kind):
             load_agent(name)

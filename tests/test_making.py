@@ -15,7 +15,7 @@ from gymnasium.utils.env_checker import check_env
 
 import gem_core as gem
 from gem_core.arguments import signature_of
-from gem_core.data.dataset import DatasetOptions
+from gem_core.data import DatasetOptions
 from gem_core.errors import ArgumentError, ResetNeededError, UnknownWrapperError
 from gem_core.making.environment import MadeSpec, wrap
 from gem_core.registry import lookup as registry

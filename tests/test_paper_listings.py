@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import random
 import string
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 import gem_core as gem
 from gem_core import TERMINAL_STATE, Env, extract_last_boxed_answer, make, register
-from gem_core.registry import lookup as registry
-from gem_core.registry import plugins
 
 
 def test_interaction_loop_runs() -> None:
@@ -65,10 +62,8 @@ class ReverseStringEnv(Env):
 
 
 @pytest.fixture
-def env(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def env(own_registry: Any) -> Any:
     """The paper's environment, registered and made by id."""
-    monkeypatch.setattr(plugins, "_find", list)
-    monkeypatch.setattr(registry, "_registry", registry.Registry())
     register("custom:ReverseString", ReverseStringEnv)
     return make("custom:ReverseString")
 

@@ -26,9 +26,9 @@ from gem_core.records.plans import (
 )
 
 
-def drawn(source: EpisodeQueue, slots: int = 1) -> list[EpisodeStart]:
-    draws = []
-    while (draw := source.draw(len(draws) % slots)) is not None:
+def drawn(queue: EpisodeQueue, slots: int = 1) -> list[EpisodeStart]:
+    draws: list[EpisodeStart] = []
+    while (draw := queue.draw(len(draws) % slots)) is not None:
         draws.append(draw)
     return draws
 
@@ -104,7 +104,9 @@ def test_mixture_keeps_within_one_of_every_share(weights: dict[str, int], episod
     assert counts.total() == episodes
 
 
-@pytest.mark.parametrize("weights", [{}, {"a:A": 0.0}, {"a:A": -1.0}, {"a:A": float("nan")}])
+@pytest.mark.parametrize(
+    "weights", [{}, {"a:A": 0.0}, {"a:A": -1.0}, {"a:A": float("nan")}, {"a:A": float("inf"), "b:B": 1.0}]
+)
 def test_mixture_refuses_weights_that_mean_nothing(weights: dict[str, float]) -> None:
     """The error shows them."""
     with pytest.raises(ArgumentError, match="a mixture needs positive weights"):
@@ -164,12 +166,6 @@ def test_data_set_without_rows_cannot_be_covered() -> None:
             cover_plan("math:Empty", 0, episodes=episodes)
 
 
-def test_mixture_refuses_weights_without_bound() -> None:
-    """No share can be computed from them."""
-    with pytest.raises(ArgumentError, match="a mixture needs positive weights"):
-        mixture_plan({"a": float("inf"), "b": 1.0}, 3)
-
-
 def in_turn(parts: list[list[PlanItem]]) -> list[PlanItem]:
     """Return what ``interleaved`` does, as one would write it down with lists."""
     return [item for row in zip_longest(*parts) for item in row if item is not None]
@@ -195,10 +191,8 @@ def test_interleaved_plans_are_those_of_a_list(lengths: list[int], data: st.Data
 def test_count_plans_are_those_of_a_list(ids: int, episodes: int) -> None:
     """The ids in turn, so many times."""
     names = [f"a:P{number}" for number in range(ids)]
-    plan = count_plan(names, episodes)
-    assert plan == [PlanItem(id=name) for _ in range(episodes) for name in names]
-    assert plan == count_plan(iter(names), episodes)[:]
-    assert plan != [*plan, PlanItem()]
+    expected = [PlanItem(id=name) for _ in range(episodes) for name in names]
+    assert list(count_plan(names, episodes)) == count_plan(iter(names), episodes)[:] == expected
 
 
 @given(rows=st.integers(1, 9), episodes=st.none() | st.integers(0, 30))
@@ -206,7 +200,7 @@ def test_cover_plans_are_those_of_a_list(rows: int, episodes: int | None) -> Non
     """The rows in order, and over again."""
     count = rows if episodes is None else episodes
     expected = [PlanItem(id="a:A", options={"index": place % rows}) for place in range(count)]
-    assert cover_plan("a:A", rows, episodes=episodes) == expected
+    assert list(cover_plan("a:A", rows, episodes=episodes)) == expected
 
 
 def test_three_million_items_take_no_memory() -> None:
@@ -233,23 +227,44 @@ def test_number_of_episodes_counts_repeats_and_refuses_what_is_no_item() -> None
         _ = EpisodeQueue([PlanItem(), "a:A"], 0).total  # type: ignore[list-item]  # that is the point
 
 
-def test_what_is_done_is_checked_at_once_in_a_sequence_and_as_it_is_passed_over_in_an_iterator() -> None:
-    """Each with what the plan has there, or with None."""
-    checked: list[tuple[str, int, int | None]] = []
+def test_an_episode_of_a_sequence_can_be_looked_up() -> None:
+    """By key and repeat, as it would be drawn; what the plan does not have is None."""
+    items = [PlanItem(), PlanItem(seed=11, repeat=2)]
+    queue = EpisodeQueue(items, 3)
+    assert queue.searchable
+    assert [queue.find(start.key, start.repeat) for start in drawn(EpisodeQueue(items, 3))] == drawn(queue)
+    assert [queue.find(*place) for place in (("0", 1), ("1", -1), ("2", 0), ("0.1", 0), ("x", 0))] == [None] * 5
+    assert not EpisodeQueue(iter(items), 3).searchable
 
-    def check(key: str, repeat: int, draw: EpisodeStart | None) -> None:
-        checked.append((key, repeat, None if draw is None else draw.seed))
 
-    items = [PlanItem(seed=10), PlanItem(seed=11, repeat=2), PlanItem(seed=12)]
-    done = [("1", 1), ("0", 0), ("3", 0), ("0", 1), ("x", 0)]
-    source = EpisodeQueue(items, 0)
-    source.skip(done, check)
-    assert checked == [("1", 1, 11), ("0", 0, 10), ("3", 0, None), ("0", 1, None), ("x", 0, None)]
-    checked.clear()
-    lazy = EpisodeQueue(iter(items), 0)
-    lazy.skip(done, check)
-    assert checked == []
-    assert [(draw.key, draw.repeat) for draw in drawn(source)] == [("1", 0), ("2", 0)]
-    assert checked == []
-    assert [(draw.key, draw.repeat) for draw in drawn(lazy)] == [("1", 0), ("2", 0)]
-    assert checked == [("0", 0, 10), ("1", 1, 11)]
+ITEMS = st.builds(
+    PlanItem,
+    id=st.none() | st.sampled_from(["a:A", "b:B"]),
+    seed=st.none() | st.integers(0, 2**60),
+    options=st.none() | st.fixed_dictionaries({"index": st.integers(0, 9)}),
+    group=st.none() | st.sampled_from(["g", "h"]),
+    repeat=st.integers(1, 4),
+)
+
+
+@given(items=st.lists(ITEMS, max_size=8), seed=st.integers(0, 2**53), sequence=st.booleans(), data=st.data())
+def test_a_plan_gives_the_same_episodes_in_the_same_order_to_whatever_slots_draw(
+    items: list[PlanItem], seed: int, sequence: bool, data: st.DataObject
+) -> None:
+    """Any slots in any order, of a list or an iterator, started over or continued, and with some episodes left out."""
+    expected = drawn(EpisodeQueue(items, seed))
+    places = [(start.key, start.repeat) for start in expected]
+    assert places == [(str(place), repeat) for place, item in enumerate(items) for repeat in range(item.repeat)]
+    done = set(data.draw(st.lists(st.sampled_from(places), unique=True))) if places else set()
+    queue = EpisodeQueue(items if sequence else iter(items), seed)
+    if sequence and data.draw(st.booleans()):
+        drawn(queue)
+        queue = queue.restarted()
+    queue.leave_out(lambda start: (start.key, start.repeat) in done)
+    starts = []
+    while (start := queue.draw(data.draw(st.integers(0, 3)))) is not None:
+        starts.append(start)
+        if data.draw(st.booleans()):
+            queue = queue.continued()
+    assert starts == [start for start in expected if (start.key, start.repeat) not in done]
+    assert queue.draw(0) is None

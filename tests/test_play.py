@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import re
 import sys
 from pathlib import Path
@@ -14,10 +15,8 @@ from toys import Calculator
 
 import gem_core as gem
 from gem_core.cli import main
-from gem_core.cli.play_session import PlaySession
-from gem_core.cli.terminal import BLOCK, observation_text
-from gem_core.errors import ArgumentError, StateNotSupported
-from gem_core.records.episode import read_episodes
+from gem_core.records.files import read_episodes
+from gem_core.terminal import BLOCK, observation_text
 
 COUNTDOWN, ECHO, SUMS = "toy:Countdown-v0", "toy:Echo-v0", "toy:Sums-v0"
 BOARD = "play:Board-v0"
@@ -263,12 +262,43 @@ def test_undone_turns_are_in_no_record(play) -> None:
     assert replayed == episode
 
 
-def test_undo_where_the_environment_cannot(play) -> None:
+def test_undo_behind_views_and_wrappers_of_gymnasium(play) -> None:
+    """They forget the turns too."""
+    wrappers = json.dumps(["concat", ["gymnasium.wrappers:TimeLimit", {"max_episode_steps": 9}]])
+    out = play(BOARD, "-w", wrappers, typed="a\nb\n!undo\n!undo\n").out
+    shown = out.split("─── turn ")
+    assert [part[0] for part in shown[1:]] == ["1", "2", "3", "2", "1"]
+    assert shown[1].split("\n")[1:4] == shown[5].split("\n")[1:4]
+    assert shown[2].split("\n")[1:4] == shown[4].split("\n")[1:4]
+
+
+def test_undo_where_episodes_cannot_be_repeated(play) -> None:
     """A line says why, and play goes on."""
-    outcome = play(ECHO, typed="a\n!undo\nstop\n")
+    gem.register("play:Once-v0", "toys:EchoEnv", deterministic=False)
+    outcome = play("play:Once-v0", typed="a\n!undo\nstop\n")
     assert outcome.code == 0
-    assert "turns of this environment cannot be taken back: EchoEnv cannot save its state" in outcome.out
+    assert "turns of this environment cannot be taken back: a seed and the actions do not repeat its" in outcome.out
     assert "Over after 2 turns." in outcome.out
+
+
+class UnsteadyEnv(BoardEnv):
+    """Says that it repeats itself, and does not."""
+
+    resets = 0
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        type(self).resets += 1
+        _, info = super().reset(seed=seed)
+        return f"Reset {self.resets}.", info | {"feedback": f"Reset {self.resets}."}
+
+
+def test_undo_where_the_environment_goes_another_way(play) -> None:
+    """It is said, and play goes on from where it is."""
+    gem.register("play:Unsteady-v0", UnsteadyEnv)
+    out = play("play:Unsteady-v0", "-w", "", typed="a\nb\n!undo\n").out
+    assert out.partition("Taken back: \\boxed{b}\n")[2].startswith(
+        "Played again, this environment went another way; go on from here.\n──── turn 1"
+    )
 
 
 def test_random_restart_and_next(play) -> None:
@@ -372,32 +402,3 @@ def test_an_environment_that_fails_ends_play_with_what_was_finished(play) -> Non
         "gem: RuntimeError: broken in step. Run 'gem --traceback …' for the whole\n",
     )
     assert "Left unfinished after 0 turns" in outcome.out
-
-
-# The session without a terminal.
-
-
-def test_session_takes_back_several_turns_under_wrappers() -> None:
-    """The views forget them too."""
-    session = PlaySession(gem.make(BOARD, wrappers="concat"), seed=1)
-    session.begin()
-    first = session.observation
-    session.act(session.formed("a"))
-    second = session.observation
-    session.act(session.formed("b"))
-    session.undo()
-    assert session.observation == second
-    session.undo()
-    assert (session.observation, session.taken_back, session.episode.turns) == (first, 2, 0)
-    with pytest.raises(ArgumentError):
-        session.undo()
-
-
-def test_session_names_the_wrapper_of_gymnasium_that_cannot_save() -> None:
-    """Its state would be left behind."""
-    choice = ("gymnasium.wrappers:TimeLimit", {"max_episode_steps": 3})
-    session = PlaySession(gem.make(BOARD, wrappers=[choice]))
-    session.begin()
-    session.act("a")
-    with pytest.raises(StateNotSupported, match="TimeLimit is a wrapper of Gymnasium's"):
-        session.undo()

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from gem_core.cli.terminal import BLOCK
-from gem_core.records.episode import read_episodes
+from gem_core.records.files import read_episodes
+from gem_core.terminal import BLOCK
 
 COUNTDOWN, ECHO, SUMS = "toy:Countdown-v0", "toy:Echo-v0", "toy:Sums-v0"
 COLOUR = re.compile(r"\x1b\[[\d;]*m")

@@ -32,7 +32,7 @@ def test_lines_go_to_standard_error_where_that_is_no_terminal(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Now and then; standard output is the caller's."""
-    monkeypatch.setattr(progress, "_PLAIN_EVERY_S", -1.0)
+    monkeypatch.setattr(progress, "LINE_EVERY_S", -1.0)
     list(gem.rollout(COUNTDOWN, sampling_agent, episodes=2, seed=0, progress=True))
     plan = iter([PlanItem()] * 2)
     list(gem.rollout(COUNTDOWN, sampling_agent, plan=plan, seed=0, progress=True))

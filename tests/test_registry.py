@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from gem_core.errors import ArgumentError, EntryPointError, MissingRequirementEr
 from gem_core.registry import lookup as registry
 from gem_core.registry import plugins
 from gem_core.registry.specs import EnvSpec, WrapperSpec
+from gem_core.rollouts import load_agent
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -58,8 +60,7 @@ def words(own_registry: registry.Registry) -> None:
         ("", "no environment ''. Run 'gem list'"),
         (
             "math:GSM8K",
-            "no environment 'math:GSM8K'. The namespace 'math' comes with a plugin: try 'pip install gem-math'. "
-            "Run 'gem list'",
+            "no environment 'math:GSM8K'. It comes with a plugin: try 'pip install gem-math'. Run 'gem list'",
         ),
         (
             "quux:One",
@@ -101,8 +102,8 @@ def test_unknown_wrapper_names_the_nearest() -> None:
 
 def test_unknown_tool_names_where_tools_come_from(own_registry: registry.Registry) -> None:
     """Without any tool the message names the distribution that has some."""
-    assert message(own_registry.tool, "python") == (
-        "UnknownToolError: no tool 'python'. None is installed: try 'pip install gem-tools'."
+    assert message(own_registry.tool, "pyton") == (
+        "UnknownToolError: no tool 'pyton'. None is installed: try 'pip install gem-tools'."
     )
 
 
@@ -113,16 +114,49 @@ def test_unknown_backend_and_agent(own_registry: registry.Registry) -> None:
         "There are: async, auto, process, sync."
     )
     assert message(own_registry.agent, "randm") == (
-        "UnknownAgentError: no agent 'randm'. Did you mean 'random'? There are: human, openai, random."
+        "UnknownAgentError: no agent 'randm'. Did you mean 'random'? There are: human, random."
     )
 
 
-def test_backend_of_a_plugin_that_is_not_installed(own_registry: registry.Registry) -> None:
-    """The error says what to install."""
-    assert message(own_registry.backend, "ray") == (
-        "UnknownBackendError: no vector backend 'ray'. It comes with a plugin: try 'pip install gem-ray'. "
-        "There are: async, auto, process, sync."
+CORE_WRAPPERS = "concat, concat_chat, concat_with_action, episode_stats, latest, messages, tools, turn_limit"
+
+
+@pytest.mark.parametrize(
+    ("look_up", "name", "wrong", "there_are"),
+    [
+        ("backend", "ray", "no vector backend 'ray'.", " There are: async, auto, process, sync."),
+        ("agent", "openai", "no agent 'openai'.", " There are: human, random."),
+        ("tool", "python", "no tool 'python'.", ""),
+        ("wrapper", "python", "no wrapper or tool 'python'.", f" There are: {CORE_WRAPPERS}."),
+        ("env", "python", "no environment 'python'.", " Run 'gem list'"),
+        ("env", "openai:some-model", "no environment 'openai:some-model'.", " Run 'gem list'"),
+    ],
+)
+def test_name_of_a_plugin_that_is_not_installed(
+    own_registry: registry.Registry, look_up: str, name: str, wrong: str, there_are: str
+) -> None:
+    """The error says what to install, in one sentence for all kinds."""
+    plugin = {"ray": "gem-ray", "python": "gem-tools"}.get(name, "gem-openai")
+    text = message(getattr(own_registry, look_up), name).partition(": ")[2]
+    assert text == f"{wrong} It comes with a plugin: try 'pip install {plugin}'.{there_are}"
+
+
+@pytest.mark.parametrize("name", ["openai", "openai:", "openai:some-model"])
+@pytest.mark.parametrize("module", ["", "def act(observation):\n    return 'a'\n"])
+def test_agent_of_a_plugin_that_is_not_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, module: str
+) -> None:
+    """Though a module may have its name, as OpenAI's package; an agent in such a module is found."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "openai", raising=False)
+    (tmp_path / "openai.py").write_text(module, encoding="utf-8")
+    assert message(load_agent, name) == (
+        "UnknownAgentError: no agent 'openai'. It comes with a plugin: try 'pip install gem-openai'. "
+        "There are: human, random."
     )
+    if module:
+        assert callable(load_agent("openai:act"))
+    sys.modules.pop("openai", None)
 
 
 def test_unknown_plugin(own_registry: registry.Registry) -> None:

@@ -28,6 +28,47 @@ PRIVATE = re.compile(
     r"(?<![\w.-])/(work|root|home)[/]\w|pypi[.]org|pythonhosted[.]org|registry[.]npmjs|debian[.]org|file:/[/]/"
 )
 MAX_LINES = 500
+# Tests go through what users have. These do not, since nothing public shows or sets what they need; others are refused.
+# Not ours are names of TextArena, Gymnasium, threading and Ray.
+PRIVATE_IN_TESTS = {
+    "plugins/gem-games/tests/test_textarena_mends.py": {
+        "_count_solutions",
+        "_generate_board",
+        "_generate_random_puzzle",
+        "_is_solvable",
+    },
+    "plugins/gem-games/tests/test_wiki_servers.py": {"_server"},
+    "plugins/gem-math/tests/test_reasoning.py": {"_all", "_pool", "_process", "_rows"},
+    "plugins/gem-qa/tests/test_qa_judging.py": {"_judge"},
+    "plugins/gem-ray/tests/test_ray_backend.py": {"_actor_id", "_engine", "_links", "_reading"},
+    "plugins/gem-ray/tests/test_ray_cluster.py": {"_engine", "_links"},
+    "plugins/gem-terminal/tests/test_docker_leftovers.py": {"_lock"},
+    "plugins/gem-terminal/tests/test_local_judge.py": {"_release"},
+    "plugins/gem-tools/tests/test_mcp_reading.py": {"_end", "_parts"},
+    "plugins/gem-tools/tests/test_mcp_tool.py": {"_listings"},
+    "plugins/gem-tools/tests/test_python_attacks_memory.py": {"_spare_uid"},
+    "plugins/gem-tools/tests/test_python_attacks_oneself.py": {"_spare_uid"},
+    "plugins/gem-tools/tests/test_python_docker.py": {"_answer"},
+    "plugins/gem-tools/tests/test_python_levels.py": {"_warned", "_working"},
+    "plugins/gem-tools/tests/test_search_disk_cache.py": {"_connection", "_until_check"},
+    "plugins/gem-tools/tests/test_search_remote.py": {"_link", "_proxy_for"},
+    "plugins/gem-tools/tests/test_serve_search.py": {"_silent"},
+    "tests/conftest.py": {"_find", "_named", "_registry"},
+    "tests/test_cli.py": {"_named"},
+    "tests/test_completion.py": {"_named", "_registry"},
+    "tests/test_doctor.py": {"_named", "_runs_folder"},
+    "tests/test_lazy_generator.py": {"_np_random"},
+    "tests/test_tool_limits.py": {"_sessions"},
+    "tests/test_vector.py": {"_engine"},
+    "tests/test_vector_chaos.py": {"_engine", "_links", "_rules"},
+    "tests/test_vector_faults.py": {"_engine", "_pool", "_rules", "_tasks"},
+    "tests/test_vector_interrupts.py": {"_lock"},
+    "tests/test_vector_modes.py": {"_engine"},
+    "tests/test_vector_process.py": {"_engine", "_links"},
+    "tests/testing/reference_envs.py": {"_get_state", "_np_random", "_set_state"},
+    "tests/testing/test_checks.py": {"_find"},
+    "tests/testing/test_other_process.py": {"_process"},
+}
 
 
 def repository_files() -> list[Path]:
@@ -120,6 +161,55 @@ def test_plugin_has_what_a_distribution_needs(plugin: Path):
     assert project["requires-python"] == core["requires-python"]
     assert project["description"].strip()
     assert any(re.match(r"gem-core\b", line) for line in project["dependencies"])
-    python = {line for line in core["classifiers"] if "Python ::" in line}
-    assert {*python, "Typing :: Typed"} <= set(project["classifiers"])
+    assert project["classifiers"] == core["classifiers"]
+    assert project["urls"] == core["urls"]
     assert list(project["entry-points"]["gem.plugins"].values()) == [f"{package}._plugin"]
+
+
+@pytest.mark.parametrize("folder", [ROOT, *PLUGINS], ids=lambda folder: folder.name)
+def test_wheel_holds_the_type_marker(folder: Path):
+    """Users' type checkers read our annotations: each wheel has ``py.typed``, and the metadata says so."""
+    wheel = pytest.importorskip("hatchling.builders.wheel", reason="what a wheel holds is asked of hatchling")
+    project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    held = {file.distribution_path for file in wheel.WheelBuilder(str(folder)).recurse_included_files()}
+    assert f"{project['name'].replace('-', '_')}/py.typed" in held
+    assert "Typing :: Typed" in project["classifiers"]
+
+
+def test_the_systems_are_named():
+    """Linux and macOS, in the metadata and to the reader."""
+    core = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    named = {line for line in core["classifiers"] if line.startswith("Operating System")}
+    assert named == {"Operating System :: MacOS", "Operating System :: POSIX :: Linux"}
+    assert "Linux and macOS" in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def private_names(path: Path) -> set[str]:
+    """Return the private names that a file reads, imports or replaces in others; ``self._x`` is its own."""
+    private = re.compile(r"_[a-z]\w*")
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(text_of(path))):
+        match node:
+            case ast.Attribute(value=ast.Name("self" | "cls" | "os") | ast.Call(func=ast.Name("super"))):
+                pass
+            case ast.Attribute(attr=name):
+                found.add(name)
+            case ast.ImportFrom(module=str(module), names=names) if module.startswith("gem_"):
+                found |= {alias.name for alias in names} - {"_plugin"}
+            case ast.Call(func=ast.Name("getattr") | ast.Attribute(attr="setattr" | "delattr"), args=args):
+                values = [arg.value for arg in args if isinstance(arg, ast.Constant)]
+                found |= {value.rpartition(".")[2] for value in values if isinstance(value, str)}
+    return {name for name in found if private.fullmatch(name)}
+
+
+def test_tests_use_no_private_names():
+    """A test that holds on to the inside breaks when the inside is mended, and tells no user's story."""
+    written = "sample_tasks/", "plugin_fixtures/"  # programs of tasks and of broken plugins
+    tests = [
+        path
+        for path in FILES
+        if path.suffix == ".py" and "tests" in path.parts and not any(part in path.as_posix() for part in written)
+        if path.parts[0] == "tests" or path.match("plugins/*/tests/**/*.py") or path.match("plugins/*/tests/*.py")
+    ]
+    found = {path.as_posix(): private_names(path) - PRIVATE_IN_TESTS.get(path.as_posix(), set()) for path in tests}
+    assert {path: names for path, names in found.items() if names} == {}

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING
 
 import pytest
 
-from gem_core.registry.requirements import unmet
+from gem_core.registry import lookup
+from gem_core.registry.plugins import Plugin
+from gem_core.registry.requirements import RequirementStatus, find, unmet
+from gem_core.registry.specs import RequirementSpec
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,6 +22,8 @@ if TYPE_CHECKING:
         ("key:GEMT_KEY", "it needs a key: set the environment variable GEMT_KEY"),
         ("package:gemt-none", "it needs the package gemt-none: 'pip install gemt-none'"),
         ("package:gemt.none.deep", "it needs the package gemt.none.deep: 'pip install gemt.none.deep'"),
+        ("package:gemt-none[x]", "it needs an extra of gemt-none: 'pip install \"gemt-none[x]\"'"),
+        ("package:gem-core[gemt]", "it needs an extra of gem-core: 'pip install \"gem-core[gemt]\"'"),
         ("command:gemt-none", "it needs the command 'gemt-none' on the PATH: install it"),
         ("never:its data were withdrawn", "its data were withdrawn"),
     ],
@@ -35,6 +41,7 @@ def test_unmet_requirement_has_advice(requirement: str, advice: str, monkeypatch
         "package:pluggy",
         "package:typing-extensions",
         "package:gem-core",
+        "package:gem-core[images]",
         "network",
         "hub",
         "other:x",
@@ -62,7 +69,27 @@ def test_command_on_the_path_is_met(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert unmet(["command:gemt-command"]) == {}
 
 
-def test_docker_host_meets_docker(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An engine elsewhere, named by DOCKER_HOST, is an engine."""
-    monkeypatch.setenv("DOCKER_HOST", "tcp://engine:2375")
-    assert unmet(["docker"]) == {}
+def probe(status: str) -> RequirementSpec:
+    """Return a record of the word ``gems``, whose probe returns a status and says what it was asked."""
+
+    def answer(argument: str, *, closely: bool = False) -> RequirementStatus:
+        return RequirementStatus(status, f"{argument} {closely}", f"get {argument}")
+
+    return RequirementSpec(name="gems", entry_point=answer)
+
+
+def test_a_word_that_several_plugins_offer_is_answered_by_the_first(
+    own_registry: lookup.Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Several may need the same thing, so that this is no conflict; what the core knows stays the core's."""
+    network = RequirementSpec(name="network", entry_point="a:none")
+    first, second = (
+        Plugin(
+            EntryPoint(name, f"gem_{name}._plugin", "gem.plugins"), f"gem-{name}", "1", records=[probe(word), network]
+        )
+        for name, word in (("a", "unmet"), ("b", "met"))
+    )
+    monkeypatch.setattr(lookup, "load_plugins", lambda: [first, second])
+    assert find("gems:7", closely=True) == RequirementStatus("unmet", "7 True", "get 7")
+    assert unmet(["gems:7", "network"]) == {"gems:7": "get 7"}
+    assert first.conflicts == second.conflicts == []

@@ -17,7 +17,7 @@ from toys import sampling_agent
 
 import gem_core as gem
 from gem_core.errors import ArgumentError, EpisodeFileError, RequestError
-from gem_core.records.episode import EpisodeFileWarning, EpisodeWriter, read_episodes, write_episodes
+from gem_core.records.files import EpisodeFileWarning, EpisodeWriter, read_episodes, write_episodes
 from gem_core.records.plans import PlanItem, group_plan
 from gem_core.rollouts.agent import Context
 

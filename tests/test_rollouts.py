@@ -21,11 +21,10 @@ from gem_core.errors import (
     ContextOverflowError,
     FaultBudgetError,
     RequestError,
-    UnknownAgentError,
 )
-from gem_core.records.episode import read_episodes, write_episodes
+from gem_core.records.files import read_episodes, write_episodes
 from gem_core.records.plans import PlanItem, group_plan
-from gem_core.rollouts.agent import Context, as_agent, close_agent, load_agent
+from gem_core.rollouts.agent import Context, as_agent, close_agent
 from gem_core.tools.env import ToolEnv
 
 COUNTDOWN = "toy:Countdown-v0"
@@ -297,34 +296,6 @@ def test_what_cannot_be_called_as_an_agent_is_refused(agent: Any) -> None:
     """The error says how an agent is called."""
     with pytest.raises(AgentError, match="an agent"):
         as_agent(agent)
-
-
-def test_load_agent_finds_built_in_ones_and_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By name, by MODULE:CALLABLE in the current folder, and a class by calling it."""
-    (tmp_path / "own_agent.py").write_text(
-        "def act(observation): return 'a'\nclass Agent:\n    def __call__(self, observation, context): return 'b'\n"
-    )
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    context: Any = None
-    assert load_agent("own_agent:act")("", context) == "a"
-    assert load_agent("own_agent:Agent")("", context) == "b"
-    assert callable(load_agent("random"))
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("randm", "no agent 'randm'. Did you mean 'random'? There are: "),
-        ("no_such_module:act", "no agent 'no_such_module:act': there is no agent and no module 'no_such_module'."),
-        ("json:dumsp", "no agent 'json:dumsp': 'json' has no 'dumsp'. Did you mean 'dump' or 'dumps'?"),
-    ],
-)
-def test_unknown_agents_name_the_nearest(name: str, message: str) -> None:
-    """One line that helps."""
-    with pytest.raises(UnknownAgentError) as caught:
-        load_agent(name)
-    assert message in str(caught.value)
 
 
 def test_failing_asynchronous_agent_leaves_no_request_behind() -> None:

@@ -11,7 +11,7 @@ import pytest
 from command_calls import RunGem, subprocess_gem
 
 import gem_core as gem
-from gem_core.records.episode import read_episodes, write_episodes
+from gem_core.records.files import read_episodes, write_episodes
 from gem_core.records.plain_json import ImageFolder
 
 COUNTDOWN = "toy:Countdown-v0"
@@ -31,7 +31,7 @@ def act(observation, context):
 """
 
 IMPATIENT_USER = """
-from gem_core.records.episode import EpisodeWriter
+from gem_core.records.files import EpisodeWriter
 leave = EpisodeWriter.__exit__
 def interrupted_again(*arguments):
     signal.raise_signal(signal.SIGINT)

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from gem_core.env.seeding import (
     SEED_LIMIT,
-    Draws,
     checked_seed,
     fresh_seed,
     generator_state,
@@ -162,12 +161,3 @@ def test_other_generators_cannot_be_saved() -> None:
     """A generator of another kind is refused by its name."""
     with pytest.raises(StateError, match=r"^only PCG64 generators can be saved, and np_random is a MT19937$"):
         generator_state(np.random.Generator(np.random.MT19937(1)))
-
-
-def test_draws_go_on_where_one_block_of_the_hash_ends() -> None:
-    """Many large numbers from one seed are all different, and the same the next time."""
-    draws = Draws(5)
-    numbers = [draws.below(1 << 200) for _ in range(20)]
-    assert len(set(numbers)) == 20
-    again = Draws(5)
-    assert [again.below(1 << 200) for _ in range(20)] == numbers

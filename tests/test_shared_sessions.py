@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import gem_core as gem
-from gem_core.data.dataset import DatasetEnv
+from gem_core.data import DatasetEnv
 from gem_core.tools.env import ToolEnv
 
 

@@ -476,7 +476,7 @@ def test_megabytes_of_any_piece_are_read(piece: str) -> None:
     """In time that grows with the length: where it grew with its square, this would take hours."""
     text = piece * (1_500_000 // len(piece))
     for action in (text, f"<tool_call>{text}</tool_call>", f"{text}</lookup>", f"{text}</think>"):
-        around()._reader.find(action)
+        around().find_call(action)
 
 
 def test_megabytes_of_different_tags_are_read() -> None:

@@ -11,7 +11,7 @@ from toys import AsyncNotebook, Calculator, EchoEnv, Notebook
 
 import gem_core as gem
 from gem_core.errors import ArgumentError, StateError
-from gem_core.records.episode import EpisodeWriter, read_episodes
+from gem_core.records.files import EpisodeWriter, read_episodes
 from gem_core.tools.env import ToolEnv
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,6 @@ from toys import EchoEnv, Notebook
 
 import gem_core as gem
 from gem_core.errors import ArgumentError
-from gem_core.registry.lookup import registry
 from gem_core.testing import CheckError, check_tool
 from gem_core.tools.env import ToolEnv
 
@@ -49,11 +49,9 @@ def test_a_name_may_stand_for_several_tools(toolbox: Path) -> None:
     assert env.spec.make().tools.keys() == env.tools.keys()
 
 
-def test_what_is_no_tool_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_no_tool_is_refused(offer: Callable[..., None]) -> None:
     """Whether alone or in a list."""
-    gem.list_envs()
-    spec = gem.ToolSpec(name="mixed", entry_point=lambda: [Notebook(), 3])
-    monkeypatch.setitem(registry()._named, "wrapper", {**registry()._named["wrapper"], "mixed": spec})
+    offer(gem.ToolSpec(name="mixed", entry_point=lambda: [Notebook(), 3]))
     with pytest.raises(ArgumentError, match="the entry point of tool 'mixed' returned int, not a Tool"):
         ToolEnv(EchoEnv(), ["mixed"])
     with pytest.raises(ArgumentError, match="a tool is a Tool, a name, or"):

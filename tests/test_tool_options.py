@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +14,7 @@ import pytest
 import gem_core as gem
 from gem_core.cli.tool_options import parsed_choices, wrapper_stack
 from gem_core.errors import ArgumentError, UnknownToolError
-from gem_core.records.episode import read_episodes
-from gem_core.registry.lookup import registry
+from gem_core.records.files import read_episodes
 
 if TYPE_CHECKING:
     from command_calls import RunGem
@@ -206,11 +206,9 @@ def test_info_describes_a_tool(run_gem: RunGem) -> None:
     assert facts["status"] == {"level": "high", "drawers": 2}
 
 
-def test_info_of_a_tool_that_needs_options_says_so(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_info_of_a_tool_that_needs_options_says_so(run_gem: RunGem, offer: Callable[..., None]) -> None:
     """And tells all else."""
-    gem.list_envs()
-    spec = gem.ToolSpec(name="needy", entry_point="gem_toolbox_tools:Listed", summary="Needs much.")
-    monkeypatch.setitem(registry()._named, "wrapper", {**registry()._named["wrapper"], "needy": spec})
+    offer(gem.ToolSpec(name="needy", entry_point="gem_toolbox_tools:Listed", summary="Needs much."))
     done = run_gem("info", "needy")
     assert done.code == 0
     assert "  missing:      tool 'needy': missing a required argument: 'name'" in done.out
@@ -221,8 +219,6 @@ def test_info_of_a_tool_that_needs_options_says_so(run_gem: RunGem, monkeypatch:
     ("name", "lines"),
     [
         ("concat", ["  kind:         wrapper", "  options:      max_turns: int | None = None"]),
-        ("openai", ["  argument:     model: str = '', as in openai:…", "  options:      base_url: str | None = None"]),
-        ("openai:some-model", ["  kind:         agent"]),
         ("random", ["  kind:         agent", "  options:      none"]),
         ("process", ["  kind:         vector backend", "  options:      workers: int | None = None"]),
         (COUNTDOWN, ["  accepts:      longest: int = 4"]),
@@ -235,12 +231,10 @@ def test_info_tells_the_options_of_what_has_a_name(run_gem: RunGem, name: str, l
     assert [line for line in lines if line not in done.out.splitlines()] == []
 
 
-def test_info_shows_no_docstring_of_a_base_class(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_info_shows_no_docstring_of_a_base_class(run_gem: RunGem, offer: Callable[..., None]) -> None:
     """A tool or an environment that has none of its own says nothing."""
-    gem.list_envs()
     bare = type("Bare", (gem.Tool,), {"name": "bare", "description": "Bare.", "call": lambda *_: "", "__doc__": None})
-    spec = gem.ToolSpec(name="bare", entry_point=bare)
-    monkeypatch.setitem(registry()._named, "wrapper", {**registry()._named["wrapper"], "bare": spec})
+    offer(gem.ToolSpec(name="bare", entry_point=bare))
     out = run_gem("info", "bare").out
     assert "Bare." in out
     assert str(gem.Tool.__doc__).strip().partition("\n")[0] not in out

@@ -6,6 +6,7 @@ import asyncio
 import gc
 import json
 import threading
+from collections.abc import Callable
 from typing import Any
 
 import pydantic
@@ -18,7 +19,6 @@ import gem_core as gem
 from gem_core.background import run_sync
 from gem_core.env.guard import Guard
 from gem_core.errors import ArgumentError, ResetNeededError, StateNotSupported, UnknownToolError
-from gem_core.registry.lookup import registry
 from gem_core.testing.hostile import hostile_actions
 from gem_core.tools.env import ToolEnv
 
@@ -291,11 +291,9 @@ def test_state_holds_how_things_stand() -> None:
     assert other.step("<note>a</note>")[0].endswith("Left: 8.")
 
 
-def test_tools_and_wrappers_are_made_by_name_in_one_list(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tools_and_wrappers_are_made_by_name_in_one_list(offer: Callable[..., None]) -> None:
     """Neighbouring tools share one ToolEnv; a wrapper behind them, and a tool that comes last, are what they are."""
-    gem.list_envs()
-    tools = {tool.name: gem.ToolSpec(name=tool.name, entry_point=f"toys:{tool.__name__}") for tool in TOOLS}
-    monkeypatch.setitem(registry()._named, "wrapper", {**registry()._named["wrapper"], **tools})
+    offer(*(gem.ToolSpec(name=tool.name, entry_point=f"toys:{tool.__name__}") for tool in TOOLS))
     env = gem.make("toy:Countdown-v0", wrappers="calculator,note,concat")
     assert [type(layer).__name__ for layer in (env, env.env)] == ["Concat", "ToolEnv"]
     assert list(env.env.tools) == ["calculator", "note"]

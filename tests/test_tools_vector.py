@@ -118,6 +118,7 @@ def test_episodes_are_the_same_and_every_session_is_closed(kind: str, backend: A
     assert events(tmp_path / "log") == {"open": 6, "close": 6} == events(tmp_path / "expected")
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("backend", BACKENDS, ids=["sync", "async", "process"])
 def test_a_limit_on_calls_changes_no_episode(backend: Any, tmp_path: Path) -> None:
     """Calls then go into threads, from the library's loop."""
@@ -170,7 +171,6 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.few(5)
 @pytest.mark.parametrize("end", ["interrupt", "error", "exit", "end"])
 @pytest.mark.parametrize("backend", [None, *BACKENDS], ids=["one", "sync", "async", "process"])
 @pytest.mark.parametrize("kind", ["inline", "async"])

@@ -33,7 +33,7 @@ def registered() -> list[str]:
     for env_id in gem.list_envs():
         record = registry().env(env_id)
         known = registry().provider(env_id) is not None or env_id.startswith("toy:")  # no other test's own
-        if known and record.deterministic and not record.requires:
+        if known and record.deterministic and set(record.requires) <= {"package:gem-games[textarena]"}:
             found.append(env_id)
     games = [env_id for env_id in found if env_id.startswith("ta:")]
     return [env_id for env_id in found if env_id not in games or games.index(env_id) % EVERY == 0]

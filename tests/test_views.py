@@ -13,7 +13,8 @@ import gem_core as gem
 from gem_core.env.guard import Guard
 from gem_core.env.observations import join_observations
 from gem_core.errors import ArgumentError, StateNotSupported
-from gem_core.records.turns import Turn, without_thinking
+from gem_core.records.turns import without_thinking
+from gem_core.types import StepResult
 from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView
 
 VIEWS = [Latest, Concat, ConcatWithAction]
@@ -124,11 +125,16 @@ def test_state_of_a_view_goes_on_in_another_instance(view_class: type[Observatio
 
 def test_state_with_images_is_refused() -> None:
     """Images are no plain data, and the error says so."""
-    view = Concat(EchoEnv())
-    view.reset()
-    view._turns.append(Turn("a", [{"type": "image", "image": object()}]))
+
+    class ShowingEnv(EchoEnv):
+        def step(self, action: str) -> StepResult:
+            return [{"type": "image", "image": object()}], 0.0, False, False, {}
+
+    view = Concat(ShowingEnv())
+    view.reset(seed=0)
+    view.step("a")
     with pytest.raises(StateNotSupported, match="content parts"):
-        view._get_state()
+        view.get_state()
 
 
 @pytest.mark.parametrize("limit", [0, -1, 1.5, "3"])

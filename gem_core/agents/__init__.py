@@ -1,1 +1,7 @@
-"""What an agent is, and those that come with the core; a new one gets a file here and a record in ``_plugin.py``."""
+"""Agents that come with the core; a new one gets a file here, and a record in ``gem_core/_plugin.py``."""
+
+from gem_core.agents.answer_form import AnswerForm
+from gem_core.agents.human import HumanAgent
+from gem_core.agents.random import RandomAgent
+
+__all__ = ["AnswerForm", "HumanAgent", "RandomAgent"]

@@ -7,8 +7,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Self
 
+from gem_core.errors import SamplingNotSupported
 from gem_core.parsing import extract_code_blocks, extract_last_boxed_answer
+from gem_core.rollouts.agent import Context
 from gem_core.tools.tool import CALL_OPEN
+from gem_core.types import Observation
 
 _BOX = "\\boxed{"
 _MARKS = ("\\boxed", "<answer>", "</answer>")
@@ -27,6 +30,15 @@ class AnswerForm:
 
     opening: str = ""
     closing: str = ""
+
+    @classmethod
+    def of_task(cls, observation: Observation, context: Context) -> Self:
+        """Return the form that an answer has in the present state of an episode."""
+        try:
+            return cls.of_example(context.sample_random_action())
+        except SamplingNotSupported:
+            first = context.transitions[0].observation if context.transitions else observation
+            return cls.of_instructions(first) if isinstance(first, str) else cls()
 
     @classmethod
     def of_example(cls, example: str) -> Self:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from gem_core.agents.answer_form import AnswerForm
-from gem_core.cli.terminal import EndOfInput, Terminal, observation_text
-from gem_core.errors import AgentError, SamplingNotSupported
+from gem_core.errors import AgentError
 from gem_core.rollouts.agent import Context
+from gem_core.terminal import EndOfInput, Terminal, Typed, observation_text, whole_command
 from gem_core.types import Observation
 
 _HELP = """\
@@ -39,27 +39,27 @@ class HumanAgent:
             AgentError: The input ended.
         """
         self._show(observation, context)
-        while True:
-            try:
-                typed = self._terminal.ask(f"turn {context.turn + 1}> ")
-            except EndOfInput:
-                raise self._ended(context) from None
-            self._has_read = True
-            if not typed.is_command:
-                return _form(observation, context).around(
-                    typed.text, [tool["function"]["name"] for tool in context.tools]
-                )
-            if typed.text == "quit":
-                raise self._ended(context)
-            if typed.text == "random":
-                try:
-                    return context.sample_random_action()
-                except SamplingNotSupported as error:
-                    self._terminal.show(f"{error}.", fg="yellow")
-            elif typed.text == "help":
-                self._terminal.show(f"{_HELP}\n  The form of an answer: {_form(observation, context) or 'any text'}")
-            else:
-                self._terminal.show(f"no command '!{typed.text}'. There are: !help, !random, !quit, and ?", fg="yellow")
+        try:
+            return self._terminal.ask_for_answer(
+                f"turn {context.turn + 1}> ", lambda typed: self._answer(typed, observation, context)
+            )
+        except EndOfInput:
+            raise self._ended(context) from None
+
+    def _answer(self, typed: Typed, observation: Observation, context: Context) -> str | None:
+        self._has_read = True
+        if not typed.is_command:
+            form = AnswerForm.of_task(observation, context)
+            return form.around(typed.text, [tool["function"]["name"] for tool in context.tools])
+        match whole_command(typed.text, ("help", "random", "quit")):
+            case "help":
+                form = AnswerForm.of_task(observation, context)
+                self._terminal.show(f"{_HELP}\n  The form of an answer: {form or 'any text'}")
+                return None
+            case "random":
+                return context.sample_random_action()
+            case _:
+                raise EndOfInput
 
     def _show(self, observation: Observation, context: Context) -> None:
         previous = self._previous
@@ -83,11 +83,3 @@ class HumanAgent:
                 f"the agent 'human' reads standard input, which ended while {where}; run it in a terminal"
             )
         return AgentError(f"the input ended while {where}")
-
-
-def _form(observation: Observation, context: Context) -> AnswerForm:
-    try:
-        return AnswerForm.of_example(context.sample_random_action())
-    except SamplingNotSupported:
-        first = context.transitions[0].observation if context.transitions else observation
-        return AnswerForm.of_instructions(first) if isinstance(first, str) else AnswerForm()

@@ -11,6 +11,7 @@ import click
 
 from gem_core import __version__
 from gem_core._plugin import gem_add_commands
+from gem_core.cli.layout import Layout, echo_line, output_width
 from gem_core.cli.said_today import said_once
 from gem_core.errors import GemError
 from gem_core.registry.specs import CommandSpec
@@ -18,6 +19,8 @@ from gem_core.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
+
+__all__ = ["Layout", "cli", "main", "output_width"]
 
 _OWN = {record.name: record for record in gem_add_commands()}
 
@@ -28,7 +31,6 @@ Examples:
   gem play game:GuessTheNumber-v0
   gem run game:GuessTheNumber-v0 --agent bisect --episodes 50
   gem run 'game:*' --agent my_module:my_agent --num-envs 16 --out runs/mine.jsonl
-  gem show runs/mine.jsonl --failure
 """
 
 INTERRUPTED = 130
@@ -69,10 +71,11 @@ class _Commands(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
+            from gem_core.registry.lookup import registry
+
             names = self.list_commands(ctx)
-            raise click.UsageError(
-                f"no command {args[0]!r}.{did_you_mean(args[0], names)} There are: {', '.join(names)}"
-            )
+            hint = registry().how_to_get(args[0], "command") or did_you_mean(args[0], names)
+            raise click.UsageError(f"no command {args[0]!r}.{hint} There are: {', '.join(names)}")
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
@@ -139,8 +142,6 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def _complain(message: str) -> None:
-    from gem_core.cli.layout import echo_line
-
     echo_line(f"gem: {' '.join(message.split())}", err=True)
 
 

@@ -4,115 +4,82 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 
-from click.shell_completion import (
-    BashComplete,
-    CompletionItem,
-    FishComplete,
-    add_completion_class,
-    split_arg_string,
-)
+import click
+from click.shell_completion import BashComplete, CompletionItem, FishComplete, add_completion_class, split_arg_string
 
-if TYPE_CHECKING:
-    import click
+from gem_core.errors import GemError
+from gem_core.registry.lookup import registry
+from gem_core.registry.specs import AgentSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
 
-    from gem_core.registry.lookup import Registry
+Items = list[CompletionItem[str]]
+Completer = Callable[[click.Context, click.Parameter, str], Items]
 
 SHELLS = ("bash", "zsh", "fish")
 
 
-def complete_env_ids(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
+def _names(*kinds: type[NamedSpec]) -> Completer:
+    """Return what completes the names of records of some kinds, behind the last comma of a list of them."""
+
+    def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
+        before, comma, begun = incomplete.rpartition(",")
+        items: Items = []
+        with _quietly():
+            for record in sorted(
+                (each for kind in kinds for each in registry().named(kind)), key=lambda each: each.name
+            ):
+                if record.name.startswith(begun):
+                    items.append(CompletionItem(f"{before}{comma}{record.name}", help=record.summary or None))
+        return items
+
+    return complete
+
+
+complete_agents = _names(AgentSpec)
+complete_backends = _names(VectorBackendSpec)
+complete_tools = _names(ToolSpec)
+complete_wrappers = _names(WrapperSpec, ToolSpec)
+_complete_names = _names(ToolSpec, WrapperSpec, AgentSpec, VectorBackendSpec)
+
+
+def complete_env_ids(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
     """Return the ids that begin so; the namespaces first, where several are left."""
-    with _quiet_registry() as found:
-        records = [record for record in found.envs() if record.id.startswith(incomplete)]
+    items: Items = []
+    with _quietly():
+        records = [record for record in registry().envs() if record.id.startswith(incomplete)]
         namespaces = list(dict.fromkeys(f"{record.namespace}:" for record in records))
         if len(namespaces) > 1:
             return [CompletionItem(namespace) for namespace in namespaces]
-        return [CompletionItem(record.id, help=record.summary or None) for record in records]
-    return []
+        items = [CompletionItem(record.id, help=record.summary or None) for record in records]
+    return items
 
 
-def complete_agents(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
-    """Return the agents whose names begin so."""
-    from gem_core.registry.specs import AgentSpec
-
-    with _quiet_registry() as found:
-        return _items(incomplete, ((record.name, record.summary) for record in found.named(AgentSpec)))
-    return []
-
-
-def complete_backends(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
-    """Return the backends of vector environments whose names begin so."""
-    from gem_core.registry.specs import VectorBackendSpec
-
-    with _quiet_registry() as found:
-        return _items(incomplete, ((record.name, record.summary) for record in found.named(VectorBackendSpec)))
-    return []
-
-
-def complete_wrappers(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
-    """Return the wrappers and tools that fit behind the last comma."""
-    from gem_core.registry.specs import ToolSpec, WrapperSpec
-
-    before, comma, begun = incomplete.rpartition(",")
-    with _quiet_registry() as found:
-        records = [*found.named(WrapperSpec), *found.named(ToolSpec)]
-        items = _items(begun, sorted((record.name, record.summary) for record in records))
-        return [CompletionItem(f"{before}{comma}{item.value}", help=item.help) for item in items]
-    return []
-
-
-def complete_tools(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
-    """Return the tools that fit behind the last comma."""
-    from gem_core.registry.specs import ToolSpec
-
-    before, comma, begun = incomplete.rpartition(",")
-    with _quiet_registry() as found:
-        items = _items(begun, ((record.name, record.summary) for record in found.named(ToolSpec)))
-        return [CompletionItem(f"{before}{comma}{item.value}", help=item.help) for item in items]
-    return []
-
-
-def complete_ids_and_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
+def complete_ids_and_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
     """Return the ids that begin so, and behind a first letter the tools, wrappers, agents and backends."""
-    from gem_core.cli.tool_info import KINDS
-
-    found = complete_env_ids(ctx, param, incomplete)
-    if not incomplete:
-        return found
-    with _quiet_registry() as known:
-        records = [record for kind in KINDS.values() for record in known.named(kind)]
-        found += _items(incomplete, ((record.name, record.summary) for record in records))
-    return found
+    ids = complete_env_ids(ctx, param, incomplete)
+    return ids + _complete_names(ctx, param, incomplete) if incomplete else ids
 
 
-def complete_plugins(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
+def complete_plugins(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
     """Return the installed plugins whose names begin so."""
-    with _quiet_registry() as found:
-        return _items(incomplete, ((plugin.name, str(plugin)) for plugin in found.plugins()))
-    return []
-
-
-def _items(incomplete: str, named: Iterable[tuple[str, str]]) -> list[CompletionItem[str]]:
-    return [CompletionItem(name, help=summary or None) for name, summary in named if name.startswith(incomplete)]
+    items: Items = []
+    with _quietly():
+        plugins = [plugin for plugin in registry().plugins() if plugin.name.startswith(incomplete)]
+        items = [CompletionItem(plugin.name, help=str(plugin)) for plugin in plugins]
+    return items
 
 
 @contextmanager
-def _quiet_registry() -> Iterator[Registry]:
-    """Give the registry without a word on the terminal, where somebody is just typing."""
-    from gem_core.errors import GemError
-    from gem_core.registry.lookup import registry
-
+def _quietly() -> Iterator[None]:
+    """Say nothing on the terminal, where somebody is just typing; the command itself will say what is wrong."""
     logger = logging.getLogger("gem_core")
     was = logger.disabled
     logger.disabled = True
     try:
-        yield registry()
-    except GemError:
-        pass  # the command itself will say what is wrong
+        with suppress(GemError):
+            yield
     finally:
         logger.disabled = was
 
@@ -146,10 +113,6 @@ class ColonBash(BashComplete):
 }
 complete -o nosort -F %(complete_func)s %(prog_name)s
 """
-
-    @staticmethod
-    def _check_version() -> None:
-        """Spare the call of bash by which click finds out its version: ``nosort`` needs 4.4, of 2016."""
 
     def get_completion_args(self) -> tuple[list[str], str]:
         """Return the whole words before the cursor, and the one that is begun."""

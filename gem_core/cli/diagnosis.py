@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import importlib.metadata
 import json
 import logging
 import os
 import platform
-import queue
 import re
+import shutil
 import sys
 import threading
 from collections import Counter
@@ -18,11 +19,12 @@ from pathlib import Path
 from typing import Any
 
 from gem_core import __version__
+from gem_core.background import in_thread, run_sync
 from gem_core.progress import Progress
 from gem_core.registry.lookup import Registry, registry
-from gem_core.registry.plugins import Plugin
-from gem_core.registry.requirements import SERVICES, find, installed_version, which_gem
-from gem_core.registry.specs import EnvSpec, ToolSpec
+from gem_core.registry.plugins import Plugin, Record, one_line
+from gem_core.registry.requirements import RequirementStatus, find, installed_version
+from gem_core.registry.specs import EnvSpec, RequirementSpec, ToolSpec
 from gem_core.testing.importing import TIMEOUT_S, imported
 
 PACKAGES = ("gymnasium", "numpy", "pydantic", "pluggy", "click", "rich")
@@ -67,7 +69,6 @@ def diagnose(*, quick: bool = False) -> dict[str, Any]:
         "requirements": requirements(found),
         "extras": _extras(),
         "command": vars(which_gem()),
-        "runs": _runs_folder(),
         "notes": notes,
     }
 
@@ -80,36 +81,39 @@ def described(plugin: Plugin) -> dict[str, Any]:
         "version": plugin.version,
         "disabled": plugin.disabled,
         "load_time_ms": round(plugin.load_time_s * 1000, 3),
-        "offers": dict(offers(plugin)),
+        "offers": Counter(_kind_of(record) for record in plugin.records),
         "failure": None if plugin.failure is None else vars(plugin.failure),
         "conflicts": plugin.conflicts,
     }
 
 
-def offers(plugin: Plugin) -> Counter[str]:
-    """Return how many records of each kind a plugin offers."""
-    return Counter("environment" if isinstance(record, EnvSpec) else record.kind for record in plugin.records)
+def _kind_of(record: Record) -> str:
+    return "environment" if isinstance(record, EnvSpec) else record.kind
 
 
-def listed(plugin: Plugin | dict[str, Any]) -> str:
-    """Return what a plugin offers in words: "2 environments, 1 tool"."""
-    counts = offers(plugin) if isinstance(plugin, Plugin) else plugin["offers"]
-    return ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in counts.items()) or "offers nothing"
+def offers_in_words(described_plugin: Mapping[str, Any]) -> str:
+    """Return what a plugin offers as text: "2 environments, 1 tool"."""
+    counts = described_plugin["offers"].items()
+    return ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in counts) or "offers nothing"
 
 
 def requirements(found: Registry) -> list[dict[str, Any]]:
     """Return every requirement of an environment, with what is known of it, those to act on first.
 
-    The services of the machine are in it whether an environment needs them or not.
+    What plugins offer a probe for, the hub and the network are in it whether an environment needs them or not.
     """
-    needing: dict[str, list[str]] = {service: [] for service in SERVICES}
+    needing: dict[str, list[str]] = {}
     for record in found.envs():
         for requirement in record.requires:
             needing.setdefault(requirement, []).append(record.id)
+    words = {requirement.partition(":")[0] for requirement in needing}
+    for word in [*(record.name for record in found.named(RequirementSpec)), "hub", "network"]:
+        if word not in words:
+            needing[word] = []
     rows = [
         {
             "requirement": requirement,
-            **vars(find(requirement, closely=True)),
+            **vars(_probed(requirement)),
             "environments": len(ids),
             "example": ids[0] if ids else None,
         }
@@ -117,6 +121,16 @@ def requirements(found: Registry) -> list[dict[str, Any]]:
     ]
     order = ["unmet", "unknown", "untried", "met"]
     return sorted(rows, key=lambda row: (not row["environments"], order.index(row["status"])))
+
+
+def _probed(requirement: str) -> RequirementStatus:
+    try:
+        status = find(requirement, closely=True)
+        if not isinstance(status, RequirementStatus):
+            raise TypeError(f"it returned {type(status).__name__}")
+    except Exception as error:  # noqa: BLE001 - a plugin's probe, which must not end the report
+        return RequirementStatus("unknown", f"its probe failed: {one_line(error)}")
+    return status
 
 
 def tool_statuses(found: Registry, timeout_s: float = 30.0) -> list[dict[str, Any]]:
@@ -152,23 +166,20 @@ def status_of(record: ToolSpec, timeout_s: float = 30.0) -> tuple[Any, str | Non
     entry_point = record.status
     if entry_point is None:
         return None, None
-    answers: queue.SimpleQueue[tuple[Any, str | None]] = queue.SimpleQueue()
 
-    def ask() -> None:
+    def ask() -> tuple[Any, str | None]:
         try:
             status = load_entry_point(entry_point, f"the status of tool {record.name!r}")()
             if not isinstance(status, str | Mapping):
                 raise TypeError(f"it returned {type(status).__name__}, neither a line of text nor a mapping")
             plain = status if isinstance(status, str) else {str(key): value for key, value in status.items()}
-            answers.put((json.loads(json.dumps(plain, default=str)), None))
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - somebody else's code, which may fail in any way
-            answers.put((None, f"{type(error).__name__}: {error}"[:500]))
+            return json.loads(json.dumps(plain, default=str)), None
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a plugin's code, which may fail in any way
+            return None, f"{type(error).__name__}: {error}"[:500]
 
-    # In a thread, so that one that hangs does not hold up the report, nor the end of the program.
-    threading.Thread(target=ask, name=f"gem-status-{record.name}", daemon=True).start()
     try:
-        return answers.get(timeout=timeout_s)
-    except queue.Empty:
+        return run_sync(asyncio.wait_for(in_thread(ask), timeout_s))
+    except TimeoutError:
         return None, f"it did not answer within {timeout_s:g} s"
 
 
@@ -234,10 +245,22 @@ def _extras() -> list[dict[str, Any]]:
     ]
 
 
-def _runs_folder() -> dict[str, Any]:
-    runs = Path("runs")
-    if not runs.exists():
-        writable = os.access(".", os.W_OK | os.X_OK)
-        return {"status": "met" if writable else "unmet", "detail": "can be made" if writable else "cannot be made"}
-    writable = runs.is_dir() and os.access(runs, os.W_OK | os.X_OK)
-    return {"status": "met" if writable else "unmet", "detail": "is writable" if writable else "cannot be written to"}
+def which_gem() -> RequirementStatus:
+    """Tell whether the command ``gem`` of this PATH is ours; RubyGems has one of that name."""
+    path = shutil.which("gem")
+    if path is None:
+        return RequirementStatus(
+            "unmet", "no 'gem' is on the PATH", "activate its environment, or use 'python -m gem_core'"
+        )
+    if Path(path).resolve().parent == Path(sys.executable).parent.resolve():
+        return RequirementStatus("met", path)
+    try:
+        with open(path, "rb") as script:
+            ours = b"gem_core" in script.read(4096)
+    except OSError:
+        ours = False
+    if ours:
+        return RequirementStatus("met", f"{path}, of another installation of GEM")
+    return RequirementStatus(
+        "unmet", f"{path} is another program called 'gem'", "use 'gem-core', or 'python -m gem_core'"
+    )

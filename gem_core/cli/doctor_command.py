@@ -8,12 +8,17 @@ from typing import Any
 
 import click
 
-from gem_core.cli.diagnosis import diagnose, listed, status_line
+from gem_core.cli.diagnosis import diagnose, offers_in_words, status_line
 from gem_core.cli.layout import output_width
 
 _WIDTH = 80  # at most
 _INDENT = 4
-_COLOURS = {"met": "green", "unmet": "red", "untried": "yellow", "unknown": "yellow"}
+_LABEL = 8
+_COLOURS = {
+    **dict.fromkeys(("ok", "met", "there"), "green"),
+    **dict.fromkeys(("broken", "unmet"), "red"),
+    **dict.fromkeys(("note", "disabled", "untried", "unknown"), "yellow"),
+}
 
 
 @click.command(
@@ -60,24 +65,21 @@ def command(ctx: click.Context, quick: bool, as_json: bool) -> None:
 def _print_versions(found: dict[str, Any]) -> None:
     _heading("Versions")
     _row(f"gem-core {found['gem_core']}, {found['implementation']} {found['python']} on {found['platform']}")
-    _row(", ".join(f"{name} {version or 'missing'}" for name, version in found["packages"].items()))
+    _row(_versions(found["packages"]))
 
 
 def _print_plugins(found: dict[str, Any]) -> None:
     _heading("Plugins")
     for plugin in found["plugins"]:
         failure = plugin["failure"]
-        state, colour = ("disabled", "yellow") if plugin["disabled"] else ("ok", "green")
-        if failure:
-            state, colour = "broken", "red"
-        what = f"at stage '{failure['stage']}'" if failure else "" if plugin["disabled"] else listed(plugin)
+        state = "broken" if failure else "disabled" if plugin["disabled"] else "ok"
+        what = f"at stage '{failure['stage']}'" if failure else "" if plugin["disabled"] else offers_in_words(plugin)
         name = f"{plugin['name']} ({plugin['distribution']} {plugin['version']})"
-        _row(f"{name}, {plugin['load_time_ms']:.1f} ms: {what}".removesuffix(": "), state, colour)
-        if failure:
-            for line in failure["traceback"].rstrip().splitlines():
-                click.echo(f"{'':{_INDENT + 8}}{line}")
+        _row(f"{name}, {plugin['load_time_ms']:.1f} ms: {what}".removesuffix(": "), state)
+        for line in failure["traceback"].rstrip().splitlines() if failure else ():
+            click.echo(f"{'':{_INDENT + _LABEL}}{line}")
     for line in found["notes"]:
-        _row(line, "note", "yellow")
+        _row(line, "note")
 
 
 def _print_tools(tools: list[dict[str, Any]]) -> None:
@@ -85,8 +87,7 @@ def _print_tools(tools: list[dict[str, Any]]) -> None:
     for tool in tools:
         status = status_line(tool["status"])
         text = " ".join(str(tool["error"] or status or tool["summary"]).split())
-        state, colour = ("broken", "red") if tool["error"] else ("ok", "green") if status else ("", None)
-        _row(f"{tool['tool']}: {text}" if text else tool["tool"], state, colour)
+        _row(f"{tool['tool']}: {text}".removesuffix(": "), "broken" if tool["error"] else "ok" if status else "")
     if not tools:
         _row("none is installed; 'pip install gem-tools' brings some")
 
@@ -101,49 +102,46 @@ def _print_requirements(rows: list[dict[str, Any]]) -> None:
         if count > 1:
             needed = f"{count} environments need it, as {row['example']}"
         # Nobody need act on what nothing needs.
-        state, colour = (row["status"], _COLOURS[row["status"]]) if count else (row["status"], None)
-        _row(f"{name}: {row['detail']}; {needed}", state, colour)
+        _row(f"{name}: {row['detail']}; {needed}", row["status"], plain=not count)
         if count and row["advice"]:
-            _row(f"→ {row['advice']}", "", None)
+            _row(f"→ {row['advice']}")
 
 
 def _print_rest(found: dict[str, Any]) -> None:
     _heading("Extras and surroundings")
     for extra in found["extras"]:
-        packages = ", ".join(f"{name} {version or 'missing'}" for name, version in extra["packages"].items())
         advice = "" if extra["present"] else f"; pip install 'gem-core[{extra['extra']}]'"
-        state, colour = ("there", "green") if extra["present"] else ("absent", None)
-        _row(f"{extra['extra']}: {packages}{advice}", state, colour)
+        _row(f"{extra['extra']}: {_versions(extra['packages'])}{advice}", "there" if extra["present"] else "absent")
     program = found["command"]
     advice = f"; {program['advice']}" if program["advice"] else ""
-    _row(f"command gem: {program['detail']}{advice}", *_ok(program["status"]))
-    _row(f"folder runs/: {found['runs']['detail']}", *_ok(found["runs"]["status"]))
+    _row(f"command gem: {program['detail']}{advice}", "ok" if program["status"] == "met" else "note")
 
 
 def _print_verdict(found: dict[str, Any]) -> None:
     _heading("Verdict")
     for line in found["broken"]:
-        _row(line, "broken", "red")
+        _row(line, "broken")
     unmet = [row for row in found["requirements"] if row["status"] == "unmet" and row["environments"]]
     if unmet:
-        _row(f"{len(unmet)} unmet requirement{'s' if len(unmet) > 1 else ''}, see the arrows above", "note", "yellow")
+        _row(f"{len(unmet)} unmet requirement{'s' if len(unmet) > 1 else ''}, see the arrows above", "note")
     if not found["broken"]:
-        _row("nothing that is installed is broken", "ok", "green")
+        _row("nothing that is installed is broken", "ok")
 
 
-def _ok(status: str) -> tuple[str, str]:
-    return ("ok", "green") if status == "met" else ("note", "yellow")
+def _versions(packages: dict[str, str | None]) -> str:
+    return ", ".join(f"{name} {version or 'missing'}" for name, version in packages.items())
 
 
 def _heading(text: str) -> None:
     click.echo(click.style(text, bold=True))
 
 
-def _row(text: str, state: str = "", colour: str | None = None) -> None:
-    margin = " " * _INDENT
-    label = state.ljust(8)
-    width = min(output_width() or _WIDTH, _WIDTH) - _INDENT - len(label)
+def _row(text: str, state: str = "", *, plain: bool = False) -> None:
+    """Write a row behind its state, which has its colour unless it is ``plain``."""
+    label = state.ljust(_LABEL)
+    width = min(output_width() or _WIDTH, _WIDTH) - _INDENT - _LABEL
     first, *rest = textwrap.wrap(text, width, break_on_hyphens=False, break_long_words=False) or [""]
-    click.echo(f"{margin}{click.style(label, fg=colour) if colour else label}{first}")
+    colour = None if plain else _COLOURS.get(state)
+    click.echo(f"{'':{_INDENT}}{click.style(label, fg=colour) if colour else label}{first}")
     for line in rest:
-        click.echo(f"{margin}{'':8}{line}")
+        click.echo(f"{'':{_INDENT + _LABEL}}{line}")

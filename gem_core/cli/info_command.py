@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import textwrap
+from typing import Any
 
 import click
 
 from gem_core.cli.completion import complete_ids_and_names
-from gem_core.cli.list_command import described
-from gem_core.cli.tool_info import all_about, find_named, option_lines, own_documentation, print_field, print_named
+from gem_core.cli.descriptions import described, described_in_full, find_named, option_lines, own_documentation
+from gem_core.cli.layout import output_width
 from gem_core.errors import GemError
 from gem_core.registry.lookup import registry
 from gem_core.registry.requirements import unmet
@@ -32,41 +34,34 @@ def command(env_id: str, as_json: bool) -> None:
 
     Or one tool, wrapper, agent or vector backend, with its options.
     """
-    named = [all_about(record) for record in find_named(env_id)]
-    if named:
-        if as_json:
-            click.echo(json.dumps(named[0] if len(named) == 1 else named, indent=1))
-            return
-        for number, about in enumerate(named):
+    named = [described_in_full(record) for record in find_named(env_id)]
+    if not named:
+        _describe_env(registry().env(env_id), as_json)
+    elif as_json:
+        click.echo(json.dumps(named[0] if len(named) == 1 else named, indent=1))
+    else:
+        for number, facts in enumerate(named):
             click.echo("\n" * (number > 0), nl=False)
-            print_named(about)
-        return
-    record = registry().env(env_id)
+            _print_named(facts)
+
+
+def _describe_env(record: EnvSpec, as_json: bool) -> None:
     facts = described(record)
     missing = unmet(record.requires)
     if as_json:
         click.echo(json.dumps({**facts, "unmet": missing}, indent=1))
         return
-    click.echo(click.style(record.id, bold=True) + (f" · {record.summary}" if record.summary else ""))
-    for label, value in _lines(record, facts):
-        print_field(label, value)
-    print_field("missing", list(missing.values()))
+    _print_title(record.id, record.summary)
+    _print_field("turn limit", "none" if record.turn_limit is None else str(record.turn_limit))
+    _print_field("arguments", ", ".join(f"{key}={value!r}" for key, value in record.kwargs.items()) or "none")
+    _print_field("tags", ", ".join(record.tags))
+    _print_field("requires", ", ".join(record.requires) or "nothing more")
+    _print_field("repeatable", "yes, by seed and actions" if record.deterministic else "no")
+    _print_field("offered by", facts["distribution"] or "this program")
+    _print_field("entry point", facts["entry_point"])
+    _print_field("missing", list(missing.values()))
     if not missing:
         _print_class(record)
-
-
-def _lines(record: EnvSpec, facts: dict[str, object]) -> list[tuple[str, str]]:
-    arguments = ", ".join(f"{key}={value!r}" for key, value in record.kwargs.items())
-    lines = [
-        ("turn limit", "none" if record.turn_limit is None else str(record.turn_limit)),
-        ("arguments", arguments or "none"),
-        ("tags", ", ".join(record.tags)),
-        ("requires", ", ".join(record.requires) or "nothing more"),
-        ("repeatable", "yes, by seed and actions" if record.deterministic else "no"),
-        ("offered by", str(facts["distribution"] or "this program")),
-        ("entry point", str(facts["entry_point"])),
-    ]
-    return [(label, value) for label, value in lines if value]
 
 
 def _print_class(record: EnvSpec) -> None:
@@ -74,7 +69,7 @@ def _print_class(record: EnvSpec) -> None:
     from gem_core.registry.entry_points import load_entry_point
 
     maker = load_entry_point(record.entry_point, f"environment {record.id!r}")
-    print_field("accepts", option_lines(maker) or "no arguments")
+    _print_field("accepts", option_lines(maker) or "no arguments")
     documented = own_documentation(maker)
     if documented:
         click.echo("\n" + documented)
@@ -89,3 +84,38 @@ def _print_class(record: EnvSpec) -> None:
         return
     click.echo(click.style("\nThe first observation, with seed 0:", bold=True))
     click.echo(observation if isinstance(observation, str) else json.dumps(observation, default=repr, indent=1))
+
+
+def _print_named(facts: dict[str, Any]) -> None:
+    """Print what is known of a tool, wrapper, agent or backend: its options, and what an agent is told of a tool."""
+    from gem_core.cli.diagnosis import status_line
+
+    _print_title(facts["name"], facts["summary"])
+    _print_field("kind", facts["kind"])
+    _print_field("argument", facts.get("argument"))
+    _print_field("options", facts["options"] or "none")
+    _print_field("offered by", facts["distribution"] or "this program")
+    _print_field("entry point", facts["entry_point"])
+    _print_field("here", status_line(facts.get("status")))
+    _print_field("missing", facts.get("problem"))
+    if facts["documentation"]:
+        click.echo(f"\n{facts['documentation']}")
+    if facts.get("instructions"):
+        click.echo(click.style("\nWhat an agent is told, without options:", bold=True))
+        for line in facts["instructions"]:
+            click.echo(line)
+
+
+def _print_title(name: str, summary: str) -> None:
+    click.echo(click.style(name, bold=True) + (f" · {summary}" if summary else ""))
+
+
+def _print_field(label: str, value: str | list[str] | None) -> None:
+    """Print a fact behind its label, a list with a line for each; nothing where there is none."""
+    lines = [value] if isinstance(value, str) and value else value or []
+    width = output_width()
+    if width is not None:
+        lines = [piece for line in lines for piece in textwrap.wrap(line, max(width - 16, 20), break_long_words=False)]
+    for number, line in enumerate(lines):
+        head = f"{label}:" if number == 0 else ""
+        click.echo(f"  {head:<14}{line}")

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterable, Sequence
 
 import click
 
-from gem_core.cli import tool_info
 from gem_core.cli.completion import complete_env_ids
+from gem_core.cli.descriptions import KINDS, described
 from gem_core.cli.layout import cut_at_word, output_width
-from gem_core.cli.tool_info import KINDS
 from gem_core.errors import UnknownEnvError
 from gem_core.registry.lookup import registry
 from gem_core.registry.plugins import Plugin, Record
-from gem_core.registry.specs import EnvSpec
+from gem_core.registry.requirements import unmet
+from gem_core.registry.specs import CommandSpec, EnvSpec
 from gem_core.suggestions import did_you_mean
 
 
@@ -26,33 +27,36 @@ Examples:
   gem list game
   gem list '*-easy'
   gem list tools                      likewise wrappers, agents, backends
+  gem list | grep Sudoku              in a pipe: every id, one a line
   gem list --json | python -m json.tool
 """,
 )
 @click.argument("pattern", required=False, shell_complete=complete_env_ids)
+@click.option("--all", "show_all", is_flag=True, help="Show every id in a terminal too, as in a pipe.")
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON list, with all that is known of each.")
-def command(pattern: str | None, as_json: bool) -> None:
-    """List the environments that can be made.
+def command(pattern: str | None, show_all: bool, as_json: bool) -> None:
+    """List the environments that can be made; in a terminal, a line for each namespace.
 
     PATTERN is a namespace, a part of an id, or a glob in quotes; or one of tools, wrappers, agents and backends; or the
     name of a plugin, for all that it offers.
     """
-    if pattern in KINDS and not any(record.namespace == pattern for record in registry().envs()):
-        _print_named(pattern, as_json)
-        return
-    if pattern is not None and (offered := _offered_by(pattern)):
-        _print_offered(offered, as_json)
-        return
-    records = matching(pattern)
+    kind = None if pattern in {record.namespace for record in registry().envs()} else KINDS.get(pattern or "")
+    records: Sequence[Record]
+    records = registry().named(kind) if kind is not None else _offered_by(pattern) or matching(pattern)
     if as_json:
         click.echo(json.dumps([described(record) for record in records], indent=1))
     elif not records:
-        click.echo("No environments are installed. Try 'pip install gem-games'.")
-        others = _usable([plugin for plugin in registry().plugins() if not plugin.is_core])
-        if others:
-            _print_offered(others, as_json)
+        distribution = {None: "gem-games", "tools": "gem-tools"}.get(pattern)
+        advice = f" Try 'pip install {distribution}'." if distribution else ""
+        click.echo(f"No {pattern or 'environments'} are installed.{advice}")
+        if pattern is None:
+            _print_rows(map(_row, _usable(plugin for plugin in registry().plugins() if not plugin.is_core)))
+    elif kind is not None:
+        _print_rows((record.name, record.summary) for record in registry().named(kind))
+    elif pattern is None and not show_all and output_width() is not None:
+        _print_overview(registry().envs())
     else:
-        _print_columns(records)
+        _print_rows(map(_row, records))
 
 
 def matching(pattern: str | None) -> list[EnvSpec]:
@@ -73,41 +77,14 @@ def matching(pattern: str | None) -> list[EnvSpec]:
     return records
 
 
-def described(record: EnvSpec) -> dict[str, object]:
-    """Return what is known of an environment without importing it."""
-    provider = registry().provider(record.id)
-    return {
-        "id": record.id,
-        "summary": record.summary,
-        "kwargs": {key: value if _is_plain(value) else repr(value) for key, value in record.kwargs.items()},
-        "max_turns": record.turn_limit,
-        "tags": list(record.tags),
-        "requires": list(record.requires),
-        "deterministic": record.deterministic,
-        "entry_point": record.entry_point if isinstance(record.entry_point, str) else repr(record.entry_point),
-        "distribution": None if provider is None else provider.distribution,
-    }
-
-
-def _print_named(kind: str, as_json: bool) -> None:
-    named = registry().named(KINDS[kind])
-    if as_json:
-        click.echo(json.dumps([tool_info.described(record) for record in named], indent=1))
-    elif not named:
-        click.echo(f"No {kind} are installed." + (" Try 'pip install gem-tools'." if kind == "tools" else ""))
-    else:
-        _print_rows([(record.name, record.summary) for record in named])
-
-
-def _offered_by(name: str) -> list[Record]:
+def _offered_by(name: str | None) -> list[Record]:
     """Return what the plugins of a name offer, where that is no namespace; nothing where there is no such plugin."""
-    if any(record.namespace == name.removesuffix(":") for record in registry().envs()):
+    if name is None or any(record.namespace == name.removesuffix(":") for record in registry().envs()):
         return []
-    plugins = [plugin for plugin in registry().plugins() if name in (plugin.name, plugin.distribution)]
-    return _usable(plugins)
+    return _usable(plugin for plugin in registry().plugins() if name in (plugin.name, plugin.distribution))
 
 
-def _usable(plugins: list[Plugin]) -> list[Record]:
+def _usable(plugins: Iterable[Plugin]) -> list[Record]:
     """Return what some plugins offer, without the ids and names that are contested, or the core's."""
     found = registry()
     return [
@@ -118,33 +95,42 @@ def _usable(plugins: list[Plugin]) -> list[Record]:
     ]
 
 
-def _print_offered(records: list[Record], as_json: bool) -> None:
-    if as_json:
-        click.echo(
-            json.dumps(
-                [described(each) if isinstance(each, EnvSpec) else tool_info.described(each) for each in records],
-                indent=1,
-            )
-        )
-        return
-    _print_rows(
-        [(each.id if isinstance(each, EnvSpec) else f"{each.kind} {each.name}", each.summary) for each in records]
+def _row(record: Record) -> tuple[str, str]:
+    if not isinstance(record, EnvSpec):
+        return f"{record.kind} {record.name}", record.summary
+    needs = f" [needs {', '.join(record.requires)}]" if record.requires else ""
+    return record.id, f"{record.summary}{needs}"
+
+
+def _print_overview(envs: list[EnvSpec]) -> None:
+    """Print a line for each namespace, with what all of it lacks here, then the names of all other things."""
+    members: dict[str, list[EnvSpec]] = {}
+    for record in envs:
+        members.setdefault(record.namespace, []).append(record)
+    width = max(map(len, members)) + 1
+    rows = []
+    for namespace, records in members.items():
+        shared = [word for word in records[0].requires if all(word in record.requires for record in records)]
+        missing = "; ".join(unmet(shared).values()) or f"needs {', '.join(shared)}"
+        needs = f"[{missing}] " if shared else ""
+        names = dict.fromkeys(re.split(r"-v\d", record.name)[0] for record in records)
+        rows.append((f"{namespace + ':':<{width}} {len(records):>4}", needs + ", ".join(names)))
+    _print_rows(rows)
+    click.echo()
+    others = {word: [record.name for record in registry().named(kind)] for word, kind in KINDS.items()}
+    offered = _usable(plugin for plugin in registry().plugins() if not plugin.is_core)
+    others["commands"] = [record.name for record in offered if isinstance(record, CommandSpec)]
+    _print_rows((word, ", ".join(names)) for word, names in others.items() if names)
+    click.echo(
+        click.style(f"\n'gem list {next(iter(members))}' shows a namespace, 'gem list --all' every id.", dim=True)
     )
 
 
-def _print_columns(records: list[EnvSpec]) -> None:
-    needs = [f" [needs {', '.join(record.requires)}]" if record.requires else "" for record in records]
-    _print_rows([(record.id, f"{record.summary}{need}") for record, need in zip(records, needs, strict=True)])
-
-
-def _print_rows(rows: list[tuple[str, str]]) -> None:
+def _print_rows(pairs: Iterable[tuple[str, str]]) -> None:
     # Plain lines, made without rich: importing it would take longer than all the rest.
+    rows = list(pairs)
     width = output_width()
-    first = max(len(name) for name, _ in rows)
+    first = max((len(name) for name, _ in rows), default=0)
     for name, text in rows:
         rest = text if width is None else cut_at_word(text, max(width - first - 2, 0))
         click.echo(f"{click.style(name.ljust(first) if text else name, fg='cyan')}  {rest}".rstrip())
-
-
-def _is_plain(value: object) -> bool:
-    return value is None or isinstance(value, bool | int | float | str)

@@ -189,7 +189,7 @@ def _test_imports(names: Names, kinds: Sequence[str]) -> str:
     if "wrapper" in kinds:
         froms.append(f"from {names.package}.wrapper import LengthPenalty")
     if "agent" in kinds:
-        froms.append("from gem_core.rollouts.agent import load_agent")
+        froms.append("from gem_core.rollouts import load_agent")
     if "command" in kinds:
         froms.append(f"from {names.package}.command import command")
     others = ["import pytest"] if {"env", "backend"} & set(kinds) else []

@@ -1,25 +1,36 @@
-"""What a person plays: episodes of one environment, with turns that can be taken back, kept as records."""
+"""``gem play`` as an agent of ``rollout``: a person answers, and may take turns back.
+
+A turn is taken back by playing the episode again from its start without it, which works in every environment that a
+seed and the actions repeat, and leaves no trace in the record.
+"""
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Iterator
-from itertools import count
-from typing import TYPE_CHECKING, Any, cast
+import itertools
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from typing import cast
 
-from gem_core.agents.answer_form import AnswerForm
-from gem_core.env.base import Env
-from gem_core.env.observations import split_observation
-from gem_core.env.results import checked_result
-from gem_core.env.wrapper import AnyEnv, Wrapper
-from gem_core.errors import ArgumentError, NotSupportedError, SamplingNotSupported, StateNotSupported
+from gem_core.cli.play_view import PlayView, in_one_line
+from gem_core.env.wrapper import AnyEnv
+from gem_core.errors import ArgumentError, EnvFaultError
 from gem_core.records.episode import Episode, Transition
-from gem_core.records.plans import EpisodeQueue, EpisodeStart, PlanItem
-from gem_core.rollouts.loop import new_episode
-from gem_core.types import Info, Observation, Response
+from gem_core.records.files import EpisodeWriter
+from gem_core.records.plans import EpisodeQueue, EpisodeStart
+from gem_core.rollouts.agent import Context
+from gem_core.rollouts.drivers import default_plan, rollout
+from gem_core.terminal import EndOfInput, Terminal, Typed, whole_command
+from gem_core.types import Observation
+from gem_core.vector.env import VectorEnv
 
-if TYPE_CHECKING:
-    from gem_core.making.environment import MadeSpec
+
+class _PlayAgain(Exception):
+    """The present episode begins again."""
+
+
+class _PlayNext(Exception):
+    """The present episode is left for the next."""
 
 
 class PlaySession:
@@ -27,155 +38,167 @@ class PlaySession:
 
     Args:
         env: What is played, made by ``make``.
+        view: Shows it.
+        terminal: Where the person answers.
         seed: Seed of the run; None draws one, found as ``seed``.
+        raw: Send answers as they are typed.
+        repeatable: Whether a seed and the actions repeat an episode, so that turns can be taken back.
+        writer: Where finished episodes are recorded; None for nowhere.
     """
 
-    def __init__(self, env: AnyEnv, seed: int | None = None) -> None:
-        self.env = env
-        self._source = EpisodeQueue(_endless_plan(env), seed)
-        self.seed = self._source.seed
-        self.number = 0
-        """Number of the present episode, from 1; 0 before the first."""
-        self.taken_back = 0
-        self._states: list[dict[str, Any] | None] = []
-        self._no_undo = ""
+    reads = "observation"
 
-    @property
-    def env_id(self) -> str:
-        """Id of the environment."""
-        return cast("MadeSpec", self.env.spec).id
+    def __init__(
+        self,
+        env: AnyEnv,
+        view: PlayView,
+        terminal: Terminal,
+        *,
+        seed: int | None,
+        raw: bool,
+        repeatable: bool,
+        writer: EpisodeWriter | None,
+    ) -> None:
+        self._vector = VectorEnv.around(env, seed=seed, on_error="raise", keep_open=True)
+        self._starts = EpisodeQueue(default_plan(self._vector, sys.maxsize), self._vector.seed)
+        self._view = view
+        self._terminal = terminal
+        self._raw = raw
+        self._repeatable = repeatable
+        self._writer = writer
+        self._again: list[Transition] = []
+        self._taken_back = 0
+        self._show: Callable[[], None] = view.opening
+        self.seed = self._vector.seed
+        self.finished: list[Episode] = []
 
     # Episodes.
 
-    def begin(self) -> None:
-        """Begin the next episode."""
-        self.number += 1
-        self._start(cast("EpisodeStart", self._source.draw(0)))
+    def play(self, episodes: int | None) -> None:
+        """Play so many episodes; without a number, as long as the person wants, or one without a person.
 
-    def restart(self) -> None:
-        """Begin the present episode again, from the same start."""
-        self._start(self._draw)
+        Raises:
+            EndOfInput: There was nothing more to read.
+        """
+        asks = episodes is None and self._terminal.interactive
+        for number in itertools.count(1):
+            self._view.number = number
+            start = cast("EpisodeStart", self._starts.draw(0))
+            self._restart()
+            try:
+                goes_on = self._play_out(start, asks=asks)
+            except _PlayNext:
+                continue
+            if not goes_on and (episodes is None or len(self.finished) >= episodes):
+                return
 
-    def _start(self, draw: EpisodeStart) -> None:
-        self._draw = draw
-        options = draw.item.options
-        observation, info = (
-            self.env.reset(seed=draw.seed, options=dict(options)) if options else self.env.reset(seed=draw.seed)
-        )
-        if hasattr(task := self.env.unwrapped, "seed_actions"):
-            task.seed_actions(draw.action_seed)
-        info["seed"] = draw.seed
-        spec = cast("MadeSpec", self.env.spec)
-        described = {"id": spec.id, "kwargs": spec.overrides(), "wrappers": [list(each) for each in spec.wrappers]}
-        self.episode: Episode = new_episode(described, draw, observation, info)
-        self.taken_back = 0
-        self._states = []
+    def _play_out(self, start: EpisodeStart, *, asks: bool) -> bool:
+        """Play an episode to its end, and record it; return whether another is wanted, if that is asked."""
+        while True:
+            try:
+                episode = self._rolled_out(start)
+            except _PlayAgain:
+                continue
+            last = episode.transitions[-1]
+            if not self._raw and self._repeatable and _was_not_played(last):
+                self._take_back(episode.transitions, lambda: None)
+                # Why is left out: the last words of a task may give its solution away.
+                self._terminal.show(
+                    f"{in_one_line(last.action)} was not played: it cannot be read, or breaks the rules. That would "
+                    "end the episode, so it does not count: answer again, or type ? for help.",
+                    fg="yellow",
+                )
+                continue
+            self._view.ending(episode, self._taken_back, can_undo=self._repeatable)
+            another: bool | None = False
+            try:
+                if asks:
+                    another = self._wants_another(episode)
+            finally:
+                if another is not None:
+                    if self._writer is not None:
+                        self._writer.write(episode)
+                    self.finished.append(episode)
+            if another is not None:
+                return another
 
-    @property
-    def started(self) -> bool:
-        """Whether an episode has begun."""
-        return hasattr(self, "episode")
+    def _wants_another(self, episode: Episode) -> bool | None:
+        """Ask whether to go on; None where the last turn was taken back instead."""
+        while True:
+            another = self._terminal.confirm("Play another?", other="!undo")
+            if another is not None:
+                return another
+            try:
+                self._undo(episode.transitions)
+            except ArgumentError as error:
+                self._terminal.show(f"{error}.", fg="yellow")
+            else:
+                return None
 
-    @property
-    def over(self) -> bool:
-        """Whether the present episode is over."""
-        turns = self.episode.transitions
-        return bool(turns) and (turns[-1].terminated or turns[-1].truncated)
-
-    @property
-    def observation(self) -> Observation:
-        """What waits for an answer."""
-        return self.episode.final_observation
-
-    @property
-    def info(self) -> Info:
-        """What came with the observation."""
-        return self.episode.final_info
-
-    @property
-    def tools(self) -> list[str]:
-        """Names of the tools that may be called."""
-        return self.episode.tools
+    def _rolled_out(self, start: EpisodeStart) -> Episode:
+        plan = [replace(start.item, seed=start.seed)]
+        try:
+            (episode,) = rollout(self._vector, self, plan=plan, seed=self.seed)
+        except EnvFaultError as error:
+            raise (error.__cause__ or error) from None
+        episode.key = start.key
+        return episode
 
     # Turns.
 
-    def act(self, answer: str) -> Transition:
-        """Take a turn with an answer to the letter; see ``formed``."""
-        state = self._state()
-        observation, reward, terminated, truncated, info = checked_result(self.env.step(answer))
-        turn = Transition(self.observation, Response.of(answer), reward, terminated, truncated, info)
-        self._states.append(state)
-        self.episode.transitions.append(turn)
-        self.episode.final_observation = observation
-        return turn
+    def __call__(self, observation: Observation, context: Context) -> str:
+        """Return what the person answers, or what was answered before where the episode is played again."""
+        self._view.see(observation, context)
+        if context.turn < len(self._again):
+            before = self._again[context.turn]
+            if observation == before.observation:
+                return before.action
+            self._terminal.show("Played again, this environment went another way; go on from here.", fg="yellow")
+            self._again = []
+        self._show()
+        self._show = self._view.turn
+        return self._terminal.ask_for_answer(f"turn {context.turn + 1}> ", lambda typed: self._answer(typed, context))
 
-    @property
-    def can_undo(self) -> bool:
-        """Whether there is a turn that can be taken back."""
-        return bool(self._states) and self._states[-1] is not None
+    def _answer(self, typed: Typed, context: Context) -> str | None:
+        """Return the answer that was typed, or that a command gives."""
+        if not typed.is_command:
+            return typed.text if self._raw else self._view.form().around(typed.text, self._view.tools)
+        match whole_command(typed.text, ("help", "undo", "random", "restart", "next", "quit")):
+            case "help":
+                self._view.help()
+                return None
+            case "random":
+                return context.sample_random_action()
+            case "undo":
+                self._undo(context.transitions)
+                raise _PlayAgain
+            case "restart":
+                self._restart()
+                raise _PlayAgain
+            case "next":
+                raise _PlayNext
+            case _:
+                raise EndOfInput
 
-    def undo(self) -> Transition:
-        """Take the last turn back, and return it.
-
-        Raises:
-            ArgumentError: There is none.
-            StateNotSupported: The environment cannot save its state.
-        """
-        if not self.episode.transitions:
+    def _undo(self, transitions: list[Transition]) -> None:
+        if not transitions:
             raise ArgumentError("there is no turn to take back")
-        state = self._states[-1]
-        if state is None:
-            raise StateNotSupported(f"turns of this environment cannot be taken back: {self._no_undo}")
-        cast("Env | Wrapper", self.env).set_state(state)
-        self._states.pop()
-        turn = self.episode.transitions.pop()
-        self.episode.final_observation = turn.observation
-        self.taken_back += 1
-        return turn
+        if not self._repeatable:
+            raise ArgumentError(
+                "turns of this environment cannot be taken back: a seed and the actions do not repeat its episodes"
+            )
+        self._terminal.show(f"Taken back: {in_one_line(transitions[-1].action)}", dim=True)
+        self._take_back(transitions, self._view.situation)
 
-    def _state(self) -> dict[str, Any] | None:
-        if not isinstance(self.env, Env | Wrapper):
-            self._no_undo = f"{type(self.env).__name__} is a wrapper of Gymnasium's, which cannot save its state"
-            return None
-        try:
-            return copy.deepcopy(self.env.get_state())
-        except NotSupportedError as error:
-            self._no_undo = str(error)
-            return None
+    def _take_back(self, transitions: list[Transition], show: Callable[[], None]) -> None:
+        self._again, self._show = transitions[:-1], show
+        self._taken_back += 1
 
-    # Answers.
-
-    def random_action(self) -> str:
-        """Draw a valid action in the present state.
-
-        Raises:
-            SamplingNotSupported: The environment does not say what is valid.
-        """
-        return cast("str", self.env.get_wrapper_attr("sample_random_action")())
-
-    def form(self) -> AnswerForm:
-        """Return the form that answers have in the present state."""
-        try:
-            return AnswerForm.of_example(self.random_action())
-        except SamplingNotSupported:
-            said, _ = split_observation(self.episode.observation, self.episode.info)
-            return AnswerForm.of_instructions(said) if isinstance(said, str) else AnswerForm()
-
-    def formed(self, answer: str) -> str:
-        """Return a plain answer in the form that the environment expects."""
-        return self.form().around(answer, self.tools)
+    def _restart(self) -> None:
+        self._again, self._show = [], self._view.opening
+        self._taken_back = 0
 
 
-def was_not_played(turn: Transition) -> bool:
+def _was_not_played(turn: Transition) -> bool:
     """Tell whether the environment says that it could do nothing with a response."""
     return turn.info.get("parsed_action", "") is None and not turn.info.get("correct")
-
-
-def _endless_plan(env: AnyEnv) -> Iterator[PlanItem]:
-    """Yield what ``gem run`` starts from: the rows of a data set in order, over and over; for others just seeds."""
-    rows = getattr(env.unwrapped, "num_tasks", None)
-    if not isinstance(rows, int):
-        return (PlanItem() for _ in count())
-    if getattr(env.unwrapped, "endless_tasks", False) is True:
-        return (PlanItem(options={"index": index}) for index in count())
-    return (PlanItem(options={"index": index % rows}) for index in count())

@@ -8,12 +8,14 @@ from typing import Any
 import click
 
 from gem_core.agents.answer_form import AnswerForm
-from gem_core.cli.play_session import PlaySession
-from gem_core.cli.terminal import BLOCK, Terminal, observation_text, printable
+from gem_core.env.base import Env
 from gem_core.env.observations import split_observation
+from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import SamplingNotSupported
 from gem_core.records.episode import Episode, Transition
 from gem_core.records.plain_json import ImageFolder
+from gem_core.rollouts.agent import Context
+from gem_core.terminal import BLOCK, Terminal, observation_text, printable
 from gem_core.types import TERMINAL_STATE, Info, Observation
 
 _LONGEST_ACTION = 60
@@ -34,117 +36,155 @@ class PlayView:
     """Shows episodes.
 
     Args:
-        session: What is played.
+        env: What is played.
         terminal: Where it is shown.
         exact: Show observations to the letter, as a model gets them.
         raw: Whether answers are sent as they are typed.
+        summary: Of the environment.
         images: Folder into which images are written; None only tells their size.
     """
 
     def __init__(
-        self, session: PlaySession, terminal: Terminal, *, exact: bool, raw: bool, images: ImageFolder | None = None
+        self,
+        env: AnyEnv,
+        terminal: Terminal,
+        *,
+        exact: bool,
+        raw: bool,
+        summary: str = "",
+        images: ImageFolder | None = None,
     ) -> None:
-        self._session = session
+        self.number = 0
+        """Number of the present episode, from 1."""
+        self.began = False
+        """Whether there is anything to show yet."""
+        self.tools: list[str] = []
+        """Names of the tools that may be called."""
+        self._env = env
         self._terminal = terminal
         self._exact = exact
         self._raw = raw
+        self._summary = summary
         self._images = images
+        self._context: Context
+        self._over = False
 
     # An episode.
 
-    def opening(self, summary: str = "") -> None:
+    def see(self, observation: Observation, context: Context) -> None:
+        """Note what waits for an answer."""
+        self.began, self._over = True, False
+        self._observation, self._context = observation, context
+        if context.turn == 0:
+            self._rules, _ = split_observation(observation, context.info)
+            self.tools = [tool["function"]["name"] for tool in context.tools]
+
+    def form(self) -> AnswerForm:
+        """Return the form that answers have in the present state."""
+        return AnswerForm.of_task(self._observation, self._context)
+
+    def opening(self) -> None:
         """Show what the present episode begins with."""
-        session, show = self._session, self._terminal.show
-        episode = session.episode
+        show = self._terminal.show
         show()
-        show(f"{episode.id} · episode {session.number}", bold=True)
-        if summary and session.number == 1:
-            show(summary, dim=True)
-        form = AnswerForm() if self._raw else session.form()
+        show(f"{self._context.env_id} · episode {self.number}", bold=True)
+        if self._summary and self.number == 1:
+            show(self._summary, dim=True)
+        form = AnswerForm() if self._raw else self.form()
         as_it_is = "An answer is sent as you type it."
         show(f"{f'An answer is sent as {in_one_line(str(form))}.' if form else as_it_is} Type ? for help.", dim=True)
         self.situation()
 
     def situation(self) -> None:
         """Show the present observation."""
-        observation, info = self._session.observation, self._session.info
-        if self._exact:
-            self._rule(f"turn {self._session.episode.turns + 1}")
-            self._terminal.show_exactly(self._text(observation))
-            self._rule()
-        else:
-            self._laid_out(observation, info)
+        self._observed(self._observation, self._context.info, f"turn {self._context.turn + 1}")
 
-    def turn(self, turn: Transition) -> None:
-        """Show what a turn brought."""
-        episode = self._session.episode
-        colour = "green" if turn.reward > 0 else "red" if turn.reward < 0 else None
-        self._terminal.show(
-            f"turn {episode.turns} · {in_one_line(turn.action)} · "
-            + _styled(f"reward {_number(turn.reward)}", colour)
-            + f" · return {_number(episode.episode_return)}",
-            **({} if self._exact else {"bold": True}),
-        )
-        if not self._session.over:
-            self.situation()
-        elif not self._exact:
-            self._laid_out(episode.final_observation, episode.final_info)
-        else:
-            self._rule("after the last turn")
-            self._terminal.show_exactly(self._text(episode.final_observation))
-            self._rule()
+    def turn(self) -> None:
+        """Show what the last turn brought."""
+        self._result(self._context.transitions)
+        self.situation()
 
-    def ending(self) -> None:
-        """Say how the episode ended, and how to play it again."""
-        show, session = self._terminal.show, self._session
-        show(ending_of(session.episode), bold=True, fg=_colour_of(session.episode))
-        if session.taken_back:
-            show(f"Turns taken back, which are in no record: {session.taken_back}.", dim=True)
-        if self._terminal.interactive and session.can_undo:
+    def ending(self, episode: Episode, taken_back: int, *, can_undo: bool) -> None:
+        """Show the last turn, and say how the episode ended.
+
+        Args:
+            episode: That is over.
+            taken_back: Number of turns that were taken back.
+            can_undo: Whether the last one can be.
+        """
+        self._over = True
+        self._result(episode.transitions)
+        self._observed(episode.final_observation, episode.final_info, "after the last turn")
+        show = self._terminal.show
+        colour = "yellow" if episode.success is None else "green" if episode.success else "red"
+        show(ending_of(episode), bold=True, fg=colour)
+        if taken_back:
+            show(f"Turns taken back, which are in no record: {taken_back}.", dim=True)
+        if self._terminal.interactive and can_undo:
             show("!undo takes the last turn back.", dim=True)
 
-    def farewell(self, episodes: list[Episode], path: str | None, options: str = "") -> None:
-        """Say what was played, what was left unfinished, and where the rest was written."""
-        show, session = self._terminal.show, self._session
-        if not session.over:
-            turns = session.episode.turns
-            left = f"after {turns} turn{'s' if turns != 1 else ''}, return {_number(session.episode.episode_return)}"
+    def farewell(self, episodes: list[Episode], path: str | None, again: str) -> None:
+        """Say what was played, what was left unfinished, where the rest was written, and how to play it again."""
+        show = self._terminal.show
+        if not self._over:
+            left = f"after {_counted(self._context.turn, 'turn')}, return {_number(_return(self._context.transitions))}"
             show(f"Left unfinished {left}{'; it is not recorded' if path else ''}.", fg="yellow")
         if len(episodes) > 1:
             verdicts = [episode.success for episode in episodes if episode.success is not None]
             solved = f", {sum(verdicts)} won" if verdicts else ""
             mean = sum(episode.episode_return for episode in episodes) / len(episodes)
             show(f"{len(episodes)} episodes{solved}, mean return {_number(mean)}.")
-        if path:
-            counted = f"{len(episodes)} episode{'s' if len(episodes) != 1 else ''} written to {path}"
-            show(f"{counted if episodes else 'No episode was finished, and no file written'}.")
-        show(f"The same again: gem play {session.env_id} --seed {session.seed}{options}", dim=True)
+        if path and episodes:
+            show(f"{_counted(len(episodes), 'episode')} written to {path}.")
+        elif path:
+            show("No episode was finished, and no file written.")
+        show(f"The same again: {again}", dim=True)
 
     def help(self) -> None:
         """Show the keys, the rules and an example of an action."""
-        show, session = self._terminal.show, self._session
+        show = self._terminal.show
         show(KEYS.rstrip("\n"))
-        if session.tools:
-            show(f"  Tools: {', '.join(session.tools)}. A call is sent as you type it.")
+        if self.tools:
+            show(f"  Tools: {', '.join(self.tools)}. A call is sent as you type it.")
         show(f"  {self._example()}")
-        rules, _ = split_observation(session.episode.observation, session.episode.info)
         show()
-        self._running(self._text(rules))
+        self._running(self._text(self._rules))
 
     def _example(self) -> str:
         # An answer drawn from a data set may be the right one.
-        form = self._session.form()
-        if form and isinstance(getattr(self._session.env.unwrapped, "num_tasks", None), int):
+        form, task = self.form(), self._env.unwrapped
+        if form and isinstance(task, Env) and task.num_tasks is not None:
             return f"The form of an answer: {in_one_line(str(form))}"
         try:
-            return f"A valid action, for example: {in_one_line(self._session.random_action())}"
+            return f"A valid action, for example: {in_one_line(self._context.sample_random_action())}"
         except SamplingNotSupported:
             return f"The form of an answer: {in_one_line(str(form)) if form else 'any text'}"
 
-    # Observations.
+    # Turns and observations.
+
+    def _result(self, transitions: list[Transition]) -> None:
+        turn = transitions[-1]
+        colour = "green" if turn.reward > 0 else "red" if turn.reward < 0 else None
+        reward = f"reward {_number(turn.reward)}"
+        self._terminal.show(
+            f"turn {len(transitions)} · {in_one_line(turn.action)} · "
+            f"{click.style(reward, fg=colour, bold=True) if colour else reward} · "
+            f"return {_number(_return(transitions))}",
+            **({} if self._exact else {"bold": True}),
+        )
+
+    def _observed(self, observation: Observation, info: Info, title: str) -> None:
+        if not self._exact:
+            self._laid_out(observation, info)
+            return
+        self._terminal.show(f"──── {title} ".ljust(40, "─"), dim=True)
+        self._terminal.show_exactly(self._text(observation))
+        self._terminal.show("─" * 40, dim=True)
 
     def _text(self, observation: Observation) -> str:
-        return observation_text(observation, self._images)
+        images = self._images
+        save_image = None if images is None else lambda image: images.path / images.write(image)
+        return observation_text(observation, save_image)
 
     def _laid_out(self, observation: Observation, info: Info) -> None:
         feedback, suffix = split_observation(observation, info)
@@ -163,7 +203,7 @@ class PlayView:
         show()
 
     def _board(self) -> str:
-        env = self._session.env
+        env = self._env
         if env.render_mode != "ansi":
             return ""
         drawn: Any = env.render()
@@ -177,13 +217,10 @@ class PlayView:
             for piece in [line] if fits else textwrap.wrap(line, columns or 0, break_on_hyphens=False):
                 self._terminal.show_plainly(piece, **style)
 
-    def _rule(self, title: str = "") -> None:
-        self._terminal.show(f"──── {title} ".ljust(40, "─") if title else "─" * 40, dim=True)
-
 
 def ending_of(episode: Episode) -> str:
     """Return one line on how an episode ended."""
-    turns = f"{episode.turns} turn{'s' if episode.turns != 1 else ''}"
+    turns = _counted(episode.turns, "turn")
     if episode.error is not None:
         cause = printable(str(episode.error.get("message", episode.error)))
         return f"Ended after {turns} by an error that was not yours: {cause}"
@@ -193,12 +230,12 @@ def ending_of(episode: Episode) -> str:
     return f"{verdict} after {turns}. Return {_number(episode.episode_return)}."
 
 
-def _colour_of(episode: Episode) -> str:
-    return "yellow" if episode.success is None else "green" if episode.success else "red"
+def _return(transitions: list[Transition]) -> float:
+    return sum(turn.reward for turn in transitions)
 
 
-def _styled(text: str, colour: str | None) -> str:
-    return click.style(text, fg=colour, bold=True) if colour else text
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' if number != 1 else ''}"
 
 
 def _number(value: float) -> str:

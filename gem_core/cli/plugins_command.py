@@ -8,10 +8,9 @@ from typing import Any
 import click
 
 from gem_core.cli.completion import complete_plugins
-from gem_core.cli.diagnosis import described, listed, problems_of
+from gem_core.cli.diagnosis import described, offers_in_words, problems_of
 from gem_core.cli.layout import echo_line
 from gem_core.registry.lookup import registry
-from gem_core.registry.plugins import Plugin
 from gem_core.testing.importing import TIMEOUT_S
 
 
@@ -47,25 +46,26 @@ def command(ctx: click.Context, name: str | None, check: bool, timeout_s: float,
     for plugin, problems in problems_of(plugins, timeout_s, quick=not check):
         found.append({**described(plugin), "problems": problems})
         if not as_json:
-            _print(plugin, problems, with_traceback=check)
+            _print(found[-1], with_traceback=check)
     if as_json:
         click.echo(json.dumps(found, indent=1))
     if check and any(plugin["failure"] or plugin["problems"] for plugin in found):
         ctx.exit(1)
 
 
-def _print(plugin: Plugin, problems: list[str], *, with_traceback: bool) -> None:
-    head = f"{click.style(plugin.name, bold=True)}  {plugin.distribution} {plugin.version}"
-    if plugin.disabled:
+def _print(plugin: dict[str, Any], *, with_traceback: bool) -> None:
+    head = f"{click.style(plugin['name'], bold=True)}  {plugin['distribution']} {plugin['version']}"
+    failure, problems = plugin["failure"], plugin["problems"]
+    if plugin["disabled"]:
         click.echo(f"{head}  {click.style('disabled', fg='yellow')} by GEM_PLUGINS_DISABLE")
-    elif plugin.failure is not None:
-        click.echo(f"{head}  {click.style('broken', fg='red')} at stage '{plugin.failure.stage}'")
-        echo_line(f"    {plugin.failure.error}")
+    elif failure:
+        click.echo(f"{head}  {click.style('broken', fg='red')} at stage '{failure['stage']}'")
+        echo_line(f"    {failure['error']}")
         if with_traceback:
-            click.echo("".join(f"    {line}\n" for line in plugin.failure.traceback.splitlines()), nl=False)
+            click.echo("".join(f"    {line}\n" for line in failure["traceback"].splitlines()), nl=False)
     else:
         state = click.style("broken in part", fg="red") if problems else click.style("works", fg="green")
-        click.echo(f"{head}  {state}, {plugin.load_time_s * 1000:.1f} ms")
-        echo_line(f"    {listed(plugin)}")
+        click.echo(f"{head}  {state}, {plugin['load_time_ms']:.1f} ms")
+        echo_line(f"    {offers_in_words(plugin)}")
     for problem in problems:
         echo_line(f"    {problem}")

@@ -1,24 +1,18 @@
-"""``gem run --resume``: what the file of a run holds, what of it is run again, and what to type to go on."""
+"""``gem run --resume``: what the file of a run holds, and what of it is run again."""
 
 from __future__ import annotations
 
 import os
-import shlex
 import tempfile
 from pathlib import Path
-from typing import Any
 
 import click
-from click.core import ParameterSource
 
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records.episode import EpisodeLine, episode_lines
+from gem_core.records.files import EpisodeLine, episode_lines
 from gem_core.records.plans import EpisodeQueue
 from gem_core.records.summary import RunSummary
-from gem_core.rollouts.resume import Done
-
-_REPLACED = {"seed", "out", "overwrite", "resume"}
-"""Options of the first time that ``--resume`` stands for."""
+from gem_core.rollouts.resume import FinishedEpisodes
 
 
 class ResumedRun:
@@ -34,7 +28,7 @@ class ResumedRun:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.done = Done()
+        self.done = FinishedEpisodes()
         self._again = 0
         if not path.exists():
             raise ArgumentError(f"--resume: there is no file {path}; a run that begins takes --out")
@@ -42,7 +36,7 @@ class ResumedRun:
             if line.episode is not None:
                 self.done.add(line.episode)
             self._again += not _stays(line)
-        if self.done.starts and not self.done.run_seeds:
+        if self.done and not self.done.run_seeds:
             raise ArgumentError(
                 f"--resume: {path} does not say from which seed its run was started, since an earlier version wrote it"
             )
@@ -63,7 +57,7 @@ class ResumedRun:
             ArgumentError: The file is of another run; it has not been changed.
             EpisodeFileError: It cannot be written.
         """
-        source.skip(self.done.starts, self.done.check)
+        self.done.leave_out_of(source)
         for line in episode_lines(self.path):
             if line.episode is not None and _stays(line):
                 summary.add(line.episode)
@@ -96,21 +90,3 @@ class ResumedRun:
 
 def _stays(line: EpisodeLine) -> bool:
     return line.episode is not None and line.episode.error is None
-
-
-def command_to_go_on(ctx: click.Context, path: Path) -> str:
-    """Return what to type to go on with a run that was stopped: as it was called, with its file."""
-    words = ctx.command_path.split()
-    named: list[str] = []
-    for parameter in ctx.command.params:
-        value: Any = ctx.params.get(str(parameter.name))
-        if parameter.name in _REPLACED or ctx.get_parameter_source(str(parameter.name)) != ParameterSource.COMMANDLINE:
-            continue
-        if isinstance(parameter, click.Argument):
-            words += value
-        elif getattr(parameter, "is_flag", False):
-            named += parameter.opts[-1:]
-        else:
-            for each in value if parameter.multiple else [value]:
-                named += [parameter.opts[-1], str(each)]
-    return shlex.join([*words, *named, "--resume", str(path)])

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import itertools
 import json
+import shlex
 import signal
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -21,7 +22,7 @@ from gem_core.cli.agent_options import agent_options, given
 from gem_core.cli.completion import complete_agents, complete_backends, complete_env_ids, complete_wrappers
 from gem_core.cli.layout import echo_line
 from gem_core.cli.list_command import matching
-from gem_core.cli.tool_options import tool_options, wrapper_stack
+from gem_core.cli.tool_options import call_again, tool_options, wrapper_stack
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.registry.lookup import registry
 from gem_core.registry.requirements import unmet
@@ -155,7 +156,7 @@ def command(
     from gem_core.cli.report import print_table, status_of
     from gem_core.cli.resumed_run import ResumedRun
     from gem_core.progress import Progress
-    from gem_core.records.episode import EpisodeWriter
+    from gem_core.records.files import EpisodeWriter
     from gem_core.records.summary import RunSummary
     from gem_core.rollouts.agent import current_folder_importable, load_agent
     from gem_core.rollouts.drivers import default_plan, rollout
@@ -183,7 +184,6 @@ def command(
         before = summary.total.episodes
         started = time.perf_counter()
         stopped_by: BaseException | None = None
-        deaf = ExitStack()
         with (
             EpisodeWriter(path, append=resumed is not None) as writer,
             Progress(len(plan), f"seed {vector.seed}", quiet=interactive) as progress,
@@ -197,7 +197,7 @@ def command(
             except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - raised again below, behind the table
                 stopped_by = error
                 if isinstance(error, KeyboardInterrupt):
-                    deaf.enter_context(_interrupts_ignored())
+                    ctx.with_resource(_interrupts_ignored())
             finally:
                 if not writer.count:
                     writer.discard()
@@ -211,13 +211,13 @@ def command(
         echo_line(f"{ran}, {_where(path, None if resumed is None else before)}")
     _tell_errors(summary)
     if stopped_by is not None:
-        _stop(ctx, stopped_by, before + writer.count, len(plan), path, deaf)
+        _stop(ctx, stopped_by, before + writer.count, len(plan), path)
     ctx.exit(1 if summary.first_error is not None else 0)
 
 
 @contextmanager
 def _interrupts_ignored() -> Iterator[None]:
-    """Let a second Ctrl-C not cut off what is said after the first."""
+    """Ignore a second Ctrl-C, which would cut off what is said after the first."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -228,18 +228,14 @@ def _interrupts_ignored() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _stop(
-    ctx: click.Context, stopped_by: BaseException, count: int, total: int, path: Path, deaf: ExitStack
-) -> NoReturn:
+def _stop(ctx: click.Context, stopped_by: BaseException, count: int, total: int, path: Path) -> NoReturn:
     """Say how a run that was stopped goes on, and end as what stopped it asks for."""
-    from gem_core.cli.resumed_run import command_to_go_on
-
     interrupted = isinstance(stopped_by, KeyboardInterrupt)
     if interrupted:
         click.echo(f"gem: interrupted after {count} of {total} episodes", err=True)
     if count:
-        click.echo(f"gem: go on with: {command_to_go_on(ctx, path)}", err=True)
-    deaf.close()
+        again = call_again(ctx, {"seed", "out", "overwrite", "resume"})
+        click.echo(f"gem: go on with: {again} --resume {shlex.quote(str(path))}", err=True)
     if interrupted:
         ctx.exit(INTERRUPTED)
     raise stopped_by

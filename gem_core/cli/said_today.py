@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import datetime
 import hashlib
-import json
 import logging
 import os
 import sys
-import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -33,26 +31,16 @@ def said_once(command: str) -> Iterator[None]:
 def _note(key: str) -> bool:
     """Note that something is said now; tell whether it is for the first time today, as far as that can be known."""
     today = datetime.date.today().isoformat()
-    file = _cache_folder() / "said.json"
+    # A file for each, without content: two commands at once cannot spoil what the other has noted.
     try:
-        noted = json.loads(file.read_text(encoding="utf-8"))
-        keys = list(noted["keys"]) if noted["day"] == today else []
-    except (OSError, ValueError, LookupError, TypeError):  # not there, or not ours
-        keys = []
-    if key in keys:
-        return False
-    with suppress(OSError):  # it is said again, then
-        file.parent.mkdir(parents=True, exist_ok=True)
-        # Replaced as a whole, since another command may write or read it at the same time.
-        handle, name = tempfile.mkstemp(dir=file.parent, prefix="said-")
-        with os.fdopen(handle, "w", encoding="utf-8") as written:
-            json.dump({"day": today, "keys": [*keys, key]}, written)
-        os.replace(name, file)
-    return True
-
-
-def _cache_folder() -> Path:
-    try:
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gem"
-    except RuntimeError:  # there is no home
-        return Path(os.devnull)
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gem" / "said"
+        folder.mkdir(parents=True, exist_ok=True)
+        for file in folder.iterdir():
+            if not file.name.startswith(today):
+                file.unlink(missing_ok=True)
+        note = folder / f"{today}-{key}"
+        known = note.exists()
+        note.touch()
+    except (OSError, RuntimeError):  # it cannot be written, or there is no home: it is said again, then
+        return True
+    return not known

@@ -1,13 +1,15 @@
-"""The options of ``gem run`` and ``gem play`` that put tools around an environment, and the stack that they make."""
+"""What ``gem run`` and ``gem play`` share: tools and wrappers as options, the stack that they make, the call again."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+import shlex
+from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.core import ParameterSource
 
 from gem_core.cli.completion import complete_tools
 from gem_core.errors import ArgumentError
@@ -92,10 +94,29 @@ def wrapper_stack(
     return stack
 
 
-def options_again(tools: tuple[str, ...], max_tool_uses: int | str | None) -> list[str]:
-    """Return the words to type for the same tools."""
-    uses = [] if max_tool_uses is None else ["--max-tool-uses", str(max_tool_uses)]
-    return [word for text in tools for word in ("--tools", text)] + uses
+def call_again(ctx: click.Context, without: Collection[str], *more: str) -> str:
+    """Return what to type to call a command again with the options that it was given.
+
+    Args:
+        ctx: Of the call.
+        without: Names of parameters that are left out.
+        more: Words that stand behind the command's arguments.
+    """
+    arguments: list[str] = []
+    options: list[str] = []
+    for parameter in ctx.command.params:
+        name = str(parameter.name)
+        value: Any = ctx.params.get(name)
+        if name in without or ctx.get_parameter_source(name) != ParameterSource.COMMANDLINE:
+            continue
+        if isinstance(parameter, click.Argument):
+            arguments += value if isinstance(value, tuple) else [value]
+        elif getattr(parameter, "is_flag", False):
+            options += parameter.opts[-1:]
+        else:
+            for each in value if parameter.multiple else [value]:
+                options += [parameter.opts[-1], str(each)]
+    return shlex.join([*ctx.command_path.split(), *arguments, *more, *options])
 
 
 def parsed_choices(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:

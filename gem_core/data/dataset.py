@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypedDict, cast
 
-from gem_core.data.rows import RowFunction, RowSource, load_rows
-from gem_core.data.views import Row
+from gem_core.data.loading import RowFunction, RowSource, load_rows
+from gem_core.data.rows import Row
 from gem_core.env.base import Env
 from gem_core.errors import ArgumentError, DatasetError, GradingError
 from gem_core.parsing import extract_last_boxed_answer, extract_last_tagged_answer
@@ -69,7 +69,7 @@ class DatasetEnv(Env):
         rows: A sequence of mappings, as a list of dictionaries or a ``datasets.Dataset``; or what ``dataset_name``
             takes.
         dataset_name: Instead of ``rows``: the path of a file (JSON, JSON lines, CSV, Parquet) or folder, or a name on
-            the Hugging Face hub; see ``gem_core.data.rows.load_rows``.
+            the Hugging Face hub; see ``gem_core.data.load_rows``.
         split: Which split of it, or part of one, as in ``"test[:100]"``; None where there is but one.
         config: Which subset of it.
         revision: Which version on the hub: a branch, a tag or a commit.
@@ -122,11 +122,11 @@ class DatasetEnv(Env):
         self.prompt_template = prompt_template
         self._grade = load_entry_point(grade, "grade") if grade is not None else None
         self._index = 0
-        self._row: Row = self._checked_first_row("rows" if dataset_name is None else repr(str(dataset_name)))
-        self._prompt_parts = self._parsed_template(self._row)
+        self._row = self._checked_first_row("" if dataset_name is None else f" {str(dataset_name)!r}")
+        self._check_template()
 
     @property
-    def num_tasks(self) -> int:
+    def num_tasks(self) -> int:  # type: ignore[override]  # read from the rows, which a subclass may replace
         """Number of rows, each a task of its own."""
         return len(self.rows)
 
@@ -141,7 +141,7 @@ class DatasetEnv(Env):
             ArgumentError: An option that does not exist, or an index that is out of range.
         """
         super().reset(seed=seed)
-        self._take(self._chosen(options) if options else int(self.np_random.integers(self.num_tasks)))
+        self._take(chosen_index(options, self.num_tasks) if options else int(self.np_random.integers(self.num_tasks)))
         return self.prompt(self._row), {"task_id": self.task_id(self._index, self._row), "index": self._index}
 
     def step(self, action: str) -> StepResult:
@@ -158,7 +158,13 @@ class DatasetEnv(Env):
 
     def prompt(self, row: Row) -> Observation:
         """Return the first observation for a row."""
-        return "".join([text if column is None else str(row[column]) for text, column in self._prompt_parts])
+
+        def filled(place: re.Match[str]) -> str:
+            column = self._column_at(place)
+            return str(row[column]) if column is not None and column in row else place[0]
+
+        # In one pass, so that braces in a problem are never taken for places.
+        return _PLACE.sub(filled, self.prompt_template)
 
     def grade(self, action: str, row: Row) -> Grade:
         """Return the verdict on a response.
@@ -183,17 +189,6 @@ class DatasetEnv(Env):
         row = self.rows[int(self.action_random.integers(self.num_tasks))]
         return f"\\boxed{{{row[self.answer_key]}}}"
 
-    def _chosen(self, options: dict[str, Any]) -> int:
-        wrong = [name for name in options if name != "index"]
-        if wrong:
-            raise ArgumentError(f"no option {wrong[0]!r}.{did_you_mean(wrong[0], ['index'])} There is: index")
-        index = options["index"]
-        # Samplers give whole numbers of NumPy too.
-        number = operator.index(index) if hasattr(index, "__index__") and not isinstance(index, bool) else -1
-        if not 0 <= number < self.num_tasks:
-            raise ArgumentError(f"options['index'] must be from 0 to {self.num_tasks - 1}, not {index!r}")
-        return number
-
     def _take(self, index: int) -> None:
         row = self.rows[index]
         for key in (self.question_key, self.answer_key, self.id_key):
@@ -201,13 +196,12 @@ class DatasetEnv(Env):
                 raise DatasetError(f"row {index} has no column {key!r}. Columns: {_listed(row)}")
         self._index, self._row = index, row
 
-    def _checked_first_row(self, source: str) -> Row:
+    def _checked_first_row(self, name: str) -> Row:
         try:
-            count, first = len(self.rows), (self.rows[0] if len(self.rows) else None)
+            first = self.rows[0] if len(self.rows) else None
         except (TypeError, KeyError) as error:
             raise DatasetError(f"rows must be a sequence of mappings, not {type(self.rows).__name__}") from error
-        if not count or first is None:
-            name = "" if source == "rows" else f" {source}"
+        if first is None:
             raise DatasetError(f"the data set{name} is empty; check its name, its split and any filter")
         if not isinstance(first, Mapping):
             raise DatasetError(f"a row must map columns to values, and the first is a {type(first).__name__}")
@@ -217,32 +211,42 @@ class DatasetEnv(Env):
                 raise DatasetError(f"no column {key!r} in the data set.{hint} Columns: {_listed(first)}")
         return first
 
-    def _parsed_template(self, row: Row) -> list[tuple[str, str | None]]:
-        """Return the template in pieces: text, or the name of a column.
+    def _column_at(self, place: re.Match[str]) -> str | None:
+        """Return the column that a place of the template names, or None where it stands for itself."""
+        column = self.question_key if place[1] == "question" else place[1]
+        # The gold answer is no part of a question, and \boxed{answer} a way to say where it goes.
+        return None if column == self.answer_key else column
 
-        It is taken apart once, so that braces in a problem are never taken for places.
-        """
-        pieces: list[tuple[str, str | None]] = []
-        end = 0
-        for place in _PLACE.finditer(self.prompt_template):
-            column = self.question_key if place[1] == "question" else place[1]
-            # The gold answer is no part of a question, and \boxed{answer} a way to say where it goes.
-            if column in row and column != self.answer_key:
-                pieces += [(self.prompt_template[end : place.start()], None), ("", column)]
-                end = place.end()
-        if not pieces:
-            places = ", ".join(f"{{{column}}}" for column in row if column != self.answer_key)
+    def _check_template(self) -> None:
+        if not any(self._column_at(place) in self._row for place in _PLACE.finditer(self.prompt_template)):
+            places = ", ".join(f"{{{column}}}" for column in self._row if column != self.answer_key)
             raise ArgumentError(
                 f"prompt_template shows nothing of a row: {self.prompt_template!r:.200}. "
                 f"It may name {{question}} or a column: {places}"
             )
-        return [*pieces, (self.prompt_template[end:], None)]
 
     def _get_state(self) -> dict[str, Any]:
         return {"index": self._index}
 
     def _set_state(self, state: dict[str, Any]) -> None:
-        self._take(self._chosen({"index": state["index"]}))
+        self._take(chosen_index({"index": state["index"]}, self.num_tasks))
+
+
+def chosen_index(options: Mapping[str, Any], count: int) -> int:
+    """Return the task that the options of a reset choose: ``{"index": i}``, with ``i`` from 0 to under ``count``.
+
+    Raises:
+        ArgumentError: Another option, or an index that is out of range.
+    """
+    wrong = [name for name in options if name != "index"]
+    if wrong:
+        raise ArgumentError(f"no option {wrong[0]!r}.{did_you_mean(wrong[0], ['index'])} There is: index")
+    index = options["index"]
+    # Samplers give whole numbers of NumPy too.
+    number = operator.index(index) if hasattr(index, "__index__") and not isinstance(index, bool) else -1
+    if not 0 <= number < count:
+        raise ArgumentError(f"options['index'] must be from 0 to {count - 1}, not {index!r}")
+    return number
 
 
 def _listed(row: Row) -> str:

@@ -1,1 +1,28 @@
-"""What an environment is: ``Env``, ``Wrapper``, the guard around a task, spaces of text, and seeding."""
+"""What an environment is: ``Env``, ``Wrapper``, the guard around a task, spaces, and seeding."""
+
+from __future__ import annotations
+
+from gem_core.env.base import AsyncEnv, Env
+from gem_core.env.guard import Guard
+from gem_core.env.observations import is_messages, join_observations, observation_from, split_observation, texts_of
+from gem_core.env.seeding import stable_hash
+from gem_core.env.spaces import Content, Messages, Text
+from gem_core.env.wrapper import AnyEnv, Wrapper, concurrency_of
+
+__all__ = [
+    "AnyEnv",
+    "AsyncEnv",
+    "Content",
+    "Env",
+    "Guard",
+    "Messages",
+    "Text",
+    "Wrapper",
+    "concurrency_of",
+    "is_messages",
+    "join_observations",
+    "observation_from",
+    "split_observation",
+    "stable_hash",
+    "texts_of",
+]

@@ -49,7 +49,8 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
                 right = extract_last_boxed_answer(action) == self.word[::-1]
                 return TERMINAL_STATE, float(right), True, False, {"correct": right}
 
-    It may override ``sample_random_action``, ``render`` and ``close``, and ``_get_state`` with ``_set_state``.
+    It may override ``sample_random_action``, ``render`` and ``close``, and ``_get_state`` with ``_set_state``. Where
+    ``reset`` takes ``options={"index": i}``, it sets ``num_tasks``.
     ``gem_core.testing.check_env`` tries whether it keeps what this class promises.
 
     A response is untrusted text of a model: any string gives an observation and a reward, in bounded time.
@@ -69,6 +70,15 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
 
     answer_tags: ClassVar[tuple[str, ...]] = ("answer",)
     """Tags around answers of this task; a tool of such a name is called in JSON only."""
+
+    num_tasks: int | None = None
+    """How many tasks ``reset(options={"index": i})`` chooses from, as the rows of a data set; None where it cannot.
+
+    Plans then cover the tasks, each once in an epoch.
+    """
+
+    endless_tasks: bool = False
+    """Whether ``options={"index": i}`` also takes numbers from ``num_tasks`` up, for fresh tasks of later epochs."""
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium declares it as an instance attribute
     spec: EnvRecipe | None = None
@@ -137,7 +147,6 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         """The source of randomness of the task; started anew by every ``reset``.
 
         It starts when it is first asked for, since a start costs more than the whole reset of a small task does.
-        A task that needs but a few numbers at reset may take them from ``seeding.Draws(self.np_random_seed)``.
         """
         if not self._generator_started:
             self._generator = start_generator(self._generator, cast("int", self._np_random_seed))

@@ -1,4 +1,4 @@
-"""What an environment's ``reset`` and ``step`` return, and what it is stepped with, checked."""
+"""Checks of what ``reset`` and ``step`` return, and of actions."""
 
 from __future__ import annotations
 

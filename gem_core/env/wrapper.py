@@ -67,7 +67,7 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         """Return the environment's result, changed as wanted; ``action`` is what the agent gave, to the letter."""
         return result
 
-    # What is made from them.
+    # The methods made from them.
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Begin an episode; see ``Env.reset``."""
@@ -127,7 +127,7 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
             f"{type(self).__name__}.{hook} returned {value!r}; see Wrapper.{hook} for what it has to return"
         )
 
-    # What is passed on.
+    # Passed on to the environment inside.
 
     @property
     def concurrency(self) -> Concurrency:

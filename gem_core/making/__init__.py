@@ -1,1 +1,8 @@
-"""From a record to a living environment."""
+"""From a record to a living environment: requirements, entry point, arguments, guard and wrappers."""
+
+from __future__ import annotations
+
+from gem_core.making.environment import MadeSpec, make_from, wrap
+from gem_core.making.layers import WrapperChoice, Wrappers
+
+__all__ = ["MadeSpec", "WrapperChoice", "Wrappers", "make_from", "wrap"]

@@ -1,1 +1,41 @@
 """What is kept of episodes: transitions, the conversation, files, plans, and scores."""
+
+from __future__ import annotations
+
+from gem_core.records.episode import Episode, Transition
+from gem_core.records.files import (
+    EpisodeFileWarning,
+    EpisodeLine,
+    EpisodeWriter,
+    episode_lines,
+    read_episodes,
+    write_episodes,
+)
+from gem_core.records.plain_json import ImageFolder, from_plain, to_plain
+from gem_core.records.plans import EpisodeStart, PlanItem, count_plan, cover_plan, group_plan, mixture_plan
+from gem_core.records.summary import EnvSummary, RunSummary
+from gem_core.records.turns import Turn, without_thinking
+
+__all__ = [
+    "EnvSummary",
+    "Episode",
+    "EpisodeFileWarning",
+    "EpisodeLine",
+    "EpisodeStart",
+    "EpisodeWriter",
+    "ImageFolder",
+    "PlanItem",
+    "RunSummary",
+    "Transition",
+    "Turn",
+    "count_plan",
+    "cover_plan",
+    "episode_lines",
+    "from_plain",
+    "group_plan",
+    "mixture_plan",
+    "read_episodes",
+    "to_plain",
+    "without_thinking",
+    "write_episodes",
+]

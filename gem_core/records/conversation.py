@@ -2,23 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 from gem_core.env.observations import is_messages, observation_from, split_observation
 from gem_core.records.turns import Turn, call_id, with_actions
-from gem_core.types import TERMINAL_STATE, Info, Observation
+from gem_core.types import TERMINAL_STATE, Info, Observation, Response
 
-if TYPE_CHECKING:
-    from gem_core.records.episode import Episode
-
-Message = dict[str, Any]
+ChatMessage = dict[str, Any]
 
 CONCAT_WITH_ACTION = "concat_with_action"
 
 
+class Turned(Protocol):
+    """What the conversation reads of a transition."""
+
+    observation: Observation
+    action: Response
+    info: Info
+
+
+class Recorded(Protocol):
+    """What the conversation reads of an ``Episode``, whose fields these are."""
+
+    observation: Observation
+    info: Info
+    final_observation: Observation
+    reads: str | None
+    system: str | None
+    native_tools: bool
+
+    @property
+    def transitions(self) -> Sequence[Turned]:
+        """The turns so far, oldest first."""
+
+
 class Conversation:
-    """What was said in an episode so far, read from its record, each turn once and when somebody asks.
+    """What was said in an episode so far, read from its record; each turn is read once, when it is asked for.
 
     The messages are append-only: each answer of the environment keeps how things stood then.
 
@@ -28,13 +48,13 @@ class Conversation:
     ``system`` is the text of the system message, None without one.
     """
 
-    def __init__(self, episode: Episode) -> None:
+    def __init__(self, episode: Recorded) -> None:
         self._episode = episode
-        # A record that does not say what was sent is of an earlier version, and may have had a view.
+        # Records of earlier versions do not say what was sent; they may have had a view.
         self._viewed = "view" in episode.info or episode.reads is None
         self.system = self._system()
         self._instructions = self._in_both_wordings()
-        self._task, self._suffix = self._told_apart(episode.observation, episode.info)
+        self._task, self._suffix = self._split(episode.observation, episode.info)
         self._turns: list[Turn] = []
         self._chat = self._opening()
 
@@ -47,7 +67,7 @@ class Conversation:
         shown: Observation = self._explained_once(newest)
         return shown
 
-    def messages(self) -> list[Message]:
+    def messages(self) -> list[ChatMessage]:
         """Return the chat so far; the list and its messages are the caller's own."""
         self._catch_up()
         return [dict(message) for message in self._chat]
@@ -63,7 +83,7 @@ class Conversation:
             taken = transitions[place]
             is_last = place + 1 == len(transitions)
             observation = self._episode.final_observation if is_last else transitions[place + 1].observation
-            feedback, self._suffix = self._told_apart(observation, taken.info)
+            feedback, self._suffix = self._split(observation, taken.info)
             turn = Turn.of(taken.action, feedback, self._suffix, taken.info)
             self._turns.append(turn)
             if is_messages(feedback):
@@ -73,7 +93,7 @@ class Conversation:
             else:
                 self._chat += [assistant_message(turn), *self._explained_once(answer_messages(turn))]
 
-    def _opening(self) -> list[Message]:
+    def _opening(self) -> list[ChatMessage]:
         task = self._explained_once(self._task)
         if is_messages(task):  # the environment, or a wrapper that is no view of ours, keeps the chat itself
             return _with_system(task, self.system)
@@ -98,21 +118,21 @@ class Conversation:
             system = first.get("content")  # messages that bring their own keep it
         return system if isinstance(system, str) else None
 
-    def _told_apart(self, observation: Observation, info: Info) -> tuple[Observation, Observation]:
+    def _split(self, observation: Observation, info: Info) -> tuple[Observation, Observation]:
         feedback, suffix = split_observation(observation, info)
         if self._viewed or observation_from(feedback, suffix) == observation:
             return feedback, suffix
         return observation, ""  # a wrapper that is no view has changed it
 
 
-def opening_messages(system: str | None, task: Observation) -> list[Message]:
+def opening_messages(system: str | None, task: Observation) -> list[ChatMessage]:
     """Return the messages with which a chat begins."""
     return _with_system([{"role": "user", "content": task}], system)
 
 
-def assistant_message(turn: Turn, *, keep_reasoning: bool = False) -> Message:
+def assistant_message(turn: Turn, *, keep_reasoning: bool = False) -> ChatMessage:
     """Return a response as a message, with those native calls that were answered."""
-    message: Message = {"role": "assistant", "content": turn.action}
+    message: ChatMessage = {"role": "assistant", "content": turn.action}
     if turn.tool_calls and turn.messages is not None:
         message["tool_calls"] = [{**call, "id": call_id(call, place)} for place, call in enumerate(turn.tool_calls)]
     if keep_reasoning and turn.reasoning:
@@ -120,14 +140,14 @@ def assistant_message(turn: Turn, *, keep_reasoning: bool = False) -> Message:
     return message
 
 
-def answer_messages(turn: Turn, *, with_suffix: bool = True) -> list[Message]:
+def answer_messages(turn: Turn, *, with_suffix: bool = True) -> list[ChatMessage]:
     """Return what the environment answered: under the ids of native calls, or as the user."""
     if turn.messages is not None:
         return [dict(message) for message in turn.messages]
     return [{"role": "user", "content": observation_from(turn.feedback, turn.suffix if with_suffix else "")}]
 
 
-def _with_system(messages: Observation, system: str | None) -> list[Message]:
+def _with_system(messages: Observation, system: str | None) -> list[ChatMessage]:
     chat = [dict(message) for message in messages if isinstance(message, dict)]
     if system is not None and not any(message.get("role") in ("system", "developer") for message in chat):
         chat.insert(0, {"role": "system", "content": system})

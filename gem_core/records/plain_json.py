@@ -1,4 +1,4 @@
-"""Any value as plain JSON, with images as side files, so that writing a record never fails in the middle of a run."""
+"""Any value as plain JSON, with images as side files: writing a record never fails in the middle of a run."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def _plain_number(number: float | None) -> Any:
 def _shown(value: object) -> Any:
     try:
         return _plain_text(repr(value)[:1000])
-    except Exception:  # noqa: BLE001 - an object of somebody else's may fail to show itself
+    except Exception:  # noqa: BLE001 - third-party code may raise anything
         return f"<{type(value).__name__}>"
 
 
@@ -157,7 +157,7 @@ def _marked(value: dict[str, Any], images: ImageFolder | None) -> Any:
 
 
 def is_deep(value: object, limit: int = 100) -> bool:
-    """Tell whether lists and objects are nested deeper than what copies and writes them can follow."""
+    """Tell whether lists and objects are nested more than ``limit`` levels deep, which recursive code cannot follow."""
     level = [value]
     for _ in range(limit):
         level = [

@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import math
 import threading
+from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -40,8 +41,8 @@ class PlanItem:
     repeat: int = 1
 
 
-_ANY = PlanItem()
-"""What an episode without a plan starts from."""
+_NO_ITEM = PlanItem()
+"""Takes the place of the item where there is no plan."""
 
 
 @dataclass(slots=True)
@@ -74,59 +75,62 @@ class EpisodeStart:
 
 
 class EpisodeQueue:
-    """Hands out draws to slots; safe to call from several threads.
+    """Hands out what episodes start from, one at a time; slots may draw from several threads.
 
     Args:
-        plan: Items in order, finite or not; None for an endless one in which every slot goes on by itself.
+        plan: Items in order, finite or not; None for an endless queue in which the slots do not share episodes.
         seed: Seed of the run; None draws one.
+
+    Raises:
+        ArgumentError: The plan is no iterable, or the seed is not a whole number from 0 up.
     """
 
     def __init__(self, plan: Iterable[PlanItem] | None, seed: int | None) -> None:
+        if plan is not None and (isinstance(plan, str | Mapping) or not isinstance(plan, Iterable)):
+            raise ArgumentError(f"a plan is an iterable of PlanItem records, not {type(plan).__name__}")
         self.seed = fresh_seed() if seed is None else checked_seed(seed)
         self.planned = plan is not None
         self._plan = plan
-        self._begun = False
+        self._seeds = seed_family(self.seed, "episode")
+        self._is_done: Callable[[EpisodeStart], bool] = lambda start: False
         self._lock = threading.Lock()
-        # Where it stands in the plan, as plain values: an interrupt at any place loses nothing but the draw it hits.
-        self._rest = None if plan is None or isinstance(plan, Sequence) else enumerate(plan)
+        # The position in the plan, as plain values: an interrupt at any instruction loses at most the episode that was
+        # being drawn, while a generator that is interrupted is over.
+        self._begun = False
+        self._rest = enumerate(() if plan is None or isinstance(plan, Sequence) else plan)
         self._next_index = 0
         self._item: tuple[int, PlanItem] | None = None
         self._next_repeat = 0
         self._counts: dict[int, int] = {}
-        self._seeds = seed_family(self.seed, "episode")
-        self._skipped: Collection[tuple[str, int]] = ()
-        self._check: Check | None = None
 
     @property
     def total(self) -> int | None:
-        """Number of episodes of a plan that has a length; None for any other."""
+        """Number of episodes, those left out included; None where the plan has no length."""
+        if isinstance(self._plan, LazyPlan):
+            return len(self._plan)
         if not isinstance(self._plan, Collection):
             return None
-        if isinstance(self._plan, _Items):
-            return len(self._plan)
         return sum(_checked_item(index, item).repeat for index, item in enumerate(self._plan))
 
-    def skip(self, done: Collection[tuple[str, int]], check: Check) -> None:
-        """Leave episodes out.
+    @property
+    def searchable(self) -> bool:
+        """Whether ``find`` can look up any episode, because the plan is a sequence."""
+        return isinstance(self._plan, Sequence)
 
-        Args:
-            done: Key and repeat of each.
-            check: Called with these and what the plan has there, or None; raises what does not fit. Where the plan is
-                a sequence it is called for all at once, else for each as it is passed over.
-        """
-        self._skipped = done
-        if not isinstance(self._plan, Sequence):
-            self._check = check
-            return
-        for key, repeat in done:
-            draw = None
-            if key.isdecimal() and int(key) < len(self._plan):
-                item = _checked_item(int(key), self._plan[int(key)])
-                draw = self._made(item, int(key), repeat) if 0 <= repeat < item.repeat else None
-            check(key, repeat, draw)
+    def find(self, key: str, repeat: int) -> EpisodeStart | None:
+        """Return what an episode of a searchable plan starts from; None where the plan has no such episode."""
+        plan = cast("Sequence[PlanItem]", self._plan)
+        if not key.isdecimal() or int(key) >= len(plan):
+            return None
+        item = _checked_item(int(key), plan[int(key)])
+        return self._start(int(key), item, repeat) if 0 <= repeat < item.repeat else None
+
+    def leave_out(self, is_done: Callable[[EpisodeStart], bool]) -> None:
+        """Pass over the planned episodes for which a function returns true."""
+        self._is_done = is_done
 
     def restarted(self, seed: int | None = None) -> EpisodeQueue:
-        """Return the same draws from the beginning.
+        """Return a queue of the same plan from its beginning, in which nothing is left out.
 
         Args:
             seed: Another seed for the run; None keeps the present one.
@@ -141,56 +145,48 @@ class EpisodeQueue:
             )
         return EpisodeQueue(self._plan, self.seed if seed is None else seed)
 
+    def continued(self) -> EpisodeQueue:
+        """Return a queue that goes on where this one is, with a new lock: an interrupt may leave the old one held."""
+        other = copy.copy(self)
+        other._lock = threading.Lock()
+        return other
+
     def draw(self, slot: int) -> EpisodeStart | None:
         """Return what the next episode of a slot starts from; None when the plan is exhausted."""
         with self._lock:
             self._begun = True
             if self.planned:
-                return self._next_of_plan()
+                while (start := self._next_of_plan()) is not None and self._is_done(start):
+                    pass
+                return start
             count = self._counts.get(slot, 0)
             self._counts[slot] = count + 1
-            return EpisodeStart(_ANY, (slot, count), 0, seed_at(self._seeds, (slot, count)), self.seed)
-
-    def continued(self) -> EpisodeQueue:
-        """Return a source that goes on where this one is, and shares no lock with it."""
-        other = copy.copy(self)
-        other._lock = threading.Lock()
-        return other
+            return EpisodeStart(_NO_ITEM, (slot, count), 0, seed_at(self._seeds, (slot, count)), self.seed)
 
     def _next_of_plan(self) -> EpisodeStart | None:
-        while True:
-            if self._item is None:
-                found = self._next_item()
-                if found is None:
-                    return None
-                self._next_repeat = 0
-                self._item = found[0], _checked_item(*found)
-            (index, item), repeat = self._item, self._next_repeat
-            if repeat >= item.repeat:
-                self._item = None
-                continue
-            self._next_repeat = repeat + 1
-            if not self._skipped or (str(index), repeat) not in self._skipped:
-                return self._made(item, index, repeat)
-            if self._check is not None:
-                self._check(str(index), repeat, self._made(item, index, repeat))
+        if self._item is None or self._next_repeat == self._item[1].repeat:
+            self._item = None
+            found = self._next_item()
+            if found is None:
+                return None
+            self._next_repeat = 0
+            self._item = found[0], _checked_item(*found)
+        repeat = self._next_repeat
+        self._next_repeat = repeat + 1
+        return self._start(*self._item, repeat)
 
     def _next_item(self) -> tuple[int, PlanItem] | None:
-        if self._rest is not None:
+        if not isinstance(self._plan, Sequence):
             return next(self._rest, None)
-        plan, index = cast("Sequence[PlanItem]", self._plan), self._next_index
-        if index >= len(plan):
+        index = self._next_index
+        if index >= len(self._plan):
             return None
         self._next_index = index + 1
-        return index, plan[index]
+        return index, self._plan[index]
 
-    def _made(self, item: PlanItem, index: int, repeat: int) -> EpisodeStart:
+    def _start(self, index: int, item: PlanItem, repeat: int) -> EpisodeStart:
         seed = seed_at(self._seeds, (index,)) if item.seed is None else item.seed
         return EpisodeStart(item, (index,), repeat, seed, self.seed)
-
-
-Check = Callable[[str, int, EpisodeStart | None], None]
-"""Takes the key and the repeat of an episode, and what a plan has there; see ``EpisodeQueue.skip``."""
 
 
 def _checked_item(index: int, item: object) -> PlanItem:
@@ -209,19 +205,19 @@ def _checked_item(index: int, item: object) -> PlanItem:
     return item
 
 
-class _Items(Sequence[PlanItem]):
-    """The items of a plan, each made when it is asked for, so that millions take no memory.
+class LazyPlan(Sequence[PlanItem]):
+    """A plan whose items, of one episode each, are made when they are asked for, so that millions take no memory.
 
     Args:
-        count: Number of items, of one episode each.
+        count: Number of items.
         item: Makes the item at a place.
     """
 
     def __init__(self, count: int, item: Callable[[int], PlanItem]) -> None:
-        self._count, self._item = count, item
+        self._places, self._item = range(count), item
 
     def __len__(self) -> int:
-        return self._count
+        return len(self._places)
 
     @overload
     def __getitem__(self, place: int) -> PlanItem: ...
@@ -229,37 +225,26 @@ class _Items(Sequence[PlanItem]):
     def __getitem__(self, place: slice) -> list[PlanItem]: ...
     def __getitem__(self, place: int | slice) -> PlanItem | list[PlanItem]:
         if isinstance(place, slice):
-            return [self._item(index) for index in range(*place.indices(self._count))]
-        if not -self._count <= place < self._count:
-            raise IndexError(f"there are {self._count} items, and none at {place}")
-        return self._item(place % self._count)
-
-    def __eq__(self, other: object) -> bool:
-        return list(self) == other if isinstance(other, list) else self is other
-
-    __hash__ = None  # type: ignore[assignment]  # it equals a list
+            return [self._item(each) for each in self._places[place]]
+        return self._item(self._places[place])
 
 
 def interleaved(parts: Sequence[Sequence[PlanItem]]) -> Sequence[PlanItem]:
     """Return a plan that takes the items of several in turn, until each is exhausted."""
     if len(parts) == 1:
         return parts[0]
-    # From each length on at which a part ends, fewer take turns.
-    lengths = sorted({len(part) for part in parts})
-    starts: list[tuple[int, int, list[Sequence[PlanItem]]]] = []
-    begun = row = 0
-    for length in lengths:
-        present = [part for part in parts if len(part) >= length]
-        starts.append((begun, row, present))
-        begun += (length - row) * len(present)
-        row = length
+    lengths = [len(part) for part in parts]
+
+    def before(row: int) -> int:
+        """Return how many items all parts have before their item number ``row``."""
+        return sum(min(length, row) for length in lengths)
 
     def item(place: int) -> PlanItem:
-        begun, row, present = next(start for start in reversed(starts) if start[0] <= place)
-        rows, part = divmod(place - begun, len(present))
-        return present[part][row + rows]
+        row = bisect_right(range(max(lengths)), place, key=before) - 1
+        present = [part for part in parts if len(part) > row]
+        return present[place - before(row)][row]
 
-    return _Items(begun, item)
+    return LazyPlan(sum(lengths), item)
 
 
 def count_plan(
@@ -275,7 +260,7 @@ def count_plan(
     if episodes < 0:
         raise ArgumentError(f"episodes must be a whole number from 0 up, not {episodes!r}")
     items = [PlanItem(id=env_id, kwargs=dict(kwargs)) for env_id in ids]
-    return _Items(episodes * len(items), lambda place: items[place % len(items)])
+    return LazyPlan(episodes * len(items), lambda place: items[place % len(items)])
 
 
 def cover_plan(
@@ -300,7 +285,7 @@ def cover_plan(
         raise ArgumentError(f"there is no row to take: {env_id or 'the environment'} has {num_tasks} tasks")
     own = dict(kwargs)
     rows = max(count, 1) if endless else num_tasks
-    return _Items(count, lambda place: PlanItem(id=env_id, options={"index": place % rows}, kwargs=own))
+    return LazyPlan(count, lambda place: PlanItem(id=env_id, options={"index": place % rows}, kwargs=own))
 
 
 def mixture_plan(weights: Mapping[str, float], episodes: int) -> list[PlanItem]:

@@ -1,4 +1,4 @@
-"""Keeps secrets out of records: those that stand under names, or in places, that are known for them."""
+"""Keep secrets out of records: those under names, or in places, where secrets usually stand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run amounts to, for each environment and in all."""
+"""Scores of a run, for each environment and in total."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class EnvSummary:
         else:
             self._verdicts += 1
             self.successes += episode.success
-        # Episodes that ended without a word, and none that said one: the task never tells.
+        # Episodes ended without a verdict, and none had one: this task never tells.
         never_tells = self._silent and not self._verdicts
         self.judged = self._verdicts + (0 if never_tells else self._cut_off)
 
@@ -154,7 +154,7 @@ class RunSummary:
         others = self.total.judged - row.judged
         row.add(episode)
         self.total.add(episode)
-        self.total.judged = others + row.judged  # that one task never tells says nothing of another
+        self.total.judged = others + row.judged  # one task that never tells says nothing about another
         if episode.error is not None and self.first_error is None:
             self.first_error = f"{episode.id}, seed {episode.seed}: {episode.error.get('message', episode.error)}"
 

@@ -1,1 +1,32 @@
-"""What there is to make: the records that plugins hand over, how plugins are loaded, and how an id is looked up."""
+"""What there is to make: the records that plugins hand over, how plugins are loaded, and how a name is looked up."""
+
+from __future__ import annotations
+
+from gem_core.registry.entry_points import load_entry_point
+from gem_core.registry.hookspecs import hookimpl
+from gem_core.registry.lookup import Registry, registry
+from gem_core.registry.requirements import RequirementStatus
+from gem_core.registry.specs import (
+    AgentSpec,
+    CommandSpec,
+    EnvSpec,
+    RequirementSpec,
+    ToolSpec,
+    VectorBackendSpec,
+    WrapperSpec,
+)
+
+__all__ = [
+    "AgentSpec",
+    "CommandSpec",
+    "EnvSpec",
+    "Registry",
+    "RequirementSpec",
+    "RequirementStatus",
+    "ToolSpec",
+    "VectorBackendSpec",
+    "WrapperSpec",
+    "hookimpl",
+    "load_entry_point",
+    "registry",
+]

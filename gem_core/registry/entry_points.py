@@ -34,7 +34,7 @@ def load_entry_point(entry_point: EntryPoint, owner: str) -> Callable[..., Any]:
         if package == module_name.partition(".")[0]:
             raise EntryPointError(f"{missing}there; correct the import, or add the module") from error
         raise EntryPointError(f"{missing}installed; try 'pip install {package.replace('_', '-')}'") from error
-    except (Exception, SystemExit) as error:  # a module of somebody else's may fail in any way while it is imported
+    except (Exception, SystemExit) as error:  # third-party code may raise anything while it is imported
         raise EntryPointError(f"{owner}: importing {module_name!r} failed: {type(error).__name__}: {error}") from error
     for part in path.split("."):
         try:

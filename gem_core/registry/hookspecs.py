@@ -15,7 +15,15 @@ from collections.abc import Iterable
 
 import pluggy
 
-from gem_core.registry.specs import AgentSpec, CommandSpec, EnvSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+from gem_core.registry.specs import (
+    AgentSpec,
+    CommandSpec,
+    EnvSpec,
+    RequirementSpec,
+    ToolSpec,
+    VectorBackendSpec,
+    WrapperSpec,
+)
 
 PROJECT = "gem"
 ENTRY_POINT_GROUP = "gem.plugins"
@@ -92,6 +100,21 @@ def gem_register_agents() -> Iterable[AgentSpec]:  # type: ignore[empty-body]
         @hookimpl
         def gem_register_agents():
             return [AgentSpec(name="mine", entry_point="gem_mine.agents:MineAgent", summary="Plays by the book.")]
+    """
+
+
+@hookspec
+def gem_register_requirements() -> Iterable[RequirementSpec]:  # type: ignore[empty-body]
+    """Offer words for ``EnvSpec.requires``, each with a probe that tells whether this machine meets it.
+
+    The probe takes what stands behind the colon, and ``closely``, which ``gem doctor`` sets; it returns a
+    ``RequirementStatus``, as ``RequirementStatus("unmet", "there is none", "plug one in")``.
+
+    Example::
+
+        @hookimpl
+        def gem_register_requirements():
+            return [RequirementSpec(name="gpu", entry_point="gem_mine.probes:gpu", summary="A graphics processor.")]
     """
 
 

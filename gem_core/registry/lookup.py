@@ -17,27 +17,21 @@ from gem_core.errors import (
     UnknownToolError,
     UnknownWrapperError,
 )
+from gem_core.registry.known_distributions import distributions_with
 from gem_core.registry.plugins import Plugin, Record, complain, load_plugins
-from gem_core.registry.specs import AgentSpec, EntryPoint, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+from gem_core.registry.specs import (
+    AgentSpec,
+    EntryPoint,
+    EnvSpec,
+    NamedSpec,
+    RequirementSpec,
+    ToolSpec,
+    VectorBackendSpec,
+    WrapperSpec,
+)
 from gem_core.suggestions import did_you_mean
 
 N = TypeVar("N", bound=NamedSpec)
-
-PUBLISHED_NAMESPACES = {
-    "game": "gem-games",
-    "ta": "gem-games",
-    "math": "gem-math",
-    "rg": "gem-math",
-    "code": "gem-code",
-    "qa": "gem-qa",
-    "logic": "gem-qa",
-    "terminal": "gem-terminal",
-    "eval": "gem-math gem-code gem-qa",
-}
-"""Which distributions of this project offer a namespace, for the advice in an error message."""
-
-PUBLISHED_BACKENDS = {"ray": "gem-ray"}
-"""Which distribution of this project offers a vector backend, for the advice in an error message."""
 
 Key = tuple[str, str]
 """A space of names, and a name in it: ``("env", "game:Mastermind-v0")``."""
@@ -90,8 +84,12 @@ class Registry:
         record = self._named.get("wrapper", {}).get(name)
         if not isinstance(record, ToolSpec):
             names = [tool.name for tool in self.named(ToolSpec)]
-            listed = f" There are: {', '.join(names)}." if names else " None is installed: try 'pip install gem-tools'."
-            raise UnknownToolError(f"no tool {name!r}.{did_you_mean(name, names)}{listed}{self._failed_plugins()}")
+            hint = self.how_to_get(name, "tool") or did_you_mean(name, names)
+            if names:
+                hint += f" There are: {', '.join(names)}."
+            elif not hint:
+                hint = " None is installed: try 'pip install gem-tools'."
+            raise UnknownToolError(f"no tool {name!r}.{hint}{self._failed_plugins()}")
         return record
 
     def backend(self, name: str) -> VectorBackendSpec:
@@ -209,6 +207,9 @@ class Registry:
             if not plugin.disabled:
                 claims.setdefault(("plugin name", plugin.name), []).append((plugin, None))
             for offered in plugin.records:
+                if isinstance(offered, RequirementSpec):  # several may need the same word; the first is asked
+                    self._named.setdefault(offered.kind, {}).setdefault(offered.name, offered)
+                    continue
                 claims.setdefault(_key(offered), []).append((plugin, offered))
         disputes: dict[tuple[Plugin, ...], list[str]] = {}
         for key, claimants in claims.items():
@@ -248,6 +249,24 @@ class Registry:
 
     # Saying what is wrong.
 
+    def how_to_get(self, name: str, kind: str | None = None) -> str:
+        """Return the sentence that says which plugin to install for a name, or which one is disabled.
+
+        Args:
+            name: Of a record, or a namespace of environments.
+            kind: Of the record, or ``"namespace"``; None for any.
+
+        Returns:
+            It begins with a space; empty where no distribution of this project has the name, or where it is installed.
+        """
+        owners = distributions_with(name, kind)
+        present = {plugin.distribution: plugin for plugin in self.plugins()}
+        missing = [owner for owner in owners if owner not in present]
+        if missing:
+            return f" It comes with a plugin: try 'pip install {' '.join(missing)}'."
+        disabled = [str(present[owner]) for owner in owners if present[owner].disabled]
+        return f" It may belong to {', '.join(disabled)}, which GEM_PLUGINS_DISABLE skips." if disabled else ""
+
     def _find(self, space: str, name: str, error: type[UnknownNameError]) -> NamedSpec:
         self.load()
         self.refuse_contested(space, name)
@@ -255,9 +274,7 @@ class Registry:
         if name in records:
             return records[name]
         what = "wrapper or tool" if space == "wrapper" else space
-        plugin = PUBLISHED_BACKENDS.get(name) if space == "vector backend" else None
-        missing = plugin is not None and all(present.distribution != plugin for present in self._plugins)
-        hint = f" It comes with a plugin: try 'pip install {plugin}'." if missing else did_you_mean(name, records)
+        hint = self.how_to_get(name, "tool" if space == "wrapper" else space) or did_you_mean(name, records)
         raise error(f"no {what} {name!r}.{hint} There are: {', '.join(sorted(records))}.{self._failed_plugins()}")
 
     def _unknown_env(self, env_id: str) -> str:
@@ -265,33 +282,22 @@ class Registry:
         namespaces = sorted({record.namespace for record in self._envs.values()})
         failed = self._failed_plugins()
         if colon and namespace not in namespaces:
-            advice = self._how_to_get(namespace)
+            advice = self.how_to_get(namespace)
             if not advice and not failed:
                 near = did_you_mean(env_id, self._envs) or did_you_mean(namespace, namespaces)
                 advice = near or f" Namespaces: {', '.join(namespaces) or 'none'}."
             return f"no environment {env_id!r}.{advice}{failed} Run 'gem list'"
         candidates = [name for name in self._envs if not colon or name.startswith(f"{namespace}:")]
-        hint = did_you_mean(env_id, candidates) or did_you_mean(env_id, self._envs)
+        hint = "" if colon else self.how_to_get(env_id)  # 'gem info' takes the names of all kinds
+        hint = hint or did_you_mean(env_id, candidates) or did_you_mean(env_id, self._envs)
         if not hint:
             variants = sorted(name for name in self._envs if name.startswith(env_id))[:3] if env_id else []
             hint = f" Did you mean {' or '.join(map(repr, variants))}?" if variants else ""
         if not hint and not colon:
-            # 'gem info' takes these as well.
             kinds = (ToolSpec, WrapperSpec, AgentSpec, VectorBackendSpec)
             hints = ((kind.kind, did_you_mean(env_id, (each.name for each in self.named(kind)))) for kind in kinds)
             hint = next((text.replace("mean", f"mean the {kind}", 1) for kind, text in hints if text), "")
         return f"no environment {env_id!r}.{hint}{failed} Run 'gem list{f' {namespace}' if colon else ''}'"
-
-    def _how_to_get(self, namespace: str) -> str:
-        publisher = PUBLISHED_NAMESPACES.get(namespace)
-        if publisher is None:
-            return ""
-        present = {plugin.distribution: plugin for plugin in self._plugins}
-        missing = [name for name in publisher.split() if name not in present]
-        if missing:
-            return f" The namespace {namespace!r} comes with a plugin: try 'pip install {' '.join(missing)}'."
-        disabled = [str(present[name]) for name in publisher.split() if present[name].disabled]
-        return f" It may belong to {', '.join(disabled)}, which GEM_PLUGINS_DISABLE skips." if disabled else ""
 
     def _failed_plugins(self) -> str:
         failed = [plugin for plugin in self._plugins if plugin.failure is not None]

@@ -13,6 +13,7 @@ import os
 import reprlib
 import time
 import traceback
+import typing
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, distributions, entry_points
@@ -22,7 +23,7 @@ import pluggy
 
 from gem_core.errors import PluginError, RegistrationError
 from gem_core.registry import hookspecs
-from gem_core.registry.specs import AgentSpec, CommandSpec, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+from gem_core.registry.specs import EnvSpec, NamedSpec
 from gem_core.suggestions import did_you_mean
 
 logger = logging.getLogger(__name__)
@@ -31,13 +32,11 @@ BUILTIN = "gem_core._plugin"
 """The core's own records come by the same hooks."""
 
 RECORD_TYPES: dict[str, type[EnvSpec | NamedSpec]] = {
-    "gem_register_envs": EnvSpec,
-    "gem_register_tools": ToolSpec,
-    "gem_register_wrappers": WrapperSpec,
-    "gem_register_vector_backends": VectorBackendSpec,
-    "gem_register_agents": AgentSpec,
-    "gem_add_commands": CommandSpec,
+    name: typing.get_args(typing.get_type_hints(hook)["return"])[0]
+    for name, hook in vars(hookspecs).items()
+    if name.startswith("gem_")
 }
+"""What each hook returns, as its specification says: a new kind of record is a class and a hook, and nothing else."""
 
 Record = EnvSpec | NamedSpec
 
@@ -110,14 +109,14 @@ def load_plugins() -> list[Plugin]:
     manager.add_hookspecs(hookspecs)
     found = sorted(_find(), key=lambda point: (point.name, point.value))
     disabled = _disabled_names()
-    names = {name for point in found for name in (point.name, _describe(point).distribution)}
+    names = {name for point in found for name in (point.name, _plugin_of(point).distribution)}
     for name in sorted(disabled - names):
         hint = did_you_mean(name, names)
         logger.warning("gem: GEM_PLUGINS_DISABLE names %r, and no such plugin is installed.%s", name, hint)
 
     plugins = [_load(EntryPoint("core", BUILTIN, hookspecs.ENTRY_POINT_GROUP), manager)]
     for point in _without_copies(found):
-        plugin = _describe(point)
+        plugin = _plugin_of(point)
         plugin.disabled = not disabled.isdisjoint((plugin.name, plugin.distribution))
         plugins.append(plugin if plugin.disabled else _load(point, manager))
     return plugins
@@ -149,7 +148,7 @@ def _find() -> list[EntryPoint]:
 
 
 def _load(point: EntryPoint, manager: pluggy.PluginManager) -> Plugin:
-    plugin = _describe(point)
+    plugin = _plugin_of(point)
     started = time.perf_counter()
     stage = "load"
     module: Any = None
@@ -171,7 +170,7 @@ def _load(point: EntryPoint, manager: pluggy.PluginManager) -> Plugin:
     return plugin
 
 
-def _describe(point: EntryPoint) -> Plugin:
+def _plugin_of(point: EntryPoint) -> Plugin:
     distribution = point.dist
     if distribution is None:
         from gem_core import __version__
@@ -187,7 +186,7 @@ def _without_copies(points: Iterable[EntryPoint]) -> list[EntryPoint]:
     # An editable install can show the same distribution twice on one path.
     unique: dict[tuple[str, str, str], EntryPoint] = {}
     for point in points:
-        unique.setdefault((point.name, point.value, _describe(point).distribution), point)
+        unique.setdefault((point.name, point.value, _plugin_of(point).distribution), point)
     return list(unique.values())
 
 

@@ -35,9 +35,9 @@ class EnvSpec:
         tags: Words to search by.
         max_turns: Turns after which ``make`` truncates an episode, on top of what the task itself announces.
             A task that announces its own limit takes it as a keyword instead, in ``kwargs``.
-        requires: What must be there to run it, as in ``"docker"``, ``"network"``, ``"hub"``, ``"key:NAME"``,
-            ``"package:NAME"``, ``"command:NAME"``, ``"argument:NAME"`` (of ``make``), or ``"never:REASON"`` where it
-            cannot run at all.
+        requires: What must be there to run it, as in ``"network"``, ``"hub"``, ``"key:NAME"``, ``"package:NAME"`` or
+            ``"package:NAME[EXTRA]"``, ``"command:NAME"``, ``"argument:NAME"`` (of ``make``), or ``"never:REASON"``
+            where it cannot run at all; plugins offer more words, such as ``"docker"`` (see ``RequirementSpec``).
         deterministic: Whether a seed and the actions fix the whole episode.
 
     Raises:
@@ -188,6 +188,20 @@ class CommandSpec(NamedSpec):
 
     kind: ClassVar[str] = "command"
     instance_of: ClassVar[str | None] = "click:Command"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RequirementSpec(NamedSpec):
+    """A word for ``EnvSpec.requires``: the entry point is a probe, which tells whether this machine meets it.
+
+    It is called as ``probe(argument, closely=False)`` and returns a ``RequirementStatus``. ``argument`` is what stands
+    behind the colon, as in ``"gpu:24GB"``, or empty. ``make`` asks each time, so that the answer must come at once;
+    ``gem doctor`` asks with ``closely=True``, also where no environment needs it, and waits two seconds or so.
+
+    A word means the same wherever it is offered: several plugins may offer it, and the first by name is asked.
+    """
+
+    kind: ClassVar[str] = "requirement"
 
 
 def _check_entry_point(owner: str, entry_point: object, what: str = "entry_point") -> None:

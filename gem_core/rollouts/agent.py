@@ -1,4 +1,4 @@
-"""What an agent is given, and how any callable becomes one."""
+"""What an agent is, how any callable becomes one, and how one is found by its name."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from gem_core.arguments import check_arguments
 from gem_core.background import run_sync
 from gem_core.errors import AgentError, ArgumentError, UnknownAgentError
 from gem_core.records.episode import Transition
+from gem_core.registry.entry_points import construct
+from gem_core.registry.lookup import registry
 from gem_core.registry.specs import AgentSpec
 from gem_core.suggestions import did_you_mean
 from gem_core.types import Info, Observation, Response
@@ -34,6 +36,8 @@ class Context:
         transitions: The turns so far, oldest first.
         deadline: Time on ``time.monotonic()`` by which the answer is wanted; None for none.
         system: System text: the agent's own, or else the task's; None for none.
+        draw_action: What ``sample_random_action`` calls.
+        read_messages: What ``messages`` calls.
     """
 
     episode: str
@@ -45,49 +49,51 @@ class Context:
     transitions: list[Transition]
     deadline: float | None = None
     system: str | None = None
-    _sample: Callable[[], str] = field(default=lambda: "", repr=False)
-    _messages: Callable[[], list[dict[str, Any]]] = field(default=list, repr=False)
+    draw_action: Callable[[], str] = field(default=lambda: "", repr=False)
+    read_messages: Callable[[], list[dict[str, Any]]] = field(default=list, repr=False)
 
     @property
     def messages(self) -> list[dict[str, Any]]:
-        """The conversation so far as chat messages, whatever the view; they are the agent's to change.
+        """The conversation so far as chat messages, whatever the view; the agent may change the list.
 
-        The system text comes first, where there is one; tool calls and their results stand under their ids. A later
-        list begins with the earlier one.
+        The system text comes first, where there is one; tool calls and their results have their ids. A later list
+        begins with the earlier one.
         """
-        return self._messages()
+        return self.read_messages()
 
     @property
     def responses(self) -> list[Response]:
-        """The earlier responses as they were sampled, so that their tokens are never made anew from text."""
+        """The earlier responses as they were sampled, so that their text need not be tokenized again."""
         return [transition.action for transition in self.transitions]
 
     def sample_random_action(self) -> str:
         """Return a valid action, drawn by the environment from a generator of the episode's own."""
-        return self._sample()
+        return self.draw_action()
 
 
 Answer = str | Awaitable[str]
 Agent = Callable[[Observation, Context], Answer]
 """Returns a response; plain or a coroutine function. One agent serves many episodes at once.
 
-It may have ``prepare()``, called before the first episode, perhaps more than once, which raises what must be said at
-the start, and ``close()`` or ``aclose()``; each plain or a coroutine function. It raises ``RequestError`` where the
-machinery behind it failed and only that episode is lost, and ``ContextOverflowError`` where the history is too long for
-it. ``max_concurrency`` says how many episodes keep it busy; ``interactive``, that it answers one at a time.
+It raises ``RequestError`` where it failed and only that episode is lost, as when a server does not answer, and
+``ContextOverflowError`` where the history is too long for its model. It may have:
 
-``reads`` says what it is sent as the observation: ``"messages"``, the conversation so far as chat messages, or
-``"observation"``, what the environment returned. Where a view was named, all are sent what the view shows. An agent
-that says nothing is sent the observation; but in an environment with tools, whose observations are the results of
-single calls, the conversation so far as text, as ``concat_with_action`` shows it. ``system`` is system text of its own.
-``native_tools`` says that it offers the model the schemas of ``context.tools``, so that no text explains them again.
+- ``prepare()``, called before the first episode, perhaps more than once, which raises what would fail in every episode;
+  and ``close()`` or ``aclose()``. Each is plain or a coroutine function.
+- ``max_concurrency``: how many episodes keep it busy. ``interactive``: whether it answers one episode at a time.
+- ``reads``: what it is sent. ``"messages"`` is the conversation so far as chat messages, ``"observation"`` what the
+  environment returned. Without it, an agent is sent the observation; but in an environment with tools, whose
+  observations are the results of single calls, the conversation so far as text, as ``concat_with_action`` shows it.
+  Where a view was named, every agent is sent what the view shows.
+- ``system``: system text of its own.
+- ``native_tools``: whether it offers the model the schemas of ``context.tools``, so that no text has to explain them.
 """
 
 READS = ("messages", "observation")
 
 
 class Reading(NamedTuple):
-    """What an agent says of what it is to be sent; see ``Agent``."""
+    """What an agent is to be sent, by its attributes of these names; see ``Agent``."""
 
     reads: str | None = None
     system: str | None = None
@@ -95,10 +101,10 @@ class Reading(NamedTuple):
 
     @classmethod
     def of(cls, agent: Any) -> Self:
-        """Return what an agent says.
+        """Return what an agent is to be sent.
 
         Raises:
-            AgentError: It reads what there is not.
+            AgentError: Its ``reads`` is not one of ``READS``.
         """
         reads, system = getattr(agent, "reads", None), getattr(agent, "system", None)
         if reads is not None and reads not in READS:
@@ -115,7 +121,7 @@ def as_agent(agent: Any) -> Agent:
     is ``context``.
 
     Raises:
-        AgentError: It cannot be called so, or reads what there is not.
+        AgentError: It cannot be called so, or its ``reads`` is not one of ``READS``.
     """
     if isinstance(agent, type):
         agent = agent()
@@ -125,13 +131,13 @@ def as_agent(agent: Any) -> Agent:
     try:
         signature = inspect.signature(agent)
     except (TypeError, ValueError):  # a callable of C code may not tell its signature
-        return _OfObservation(agent)
+        return _ObservationAgent(agent)
     for count in (2, 1):
         try:
             signature.bind(*[None] * count)
         except TypeError:
             continue
-        return agent if count == 2 and _wants_context(signature) else _OfObservation(agent)
+        return agent if count == 2 and _wants_context(signature) else _ObservationAgent(agent)
     raise AgentError(f"an agent takes (observation, context) or (observation), and {agent!r:.100} takes {signature}")
 
 
@@ -141,10 +147,11 @@ def _wants_context(signature: inspect.Signature) -> bool:
     return not second or second[0].default is inspect.Parameter.empty or second[0].name == "context"
 
 
-_SAID = ("prepare", "close", "aclose", "interactive", "max_concurrency", *Reading._fields)
+_ATTRIBUTES = ("prepare", "close", "aclose", "interactive", "max_concurrency", *Reading._fields)
+"""What an agent may have besides being called; see ``Agent``."""
 
 
-class _OfObservation:
+class _ObservationAgent:
     """An agent that takes the observation alone."""
 
     def __init__(self, function: Callable[[Observation], Answer]) -> None:
@@ -155,9 +162,17 @@ class _OfObservation:
 
     def __getattr__(self, name: str) -> Any:
         # Only these: with all attributes of a function, an object would be taken for one.
-        if name not in _SAID:
+        if name not in _ATTRIBUTES:
             raise AttributeError(name)
         return getattr(self.function, name)
+
+
+def is_asynchronous(agent: Agent) -> bool:
+    """Tell whether an agent is known to answer later, as a coroutine function does."""
+    call = agent.function if isinstance(agent, _ObservationAgent) else agent
+    return inspect.iscoroutinefunction(call) or inspect.iscoroutinefunction(
+        getattr(call, "__call__", None)  # noqa: B004 - it is looked at, not called
+    )
 
 
 def prepare_agent(agent: Agent) -> None:
@@ -181,8 +196,8 @@ def _call_if_there(agent: Agent, name: str) -> None:
 def load_agent(name: str, **options: Any) -> Agent:
     """Return the agent of a name: a registered one, or ``MODULE:CALLABLE``.
 
-    What stands behind the colon is the argument of a registered agent; modules are also looked for in the current
-    folder, which is in ``sys.path`` only while they are imported.
+    What follows the colon is the argument of a registered agent. Modules are also looked for in the current folder,
+    which is in ``sys.path`` only while they are imported.
 
     Args:
         name: As in ``"random"``, ``"openai:MODEL"``, ``"my_module:MyAgent"``.
@@ -192,13 +207,11 @@ def load_agent(name: str, **options: Any) -> Agent:
         ArgumentError: It does not take these options; the message says what it takes.
         UnknownAgentError: There is no such agent, module or callable.
     """
-    from gem_core.registry.entry_points import construct
-    from gem_core.registry.lookup import registry
-
     head, colon, rest = name.partition(":")
     registry().refuse_contested("agent", head)
     registered = [record.name for record in registry().named(AgentSpec)]
-    if head in registered:
+    is_of_plugin = bool(registry().how_to_get(head, "agent"))  # of one that is not installed
+    if head in registered or (is_of_plugin and not rest):
         return as_agent(construct(registry().agent(head), *([rest] if colon else []), **options))
     if colon and not (head and rest):
         raise UnknownAgentError(f"no agent {name!r}: name one as MODULE:CALLABLE, or one of {', '.join(registered)}")
@@ -208,7 +221,12 @@ def load_agent(name: str, **options: Any) -> Agent:
             f"no agent {name!r}.{did_you_mean(name, registered)} There are: {listed}; or name one as MODULE:CALLABLE"
         )
     with current_folder_importable():  # a class may import more when it is made
-        return _agent_of_module(name, head, rest, registered, options)
+        try:
+            return _agent_of_module(name, head, rest, registered, options)
+        except UnknownAgentError:
+            if is_of_plugin:  # though there may be a module of the name, as OpenAI's own package
+                registry().agent(head)  # raises an error that says what to install
+            raise
 
 
 def _agent_of_module(name: str, module: str, path: str, registered: list[str], options: dict[str, Any]) -> Agent:
@@ -229,13 +247,13 @@ def _agent_of_module(name: str, module: str, path: str, registered: list[str], o
 
 @contextmanager
 def current_folder_importable() -> Iterator[None]:
-    """Look for modules in the current folder as well, as long as this lasts."""
+    """Look for modules in the current folder as well, inside this context."""
     here = str(Path.cwd())
     sys.path.insert(0, here)
     try:
         yield
     finally:
-        # One of them: whoever put the same folder there, before or meanwhile, still finds it.
+        # Once: where the folder was there before, or was added meanwhile, it stays.
         with suppress(ValueError):
             sys.path.remove(here)
 

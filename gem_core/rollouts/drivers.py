@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import inspect
+import itertools
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
+from contextlib import AsyncExitStack, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,15 +17,16 @@ from gem_core.api import make_vec
 from gem_core.background import in_thread
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError
+from gem_core.progress import Progress
 from gem_core.records.episode import Episode
 from gem_core.records.plans import EpisodeQueue, PlanItem, count_plan, cover_plan, interleaved
-from gem_core.rollouts.agent import Agent, Reading, as_agent, prepare_agent
+from gem_core.rollouts.agent import Agent, Reading, as_agent, is_asynchronous, prepare_agent
 from gem_core.rollouts.loop import EpisodeLoop
-from gem_core.rollouts.requests import AgentRequests, is_asynchronous
-from gem_core.rollouts.resume import Done, done_in
+from gem_core.rollouts.requests import AgentRequests
+from gem_core.rollouts.resume import FinishedEpisodes, finished_episodes
 from gem_core.vector.backends import around
 from gem_core.vector.env import VectorEnv
-from gem_core.vector.setup import IdOrIds, new_source
+from gem_core.vector.setup import IdOrIds
 
 DEFAULT_EPISODES = 10
 DEFAULT_REQUESTS = 64
@@ -31,11 +34,11 @@ DEFAULT_REQUESTS = 64
 Environments = VectorEnv | AnyEnv | IdOrIds
 """A vector environment, an environment, an id or several."""
 
-Resume = str | Path | Iterable[Episode] | Done | None
-"""A file of episodes, or the episodes; or what was found there, as ``done_in`` returns it."""
+Resume = str | Path | Iterable[Episode] | FinishedEpisodes | None
+"""A file of episodes, or the episodes; or what ``finished_episodes`` found there."""
 
 OnProgress = Callable[[int, int | None], None]
-"""Called with the number of episodes that are over, and of all, where that is known."""
+"""Called with the number of finished episodes, and the number of all or None where that is not known."""
 
 
 def rollout(
@@ -87,10 +90,9 @@ def rollout(
         EnvFaultError: An environment failed, and the vector environment has ``on_error="raise"``.
         FaultBudgetError: Environments fail again and again, or the agent does.
 
-    What stops a run is raised behind the episodes that were over by then.
+    What stops a run is raised after the episodes that had finished by then.
     """
-    _check(plan, episodes, max_requests)
-    return _run(env, as_agent(agent), _Order(plan, episodes, seed, num_envs, max_requests, resume, progress))
+    return _drive(_Run(env, as_agent(agent), plan, episodes, seed, num_envs, max_requests, resume, progress))
 
 
 def arollout(
@@ -124,8 +126,7 @@ def arollout(
         resume: Episodes of this run that are there already.
         progress: Show how far the run is.
     """
-    _check(plan, episodes, max_requests)
-    return _arun(env, as_agent(agent), _Order(plan, episodes, seed, num_envs, max_requests, resume, progress))
+    return _drive_async(_Run(env, as_agent(agent), plan, episodes, seed, num_envs, max_requests, resume, progress))
 
 
 def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[PlanItem]:
@@ -144,9 +145,11 @@ def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[Pla
 
 
 @dataclass
-class _Order:
-    """What was asked for; see ``rollout``."""
+class _Run:
+    """What one call of ``rollout`` asks for."""
 
+    env: Environments
+    agent: Agent
     plan: Iterable[PlanItem] | None
     episodes: int | None
     seed: int | None
@@ -155,113 +158,100 @@ class _Order:
     resume: Resume
     progress: bool | OnProgress
 
-    def begin(self, vector: VectorEnv, done: Done) -> tuple[EpisodeQueue, Callable[[], None], Callable[[], None]]:
-        """Return what episodes start from, what to call for each that is over, and what to call at the end."""
-        seed = done.run_seed(self.seed)
+    def __post_init__(self) -> None:
+        if self.plan is not None and self.episodes is not None:
+            raise ArgumentError("give either a plan or a number of episodes, not both")
+        if self.episodes is not None and (not isinstance(self.episodes, int) or self.episodes < 0):
+            raise ArgumentError(f"episodes must be a whole number from 0 up, not {self.episodes!r}")
+        if self.max_requests is not None and (type(self.max_requests) is not int or self.max_requests < 1):
+            raise ArgumentError(f"max_requests must be a positive whole number, not {self.max_requests!r}")
+
+    def vector(self, *, plain: bool) -> VectorEnv:
+        """Return the vector environment in which the episodes run: the one given, or a new one.
+
+        Args:
+            plain: Run an environment that was given in the calling thread.
+        """
+        if isinstance(self.env, Sequence):
+            num_envs = _asked_at_once(self.agent, self.max_requests) if self.num_envs is None else self.num_envs
+            return make_vec(self.env, num_envs, seed=self.seed)
+        if self.num_envs is not None:
+            raise ArgumentError("num_envs goes with an id: what is made already has its number of environments")
+        if isinstance(self.env, VectorEnv):
+            return self.env
+        if not isinstance(self.env, gymnasium.Env):
+            raise ArgumentError(
+                f"rollout takes a vector environment, an environment, an id or several, not {self.env!r:.200}"
+            )
+        return around(self.env, seed=self.seed, keep_open=True, plain=plain)
+
+    def queue(self, vector: VectorEnv, finished: FinishedEpisodes) -> EpisodeQueue:
+        """Return what the episodes start from, those left out that are finished."""
+        seed = finished.run_seed(self.seed)
         if self.plan is None and self.episodes is None and vector.own_source.planned:
-            source = vector.own_source.restarted(seed)
+            queue = vector.own_source.restarted(seed)
         else:
             plan = default_plan(vector, self.episodes) if self.plan is None else self.plan
-            source = new_source(plan, vector.seed if seed is None else seed)
-        source.skip(done.starts, done.check)
-        return source, *_reporting(self.progress, source.total, len(done.starts))
+            queue = EpisodeQueue(plan, vector.seed if seed is None else seed)
+        finished.leave_out_of(queue)
+        return queue
+
+    @contextmanager
+    def counting(self, queue: EpisodeQueue, finished: FinishedEpisodes) -> Iterator[Callable[[], None]]:
+        """Show how far the run is, inside this context; yield what to call for each episode that is over."""
+        if not self.progress:
+            yield lambda: None
+            return
+        total, counts = queue.total, itertools.count(len(finished))
+        with Progress(total, "episodes", quiet=callable(self.progress)) as bar:
+            report = self.progress if callable(self.progress) else lambda count, total: bar.advance(count)
+            report(next(counts), total)
+            yield lambda: report(next(counts), total)
 
 
-def _run(env: Environments, agent: Agent, order: _Order) -> Iterator[Episode]:
-    done = done_in(order.resume)
-    vector, made_here = _as_vector(env, agent, order, plain=True)
-    asking = AgentRequests(agent, vector.signal.set, most=order.max_requests)
-    end: Callable[[], None] | None = None
-    try:
-        prepare_agent(agent)
-        source, note, end = order.begin(vector, done)
-        loop = EpisodeLoop(vector, asking, Reading.of(agent))
-        loop.begin(source)
-        while not loop.over:
-            for episode in loop.advance():
-                note()
+def _drive(run: _Run) -> Iterator[Episode]:
+    finished = finished_episodes(run.resume)
+    vector = run.vector(plain=True)
+    requests = AgentRequests(run.agent, vector.signal.set, most=run.max_requests)
+    with ExitStack() as at_end:
+        if vector is not run.env:
+            at_end.callback(vector.close)
+        at_end.callback(requests.close)
+        prepare_agent(run.agent)
+        queue = run.queue(vector, finished)
+        count = at_end.enter_context(run.counting(queue, finished))
+        for episode in EpisodeLoop(vector, requests, Reading.of(run.agent)).run(queue):
+            if episode is None:
+                vector.wait(requests.is_ready)
+            else:
+                count()
                 yield episode
-            vector.wait(loop.has_news)
-    finally:
-        if end is not None:
-            end()
-        asking.close()
-        if made_here:
-            vector.close()
 
 
-async def _arun(env: Environments, agent: Agent, order: _Order) -> AsyncIterator[Episode]:
-    done = await in_thread(done_in, order.resume)
-    vector, made_here = await in_thread(lambda: _as_vector(env, agent, order, plain=False))
-    asking = AgentRequests(agent, vector.signal.set, most=order.max_requests, loop=asyncio.get_running_loop())
-    end: Callable[[], None] | None = None
-    try:
-        prepared = getattr(agent, "prepare", lambda: None)()
+async def _drive_async(run: _Run) -> AsyncIterator[Episode]:
+    finished = await in_thread(finished_episodes, run.resume)
+    vector = await in_thread(lambda: run.vector(plain=False))
+    loop = asyncio.get_running_loop()
+    requests = AgentRequests(run.agent, vector.signal.set, most=run.max_requests, loop=loop)
+    async with AsyncExitStack() as at_end:
+        if vector is not run.env:
+            at_end.push_async_callback(in_thread, vector.close)
+        at_end.push_async_callback(requests.aclose)
+        prepared = getattr(run.agent, "prepare", lambda: None)()
         if inspect.isawaitable(prepared):
             await prepared
-        source, note, end = await in_thread(order.begin, vector, done)
-        await vector.drain_async()
-        loop = EpisodeLoop(vector, asking, Reading.of(agent))
-        loop.begin(source)
-        while not loop.over:
-            for episode in loop.advance():
-                note()
+        queue = await in_thread(run.queue, vector, finished)
+        count = at_end.enter_context(run.counting(queue, finished))
+        await vector.drain_async()  # or starting the loop would wait for what an earlier run left under way
+        for episode in EpisodeLoop(vector, requests, Reading.of(run.agent)).run(queue):
+            if episode is None:
+                await vector.wait_async(requests.is_ready)
+            else:
+                count()
                 yield episode
-            await vector.wait_async(loop.has_news)
-    finally:
-        if end is not None:
-            end()
-        await asking.aclose()
-        if made_here:
-            await in_thread(vector.close)
-
-
-def _check(plan: Iterable[PlanItem] | None, episodes: int | None, max_requests: int | None) -> None:
-    if plan is not None and episodes is not None:
-        raise ArgumentError("give either a plan or a number of episodes, not both")
-    if episodes is not None and (not isinstance(episodes, int) or episodes < 0):
-        raise ArgumentError(f"episodes must be a whole number from 0 up, not {episodes!r}")
-    if max_requests is not None and (type(max_requests) is not int or max_requests < 1):
-        raise ArgumentError(f"max_requests must be a positive whole number, not {max_requests!r}")
-
-
-def _as_vector(env: Environments, agent: Agent, order: _Order, *, plain: bool) -> tuple[VectorEnv, bool]:
-    if isinstance(env, Sequence):
-        num_envs = _asked_at_once(agent, order.max_requests) if order.num_envs is None else order.num_envs
-        return make_vec(env, num_envs, seed=order.seed), True
-    if order.num_envs is not None:
-        raise ArgumentError("num_envs goes with an id: what is made already has its number of environments")
-    if isinstance(env, VectorEnv):
-        return env, False
-    if not isinstance(env, gymnasium.Env):
-        raise ArgumentError(f"rollout takes a vector environment, an environment, an id or several, not {env!r:.200}")
-    return around(env, seed=order.seed, keep_open=True, plain=plain), True
 
 
 def _asked_at_once(agent: Agent, max_requests: int | None) -> int | None:
     """Return how many episodes keep an agent busy; None for a plain one, which is asked one question at a time."""
     most = max_requests or getattr(agent, "max_concurrency", None)
     return most or (DEFAULT_REQUESTS if is_asynchronous(agent) else None)
-
-
-def _reporting(
-    progress: bool | OnProgress, total: int | None, already: int
-) -> tuple[Callable[[], None], Callable[[], None]]:
-    """Return what to call for each episode that is over, and what to call at the end."""
-    if not progress:
-        return lambda: None, lambda: None
-    count = already
-    if callable(progress):
-        report, end = progress, lambda: None
-    else:
-        from gem_core.progress import shown_progress
-
-        report, end = shown_progress(total)
-
-    def note() -> None:
-        nonlocal count
-        count += 1
-        report(count, total)
-
-    report(count, total)
-    return note, end

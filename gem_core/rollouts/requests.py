@@ -1,4 +1,4 @@
-"""AgentRequests an agent for many slots at once, whether it is plain or asynchronous."""
+"""The questions of a run to its agent, whether that is plain or asynchronous."""
 
 from __future__ import annotations
 
@@ -6,41 +6,28 @@ import asyncio
 import inspect
 from collections import deque
 from collections.abc import Awaitable, Callable
-from concurrent.futures import CancelledError, Future
-from typing import Any
 
 from gem_core.background import background_loop, run_sync
 from gem_core.errors import AgentError, EnvFaultError, RequestError
-from gem_core.rollouts.agent import Agent, Context
+from gem_core.rollouts.agent import Agent, Context, is_asynchronous
 from gem_core.types import Observation, Response
 
-Outcome = Response | RequestError | EnvFaultError
-"""What came of a question: an answer, or that the machinery behind the agent failed."""
+Reply = Response | RequestError | EnvFaultError
+"""An answer, or why there is none: the server failed, or the environment that should sample an action did."""
 
-_PATIENCE_S = 5.0
-
-_Question = tuple[int, Observation, Context]
-
-
-def is_asynchronous(agent: Agent) -> bool:
-    """Tell whether an agent is known to answer later, as a coroutine function does."""
-    call = getattr(agent, "function", agent)
-    return inspect.iscoroutinefunction(call) or inspect.iscoroutinefunction(
-        getattr(call, "__call__", None)  # noqa: B004 - it is looked at, not called
-    )
+_CANCEL_TIMEOUT_S = 5.0
 
 
 class AgentRequests:
-    """The questions of a run that are open.
+    """Asks an agent for many slots at once.
 
-    A plain agent answers while it is asked. The coroutines of an asynchronous one run as tasks, and its answers are
-    taken as they come.
+    A plain agent answers while it is asked. What an asynchronous one returns runs as a task on an event loop.
 
     Args:
         agent: Called with the observation and the context.
-        notify: Called, from any thread, when an answer has come.
+        notify: Called, from any thread, when a reply has come.
         most: Questions that are open at once; further ones wait, and the first that waits is the first asked.
-        loop: Where coroutines run; None for the library's own loop.
+        loop: Where tasks run: the running loop of the caller; None for the library's own.
     """
 
     def __init__(
@@ -52,53 +39,50 @@ class AgentRequests:
         loop: asyncio.AbstractEventLoop | None = None,
     ) -> None:
         self.asynchronous = is_asynchronous(agent)
-        """Whether it is known to answer later."""
+        """Whether asking does not wait for the answer."""
         self._agent = agent
         self._notify = notify
         self._most = most
         self._loop = loop
-        self._ready: dict[int, Outcome] = {}
-        self._open: dict[int, Future[Any] | asyncio.Task[Any]] = {}
-        self._waiting: deque[_Question] = deque()
-        self._tasks: set[asyncio.Task[Any]] = set()
-        self._done: deque[int] = deque()
+        self._waiting: deque[tuple[int, Observation, Context]] = deque()
+        self._open: set[int] = set()
+        self._tasks: set[asyncio.Future[str]] = set()  # used in the thread of the loop only
+        self._ready: deque[tuple[int, Response | BaseException]] = deque()
 
     def ask(self, slot: int, observation: Observation, context: Context) -> None:
-        """Ask for one slot.
-
-        Raises:
-            AgentError: The agent returned something else than text.
-        """
+        """Ask for one slot, now or once fewer questions are open."""
         self._waiting.append((slot, observation, context))
         self._ask_waiting()
 
     def is_ready(self) -> bool:
-        """Tell whether there is an answer."""
-        return bool(self._ready or self._done)
+        """Tell whether there is a reply."""
+        return bool(self._ready)
 
-    def answers(self) -> dict[int, Outcome]:
-        """Return the answers that are there.
+    def replies(self) -> list[tuple[int, Reply]]:
+        """Return the replies that are there, each with its slot, and ask what waited for them.
 
         Raises:
-            AgentError: The agent returned something else than text.
+            AgentError: The agent returned something else than text, or cancelled its own task.
         """
-        while self._done:
-            self._take(self._done.popleft())
+        replies: list[tuple[int, Reply]] = []
+        while self._ready:
+            slot, reply = self._ready.popleft()
+            self._open.discard(slot)
+            if not isinstance(reply, Reply):
+                raise reply
+            replies.append((slot, reply))
         self._ask_waiting()
-        ready, self._ready = self._ready, {}
-        return ready
+        return replies
 
     def close(self) -> None:
-        """Cancel the questions that are open, and wait in plain code until they have let go of what they hold."""
+        """Cancel the open questions, and wait in plain code until their tasks have ended."""
         self._waiting.clear()
         if self._open:
-            self._open.clear()
             run_sync(self._cancel())
 
     async def aclose(self) -> None:
-        """``close`` for the loop that the questions run on."""
+        """``close`` on the loop of the caller."""
         self._waiting.clear()
-        self._open.clear()
         await self._cancel()
 
     def _ask_waiting(self) -> None:
@@ -107,66 +91,41 @@ class AgentRequests:
             try:
                 answer = self._agent(observation, context)
             except (RequestError, EnvFaultError) as error:
-                self._ready[slot] = error
+                self._ready.append((slot, error))
                 continue
-            if inspect.isawaitable(answer):
-                self._start(slot, answer)
+            if not inspect.isawaitable(answer):
+                self._ready.append((slot, _response(answer)))
+                continue
+            self._open.add(slot)
+            if self._loop is None:
+                background_loop().call_soon_threadsafe(self._start, slot, answer)
             else:
-                self._ready[slot] = _checked(answer)
+                self._start(slot, answer)
 
     def _start(self, slot: int, answer: Awaitable[str]) -> None:
-        future: Future[Any] | asyncio.Task[Any]
-        if self._loop is not None:
-            # The coroutine itself: one around it that is cancelled before it begins would leave it unawaited.
-            future = asyncio.ensure_future(answer, loop=self._loop)
-            self._note(future)
-        else:
-            future = asyncio.run_coroutine_threadsafe(self._finish(answer), background_loop())
-        self._open[slot] = future
-        future.add_done_callback(lambda _: self._came(slot))
+        task = asyncio.ensure_future(answer)
+        self._tasks.add(task)
+        task.add_done_callback(lambda _: self._end(slot, task))
 
-    def _came(self, slot: int) -> None:
-        self._done.append(slot)
+    def _end(self, slot: int, task: asyncio.Future[str]) -> None:
+        self._tasks.discard(task)
+        reply: Response | BaseException
+        if task.cancelled():
+            reply = AgentError("the agent's coroutine was cancelled; an agent must not cancel its own task")
+        else:
+            reply = task.exception() or _response(task.result())
+        self._ready.append((slot, reply))
         self._notify()
 
     async def _cancel(self) -> None:
-        tasks = list(self._tasks)
-        for task in tasks:
+        for task in self._tasks:
             task.cancel()
-        if tasks:
+        if self._tasks:
             # A coroutine that swallows its cancellation must not hold up the end of the run.
-            await asyncio.wait(tasks, timeout=_PATIENCE_S)
-
-    async def _finish(self, answer: Awaitable[str]) -> str:
-        task = asyncio.current_task()
-        if task is not None:
-            self._note(task)
-        return await answer
-
-    def _note(self, task: asyncio.Task[Any]) -> None:
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        task.add_done_callback(_seen)
-
-    def _take(self, slot: int) -> None:
-        future = self._open.pop(slot, None)
-        if future is None:
-            return
-        try:
-            self._ready[slot] = _checked(future.result())
-        except (RequestError, EnvFaultError) as error:
-            self._ready[slot] = error
-        except (CancelledError, asyncio.CancelledError):
-            raise AgentError("the agent's coroutine was cancelled; an agent must not cancel its own task") from None
+            await asyncio.wait(self._tasks, timeout=_CANCEL_TIMEOUT_S)
 
 
-def _seen(task: asyncio.Task[Any]) -> None:
-    """Look at what a task raised, or asyncio would complain where the run ends before it is taken."""
-    if not task.cancelled():
-        task.exception()
-
-
-def _checked(answer: object) -> Response:
-    if not isinstance(answer, str):
-        raise AgentError(f"an agent returns a str or a Response, and this one returned {type(answer).__name__}")
-    return Response.of(answer)
+def _response(answer: object) -> Response | AgentError:
+    if isinstance(answer, str):
+        return Response.of(answer)
+    return AgentError(f"an agent returns a str or a Response, and this one returned {type(answer).__name__}")

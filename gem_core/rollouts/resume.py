@@ -1,21 +1,20 @@
-"""What a run that is resumed has done already."""
+"""What is finished of a run that is resumed, and need not be run again."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from gem_core.errors import ArgumentError
-from gem_core.records.episode import Episode, read_episodes
+from gem_core.records.episode import Episode
+from gem_core.records.files import read_episodes
 from gem_core.records.plain_json import to_plain
-from gem_core.records.plans import EpisodeStart
+from gem_core.records.plans import EpisodeQueue, EpisodeStart
 
 
-@dataclass(slots=True)
-class Start:
-    """What an episode that is there started from, as far as a plan can be held against it.
+class _StartedFrom(NamedTuple):
+    """What a finished episode started from, as far as its record tells.
 
     Args:
         id: Id of its environment.
@@ -28,30 +27,30 @@ class Start:
     options: Any
 
 
-@dataclass
-class Done:
-    """The episodes of a run that need not be run again.
+class FinishedEpisodes:
+    """The episodes of a run that need not be run again: those that are there, without those that ended in an error."""
 
-    Args:
-        starts: What each started from, by its place in the plan and its repeat.
-        run_seeds: Seeds of the runs that they come from.
-    """
+    def __init__(self) -> None:
+        self.run_seeds: set[int] = set()
+        """Seeds of the runs that the episodes belong to, those with an error included."""
+        self._starts: dict[tuple[str, int], _StartedFrom] = {}
 
-    starts: dict[tuple[str, int], Start] = field(default_factory=dict)
-    run_seeds: set[int] = field(default_factory=set)
+    def __len__(self) -> int:
+        return len(self._starts)
 
     def add(self, episode: Episode) -> None:
-        """Note an episode; one with an error says only of which run it is."""
+        """Note an episode; one with an error tells only to which run it belongs."""
         if episode.run_seed is not None:
             self.run_seeds.add(episode.run_seed)
         if episode.error is None:
-            self.starts[episode.key, episode.repeat] = Start(episode.id, episode.seed, _plain(episode.options))
+            started = _StartedFrom(episode.id, episode.seed, to_plain(episode.options) or None)
+            self._starts[episode.key, episode.repeat] = started
 
     def run_seed(self, given: int | None) -> int | None:
-        """Return the seed of the run that goes on, the given one where nothing was done.
+        """Return the seed of the run that goes on, or the one given where there is no episode.
 
         Raises:
-            ArgumentError: The episodes are of another run, or of several.
+            ArgumentError: The episodes belong to several runs, or to another than the one with the seed given.
         """
         if not self.run_seeds:
             return given
@@ -65,56 +64,58 @@ class Done:
             )
         return next(iter(self.run_seeds))
 
-    def check(self, key: str, repeat: int, draw: EpisodeStart | None) -> None:
-        """Hold an episode that is there against the plan.
+    def leave_out_of(self, queue: EpisodeQueue) -> None:
+        """Leave the finished episodes out of a run.
 
-        Args:
-            key: Its place in the plan.
-            repeat: Which of the item's episodes it is.
-            draw: What the plan has there; None where there is no such place.
+        Where its plan is a sequence they are compared with it now, all of them; else each when its turn comes.
 
         Raises:
-            ArgumentError: It started from something else.
+            ArgumentError: One of them started from something else than the plan has in its place, or has no place.
         """
-        difference = "has no place in this plan" if draw is None else _difference(self.starts[key, repeat], draw)
-        if difference is not None:
-            raise ArgumentError(
-                f"the episode with the key {key!r} {difference}: it is of another run; resume with the plan and the "
-                "seed of the first time"
-            )
+        if queue.searchable:
+            for key, repeat in self._starts:
+                start = queue.find(key, repeat)
+                if start is None:
+                    raise _other_run(key, "has no place in this plan")
+                self._includes(start)
+        queue.leave_out(self._includes)
+
+    def _includes(self, start: EpisodeStart) -> bool:
+        """Tell whether an episode of the plan is finished, and raise where it started from something else."""
+        started = self._starts.get((start.key, start.repeat))
+        if started is None:
+            return False
+        env_id, options = start.item.id, to_plain(start.item.options) or None
+        if env_id is not None and started.id != env_id:
+            raise _other_run(start.key, f"is of {started.id!r}, and the plan asks for {env_id!r}")
+        if started.options != options:
+            raise _other_run(start.key, f"was started with options {started.options}, and the plan gives it {options}")
+        if started.seed != start.seed:
+            raise _other_run(start.key, f"was started from seed {started.seed}, and the plan gives it {start.seed}")
+        return True
 
 
-def _difference(start: Start, draw: EpisodeStart) -> str | None:
-    wanted = draw.item.id
-    if wanted is not None and start.id != wanted:
-        return f"is of {start.id!r}, and the plan asks for {wanted!r}"
-    if start.options != _plain(draw.item.options):
-        return f"was started with options {start.options}, and the plan gives it {_plain(draw.item.options)}"
-    return None if start.seed == draw.seed else f"was started from seed {start.seed}, and the plan gives it {draw.seed}"
+def _other_run(key: str, difference: str) -> ArgumentError:
+    return ArgumentError(
+        f"the episode with the key {key!r} {difference}: it is of another run; resume with the plan and the "
+        "seed of the first time"
+    )
 
 
-def _plain(options: Mapping[str, Any] | None) -> Any:
-    return to_plain(options) or None
-
-
-def done_in(episodes: str | Path | Iterable[Episode] | Done | None) -> Done:
-    """Return what was done, by a file of episodes or by the episodes themselves; those with an error do not count.
-
-    A file that is not there yet holds none.
+def finished_episodes(resume: str | Path | Iterable[Episode] | FinishedEpisodes | None) -> FinishedEpisodes:
+    """Return the finished episodes of a file, which may not be there yet, or of an iterable of episodes.
 
     Raises:
-        ArgumentError: It is neither.
+        ArgumentError: Something in the iterable is no episode.
         EpisodeFileError: The file cannot be read.
     """
-    if isinstance(episodes, Done):
-        return episodes
-    done = Done()
-    if isinstance(episodes, str | Path):
-        if not Path(episodes).exists():
-            return done
-        episodes = read_episodes(episodes, images=False)
-    for episode in episodes or ():
+    if isinstance(resume, FinishedEpisodes):
+        return resume
+    if isinstance(resume, str | Path):
+        resume = read_episodes(resume, images=False) if Path(resume).exists() else ()
+    finished = FinishedEpisodes()
+    for episode in resume or ():
         if not isinstance(episode, Episode):
             raise ArgumentError(f"resume takes a file of episodes or the episodes themselves, not {episode!r:.100}")
-        done.add(episode)
-    return done
+        finished.add(episode)
+    return finished

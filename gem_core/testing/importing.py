@@ -18,8 +18,8 @@ from gem_core.registry import specs
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.hookspecs import ENTRY_POINT_GROUP
 from gem_core.registry.plugins import Record, one_line
-from gem_core.registry.requirements import unmet
-from gem_core.registry.specs import EnvSpec, NamedSpec, ToolSpec
+from gem_core.registry.requirements import RequirementStatus, unmet
+from gem_core.registry.specs import EnvSpec, NamedSpec, RequirementSpec, ToolSpec
 from gem_core.testing.findings import place_of, shown_place
 from gem_core.testing.interpreter import CallError, Interpreter, InterpreterLostError
 
@@ -209,6 +209,11 @@ def _check_entry_points(record: Record) -> None:
         load_entry_point(record.status, "its status")
     if isinstance(record, EnvSpec):
         check_arguments(target, (), {k: v for k, v in record.kwargs.items() if k != "render_mode"}, "its kwargs")
+    if isinstance(record, RequirementSpec):
+        check_arguments(target, ("",), {"closely": False}, "its probe")
+        answer = target("", closely=False)
+        if not isinstance(answer, RequirementStatus):
+            raise RegistrationError(f"{record.entry_point!r} returned {answer!r:.100}, and no RequirementStatus")
     if record.instance_of is not None:
         base: Any = load_entry_point(record.instance_of, "its kind")
         if not isinstance(target, base):

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from gem_core.data.dataset import DatasetEnv
+from gem_core.data import DatasetEnv
 from gem_core.errors import ArgumentError, StateNotSupported
 from gem_core.testing.findings import Findings
 from gem_core.testing.hostile import hostile_actions

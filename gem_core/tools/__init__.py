@@ -1,1 +1,9 @@
 """Tools: what one is, how calls are read out of a response, and the wrapper that gives tools to a task."""
+
+from __future__ import annotations
+
+from gem_core.tools.calls.reading import json_call, native_calls
+from gem_core.tools.env import ToolEnv
+from gem_core.tools.tool import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, ToolResult
+
+__all__ = ["CALL_CLOSE", "CALL_OPEN", "Tool", "ToolCall", "ToolEnv", "ToolResult", "json_call", "native_calls"]

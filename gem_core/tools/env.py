@@ -87,7 +87,7 @@ class ToolEnv(Wrapper):
             thinking_tag=thinking_tag,
         )
         self._sessions = ToolSessions(self.tools, call_timeout_s)
-        self.needs = self._sessions.needs
+        self.needs = self._sessions.concurrency
         self._live = False
         self._suffix: Observation | None = None
         self._uses = self._successes = self._failures = 0
@@ -184,7 +184,7 @@ class ToolEnv(Wrapper):
         feedback = join_observations([*outputs, f"{self._what_is_left()}\n"])
         suffix: Observation = "" if self._suffix is None else self._suffix
         last = outcomes[-1][0]
-        calls = [_described(call, result) for call, result in outcomes]
+        calls = [_call_info(call, result) for call, result in outcomes]
         info: dict[str, Any] = {
             "feedback": feedback,
             "suffix": suffix,
@@ -278,7 +278,7 @@ def _title(call: ToolCall, result: ToolResult) -> str:
     return f"{'Error from' if result.failed else 'Output of'} {call.name or 'the tool call'}:"
 
 
-def _described(call: ToolCall, result: ToolResult) -> dict[str, Any]:
+def _call_info(call: ToolCall, result: ToolResult) -> dict[str, Any]:
     return {
         **result.info,
         "name": call.name or None,

@@ -1,4 +1,4 @@
-"""Which tools are asked for: by object, by class or by name, each with its options, and none named as another."""
+"""Which tools are asked for: by object, class or name, each with its options."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs the tools of an episode: their sessions, and what a call may take."""
+"""Run the tools of an episode: open and close their sessions, and give up calls that take too long."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MOST_LEFT_BEHIND = 64
 """Calls of one tool, in all of this process, that ran out of time and still run; with so many, no more are begun."""
 
 _left_behind: Counter[tuple[type[Tool], str]] = Counter()
-"""How many there are, by the tool's class and name: each holds a thread that cannot be ended."""
+"""How many there are, by the tool's class and name. Global, since each holds a thread of the process for good."""
 
 
 @dataclass
@@ -42,20 +42,20 @@ class ToolSessions:
 
     Args:
         tools: By name.
-        timeout_s: Seconds that a call may take, with the opening of its session; None for as long as it likes.
+        timeout_s: Seconds that a call may take, with the opening of its session; None for no limit.
     """
 
     def __init__(self, tools: Mapping[str, Tool], timeout_s: float | None) -> None:
         self.holders = {tool.session_key: tool for tool in reversed(list(tools.values()))}
         """The tools that close sessions, by the sessions' keys: of tools that share one, the first."""
         self.timeout_s = timeout_s
-        self.needs: Concurrency = needs_of(tools.values(), waits=timeout_s is not None)
-        self.waits = self.needs == "async" or timeout_s is not None
+        self.concurrency: Concurrency = concurrency_of_tools(tools.values(), limited=timeout_s is not None)
+        self.on_loop = self.concurrency == "async" or timeout_s is not None
         """Whether calls have to be awaited on the library's loop."""
         self.open: dict[str, Any] = {}
         """The open sessions, by their keys."""
         # Also runs when the environment is collected and when the interpreter exits.
-        self._finalizer = weakref.finalize(self, _close_now, self.holders, self.open, self.waits, timeout_s)
+        self._finalizer = weakref.finalize(self, _close_now, self.holders, self.open, self.on_loop, timeout_s)
 
     async def call(self, tool: Tool, arguments: Any) -> ToolResult:
         """Call a tool; whatever goes wrong is a result that says so."""
@@ -112,7 +112,7 @@ class ToolSessions:
             running.cancel()  # what runs in a thread cannot be stopped: its task goes on until the thread ends
 
     async def _run(self, tool: Tool, method: Callable[..., Any], *args: Any) -> Any:
-        return await _run(self.waits, self.timeout_s is not None, tool, method, *args)
+        return await _run(self.on_loop, self.timeout_s is not None, tool, method, *args)
 
     def take(self) -> dict[str, Any]:
         """Return the open sessions, which are no longer this episode's."""
@@ -122,21 +122,21 @@ class ToolSessions:
 
     async def close_all(self, sessions: Mapping[str, Any]) -> None:
         """Close sessions that were taken."""
-        await _close_all(self.holders, sessions, self.waits, self.timeout_s)
+        await _close_all(self.holders, sessions, self.on_loop, self.timeout_s)
 
     def close(self) -> None:
         """Close the open sessions, from plain code."""
-        _close_now(self.holders, self.open, self.waits, self.timeout_s)
+        _close_now(self.holders, self.open, self.on_loop, self.timeout_s)
 
     def finished(self, coroutine: Coroutine[Any, Any, T]) -> T | Coroutine[Any, Any, T]:
         """Return what a coroutine of this class returns, or the coroutine where it has to be awaited."""
-        return coroutine if self.waits else _finish_now(coroutine)
+        return coroutine if self.on_loop else _finish_now(coroutine)
 
 
-def needs_of(tools: Iterable[Tool], *, waits: bool = False) -> Concurrency:
-    """Return what some tools together need of an environment."""
+def concurrency_of_tools(tools: Iterable[Tool], *, limited: bool = False) -> Concurrency:
+    """Return the concurrency that a set of tools requires."""
     wanted = {"async" if _has_coroutines(tool) else tool.concurrency for tool in tools}
-    if waits:
+    if limited:
         wanted.add("async")
     for need in ("process", "async", "thread"):
         if need in wanted:
@@ -156,10 +156,10 @@ def _checked(tool: Tool, outcome: Any) -> ToolResult:
     raise TypeError(f"{tool.name} returned {type(content).__name__}, not text, content parts or a ToolResult of them")
 
 
-async def _run(waits: bool, limited: bool, tool: Tool, method: Callable[..., Any], *args: Any) -> Any:
+async def _run(on_loop: bool, limited: bool, tool: Tool, method: Callable[..., Any], *args: Any) -> Any:
     """Run a method of a tool; on the loop, that of a tool that blocks, or that could not be given up, in a thread."""
     blocks = (limited or tool.concurrency != "inline") and not inspect.iscoroutinefunction(tool.call)
-    if waits and blocks and not inspect.iscoroutinefunction(method):
+    if on_loop and blocks and not inspect.iscoroutinefunction(method):
         return await _settled(await in_thread(method, *args))
     return await _settled(method(*args))
 
@@ -179,10 +179,10 @@ def _finish_now(coroutine: Coroutine[Any, Any, T]) -> T:
 
 
 async def _close_all(
-    tools: Mapping[str, Tool], sessions: Mapping[str, Any], waits: bool, timeout_s: float | None
+    tools: Mapping[str, Tool], sessions: Mapping[str, Any], on_loop: bool, timeout_s: float | None
 ) -> None:
     for name, session in sessions.items():
-        closing = _close_one(tools[name], session, waits, timeout_s is not None)
+        closing = _close_one(tools[name], session, on_loop, timeout_s is not None)
         if timeout_s is None:
             await closing
             continue
@@ -193,19 +193,19 @@ async def _close_all(
             logger.warning("gem: closing the session of tool %r took more than %g s", name, timeout_s)
 
 
-async def _close_one(tool: Tool, session: Any, waits: bool, limited: bool) -> None:
+async def _close_one(tool: Tool, session: Any, on_loop: bool, limited: bool) -> None:
     try:
-        await _run(waits, limited, tool, tool.close, session)
+        await _run(on_loop, limited, tool, tool.close, session)
     except (Exception, SystemExit):
         logger.warning("gem: closing the session of tool %r failed", tool.name, exc_info=True)
 
 
-def _close_now(tools: Mapping[str, Tool], sessions: dict[str, Any], waits: bool, timeout_s: float | None) -> None:
+def _close_now(tools: Mapping[str, Tool], sessions: dict[str, Any], on_loop: bool, timeout_s: float | None) -> None:
     taken = dict(sessions)
     sessions.clear()
     if taken:
-        closing = _close_all(tools, taken, waits, timeout_s)
-        if waits:
+        closing = _close_all(tools, taken, on_loop, timeout_s)
+        if on_loop:
             finish_or_start(closing)
         else:
             _finish_now(closing)

@@ -6,10 +6,10 @@ import importlib
 from typing import Any, ClassVar, cast
 
 from gem_core.env.observations import observation_from
-from gem_core.env.spaces import Messages as MessagesSpace
+from gem_core.env.spaces import Messages
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, StateNotSupported
-from gem_core.records.conversation import Message, answer_messages, assistant_message, opening_messages
+from gem_core.records.conversation import ChatMessage, answer_messages, assistant_message, opening_messages
 from gem_core.records.turns import Turn
 from gem_core.types import Observation, ResetResult
 from gem_core.wrappers.views import ObservationView
@@ -18,7 +18,7 @@ _MARK = "GEM-BRIDGE-MARK"
 """Stands for a response in the dummy chat that shows what a template writes behind one."""
 
 
-class Messages(ObservationView):
+class MessagesView(ObservationView):
     """Shows the history as a list of chat messages.
 
     The first is the system's, where there is one, then the task's; then for each turn the assistant's, with its native
@@ -50,7 +50,7 @@ class Messages(ObservationView):
         self.system = system
         self.repeat_suffix = repeat_suffix
         self.keep_reasoning = keep_reasoning
-        self.observation_space = MessagesSpace()
+        self.observation_space = Messages()
         self._task_system: str | None = None
         self._first_suffix: Observation = ""
 
@@ -69,7 +69,7 @@ class Messages(ObservationView):
         """Return the messages."""
         return self.messages(task, turns, suffix)
 
-    def messages(self, task: Observation, turns: list[Turn], suffix: Observation) -> list[Message]:
+    def messages(self, task: Observation, turns: list[Turn], suffix: Observation) -> list[ChatMessage]:
         """Return the chat so far."""
         system = self.system if self.system is not None else self._task_system
         first_suffix = self._first_suffix if self.repeat_suffix or not turns else ""
@@ -89,7 +89,7 @@ class Messages(ObservationView):
         self._task_system, self._first_suffix = state["system"], state["first_suffix"]
 
 
-class ConcatChat(Messages):
+class ConcatChat(MessagesView):
     """Shows the history as the text that a tokenizer's chat template makes of it, ready for the next response.
 
     As it stands, the view is append-only: the text is the previous one, the response to the letter, and what the
@@ -100,7 +100,7 @@ class ConcatChat(Messages):
         env: What is viewed.
         tokenizer: An object with ``apply_chat_template``, as those of transformers; or the name of one to load.
         template_options: More keyword arguments for ``apply_chat_template``, as ``{"enable_thinking": False}``.
-        **options: See ``Messages``.
+        **options: See ``MessagesView``.
 
     Source: bridging by the difference of two renderings is how verl and prime-rl keep sampled tokens.
     """
@@ -144,7 +144,7 @@ class ConcatChat(Messages):
             bridge = bridge[len(end_of_turn) :]
         return bridge
 
-    def _render(self, messages: list[Message]) -> str:
+    def _render(self, messages: list[ChatMessage]) -> str:
         text = self.tokenizer.apply_chat_template(
             messages, tokenize=False, add_generation_prompt=True, **self.template_options
         )

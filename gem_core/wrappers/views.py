@@ -195,6 +195,6 @@ class ConcatWithAction(ObservationView):
 
 
 def _split(observation: Observation, info: Info) -> tuple[Observation, Observation]:
-    """Tell apart what happened and how things stand, and note it: a view may show something else than what was said."""
+    """Split an observation, and write both parts to ``info``, since the view may show something else."""
     info["feedback"], info["suffix"] = split_observation(observation, info)
     return info["feedback"], info["suffix"]

@@ -8,7 +8,7 @@ nothing.
 from __future__ import annotations
 
 from gem_core.tools.calls.bare import bare_call
-from gem_core.tools.calls.calls import Call, tool_call, tool_taking
+from gem_core.tools.calls.found import Call, tool_call, tool_taking
 from gem_core.tools.calls.table import FORMATS, Format, format_call, format_calls, without_end_tokens
 
 __all__ = [

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from itertools import islice
 
-from gem_core.tools.calls.calls import Call, Tools, tool_call
+from gem_core.tools.calls.found import Call, Tools, tool_call
 from gem_core.tools.calls.json_calls import ARGUMENTS, NAMES, object_call
 from gem_core.tools.calls.marked import functionary_v3
 from gem_core.tools.calls.pythonic import pythonic

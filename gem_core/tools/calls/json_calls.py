@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from gem_core.tools.calls.calls import Call
+from gem_core.tools.calls.found import Call
 from gem_core.tools.calls.values import skip_blanks, value_at
 
 FORM = '{"name": "…", "arguments": {…}}'

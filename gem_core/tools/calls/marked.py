@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 
 from gem_core.parsing import extract_code_blocks, unclosed_code_block
-from gem_core.tools.calls.calls import Call, Tools, tool_taking
+from gem_core.tools.calls.found import Call, Tools, tool_taking
 from gem_core.tools.calls.json_calls import NAMES, fenced_list, json_call_at
 from gem_core.tools.calls.pythonic import pythonic
 from gem_core.tools.calls.tagged import elements, function, keyed

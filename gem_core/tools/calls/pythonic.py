@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from gem_core.tools.calls.calls import Call
+from gem_core.tools.calls.found import Call
 from gem_core.tools.calls.values import arguments_at
 
 _CALL = re.compile(r"\s*+(?:\[\s*+)?([A-Za-z_][\w-]{0,100}+(?:\.[A-Za-z_][\w-]{0,100}+){0,5})\s*+\(")

@@ -11,7 +11,7 @@ from typing import Any
 from gem_core.parsing import extract_code_blocks, extract_last_boxed_answer
 from gem_core.records.turns import call_id
 from gem_core.tools.calls import FORMATS, bare_call, format_call, format_calls, without_end_tokens
-from gem_core.tools.calls.calls import unknown
+from gem_core.tools.calls.found import unknown
 from gem_core.tools.calls.values import loaded, value_at
 from gem_core.tools.tool import Tool, ToolCall, first_call, tags_of
 

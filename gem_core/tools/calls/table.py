@@ -6,7 +6,7 @@ import re
 from typing import NamedTuple
 
 from gem_core.tools.calls import marked
-from gem_core.tools.calls.calls import Call, Tools, tool_call
+from gem_core.tools.calls.found import Call, Tools, tool_call
 from gem_core.tools.calls.json_calls import NO_JSON
 from gem_core.tools.calls.marked import Reader, between, body
 from gem_core.tools.calls.tagged import function

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from gem_core.tools.calls.calls import Call, Tools
+from gem_core.tools.calls.found import Call, Tools
 from gem_core.tools.calls.json_calls import NO_JSON
 from gem_core.tools.calls.values import Raw, loaded, skip_blanks, value_at
 

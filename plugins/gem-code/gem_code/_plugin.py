@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gem_core.registry.hookspecs import hookimpl
-from gem_core.registry.specs import EnvSpec
+from gem_core.registry import EnvSpec, hookimpl
 
 _ENTRY = "gem_code:CodeEnv"
 _ASKED = "\n\nAnswer with the whole program in one fenced block that begins with ```python."

@@ -13,9 +13,7 @@ from gem_code.runner import ProgramLimits, Runner, SandboxError
 from gem_code.sandbox import SandboxRunner
 from gem_code.verdicts import CaseResult, Verdict
 from gem_core.background import run_sync
-from gem_core.data.dataset import DatasetEnv, DatasetOptions, Grade
-from gem_core.data.rows import RowSource
-from gem_core.data.views import Row
+from gem_core.data import DatasetEnv, DatasetOptions, Grade, Row, RowSource
 from gem_core.errors import ArgumentError, GradingError
 from gem_core.types import TERMINAL_STATE, Concurrency, ResetResult, StepResult
 

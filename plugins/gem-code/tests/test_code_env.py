@@ -15,7 +15,7 @@ from gem_code import CodeEnv
 from gem_code.runner import ProgramLimits, Run, SandboxError
 from gem_core.background import run_sync
 from gem_core.errors import ArgumentError, BridgeError, DatasetError, MissingRequirementError
-from gem_core.tools.tool import Tool
+from gem_core.tools import Tool
 from gem_tools.python import shared_pool
 
 ROWS = [

@@ -14,7 +14,7 @@ from gem_code.fences import last_program
 from gem_code.function_form import grade_assertions, grade_calls
 from gem_code.program_form import Grading
 from gem_code.sandbox import SandboxRunner
-from gem_core.testing.hostile import hostile_actions
+from gem_core.testing import hostile_actions
 
 LANGUAGES = (*CodeEnv.answer_fences, "python3")
 _DATA = st.recursive(

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from gem_core.registry.hookspecs import hookimpl
-from gem_core.registry.specs import AgentSpec, EnvSpec
+from gem_core.registry import AgentSpec, EnvSpec, hookimpl
 from gem_games.textarena.listing import textarena_specs
 
 _GUESS = "gem_games.guess_the_number:GuessTheNumberEnv"

@@ -12,7 +12,7 @@ from itertools import permutations, product
 from math import perm
 
 from gem_core.errors import AgentError
-from gem_core.rollouts.agent import Context
+from gem_core.rollouts import Context
 from gem_core.types import Observation
 from gem_games.mastermind import count_pegs
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gem_core.env.seeding import Draws
+from gem_games.cheap_random import CheapRandom
 
 # What nobody should meet in a grid made for a child. In ROT13, so that these lines can be shown to one as well.
 _RUDE = codecs.decode(
@@ -36,7 +36,7 @@ _STARTS = np.zeros(1 << 15, dtype=bool)
 _STARTS[[_code(*start.encode("ascii")) for start in _BY_START]] = True
 
 
-def fill(placed: Sequence[dict[int, str]], letters: bytes, size: int, draws: Draws) -> str | None:
+def fill(placed: Sequence[dict[int, str]], letters: bytes, size: int, draws: CheapRandom) -> str | None:
     """Return the letters of a square, row by row: words in their places, and other letters around them.
 
     What stands within one of the words is let stand (as the middle of GRAPES, say).

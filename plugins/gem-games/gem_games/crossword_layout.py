@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
 
-from gem_core.env.seeding import Draws
+from gem_games.cheap_random import CheapRandom
 
 _WIDTH = 1 << 12  # cells in a row of the sheet that words are laid out on: more than any layout needs
 _MIDDLE = (_WIDTH // 2) * _WIDTH + _WIDTH // 2
@@ -35,7 +35,7 @@ class Placed(NamedTuple):
     word: str
 
 
-def lay_out(words: Sequence[str], count: int, most_cells: int, draws: Draws) -> list[Placed]:
+def lay_out(words: Sequence[str], count: int, most_cells: int, draws: CheapRandom) -> list[Placed]:
     """Choose words and place them, each one crossing another.
 
     Args:
@@ -52,7 +52,7 @@ def lay_out(words: Sequence[str], count: int, most_cells: int, draws: Draws) -> 
     return _trimmed(begun)
 
 
-def _try_to_lay_out(words: Sequence[str], count: int, most_cells: int, draws: Draws) -> list[Begun] | None:
+def _try_to_lay_out(words: Sequence[str], count: int, most_cells: int, draws: CheapRandom) -> list[Begun] | None:
     """Place one word after another; None where nothing seems to fit, as around two short words that cross."""
     sheet: dict[int, str] = {}
     begun: list[Begun] = []
@@ -77,7 +77,7 @@ def _try_to_lay_out(words: Sequence[str], count: int, most_cells: int, draws: Dr
     return None
 
 
-def _place(word: str, sheet: dict[int, str], begun: list[Begun], draws: Draws) -> tuple[int, int] | None:
+def _place(word: str, sheet: dict[int, str], begun: list[Begun], draws: CheapRandom) -> tuple[int, int] | None:
     """Draw one of the places where a word crosses another and breaks no rule: its first cell and its stride."""
     crossings = [
         (start + stride * theirs, stride, ours)

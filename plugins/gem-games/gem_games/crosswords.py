@@ -6,9 +6,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
+from gem_games.cheap_random import CheapRandom
 from gem_games.crossword_layout import Placed, lay_out
 from gem_games.game import Game, check_flag, check_whole, whole_number
 from gem_games.letter_grid import coloured_grid, column_numbers, numbered_row
@@ -80,7 +80,7 @@ class CrosswordsEnv(Game):
         self.placed: list[Placed] = []
         self._begin()
 
-    def _deal(self, draws: Draws) -> None:
+    def _deal(self, draws: CheapRandom) -> None:
         if self._given_hardcore is None:
             self.hardcore = bool(draws.below(2))
         self.placed = lay_out(clues(self.hardcore).words, self.num_words, self.max_turns, draws)

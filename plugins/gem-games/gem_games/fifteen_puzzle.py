@@ -5,15 +5,15 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
-from gem_core.env.seeding import Draws
 from gem_core.types import StepResult
+from gem_games.cheap_random import CheapRandom
 from gem_games.game import Game, check_whole, painted, read_direction, sizes_to_draw
 
 _SIZES = (2, 10), (3, 20), (4, 50)
 _FEWEST_ROWS, _MOST_ROWS = 2, 10  # the tiles of more rows would need three digits
 _MOST_MOVES = 1_000
 _WINDOW = 12  # on a 2x2 board, moves that never go back return to their beginning after this many
-_AT_ONCE = 32  # bytes that Draws gives at once
+_AT_ONCE = 32  # bytes that CheapRandom gives at once
 _CHOICES = 12  # a multiple of 1, 2, 3 and 4, the ways that a gap can go
 _REMAINDERS = bytes(byte % _CHOICES for byte in range(256))
 _LABELS = [b" _", *(b"%2d" % tile for tile in range(1, _MOST_ROWS**2))]
@@ -84,7 +84,7 @@ class FifteenPuzzleEnv(Game):
         """The tiles row by row, 0 for the gap."""
         return [0 if tile == "_" else int(tile) for tile in self._board.decode("ascii").split()]
 
-    def _deal(self, draws: Draws) -> None:
+    def _deal(self, draws: CheapRandom) -> None:
         if len(self._sizes) > 1:
             self._set_size(*self._sizes[draws.below(len(self._sizes))])
         most = min(self.mix_moves, self.max_turns)
@@ -175,7 +175,7 @@ class FifteenPuzzleEnv(Game):
         self._put([_LABELS[int(tile)] for tile in state["tiles"]])
 
 
-def gap_path(num_rows: int, moves: int, draws: Draws) -> list[int]:
+def gap_path(num_rows: int, moves: int, draws: CheapRandom) -> list[int]:
     """Draw the cells that the gap goes through from the bottom right, never straight back."""
     ways = _ways(num_rows)
     way = ways[-1][1]

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from typing import Any
 
-from gem_core.env.base import Env
-from gem_core.env.seeding import Draws
+from gem_core.env import Env
 from gem_core.errors import ArgumentError, ResetNeededError
 from gem_core.parsing import extract_boxed_answers, extract_last_boxed_answer
 from gem_core.types import ResetResult, StepResult
+from gem_games.cheap_random import CheapRandom
 
 FORMAT_ERROR_REWARD = -0.1
 
@@ -107,7 +107,7 @@ class Game(Env):
 
     # What a game defines.
 
-    def _deal(self, draws: Draws) -> None:
+    def _deal(self, draws: CheapRandom) -> None:
         """Set the game up; the parameters that were left open are drawn here too."""
         raise NotImplementedError
 
@@ -146,7 +146,7 @@ class Game(Env):
         Env.reset(self, seed)  # named, since super() costs a twentieth of a whole reset
         self.turn = 0
         self.outcome = _PLAYING
-        self._deal(Draws(self.np_random_seed))
+        self._deal(CheapRandom(self.np_random_seed))
         key = self._opening_key()
         observation, feedback, suffix = self._openings.get(key) or self._open(key)
         return observation, {"feedback": feedback, "suffix": suffix}

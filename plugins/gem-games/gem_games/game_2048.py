@@ -7,9 +7,9 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
-from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
+from gem_games.cheap_random import CheapRandom
 from gem_games.game import Game, check_whole, painted, read_direction, sizes_to_draw
 
 _SIZES = (16, 20), (32, 30), (64, 50)
@@ -76,7 +76,7 @@ class Game2048Env(Game):
         self.board: list[Line] = [(0,) * board_size] * board_size
         self.first_tile = self.largest_tile = 2
 
-    def _deal(self, draws: Draws) -> None:
+    def _deal(self, draws: CheapRandom) -> None:
         if len(self._sizes) > 1:
             self.target_tile, self.max_turns = self._sizes[draws.below(len(self._sizes))]
         cells = self.board_size**2

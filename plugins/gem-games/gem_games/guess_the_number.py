@@ -6,9 +6,9 @@ import math
 from collections.abc import Hashable
 from typing import Any
 
-from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
+from gem_games.cheap_random import CheapRandom
 from gem_games.game import Game, check_whole, painted, quote, whole_number
 
 _FARTHEST = 10**15
@@ -57,13 +57,13 @@ class GuessTheNumberEnv(Game):
         self.guesses: list[int] = []
         self._hints = ""
 
-    def _deal(self, draws: Draws) -> None:
+    def _deal(self, draws: CheapRandom) -> None:
         if None in self._given:
             self._draw_range(draws)
         self.number = self.min_number + draws.below(self.max_number - self.min_number + 1)
         self._begin()
 
-    def _draw_range(self, draws: Draws) -> None:
+    def _draw_range(self, draws: CheapRandom) -> None:
         lowest, highest, turns = self._given
         if lowest is None:
             lowest = draws.below(10) + 1 if highest is None else highest - 5 - draws.below(46)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Any
 
-from gem_core.env.seeding import Draws
 from gem_core.types import StepResult
+from gem_games.cheap_random import CheapRandom
 from gem_games.game import Game, check_flag, check_whole, painted, sizes_to_draw
 from gem_games.words import word_list
 
@@ -58,7 +58,7 @@ class HangmanEnv(Game):
         self.word = ""
         self._begin()
 
-    def _deal(self, draws: Draws) -> None:
+    def _deal(self, draws: CheapRandom) -> None:
         if len(self._sizes) > 1:
             self.word_length, self.max_turns = self._sizes[draws.below(len(self._sizes))]
         pool = self._pool()

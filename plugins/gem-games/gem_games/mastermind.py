@@ -7,9 +7,9 @@ from collections.abc import Hashable
 from operator import eq
 from typing import Any
 
-from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
+from gem_games.cheap_random import CheapRandom
 from gem_games.game import Game, check_flag, check_whole, painted, sizes_to_draw, whole_numbers
 
 _SIZES = (2, 4, 10), (4, 6, 20), (4, 8, 30)
@@ -69,7 +69,7 @@ class MastermindEnv(Game):
         self.code: list[int] = []
         self._begin()
 
-    def _deal(self, draws: Draws) -> None:
+    def _deal(self, draws: CheapRandom) -> None:
         if len(self._sizes) > 1:
             self.code_length, self.num_numbers, self.max_turns = self._sizes[draws.below(len(self._sizes))]
         self.code = self._code(draws.below(self._num_codes()))

@@ -6,9 +6,9 @@ import re
 from functools import lru_cache
 from typing import Any
 
-from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
+from gem_games.cheap_random import CheapRandom
 from gem_games.game import Game, check_whole, painted, quote, whole_number
 
 _SIDES = range(5, 9)
@@ -92,7 +92,7 @@ class MinesweeperEnv(Game):
         self.num_mines = num_mines if num_mines is not None else cells // 5
         self.max_turns = max_turns if max_turns is not None else cells
 
-    def _deal(self, draws: Draws) -> None:
+    def _deal(self, draws: CheapRandom) -> None:
         if self._given[0] is None and self._given[1] is None:
             self._set_size(_SIDES[draws.below(len(_SIDES))])
         self._clear()
@@ -108,7 +108,7 @@ class MinesweeperEnv(Game):
 
     def _lay_mines(self, first: int) -> None:
         """Draw where the mines are, none of them in the first cell or around it."""
-        draws = Draws(self.np_random_seed)
+        draws = CheapRandom(self.np_random_seed)
         safe = {first, *self._around[first]}
         cells = [cell for cell in range(self.rows * self.cols) if cell not in safe]
         self._set_mines(frozenset(cells.pop(draws.below(len(cells))) for _ in range(self.num_mines)))

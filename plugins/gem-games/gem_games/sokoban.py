@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
+from gem_games.cheap_random import CheapRandom
 from gem_games.game import Game, check_whole, painted, read_direction, sizes_to_draw
 from gem_games.sokoban_levels import FEWEST_ROWS, MOST_ROWS, make_level, most_boxes
 
@@ -80,7 +80,7 @@ class SokobanEnv(Game):
         width = 2 * room[1]
         self._deltas = {"up": -width, "down": width, "left": -2, "right": 2}
 
-    def _deal(self, draws: Draws) -> None:
+    def _deal(self, draws: CheapRandom) -> None:
         if len(self._sizes) > 1:
             self._set_size(*self._sizes[draws.below(len(self._sizes))])
         level = make_level(*self.dim_room, self.num_boxes, max(1, self.max_turns * 3 // 4), draws)

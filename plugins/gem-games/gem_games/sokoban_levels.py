@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from gem_core.env.seeding import Draws
+from gem_games.cheap_random import CheapRandom
 
 FEWEST_ROWS, MOST_ROWS = 5, 20
 # A longer history of pulls makes large rooms slower to carve, and hardly harder.
@@ -44,7 +44,7 @@ def most_boxes(rows: int, columns: int) -> int:
     return (rows - 2) * (columns - 2) // 4
 
 
-def make_level(rows: int, columns: int, num_boxes: int, max_moves: int, draws: Draws) -> Level:
+def make_level(rows: int, columns: int, num_boxes: int, max_moves: int, draws: CheapRandom) -> Level:
     """Return a level that can be won in at most ``max_moves`` moves; a box that begins on a goal is rare.
 
     Args:
@@ -67,7 +67,7 @@ def make_level(rows: int, columns: int, num_boxes: int, max_moves: int, draws: D
     return best
 
 
-def _carve(rows: int, columns: int, num_boxes: int, draws: Draws) -> _Room | None:
+def _carve(rows: int, columns: int, num_boxes: int, draws: CheapRandom) -> _Room | None:
     """Return a room whose cells are all connected, with boxes on goals; None if it came out too small."""
     inside = [row * columns + column for row in range(1, rows - 1) for column in range(1, columns - 1)]
     floor = bytearray(rows * columns)
@@ -93,7 +93,7 @@ def _carve(rows: int, columns: int, num_boxes: int, draws: Draws) -> _Room | Non
     return _Room(free, goals, deltas)
 
 
-def _pull_apart(room: _Room, budget: int, draws: Draws) -> tuple[Level, int]:
+def _pull_apart(room: _Room, budget: int, draws: CheapRandom) -> tuple[Level, int]:
     """Play backwards from the solved room; return the level where most boxes are off goals, and how many that are."""
     free, deltas, goals, boxes = room.free, room.deltas, set(room.goals), set(room.goals)
     walls = [not (free_cell or cell in goals) for cell, free_cell in enumerate(free)]
@@ -133,7 +133,7 @@ def _pulls(room: _Room, boxes: set[int], came: dict[int, int] | None) -> list[tu
 
 
 def _choose(
-    pulls: list[tuple[int, int]], goals: set[int], boxes: set[int], seen: set[frozenset[int]], draws: Draws
+    pulls: list[tuple[int, int]], goals: set[int], boxes: set[int], seen: set[frozenset[int]], draws: CheapRandom
 ) -> tuple[int, int] | None:
     """Draw a pull to a position that is new: off a goal if there is one, and onto a goal only if there is no other."""
     new = [(box, delta) for box, delta in pulls if frozenset(boxes ^ {box, box + delta}) not in seen]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
-from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
+from gem_games.cheap_random import CheapRandom
 from gem_games.game import Game, check_whole, painted, sizes_to_draw, whole_numbers
 from gem_games.sudoku_grids import FEWEST_CLUES, make_puzzle
 
@@ -85,7 +85,7 @@ class SudokuEnv(Game):
             if number:
                 self._text[place] = ord("0") + number
 
-    def _deal(self, draws: Draws) -> None:
+    def _deal(self, draws: CheapRandom) -> None:
         if len(self._sizes) > 1:
             self._set_size(*self._sizes[draws.below(len(self._sizes))])
         cells, self.solution = make_puzzle(self.scale, self.clues, draws)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import NamedTuple
 
-from gem_core.env.seeding import Draws
+from gem_games.cheap_random import CheapRandom
 
 FEWEST_CLUES = {4: 5, 9: 31}
 """By scale: fewer clues than these take long to find, or leave more than one solution."""
@@ -35,7 +35,7 @@ def units(scale: int) -> Units:
     return Units(of, [[cell for cell in range(scale**2) if unit in of[cell]] for unit in range(3 * scale)])
 
 
-def make_puzzle(scale: int, clues: int, draws: Draws) -> tuple[list[int], list[int]]:
+def make_puzzle(scale: int, clues: int, draws: CheapRandom) -> tuple[list[int], list[int]]:
     """Return a puzzle and its only solution, row by row; 0 stands for an empty cell.
 
     Each cell is emptied only if the rest forces it at once: no other number fits there, or the number fits nowhere else
@@ -54,7 +54,7 @@ def make_puzzle(scale: int, clues: int, draws: Draws) -> tuple[list[int], list[i
             return puzzle, solution
 
 
-def _full_grid(scale: int, draws: Draws) -> list[int]:
+def _full_grid(scale: int, draws: CheapRandom) -> list[int]:
     """Draw a full grid: the boxes of the diagonal, which share nothing, at random; then the rest by search."""
     of, cells = units(scale)
     side = int(scale**0.5)
@@ -71,12 +71,12 @@ def _full_grid(scale: int, draws: Draws) -> list[int]:
             return grid
 
 
-def _shuffled(items: list[int], draws: Draws) -> list[int]:
+def _shuffled(items: list[int], draws: CheapRandom) -> list[int]:
     """Return a list in an order that is drawn, each as likely as the others; the list is used up."""
     return [items.pop(draws.below(left)) for left in range(len(items), 0, -1)]
 
 
-def _fill(grid: list[int], used: list[int], left: list[int], scale: int, draws: Draws) -> bool:
+def _fill(grid: list[int], used: list[int], left: list[int], scale: int, draws: CheapRandom) -> bool:
     """Fill the cells that are left, the one with the fewest numbers first; say whether that was possible.
 
     Args:

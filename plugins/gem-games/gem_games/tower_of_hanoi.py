@@ -6,9 +6,9 @@ import re
 from collections.abc import Hashable
 from typing import Any
 
-from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
+from gem_games.cheap_random import CheapRandom
 from gem_games.game import Game, check_whole, painted, sizes_to_draw
 
 _SIZES = (3, 10), (4, 20), (5, 35)
@@ -61,7 +61,7 @@ class TowerOfHanoiEnv(Game):
         self.pegs: dict[str, list[int]] = {"A": [], "B": [], "C": []}
         self._rows = {"A": "", "B": "", "C": ""}
 
-    def _deal(self, draws: Draws) -> None:
+    def _deal(self, draws: CheapRandom) -> None:
         if len(self._sizes) > 1:
             self.num_disks, self.max_turns = self._sizes[draws.below(len(self._sizes))]
         self.pegs = {"A": list(range(self.num_disks, 0, -1)), "B": [], "C": []}

@@ -9,9 +9,9 @@ from functools import lru_cache
 from itertools import chain, islice
 from typing import Any
 
-from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
 from gem_core.types import TERMINAL_STATE, Concurrency, ResetResult, StepResult
+from gem_games.cheap_random import CheapRandom
 from gem_games.game import Game, check_whole, painted, quote
 from gem_games.wiki.backends import article_graph
 from gem_games.wiki.embedded import EmbeddedArticles
@@ -123,7 +123,7 @@ class WikiGameEnv(Game):
         self._wanted = _checked_pair(options) if options else None
         return super().reset(seed)
 
-    def _deal(self, draws: Draws) -> None:
+    def _deal(self, draws: CheapRandom) -> None:
         self.max_turns = self._given_turns or _TURN_LIMITS[draws.below(2)]
         if self._wanted:
             first, target = (self.graph.article(title) for title in self._wanted)

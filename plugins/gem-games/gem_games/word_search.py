@@ -6,9 +6,9 @@ import math
 from functools import cache
 from typing import Any
 
-from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
+from gem_games.cheap_random import CheapRandom
 from gem_games.clean_letters import fill
 from gem_games.game import Game, check_flag, check_whole, whole_numbers
 from gem_games.letter_grid import coloured_grid, column_numbers, numbered_row
@@ -79,7 +79,7 @@ class WordSearchEnv(Game):
         self.grid: list[str] = []
         self._begin()
 
-    def _deal(self, draws: Draws) -> None:
+    def _deal(self, draws: CheapRandom) -> None:
         if self._given_hardcore is None:
             self.hardcore = bool(draws.below(2))
         pool = _pool(self.hardcore)
@@ -94,7 +94,7 @@ class WordSearchEnv(Game):
         self.words.sort()
         self._begin()
 
-    def _hide(self, draws: Draws) -> list[str]:
+    def _hide(self, draws: CheapRandom) -> list[str]:
         """Place the words, longest first, and fill what is left with random letters; return the rows."""
         size = max(math.ceil(1.5 * len(self.words[0])), math.isqrt(2 * sum(map(len, self.words))))
         text = None
@@ -242,7 +242,7 @@ def _pool(hardcore: bool) -> tuple[str, ...]:
     return tuple(word.upper() for length in _EASY_LENGTHS for word in word_list(length).common)
 
 
-def _place(words: list[str], size: int, draws: Draws) -> list[dict[int, str]] | None:
+def _place(words: list[str], size: int, draws: CheapRandom) -> list[dict[int, str]] | None:
     """Place words at random in a square of cells numbered row by row, each by itself; None if one finds no place."""
     placed: list[dict[int, str]] = []
     taken: dict[int, str] = {}

@@ -7,7 +7,7 @@ import re
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import gem_core as gem
@@ -166,7 +166,6 @@ def test_render_draws_only_when_asked_to(env_id: str) -> None:
     assert plain.render() is None
 
 
-@settings(deadline=None, max_examples=150)
 @given(st.sampled_from(IDS), st.integers(0, 100), st.lists(ANSWERS, max_size=30), st.booleans())
 def test_rewards_stay_within_bounds(env_id: str, seed: int, answers: list[str], format_error_ends: bool) -> None:
     """Whatever is said, a game pays no less a turn than for a format error, and at most 1 in all."""

@@ -6,7 +6,7 @@ from collections import Counter
 
 import pytest
 
-from gem_core.env.seeding import Draws
+from gem_games.cheap_random import CheapRandom
 from gem_games.fifteen_puzzle import FifteenPuzzleEnv, gap_path
 
 Tiles = tuple[int, ...]
@@ -57,6 +57,7 @@ def is_even(tiles: list[int], num_rows: int) -> bool:
 
 
 @pytest.mark.parametrize(("num_rows", "max_turns"), [(2, 10), (3, 20)])
+@pytest.mark.few(1)
 def test_search_reaches_many_boards_within_the_turns(num_rows: int, max_turns: int, many: int) -> None:
     env, away = FifteenPuzzleEnv(max_turns, num_rows), distances(num_rows)
     for seed in range(many):
@@ -80,7 +81,7 @@ def test_taking_the_mixing_back_solves_many_boards(num_rows: int, max_turns: int
     for seed in range(many if num_rows < 10 else 50):
         env.reset(seed=seed)
         assert is_even(env.tiles, num_rows)
-        draws = Draws(seed)
+        draws = CheapRandom(seed)
         moves = max_turns - draws.below(min(12, max_turns))
         path = [num_rows**2 - 1, *gap_path(num_rows, moves, draws)]
         over, result = False, None
@@ -97,7 +98,7 @@ def test_taking_the_mixing_back_solves_many_boards(num_rows: int, max_turns: int
 
 def test_mixing_never_goes_straight_back() -> None:
     for seed in range(50):
-        path = gap_path(4, 50, Draws(seed))
+        path = gap_path(4, 50, CheapRandom(seed))
         assert len(path) == 50
         assert all(cell != later for cell, later in zip(path, path[2:], strict=False))
 

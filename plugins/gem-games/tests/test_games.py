@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import gem_core as gem
@@ -164,7 +164,7 @@ def test_solver_reads_a_history(env_id: str, wrappers: str) -> None:
 
 
 def test_solvers_are_found_by_name_and_refuse_other_games() -> None:
-    from gem_core.registry.lookup import registry
+    from gem_core.registry import registry
 
     observation, _ = gem.make("game:TowerofHanoi-v0-easy").reset(seed=0)
     guess, _ = gem.make("game:GuessTheNumber-v0").reset(seed=0)
@@ -243,14 +243,12 @@ def test_drawings() -> None:
     assert uncoloured(number) == f"1 {'█' * 20}{'·' * 30} 10\nopen: 1 to 4 · guesses: 5\nturn 1 of 5 · playing"
 
 
-@settings(deadline=None)
 @given(st.integers(-(10**200), 10**200))
 def test_whole_number_reads_what_python_writes(number: int) -> None:
     read = whole_number(str(number))
     assert read == number if len(str(number)) <= 100 else abs(read or 0) >= 10**98
 
 
-@settings(deadline=None)
 @given(st.text(max_size=12))
 def test_whole_number_never_fails(text: str) -> None:
     read = whole_number(text)
@@ -258,13 +256,11 @@ def test_whole_number_never_fails(text: str) -> None:
     assert read is None or read == int(text)
 
 
-@settings(deadline=None)
 @given(st.lists(st.integers(-99, 99), min_size=1), st.sampled_from([" ", "  ", "\n", "\t "]))
 def test_whole_numbers_reads_lists(numbers: list[int], space: str) -> None:
     assert whole_numbers(space.join(map(str, numbers))) == numbers
 
 
-@settings(deadline=None)
 @given(st.text())
 def test_quote_is_short_and_can_be_printed(text: str) -> None:
     assert len(quote(text)) < 450

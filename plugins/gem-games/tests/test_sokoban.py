@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from gem_core.env.seeding import Draws
+from gem_games.cheap_random import CheapRandom
 from gem_games.sokoban import SokobanEnv
 from gem_games.sokoban_levels import make_level
 
@@ -22,7 +22,13 @@ def corridor(**kwargs: Any) -> SokobanEnv:
     """Return a game on a small board whose rows are ``#@$.-##`` and ``#-$-.##``."""
     env = SokobanEnv((5, 7), num_boxes=2, **kwargs)
     env.reset(seed=0)
-    env._set_cells(CORRIDOR)
+    return put(env, CORRIDOR)
+
+
+def put(env: SokobanEnv, cells: str) -> SokobanEnv:
+    """Put a game into a position, by its state."""
+    state = env.get_state()
+    env.set_state({**state, "task": {**state["task"], "cells": cells}})
     return env
 
 
@@ -60,7 +66,7 @@ def test_many_levels_are_won_by_their_own_solution(
     boxes_on_goals = 0
     for seed in range(many):
         env.reset(seed=seed)
-        level = make_level(*room, num_boxes, max_turns * 3 // 4, Draws(seed))
+        level = make_level(*room, num_boxes, max_turns * 3 // 4, CheapRandom(seed))
         assert env.cells == level.cells
         assert [level.cells.count(mark) for mark in "$*"] == [
             num_boxes - level.cells.count("*"),
@@ -78,7 +84,7 @@ def test_many_levels_are_won_by_their_own_solution(
 def test_search_solves_many_levels(many: int) -> None:
     """Independent of how levels are made: a search of all positions finds a way that fits into the turns."""
     for seed in range(many):
-        level = make_level(6, 6, 2, 15, Draws(seed))
+        level = make_level(6, 6, 2, 15, CheapRandom(seed))
         shortest = shortest_solution(level.cells, 6)
         assert shortest is not None, f"seed {seed}"
         assert shortest <= len(level.solution) <= 15
@@ -90,14 +96,14 @@ def test_search_solves_many_levels(many: int) -> None:
 def test_odd_sizes_give_levels_too(rows: int, columns: int, num_boxes: int, moves: int) -> None:
     """However few the moves, at least one box is off its goal; however many, the work is bounded."""
     for seed in range(3):
-        level = make_level(rows, columns, num_boxes, moves, Draws(seed))
+        level = make_level(rows, columns, num_boxes, moves, CheapRandom(seed))
         assert "$" in level.cells
         assert 1 <= len(level.solution) <= moves
 
 
 def test_levels_differ() -> None:
     """Nearly all of them: the small room has room for thousands."""
-    assert len({make_level(6, 6, 2, 15, Draws(seed)).cells for seed in range(300)}) > 290
+    assert len({make_level(6, 6, 2, 15, CheapRandom(seed)).cells for seed in range(300)}) > 290
 
 
 def test_step_and_push_give_nothing() -> None:
@@ -175,8 +181,7 @@ def test_anything_else_ends_the_game(answer: str) -> None:
 
 
 def test_walled_in_player_can_still_sample() -> None:
-    env = corridor()
-    env._set_cells("########@$$####$#..#########")
+    env = put(corridor(), "########@$$####$#..#########")
     assert env.sample_random_action().startswith("\\boxed{")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import gem_core as gem
-from gem_core.env.seeding import Draws
+from gem_games.cheap_random import CheapRandom
 from gem_games.sudoku import SudokuEnv
 from gem_games.sudoku_grids import make_puzzle
 
@@ -23,8 +23,9 @@ def small(*empty: int, **kwargs: Any) -> SudokuEnv:
     """Return a 4x4 game whose solution is known, with some empty cells."""
     env = SudokuEnv(clues=16 - len(empty), scale=4, **kwargs)
     env.reset(seed=0)
-    env.solution = SOLUTION.copy()
-    env._put([0 if cell in empty else number for cell, number in enumerate(SOLUTION)])
+    cells = [0 if cell in empty else number for cell, number in enumerate(SOLUTION)]
+    state = env.get_state()
+    env.set_state({**state, "task": {**state["task"], "solution": SOLUTION, "cells": cells}})
     return env
 
 
@@ -93,7 +94,7 @@ def test_solver_wins_many_games(env_id: str, scale: int, empty: int, many: int) 
 
 @pytest.mark.parametrize(("scale", "clues", "count"), [(4, 5, 300), (9, 32, 20), (9, 80, 5), (4, 15, 5)])
 def test_any_number_of_clues_leaves_one_solution(scale: int, clues: int, count: int) -> None:
-    draws = Draws(0)
+    draws = CheapRandom(0)
     for _ in range(count):
         puzzle, solution = make_puzzle(scale, clues, draws)
         assert scale**2 - puzzle.count(0) == clues
@@ -107,7 +108,7 @@ def test_solver_finds_several_solutions_where_there_are() -> None:
 
 def test_grids_vary() -> None:
     """Every number turns up in every cell, and no two grids are the same."""
-    draws = Draws(0)
+    draws = CheapRandom(0)
     grids = [tuple(make_puzzle(9, 60, draws)[1]) for _ in range(150)]
     assert len(set(grids)) == 150
     assert all(len({grid[cell] for grid in grids}) == 9 for cell in range(81))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import os
 import random
@@ -14,9 +15,9 @@ from gem_core import make
 from gem_core.errors import ArgumentError, MissingRequirementError
 from gem_games.textarena.env import TextArenaEnv
 from gem_games.textarena.games import GAMES
-from gem_games.textarena.listing import textarena_specs
+from gem_games.textarena.listing import EXTRA, textarena_specs
 
-RUNNABLE = [spec for spec in textarena_specs() if not spec.requires]
+RUNNABLE = [spec for spec in textarena_specs() if spec.requires == (EXTRA,)]
 _EPISODES = """
 import json, sys
 from gem_games.textarena.env import TextArenaEnv
@@ -111,6 +112,39 @@ def test_a_closed_game_says_why():
     assert str(caught.value) == (
         "ta:UsedCar-v0-balanced cannot run here: textarena 0.7.4 registers it without its module"
     )
+
+
+def test_without_the_extra_make_says_what_to_install(monkeypatch):
+    """The ids stay listed; each says the command that brings TextArena."""
+    version = importlib.metadata.version
+
+    def without_textarena(name):
+        if name == "textarena":
+            raise importlib.metadata.PackageNotFoundError(name)
+        return version(name)
+
+    monkeypatch.setattr(importlib.metadata, "version", without_textarena)
+    with pytest.raises(MissingRequirementError) as caught:
+        make("ta:TicTacToe-v0")
+    assert str(caught.value) == (
+        "ta:TicTacToe-v0 cannot run here: it needs an extra of gem-games: 'pip install \"gem-games[textarena]\"'"
+    )
+
+
+def test_our_own_games_need_nothing_of_the_extra():
+    """Each can be made and played where neither TextArena nor what it brings can be imported."""
+    code = """
+import sys
+sys.modules.update(dict.fromkeys(["textarena", "nltk", "openai", "websockets"]))
+import gem_core as gem
+for env_id in gem.list_envs("game:*"):
+    env = gem.make(env_id)
+    env.reset(seed=1)
+    env.step(env.sample_random_action())
+assert gem.list_envs("ta:*")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    assert done.stderr == ""
 
 
 def test_a_seat_that_is_not_there_is_refused():

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 import gem_core as gem
-from gem_core.env.seeding import Draws
 from gem_core.errors import EnvFaultError
+from gem_games.cheap_random import CheapRandom
 from gem_games.sokoban_levels import make_level
 from gem_games.textarena import searches
 from gem_games.textarena.env import TextArenaEnv
@@ -107,7 +107,7 @@ def test_sokoban_can_be_won(game: str, rows: int, boxes: int, steps: int) -> Non
     names = {**MOVES, -rows: "[up]", rows: "[down]"}
     for seed in range(30):
         env.reset(seed=seed)
-        solution = make_level(rows, rows, boxes, steps, Draws(env.np_random_seed % 2**32)).solution
+        solution = make_level(rows, rows, boxes, steps, CheapRandom(env.np_random_seed % 2**32)).solution
         results = [env.step(names[move]) for move in solution]
         assert [result[2] for result in results] == [False] * (len(solution) - 1) + [True]
         assert results[-1][1] == 1.0
@@ -212,10 +212,15 @@ def test_opponents_who_end_each_game_before_the_agents_turn_fail_the_reset() -> 
     assert other.table.actions == env.table.actions == ["[4]"]
 
 
+def tic_tac_toe() -> Any:
+    """Return TextArena's class of the game."""
+    return type(load("TicTacToe-v0")[0])
+
+
 def test_a_library_that_fails_on_any_action_truncates_with_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     env = TextArenaEnv("TicTacToe-v0", players=2)
     env.reset(seed=1)
-    broken = type(env.table._game)
+    broken = tic_tac_toe()
 
     def step(self: Any, action: str) -> Any:
         raise KeyError("board")
@@ -230,7 +235,7 @@ def test_a_library_that_fails_on_one_action_loses_the_game(monkeypatch: pytest.M
     """Another action was to be had, so the agent is to blame."""
     env = TextArenaEnv("TicTacToe-v0", players=2)
     env.reset(seed=1)
-    broken = type(env.table._game)
+    broken = tic_tac_toe()
     plain = broken.step
 
     def step(self: Any, action: str) -> Any:
@@ -252,6 +257,6 @@ def test_a_library_that_fails_at_reset_raises(monkeypatch: pytest.MonkeyPatch) -
     def reset(self: Any, num_players: int, seed: int) -> Any:
         raise KeyError("board")
 
-    monkeypatch.setattr(type(env.table._game), "reset", reset)
+    monkeypatch.setattr(tic_tac_toe(), "reset", reset)
     with pytest.raises(KeyError):
         env.reset(seed=1)

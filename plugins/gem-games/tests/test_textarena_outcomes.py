@@ -81,7 +81,9 @@ def test_opponents_may_be_named_by_seat() -> None:
         if env.step(env.sample_random_action())[2]:
             break
     assert asked
-    assert TextArenaEnv("TicTacToe-v0", players=2, opponents={1: "bisect"})._opponents[1] is not None
+    named = TextArenaEnv("TicTacToe-v0", players=2, opponents={1: "random"})
+    named.reset(seed=1)
+    assert "Player 1" in named.step("[4]")[0]
 
 
 @pytest.mark.parametrize(

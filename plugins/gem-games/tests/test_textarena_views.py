@@ -9,12 +9,12 @@ import pytest
 
 import gem_core as gem
 from gem_games.textarena.env import TextArenaEnv
-from gem_games.textarena.listing import textarena_specs
-from gem_games.textarena.table import _TALK
+from gem_games.textarena.listing import EXTRA, textarena_specs
+from gem_games.textarena.table import TALK
 
 OWN = "<think>Hidden thoughts.</think>I reason SELFISHLY for long here."
 OTHER = "<think>Hidden thoughts.</think>I reason OTHERWISE for long here."
-HEARD = {*_TALK, "SettlersOfCatan", "TwoDollar"}
+HEARD = {*TALK, "SettlersOfCatan", "TwoDollar"}
 """Families in which what is said is part of the game."""
 
 
@@ -22,7 +22,9 @@ def family(spec: Any) -> str:
     return str(spec.kwargs["game"]).partition("-")[0]
 
 
-FIRST = list({family(spec): spec for spec in reversed(list(textarena_specs())) if not spec.requires}.values())[::-1]
+FIRST = list({family(spec): spec for spec in reversed(list(textarena_specs())) if spec.requires == (EXTRA,)}.values())[
+    ::-1
+]
 
 
 def seen(env_id: str, players: int, turns: int) -> tuple[list[str], list[str]]:

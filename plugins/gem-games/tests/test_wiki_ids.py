@@ -119,6 +119,6 @@ def test_hostile_responses_are_answered_fast_and_briefly(variant: str) -> None:
 
 
 def test_agent_is_registered() -> None:
-    from gem_core.registry.lookup import registry
+    from gem_core.registry import registry
 
     assert registry().agent("wikigame").entry_point == "gem_games.wiki.agent:WikiGameAgent"

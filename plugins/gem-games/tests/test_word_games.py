@@ -9,11 +9,11 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import gem_core as gem
-from gem_core.env.seeding import Draws
+from gem_games.cheap_random import CheapRandom
 from gem_games.clean_letters import fill
 from gem_games.crossword_layout import lay_out
 from gem_games.crosswords import clues
@@ -159,6 +159,7 @@ def test_solver_wins_many_games(env_id: str, many: int) -> None:
     ("env_id", "least"),
     [("game:Hangman-v0-easy", 800), ("game:Hangman-v0-hard", 1_000), ("game:Hangman-v0-random", 900)],
 )
+@pytest.mark.few(1)
 def test_hangman_is_won_a_thousand_times(env_id: str, least: int) -> None:
     """Asking for the letters that a word has, and then saying it, takes few enough turns.
 
@@ -203,7 +204,7 @@ def test_random_difficulty(name: str) -> None:
 def test_layouts_are_crosswords(hard: bool, count: int, cells: int) -> None:
     """Each run of letters, across or down, is one of the words; all are connected; and there are cells enough."""
     for seed in range(50):
-        placed = lay_out(clues(hard).words, count, cells, Draws(seed))
+        placed = lay_out(clues(hard).words, count, cells, CheapRandom(seed))
         letters: dict[tuple[int, int], str] = {}
         for row, column, across, word in placed:
             for place, letter in enumerate(word):
@@ -286,7 +287,6 @@ def test_random_actions_exhaust_a_game(env_id: str, kwargs: dict[str, Any]) -> N
     assert all(played(env, seed)[-1][4]["correct"] for seed in range(3))
 
 
-@settings(deadline=None)
 @given(st.text("ABC", min_size=5, max_size=5), st.text("ABC", min_size=5, max_size=5))
 def test_marks_count_each_letter_of_the_word_once(guess: str, word: str) -> None:
     """G where the letters are the same; G and Y of a letter together as often as both words have it."""
@@ -326,11 +326,11 @@ def test_words_that_are_rude_side_by_side_are_placed_anew() -> None:
     """Their own letters stay; what a free cell would complete gets another letter; what is within one word stands."""
     letters, rude = b"A" * 36, RUDE_IN_GRIDS[1]
     halves = [{0: rude[0], 1: rude[1]}, {2: rude[2], 3: "E"}]
-    assert fill(halves, letters, 6, Draws(1)) is None
-    whole = fill([dict(enumerate(rude))], letters, 6, Draws(1))
+    assert fill(halves, letters, 6, CheapRandom(1)) is None
+    whole = fill([dict(enumerate(rude))], letters, 6, CheapRandom(1))
     assert whole is not None
     assert whole.startswith(rude)
-    mended = fill([{0: rude[0], 1: rude[1]}], rude.encode() + b"A" * 33, 6, Draws(1))
+    mended = fill([{0: rude[0], 1: rude[1]}], rude.encode() + b"A" * 33, 6, CheapRandom(1))
     assert mended is not None
     assert mended[:2] == rude[:2]
     assert not mended.startswith(rude)

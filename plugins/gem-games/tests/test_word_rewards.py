@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 import gem_core as gem
-from gem_games.crossword_layout import Placed
 from gem_games.crosswords import CrosswordsEnv
+from gem_games.game import Game
 from gem_games.hangman import HangmanEnv
 from gem_games.word_search import WordSearchEnv
 from gem_games.wordle import WordleEnv
@@ -41,9 +41,7 @@ def crossword(**kwargs: Any) -> CrosswordsEnv:
     env = CrosswordsEnv(**{"num_words": 2, **kwargs})
     env.render_mode = "ansi"
     env.reset(seed=0)
-    env.placed = [Placed(0, 0, True, "LAMP"), Placed(0, 2, False, "MAP")]
-    env._begin()
-    return env
+    return put(env, placed=[[0, 0, True, "LAMP"], [0, 2, False, "MAP"]], filled=[], wrong=[])
 
 
 def word_search(**kwargs: Any) -> WordSearchEnv:
@@ -51,8 +49,13 @@ def word_search(**kwargs: Any) -> WordSearchEnv:
     env = WordSearchEnv(**{"num_words": 2, **kwargs})
     env.render_mode = "ansi"
     env.reset(seed=0)
-    env.words, env.grid = ["STAR", "TREE"], ["TREES", "EXXXT", "EXXXA", "RXXXR", "TXXXX"]
-    env._begin()
+    return put(env, words=["STAR", "TREE"], grid=["TREES", "EXXXT", "EXXXA", "RXXXR", "TXXXX"], found={}, tried=[])
+
+
+def put(env: Game, **position: Any) -> Any:
+    """Put a game into a position, by its state."""
+    state = env.get_state()
+    env.set_state({**state, "task": {**state["task"], **position}})
     return env
 
 

@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gem_games.words import LENGTHS, is_word, nouns, word_list, words
@@ -68,7 +68,6 @@ def test_other_texts_are_no_words(text: str) -> None:
     assert not is_word(text)
 
 
-@settings(deadline=None)
 @given(st.text())
 def test_is_word_takes_any_text(text: str) -> None:
     assert is_word(text) in (True, False)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gem_core.registry.hookspecs import hookimpl
-from gem_core.registry.specs import EnvSpec
+from gem_core.registry import EnvSpec, hookimpl
 from gem_math.figures.listing import figure_specs
 from gem_math.listing import math_specs
 from gem_math.reasoning.listing import reasoning_specs

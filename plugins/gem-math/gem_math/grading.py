@@ -83,7 +83,7 @@ def grade(
 
     Source: the boxed-answer convention of MATH, arXiv:2103.03874; math-verify 0.9.0 for what evaluation does not tell.
     """
-    golds = _golds(gold)
+    golds = gold_texts(gold)
     boxes = boxes_of(answer)
     extracted = boxes.beside if boxes.joined else extract_answer(answer, strict=strict)
     others = [other for other in (boxes.beside, boxes.sentence) if other not in {None, extracted}]
@@ -149,13 +149,14 @@ def _rank(verdict: Grade) -> tuple[float, bool]:
     return verdict.reward, verdict.reason != _DIFFERS
 
 
-def _golds(gold: Any) -> list[str]:
+def gold_texts(gold: Any) -> list[str]:
+    """Return the texts of a row's gold answer, which may be one value or several."""
     if isinstance(gold, str | int | float) and not isinstance(gold, bool):
         golds: list[Any] = [gold]
     elif isinstance(gold, Sequence) and not isinstance(gold, bytes):
         golds = list(gold)
     elif hasattr(gold, "tolist"):  # NumPy's numbers and arrays
-        return _golds(gold.tolist())
+        return gold_texts(gold.tolist())
     else:
         golds = [gold]
     texts = [str(one).strip() for one in golds if one is not None and not isinstance(one, list | dict)]
@@ -215,7 +216,7 @@ def _grade_one(answer: str, gold: str, timeout_s: float, partial_credit: bool) -
     cleaned = clean(gold), clean(answer)
     if _spelling(cleaned[0]) == _spelling(cleaned[1]):
         return Grade(1.0, True, answer, _ALIKE)
-    golds, answers = _readings(*cleaned)
+    golds, answers = readings(*cleaned)
     try:
         if any(comparison.same(one, other) for one in golds for other in answers):
             return Grade(1.0, True, answer, _EQUALS)
@@ -254,7 +255,7 @@ def _spelling(text: str) -> str:
     return re.sub(r"(?<!\d)\s+|\s+(?!\d)", "", text)
 
 
-def _readings(gold: str, answer: str) -> tuple[list[Form], list[Form]]:
+def readings(gold: str, answer: str) -> tuple[list[Form], list[Form]]:
     """Return the ways to read both, after ``clean``; 1,234 is a number first, and two where the other side has two."""
     gold_form = read(gold)
     loose = isinstance(gold_form, Leaf) and gold_form.formula is not None and not gold_form.formula.letters

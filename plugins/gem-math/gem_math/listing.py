@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gem_core.registry.specs import EnvSpec
+from gem_core.registry import EnvSpec
 
 _ENTRY_POINT = "gem_math.math_env:MathEnv"
 # Names, splits and columns are gem-llm's.

@@ -8,8 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, Unpack
 
-from gem_core.data.dataset import DatasetEnv, DatasetOptions, Grade
-from gem_core.data.views import MappedRows
+from gem_core.data import DatasetEnv, DatasetOptions, Grade
 from gem_core.errors import ArgumentError, GradingError
 from gem_math.grading import grade as grade_answer
 from gem_math.grading import is_readable
@@ -81,7 +80,8 @@ class MathEnv(DatasetEnv):
         self.length_penalty = length_penalty
         self.partial_credit = partial_credit
         self.timeout_s = timeout_s
-        self._warn_of_unreadable()
+        if options.get("map_row") is None:  # which may be costly
+            self._warn_of_unreadable()
 
     def grade(self, action: str, row: Any) -> Grade:
         """Return the verdict on a response.
@@ -114,9 +114,9 @@ class MathEnv(DatasetEnv):
         return f"\\boxed{{{gold}}}"
 
     def _warn_of_unreadable(self) -> None:
-        """Say once for a data set which gold answers are compared as text; rows that a function makes are not made."""
+        """Say once for a data set which gold answers are compared as text."""
         key = (id(self.rows), self.answer_key)
-        if key in _looked_at or isinstance(self.rows, MappedRows):
+        if key in _looked_at:
             return
         _looked_at[key] = self.rows
         while len(_looked_at) > _MOST_SETS:

@@ -15,7 +15,7 @@ from PIL import Image
 
 import gem_core as gem
 from gem_core.errors import ArgumentError, DatasetError
-from gem_core.records.episode import read_episodes
+from gem_core.records import read_episodes
 from gem_core.testing import check_env
 from gem_math.figures.env import FigureEnv
 from gem_math.figures.sample import EACH, GEOMETRY_SAMPLE, KINDS
@@ -81,6 +81,7 @@ def test_the_numbers_stand_in_the_figure_alone() -> None:
         assert len({each["answer"] for each in rows}) > 1, kind.__name__
 
 
+@pytest.mark.thorough
 def test_figures_are_drawn_the_same_in_every_process() -> None:
     """Whatever the hash seed, and whichever is drawn first."""
     code = (
@@ -110,7 +111,7 @@ def test_nobody_draws_into_another_ones_figure() -> None:
     first.paste((0, 0, 0), (0, 0, 50, 50))
     assert GEOMETRY_SAMPLE[3]["images"][0].tobytes() != first.tobytes()
     assert GEOMETRY_SAMPLE[-1]["answer"] == GEOMETRY_SAMPLE[114]["answer"]
-    with pytest.raises(IndexError, match="there are 115 rows, and none at 115"):
+    with pytest.raises(IndexError):
         GEOMETRY_SAMPLE[115]
 
 
@@ -251,7 +252,7 @@ def test_images_go_through_every_backend(backend: str) -> None:
 
 @pytest.mark.thorough
 def test_a_run_writes_images_beside_it_and_reads_them_back(tmp_path: Path) -> None:
-    """Each once, named by its hash; ``gem show`` and ``gem play`` tell where."""
+    """Each once, named by its hash; ``gem play`` tells where."""
     path = tmp_path / "run.jsonl"
     command = [sys.executable, "-m", "gem_core"]
     subprocess.run(
@@ -279,8 +280,6 @@ def test_a_run_writes_images_beside_it_and_reads_them_back(tmp_path: Path) -> No
         assert (image.size, image.tobytes()) == (expected.size, expected.tobytes())
     written = {json.dumps(json.loads(line)["observation"][0]) for line in path.read_text().splitlines()}
     assert len(written) == len(list((tmp_path / "run.images").iterdir())) == 3
-    shown = subprocess.run([*command, "show", str(path), "1"], check=True, capture_output=True, text=True).stdout
-    assert "[image " in shown or ".png" in shown
     played = subprocess.run(
         [*command, "play", "math:GeometrySample", "--seed", "1"],
         input="7\n",

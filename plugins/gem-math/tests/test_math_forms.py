@@ -5,7 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from gem_math import grade
@@ -16,7 +16,6 @@ from gem_math.grading_text import clean
 
 MONTHS = ["January", "February", "March", "April", "May", "June", "July", "August", "September", "October", "November",
           "December"]  # fmt: skip
-quick = settings(max_examples=40, deadline=None)
 numbers = st.integers(-9, 9)
 factors = st.fractions(Fraction(1, 9), 9, max_denominator=9).filter(lambda factor: factor != 1)
 
@@ -26,7 +25,6 @@ def right(answer: str, gold: str) -> bool:
     return grade(rf"\boxed{{{answer}}}", gold, timeout_s=20).correct
 
 
-@quick
 @given(st.integers(0, 11), st.integers(1, 6), numbers, st.sampled_from("nm"))
 def test_a_whole_number_may_be_shifted_and_renamed(start: int, step: int, shift: int, letter: str) -> None:
     """A + pk takes the values of a + mp + pn, and of no other start."""
@@ -59,7 +57,6 @@ def test_a_whole_number_that_may_be_any_is_found(gold: str, answer: str, letter:
     assert (parameter.letter if parameter else None) == letter
 
 
-@quick
 @given(numbers, numbers, numbers, factors, st.sampled_from(["<", r"\le", ">", r"\ge"]))
 def test_an_inequality_may_be_multiplied_and_turned(a: int, b: int, c: int, factor: Fraction, sign: str) -> None:
     """By a positive number as it is, by a negative one only when it is turned; strict and not strict are two."""
@@ -76,7 +73,6 @@ def test_an_inequality_may_be_multiplied_and_turned(a: int, b: int, c: int, fact
     assert not right(f"({p})x+({q})y {sign} {r + 1}", gold)
 
 
-@quick
 @given(st.permutations([0, 1, 2]), st.booleans())
 def test_values_with_conditions_stand_in_any_order(order: list[int], words: bool) -> None:
     """Each value keeps its condition, which may be introduced by 'if'."""
@@ -91,7 +87,6 @@ def test_values_with_conditions_stand_in_any_order(order: list[int], words: bool
     assert not right(r"\begin{cases}" + r" \\ ".join(rows[:2]) + r"\end{cases}", gold)
 
 
-@quick
 @given(st.integers(0, 11), st.integers(1, 28), st.integers(1700, 2100))
 def test_a_day_may_be_written_in_any_order(month: int, day: int, year: int) -> None:
     """The month in letters or the whole in digits; another day is another."""
@@ -108,7 +103,6 @@ def test_a_day_may_be_written_in_any_order(month: int, day: int, year: int) -> N
     assert not right(f"{day} {MONTHS[month]} {year + 1}", gold)
 
 
-@quick
 @given(st.integers(0, 99), st.integers(0, 99).filter(lambda number: number % 10))
 def test_a_comma_in_braces_is_a_decimal_one(whole: int, part: int) -> None:
     """So is one behind a zero; with three digits behind it, it separates thousands."""
@@ -120,7 +114,6 @@ def test_a_comma_in_braces_is_a_decimal_one(whole: int, part: int) -> None:
     assert not right(f"{whole + 1}.{part:03}", f"{whole + 1}{{,}}{part:03}")
 
 
-@quick
 @given(st.lists(st.tuples(numbers, numbers), min_size=2, max_size=4, unique=True), st.sampled_from(["; ", " or "]))
 def test_points_with_named_coordinates_are_points(points: list[tuple[int, int]], separator: str) -> None:
     """The names say which coordinate is which, whatever their order; the points have none."""
@@ -132,7 +125,6 @@ def test_points_with_named_coordinates_are_points(points: list[tuple[int, int]],
     assert not right(separator.join(f"x={x}, y={y}" for x, y in points[1:]), gold)
 
 
-@settings(max_examples=200, deadline=None)
 @given(st.text(r"\{}()[],;|&=<0179kxZ.if ", max_size=40))
 def test_any_text_is_read(text: str) -> None:
     """Reading takes any text, and boxes around it are found or not, without an exception."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gem_math import grade
@@ -45,7 +45,6 @@ def test_a_gold_answer_is_right_and_another_answer_wrong(part: int) -> None:
     assert failed == []
 
 
-@settings(max_examples=200, deadline=None)
 @given(st.text(alphabet=r"\{}()[]$^_&=<>.,;:|/ 12xyabmodtext", min_size=1, max_size=20).filter(str.strip))
 def test_any_text_may_be_a_gold_answer(gold: str) -> None:
     """It is right as it stands, and compared with an answer without an error."""

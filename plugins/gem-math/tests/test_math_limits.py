@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gem_core.errors import GradingError
@@ -308,7 +308,7 @@ def interrupt():
         os.sched_yield()
     os.killpg(0, signal.SIGINT)
 
-for _ in range(4):
+for _ in range(2):
     assert grade(*pair, timeout_s=60).correct
     (worker,) = pool.all
     assert os.getpgid(worker.process.pid) != os.getpgid(0)
@@ -324,10 +324,9 @@ print(grade(*pair, timeout_s=60).correct)
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, timeout=240, start_new_session=True
     )
-    assert done.stdout.splitlines() == ["interrupted 1 1 {}"] * 4 + ["True"], done.stderr
+    assert done.stdout.splitlines() == ["interrupted 1 1 {}"] * 2 + ["True"], done.stderr
 
 
-@settings(max_examples=150, deadline=None)
 @given(st.text(max_size=60), st.sampled_from(["6", r"\frac{1}{2}", r"\{1,2\}", "(0,1)", "x+1", r"\text{yes}", "x=3"]))
 def test_any_text_gets_a_verdict(answer: str, gold: str):
     """Whatever an answer is, it is right or wrong, and never an error."""
@@ -342,7 +341,6 @@ _PIECES = st.sampled_from(
 )  # fmt: skip
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.lists(_PIECES, max_size=14).map("".join), st.sampled_from(["6", r"\{1,2\}", r"\frac{x}{2}", "[0,1)"]))
 def test_any_pieces_of_latex_get_a_verdict(answer: str, gold: str):
     """Broken LaTeX too."""

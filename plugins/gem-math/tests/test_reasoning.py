@@ -19,8 +19,7 @@ import pytest
 import gem_core as gem
 from gem_core.errors import ArgumentError, EnvFaultError
 from gem_core.testing import check_env
-from gem_core.tools.env import ToolEnv
-from gem_core.tools.tool import Tool
+from gem_core.tools import Tool, ToolEnv
 from gem_math.reasoning import library
 from gem_math.reasoning.env import LONGEST_ANSWER, PROMPT
 from gem_math.reasoning.library import EndedError, LibraryError, ask, end_processes
@@ -81,6 +80,7 @@ def theirs() -> dict[str, Any]:
     return found
 
 
+@pytest.mark.thorough
 def test_the_table_of_tasks_is_that_of_the_installed_library() -> None:
     """And so is every id; the script that made it makes it again."""
     script = ROOT / "scripts" / "list_reasoning_tasks.py"
@@ -113,7 +113,7 @@ def test_rows_are_those_of_the_library(theirs: dict[str, Any]) -> None:
         for index, seed in ((1, 42), (6, 47)):
             question, answer = theirs[f"{name} {seed}"]
             assert rounded(asked(env, index)) == rounded(question), name
-            assert rounded(env.unwrapped._row["answer"]) == rounded(answer), name
+            assert rounded(env.unwrapped.present_row()["answer"]) == rounded(answer), name
 
 
 @pytest.mark.thorough
@@ -213,7 +213,7 @@ def test_partial_scores_are_rewards_and_not_correct() -> None:
     """Only a score of 1 counts as solved."""
     env = gem.make("rg:word_sorting")
     env.reset(options={"index": 0})
-    words = env.unwrapped._row["answer"].split(", ")
+    words = env.unwrapped.present_row()["answer"].split(", ")
     _, reward, _, _, info = env.step(f"<answer>{', '.join([*words[1:], words[0]])}</answer>")
     assert (reward, info["correct"]) == (0.2, False)
 
@@ -288,19 +288,21 @@ def test_parameters_take_the_forms_that_the_library_has() -> None:
         gem.make("rg:word_sorting", transformation="loud")
 
 
+@pytest.mark.thorough
 def test_no_parameter_of_the_library_has_a_name_of_ours(theirs: dict[str, Any]) -> None:
     """Else it could not be given."""
     ours = {"task", "epochs", "level", "levels", "prompt_template", "time_limit_s", "weight", "name", "config"}
     assert not ours & set(theirs["fields"])
 
 
+@pytest.mark.thorough
 def test_a_mixture_has_the_rows_of_the_library(theirs: dict[str, Any]) -> None:
     """Each task scores its own."""
     tasks = [("leg_counting", {"weight": 2}), {"name": "rg:chain_sum", "weight": 1, "config": {"max_terms": 3}}]
     env = gem.make("rg:composite", datasets=tasks, seed=7, size=20)
     assert [asked(env, index) for index in range(20)] == theirs["composite"]
     assert {env.reset(options={"index": index})[1]["source"] for index in range(20)} == {"leg_counting", "chain_sum"}
-    env.step(f"<answer>{env.unwrapped._row['answer']}</answer>")
+    env.step(f"<answer>{env.unwrapped.present_row()['answer']}</answer>")
     assert env.reset(options={"index": 1})[0] != env.reset(options={"index": 21})[0]
 
 
@@ -343,7 +345,7 @@ def test_a_scorer_that_takes_too_long_is_the_agents_failure() -> None:
         env.reset(options={"index": 0})
         results.append(env.step("\\boxed{((9**9999)**9999)**9999}"))
         env.reset(options={"index": 0})
-        results.append(env.step(f"\\boxed{{{env.unwrapped._row['answer']}}}"))
+        results.append(env.step(f"\\boxed{{{env.unwrapped.present_row()['answer']}}}"))
 
     thread = threading.Thread(target=play)
     thread.start()
@@ -415,7 +417,7 @@ def test_a_process_that_gets_no_time_is_no_failure_of_the_agent(monkeypatch: pyt
     assert info["error"]["message"].startswith("reasoning-gym did not answer: nothing came in time")
     monkeypatch.undo()
     env.reset(options={"index": 0})
-    assert env.step(f"\\boxed{{{env.unwrapped._row['answer']}}}")[1] == 1.0
+    assert env.step(f"\\boxed{{{env.unwrapped.present_row()['answer']}}}")[1] == 1.0
 
 
 def test_options_and_states_are_checked() -> None:
@@ -427,7 +429,7 @@ def test_options_and_states_are_checked() -> None:
         env.reset(options={"index": -1})
     observation, _ = env.reset(seed=5)
     sibling = env.unwrapped.spawn(same_state=True)
-    assert sibling._present_row()["question"] in observation
+    assert sibling.present_row()["question"] in observation
 
 
 @pytest.mark.few(2)

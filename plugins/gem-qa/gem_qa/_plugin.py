@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from gem_core.registry.hookspecs import hookimpl
-from gem_core.registry.specs import EnvSpec
+from gem_core.registry import EnvSpec, hookimpl
 
 _ENTRY = "gem_qa:QAEnv"
 _SEARCH_EVAL = {

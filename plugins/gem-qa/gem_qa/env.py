@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal, Unpack
 
-from gem_core.data.dataset import DatasetEnv, DatasetOptions, Grade
-from gem_core.data.rows import RowSource
-from gem_core.data.views import Row
+from gem_core.data import DatasetEnv, DatasetOptions, Grade, Row, RowSource
 from gem_core.errors import ArgumentError
 from gem_core.parsing import extract_last_boxed_answer, extract_last_tagged_answer
 from gem_qa.answers import accepted_answers, scores, unwrapped

@@ -11,12 +11,10 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
-from gem_core.agents.openai import OpenAIAgent
-from gem_core.arguments import check_arguments
 from gem_core.background import in_thread, on_background_loop, run_sync
 from gem_core.errors import ArgumentError, GemError, GradingError
-from gem_core.registry.entry_points import load_entry_point
-from gem_core.rollouts.agent import Context
+from gem_core.registry import load_entry_point
+from gem_core.rollouts import Context, load_agent
 
 Verdict = bool | int | float
 Judge = Callable[[str, Sequence[str], str], Verdict | Awaitable[Verdict]]
@@ -60,7 +58,7 @@ def find_judge(judge: str | Judge | None, url: str | None, options: Mapping[str,
         written = json.dumps(dict(options or {}), sort_keys=True)
     except TypeError as error:
         raise ArgumentError(f"judge_options must be plain JSON: {error}") from None
-    return _shared_model(judge.removeprefix(_MODEL_PREFIX), url, written)
+    return shared_model(judge.removeprefix(_MODEL_PREFIX), url, written)
 
 
 def verdict_of(
@@ -118,11 +116,11 @@ class ModelJudge:
         base_url: Address of the server; by default ``OPENAI_BASE_URL``, or else OpenAI's own.
         timeout_s: Limit of one verdict in seconds, all attempts included.
         temperature: Of sampling; None leaves it to the server.
-        **options: Anything else that ``gem_core.agents.openai.OpenAIAgent`` takes, as ``api_key_env``.
+        **options: Anything else that the agent ``openai`` takes, as ``api_key_env``; see ``gem info openai``.
 
     Raises:
         ArgumentError: A value that cannot be right.
-        MissingRequirementError: The extra ``gem-core[openai]`` is not installed.
+        UnknownAgentError: The plugin gem-openai is not installed.
     """
 
     def __init__(
@@ -135,8 +133,7 @@ class ModelJudge:
         **options: Any,
     ) -> None:
         settings = {"base_url": base_url, "timeout_s": timeout_s, "temperature": temperature, **options}
-        check_arguments(OpenAIAgent, (model,), {"system": _SYSTEM, **settings}, "the judge's model")
-        self.agent = OpenAIAgent(model, system=_SYSTEM, **settings)
+        self.agent = load_agent(f"{_MODEL_PREFIX}{model}", system=_SYSTEM, **settings)
 
     async def __call__(self, question: str, accepted: Sequence[str], answer: str) -> bool:
         """Return whether the answer is right.
@@ -146,7 +143,8 @@ class ModelJudge:
         """
         context = Context(episode="", env_id="", group=None, turn=0, info={}, tools=[], transitions=[])
         try:
-            reply = await self.agent(asked(question, accepted, answer), context)
+            answered = self.agent(asked(question, accepted, answer), context)
+            reply = answered if isinstance(answered, str) else await answered
         except GemError as error:
             raise GradingError(f"the judge gave no verdict: {error}") from error
         return parsed_verdict(reply)
@@ -186,6 +184,6 @@ def _line(value: Any) -> str:
 
 
 @lru_cache(maxsize=16)
-def _shared_model(model: str, url: str | None, options: str) -> ModelJudge:
+def shared_model(model: str, url: str | None, options: str) -> ModelJudge:
     """Return one judge for all environments that ask for the same, so that its limit of requests holds for all."""
     return ModelJudge(model, base_url=url, **json.loads(options))

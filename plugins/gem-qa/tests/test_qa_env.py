@@ -93,7 +93,6 @@ def test_row_without_an_answer_is_an_error_and_no_reward() -> None:
         ({"reward": "bleu"}, "reward must be 'exact' or 'f1', not 'bleu'"),
         ({"judge_url": "http://x"}, "judge_url and judge_options belong to judge='openai:MODEL', and judge is None"),
         ({"judge": 3}, "judge must be a function, 'package.module:function' or 'openai:MODEL', not 3"),
-        ({"judge": "openai:m", "judge_options": {"temprature": 1}}, "Did you mean 'temperature'?"),
         ({"judge": "openai:m", "judge_options": {"x": object()}}, "judge_options must be plain JSON"),
     ],
 )

@@ -137,13 +137,13 @@ def test_judge_that_fails_is_an_error_and_no_reward(judge: Callable[..., Any], m
 @pytest.fixture
 def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """A server that speaks the OpenAI chat API."""
-    chat_server = pytest.importorskip("chat_server", reason="a helper of the core's tests")
-    pytest.importorskip("aiohttp", reason="the extra gem-qa[judge]")
+    pytest.importorskip("gem_openai", reason="the extra gem-qa[judge]")
+    chat_server = pytest.importorskip("chat_server", reason="a helper of the tests of gem-openai")
     monkeypatch.setenv("JUDGE_KEY", "key-0123456789-abcdefghij")
     served = chat_server.ChatServer()
     yield served
     served.close()
-    judging._shared_model.cache_clear()
+    judging.shared_model.cache_clear()
 
 
 def judged_by(server: Any, reply: str | None, action: str) -> tuple[float, bool, dict[str, Any]]:
@@ -192,6 +192,12 @@ def test_server_that_is_not_there_is_an_error(server: Any) -> None:
     reward, truncated, info = judged_by(server, "x", "<answer>Vermeer</answer>")
     assert (reward, truncated) == (0.0, True)
     assert info["error"]["message"].startswith(f"the judge gave no verdict: toy-model at {server.url} gave no answer")
+
+
+def test_an_option_that_the_model_does_not_take_is_refused(server: Any) -> None:
+    """When the environment is made."""
+    with pytest.raises(ArgumentError, match=r"Did you mean 'temperature'\?"):
+        QAEnv(ROWS, judge="openai:m", judge_options={"temprature": 1})
 
 
 def test_environments_share_one_model(server: Any) -> None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gem_core.registry.hookspecs import hookimpl
-from gem_core.registry.specs import VectorBackendSpec
+from gem_core.registry import VectorBackendSpec, hookimpl
 
 
 @hookimpl

@@ -8,9 +8,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from gem_core.errors import ArgumentError
-from gem_core.vector.env import VectorEnv
+from gem_core.vector import VectorEnv, VectorSetup
 from gem_core.vector.remote import Link, Message, RemoteHost, worker_setup
-from gem_core.vector.setup import VectorSetup
 from gem_ray.cluster import Lease, cluster_resources
 from gem_ray.link import RayLink, Watches
 

@@ -15,7 +15,7 @@ import ray
 from ray.exceptions import ActorDiedError, ActorUnavailableError, RayError
 
 from gem_core.errors import EnvFaultError
-from gem_core.vector.commands import Failure
+from gem_core.vector import Failure
 from gem_core.vector.remote import Link, Message, weakly
 from gem_core.vector.wire import from_bytes, to_bytes
 from gem_core.vector.worker import SharedTimes

@@ -178,7 +178,7 @@ def test_a_runtime_env_that_cannot_be_made_is_said_once(vec: Callable[..., gem.V
 
 def test_rollouts_sample_in_the_actors(vec: Callable[..., gem.VectorEnv]) -> None:
     """A random agent asks the environments; the episodes say what they were made from."""
-    from gem_core.agents.random import RandomAgent
+    from gem_core.agents import RandomAgent
 
     theirs = list(gem.rollout(vec(3, options={"num_actors": 2}), RandomAgent(), episodes=6))
     ours = list(gem.rollout(gem.make_vec("raytoy:Tally-v0", 3, backend="sync", seed=1), RandomAgent(), episodes=6))

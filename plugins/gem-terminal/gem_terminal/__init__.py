@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from gem_core.errors import refuse_windows
+
 if TYPE_CHECKING:
     from gem_terminal.terminal_env import TerminalEnv
 
@@ -13,6 +15,7 @@ __all__ = ["TerminalEnv"]
 def __getattr__(name: str) -> Any:
     # Resolved on first use: listing the environments imports this package and must not load them.
     if name == "TerminalEnv":
+        refuse_windows("a terminal task")
         from gem_terminal.terminal_env import TerminalEnv
 
         return TerminalEnv

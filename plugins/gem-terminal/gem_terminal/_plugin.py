@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gem_core.registry.hookspecs import hookimpl
-from gem_core.registry.specs import CommandSpec, EnvSpec
+from gem_core.registry import CommandSpec, EnvSpec, RequirementSpec, hookimpl
 
 _ENTRY = "gem_terminal:TerminalEnv"
 _TURNS = 50
@@ -31,6 +30,14 @@ def _sample(name: str, folder: str, summary: str) -> EnvSpec:
     kwargs = {"path": f"gem_terminal:data/sample/{folder}", "max_turns": _TURNS}
     tags = ("terminal", "text", "tools")
     return EnvSpec(id=name, entry_point=_ENTRY, kwargs=kwargs, summary=summary, tags=tags, deterministic=False)
+
+
+@hookimpl
+def gem_register_requirements() -> Iterable[RequirementSpec]:
+    """What the sandboxes stand on."""
+    probes = "gem_terminal.requirements"
+    yield RequirementSpec(name="docker", entry_point=f"{probes}:docker", summary="A container engine that answers.")
+    yield RequirementSpec(name="bubblewrap", entry_point=f"{probes}:bubblewrap", summary="A sandbox that starts.")
 
 
 @hookimpl

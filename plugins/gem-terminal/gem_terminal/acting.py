@@ -6,7 +6,7 @@ import copy
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from gem_core.tools.tool import Tool
+from gem_core.tools import Tool
 
 
 class _Described(Tool):

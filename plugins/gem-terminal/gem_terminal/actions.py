@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from gem_core.parsing import CodeBlock, extract_code_blocks, unclosed_code_block
-from gem_core.tools.calls.reading import json_call, native_calls
-from gem_core.tools.tool import CALL_CLOSE, CALL_OPEN, ToolCall
+from gem_core.tools import CALL_CLOSE, CALL_OPEN, ToolCall, json_call, native_calls
 from gem_terminal.acting import TOOLS, how_to_act, tool_schemas
 from gem_terminal.yaml_commands import looks_like_yaml, read_yaml_command
 

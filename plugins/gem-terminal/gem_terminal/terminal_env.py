@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from gem_core.env.base import Env
+from gem_core.data import chosen_index
+from gem_core.env import Env
 from gem_core.errors import ArgumentError, ResetNeededError, StateNotSupported
 from gem_core.suggestions import did_you_mean
 from gem_core.types import Concurrency, ResetResult, StepResult
@@ -103,6 +103,7 @@ class TerminalEnv(Env):
     concurrency: ClassVar[Concurrency] = "thread"
     answer_fences: ClassVar[tuple[str, ...]] = ("bash", "sh", "shell")
     answer_tags: ClassVar[tuple[str, ...]] = ("bash", "keys", "finish")
+    num_tasks: int
 
     def __init__(
         self,
@@ -155,6 +156,7 @@ class TerminalEnv(Env):
             limits=Limits(cpus, memory_mb, processes, storage_mb, network),
         )
         self.tasks = select_tasks(path, tasks)
+        self.num_tasks = len(self.tasks)
         self.backend = shared_backend(backend, build_args)
         self._holdings = Holdings(self, shared_pool())
         self._episode: Episode | None = None
@@ -163,11 +165,6 @@ class TerminalEnv(Env):
             for task in self.tasks:
                 self.backend.check(task)
                 self._holdings.prestart(self.backend, task, self.settings.limits, max(1, pool_size))
-
-    @property
-    def num_tasks(self) -> int:
-        """Number of tasks."""
-        return len(self.tasks)
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Begin a task on a machine that nothing has touched.
@@ -362,11 +359,7 @@ class TerminalEnv(Env):
             raise ArgumentError("give one of the options task and index, not both")
         if "task" in options:
             return self._named(options["task"])
-        index = options["index"]
-        number = operator.index(index) if hasattr(index, "__index__") and not isinstance(index, bool) else -1
-        if not 0 <= number < self.num_tasks:
-            raise ArgumentError(f"options['index'] must be from 0 to {self.num_tasks - 1}, not {index!r}")
-        return number
+        return chosen_index(options, self.num_tasks)
 
     def _named(self, name: object) -> int:
         names = [task.name for task in self.tasks]

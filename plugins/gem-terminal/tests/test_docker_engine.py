@@ -16,6 +16,7 @@ import pytest
 from gem_terminal.backends.docker.engine import Engine, addresses
 from gem_terminal.backends.docker.reaper import Reaping
 from gem_terminal.errors import EngineError
+from gem_terminal.requirements import docker
 
 
 @contextmanager
@@ -53,6 +54,19 @@ def engine_that_says(path: Path, answers: dict[str, tuple[int, Any]], asked: lis
         yield f"unix://{path}"
         server.shutdown()
         thread.join()
+
+
+@pytest.mark.parametrize(
+    ("closely", "status", "detail"), [(False, "met", "there is an engine"), (True, "unmet", "no engine answers")]
+)
+def test_the_requirement_docker_asks_the_engine_when_looked_at_closely(
+    closely: bool, status: str, detail: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``make`` believes DOCKER_HOST, and ``gem doctor`` tries it."""
+    monkeypatch.setenv("DOCKER_HOST", f"unix://{tmp_path}/none.sock")
+    found = docker("", closely=closely)
+    assert (found.status, found.detail) == (status, detail)
+    assert ("it is not running there: start it" in found.advice) == closely
 
 
 def test_no_engine_at_all_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -271,7 +271,7 @@ def test_close_may_be_called_again(shell: Shell) -> None:
     assert answer(shell, 'echo "${x-}$PWD"') == ("/tmp\n", 0)
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(text=st.text(st.characters(exclude_characters="\x00", exclude_categories=["Cs"]), max_size=200))
 def test_run_passes_any_text_to_programs(shell: Shell, text: str) -> None:
     """Any text in single quotes arrives at a program as it is."""

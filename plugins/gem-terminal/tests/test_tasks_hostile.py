@@ -311,7 +311,7 @@ SERVICE_KEYS = [
     "cap_add",
     "container_name",
 ]
-FUZZ = settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.too_slow])
+FUZZ = settings(suppress_health_check=[HealthCheck.too_slow])
 
 
 @FUZZ

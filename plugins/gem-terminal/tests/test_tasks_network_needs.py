@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from task_writing import write
 
 from gem_terminal.tasks.folders import read_task
-from gem_terminal.tasks.network_needs import _INSTALLS
+from gem_terminal.tasks.network_needs import INSTALLS
 
 TAIL = ", it seems, and the task asks for none: network='public' gives it one, the agent included."
 
@@ -67,5 +67,5 @@ def test_the_scripts_of_terminal_bench_are_looked_at_too(tmp_path: Path) -> None
 @given(st.text(alphabet="aptge- \n#curl:/.", max_size=3000))
 def test_any_script_is_read(text: str) -> None:
     """In time that does not grow beyond its length."""
-    for found in _INSTALLS.finditer(text):
+    for found in INSTALLS.finditer(text):
         assert found["what"]

@@ -422,7 +422,7 @@ def test_pool_makes_the_next_machine_ready(monkeypatch: pytest.MonkeyPatch, scri
     assert script.backend.live == {}
 
 
-@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(actions=st.lists(st.one_of(st.text(), st.sampled_from(["<bash>", "<bash>x</bash>", "<keys>", "</bash>\x00"]))))
 def test_any_text_gives_an_observation_and_a_reward(env: TerminalEnv, actions: list[str]) -> None:
     """Never an exception, and an info that JSON takes."""

@@ -25,7 +25,6 @@ def test_pages_have_examples() -> None:
     assert len(COMMANDS) >= 6
 
 
-@pytest.mark.few(2)
 @needs_a_backend
 @pytest.mark.parametrize("code", PYTHON, ids=range(len(PYTHON)))
 @pytest.mark.few(1)
@@ -42,7 +41,6 @@ def test_python_example_runs(code: str, tmp_path: Path) -> None:
             assert said in printed
 
 
-@pytest.mark.few(2)
 @needs_a_backend
 @pytest.mark.parametrize("command", sorted(set(COMMANDS)))
 @pytest.mark.thorough

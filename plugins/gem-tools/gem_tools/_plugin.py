@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gem_core.registry.hookspecs import hookimpl
-from gem_core.registry.specs import CommandSpec, ToolSpec
+from gem_core.registry import CommandSpec, RequirementSpec, ToolSpec, hookimpl
 
 
 @hookimpl
@@ -29,6 +28,14 @@ def gem_register_tools() -> Iterable[ToolSpec]:
         summary="The tools of any MCP server, or of all in a configuration file.",
         status="gem_tools.mcp.status:status",
     )
+
+
+@hookimpl
+def gem_register_requirements() -> Iterable[RequirementSpec]:
+    """What the sandboxes stand on."""
+    probes = "gem_tools.requirements"
+    yield RequirementSpec(name="docker", entry_point=f"{probes}:docker", summary="A container engine that answers.")
+    yield RequirementSpec(name="bubblewrap", entry_point=f"{probes}:bubblewrap", summary="A sandbox that starts.")
 
 
 @hookimpl

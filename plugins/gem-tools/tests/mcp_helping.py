@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import gem_core as gem
-from gem_core.data.dataset import DatasetEnv
-from gem_core.tools.env import ToolEnv
+from gem_core.data import DatasetEnv
+from gem_core.tools import ToolEnv
 
 BAD_SERVER = str(Path(__file__).with_name("mcp_bad_server.py"))
 PATIENCE_S = 120.0

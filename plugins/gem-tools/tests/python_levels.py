@@ -67,12 +67,12 @@ def new_pool(level: str, workers: int = 1) -> Pool:
 def processes(pool: Pool) -> list[int]:
     """Return all processes of a pool's sandboxes, as this machine sees them; a container's without the client's."""
     if pool.level == "docker":
-        lists = [docker("top", cell.launch.container or "", "-eo", "pid").stdout.split()[1:] for cell in pool._cells]
+        lists = [docker("top", cell.launch.container or "", "-eo", "pid").stdout.split()[1:] for cell in pool.cells]
         return [int(pid) for pids in lists for pid in pids]
     proc = os.open("/proc", os.O_RDONLY | os.O_DIRECTORY)
     try:
         found = []
-        for cell in pool._cells:
+        for cell in pool.cells:
             if cell.process is not None:
                 found += [cell.process.pid, *watch.descendants(proc, cell.process.pid)]
         return found
@@ -83,12 +83,10 @@ def processes(pool: Pool) -> list[int]:
 def folders(pool: Pool) -> list[str]:
     """Return the folders on disk of a pool's calls, where it has any."""
     if pool.level == "docker":
-        inside = [cell.launch.container or "" for cell in pool._cells]
+        inside = [cell.launch.container or "" for cell in pool.cells]
         lists = [docker("exec", name, "find", "/tmp", "-mindepth", "2", "-maxdepth", "2") for name in inside]
         return [name for done in lists for name in done.stdout.split()]
-    return [
-        name for cell in pool._cells for base in [cell.launch.settings["base"]] if base for name in os.listdir(base)
-    ]
+    return [name for cell in pool.cells for base in [cell.launch.settings["base"]] if base for name in os.listdir(base)]
 
 
 def memory_mb(pids: list[int]) -> float:

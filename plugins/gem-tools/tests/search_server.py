@@ -11,7 +11,6 @@ from typing import Any
 
 from aiohttp import web
 
-from gem_core.agents.retries import Clock
 from gem_core.background import run_sync
 
 
@@ -86,27 +85,17 @@ def serving(*replies: Reply) -> Iterator[Server]:
         run_sync(runner.cleanup())
 
 
-class QuickClock(Clock):
+class QuickClock:
     """A clock on which every wait is over at once; it notes how long each was."""
 
     def __init__(self) -> None:
-        super().__init__()
         self.time = 0.0
         self.waits: list[float] = []
 
     def now(self) -> float:
         return self.time
 
-    def wall(self) -> float:
-        return 1e9 + self.time
-
     async def sleep(self, seconds: float) -> None:
         self.waits.append(seconds)
         self.time += seconds
         await asyncio.sleep(0)
-
-    def timeout(self, seconds: float | None) -> asyncio.Timeout:
-        return asyncio.timeout(60)
-
-    def chance(self, most: float) -> float:
-        return most

@@ -125,10 +125,10 @@ def test_a_forked_child_that_goes_on_with_an_environment_gets_a_server_of_its_ow
 
 
 def test_the_keeper_passes_on_how_a_server_ended():
-    from gem_tools.mcp.stdio import _KEEPER
+    from gem_tools.mcp.stdio import KEEPER
 
     def code(*command: str) -> int:
-        keeper = [sys.executable, "-I", "-S", _KEEPER, str(__import__("os").getpid()), *command]
+        keeper = [sys.executable, "-I", "-S", KEEPER, str(__import__("os").getpid()), *command]
         return subprocess.run(keeper, stdin=subprocess.DEVNULL, capture_output=True, timeout=120).returncode
 
     assert code("sh", "-c", "exit 5") == 5

@@ -17,8 +17,8 @@ import pytest
 from mcp_helping import around, servers_of, step, wait_until_no_server_runs
 
 import gem_core as gem
-from gem_core.data.dataset import DatasetEnv
-from gem_core.tools.env import ToolEnv
+from gem_core.data import DatasetEnv
+from gem_core.tools import ToolEnv
 
 pytestmark = pytest.mark.thorough
 

@@ -17,7 +17,7 @@ import gem_core as gem
 from gem_core.background import run_sync
 from gem_core.errors import ArgumentError, MissingRequirementError
 from gem_core.testing import check_tool
-from gem_core.tools.env import ToolEnv
+from gem_core.tools import ToolEnv
 from gem_tools.mcp import listing
 from gem_tools.mcp.connection import ServerFault
 from gem_tools.mcp.tool import make_mcp

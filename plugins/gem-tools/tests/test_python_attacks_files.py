@@ -233,7 +233,7 @@ def test_leaving_a_file_without_a_trace_in_times(watched: Watched) -> None:
 @pytest.mark.root
 def test_places_that_everyone_may_write_to(watched: Watched) -> None:
     """Nothing can be left in them for later calls or for others, and what is left in shared memory is removed."""
-    if watched.pool.level == "process" and not watched.pool._cells[0].walled:
+    if watched.pool.level == "process" and not watched.pool.cells[0].walled:
         pytest.skip("this kernel has no Landlock")
     name = f"gem-{secrets.token_hex(8)}"
     code = f"""

@@ -40,7 +40,7 @@ def watched(request: pytest.FixtureRequest) -> Iterator[Watched]:
 
 def has_group(watched: Watched) -> bool:
     """Whether a control group counts the memory."""
-    launch = watched.pool._cells[0].launch
+    launch = watched.pool.cells[0].launch
     return launch.group is not None or launch.container is not None
 
 

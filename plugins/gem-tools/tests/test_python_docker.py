@@ -31,7 +31,7 @@ pool = Pool("docker", num_workers=2, image=sys.argv[1])
 pool.start()
 endless = ("while True: pass",), {"limits": Limits(wall_s=600)}
 threading.Thread(target=pool.run, args=endless[0], kwargs=endless[1], daemon=True).start()
-print(*[cell.launch.container for cell in pool._cells], flush=True)
+print(*[cell.launch.container for cell in pool.cells], flush=True)
 try:
     threading.Event().wait()
 except KeyboardInterrupt:
@@ -55,7 +55,7 @@ def names(*filters: str) -> list[str]:
 
 def container(of: Pool) -> str:
     """Return the name of a pool's container."""
-    name = of._cells[0].launch.container
+    name = of.cells[0].launch.container
     assert name is not None
     return name
 
@@ -150,11 +150,11 @@ def test_a_container_is_killed_in_the_middle(running: Pool, what: str) -> None:
 
     thread = threading.Thread(target=call)
     thread.start()
-    assert until(lambda: running._cells[0]._answer is not None)
+    assert until(lambda: running.cells[0]._answer is not None)
     if what == "container":
         docker("kill", name)
     else:
-        process = running._cells[0].process
+        process = running.cells[0].process
         assert process is not None
         process.kill()
     thread.join()

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from gem_core.registry.requirements import find
 from gem_tools.python import Pool
 from gem_tools.python.hidden import hidden_folders, plugin_folders
+from gem_tools.requirements import bubblewrap
 
 VICTIM = "iniconfig"  # comes with pytest, and stands here for a plugin
 
@@ -42,7 +42,7 @@ def test_a_plugin_is_hidden_where_it_would_show(plugin: str, tmp_path: Path) -> 
 
 
 @pytest.mark.skipif(
-    find("bubblewrap", closely=True).status != "met", reason="bubblewrap is not installed, or may not start here"
+    bubblewrap("", closely=True).status != "met", reason="bubblewrap is not installed, or may not start here"
 )
 def test_code_finds_nothing_of_a_plugin(plugin: str) -> None:
     """Its folder is empty and cannot be written; other packages are there."""

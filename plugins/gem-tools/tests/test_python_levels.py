@@ -171,7 +171,7 @@ def test_docker_runs_the_same_keeper_in_a_container(docker: Path) -> None:
         assert pool.run("while True: pass", limits=Limits(wall_s=0.3)).status == "timeout"
         network = pool.run("import socket\nsocket.socket()")
         assert (network.status, network.error) == ("error", "PermissionError: [Errno 1] Operation not permitted")
-        processes = [cell.process for cell in pool._cells]
+        processes = [cell.process for cell in pool.cells]
     finally:
         pool.close()
     assert all(process is not None and process.poll() is not None for process in processes)

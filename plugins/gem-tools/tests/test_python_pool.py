@@ -164,7 +164,7 @@ def test_a_cancelled_call_is_ended(pool: Pool) -> None:
 
     async def cancelled() -> None:
         calls = [asyncio.create_task(pool.arun("while True: pass", limits=Limits(wall_s=600))) for _ in range(6)]
-        await asyncio.to_thread(until, lambda: len(pool._idle) == 0)
+        await asyncio.to_thread(until, lambda: len(pool.idle) == 0)
         for call in calls:
             call.cancel()
         assert [type(each) for each in await asyncio.gather(*calls, return_exceptions=True)] == [
@@ -266,8 +266,8 @@ def test_a_sandbox_that_dies_is_replaced(pool: Pool) -> None:
     threads = [threading.Thread(target=call) for _ in range(2)]
     for thread in threads:
         thread.start()
-    assert until(lambda: len(pool._idle) == 0 and len(pool._cells) == 2)
-    old = list(pool._cells)
+    assert until(lambda: len(pool.idle) == 0 and len(pool.cells) == 2)
+    old = list(pool.cells)
     pids = processes(pool)
     for cell in old:
         assert cell.process is not None
@@ -276,7 +276,7 @@ def test_a_sandbox_that_dies_is_replaced(pool: Pool) -> None:
         thread.join()
     assert [str(outcome) for outcome in outcomes] == ["the sandbox was lost"] * 2
     assert pool.run("print('again')").stdout == "again\n"
-    assert not set(old) & set(pool._cells)
+    assert not set(old) & set(pool.cells)
     assert until(lambda: not any(map(alive, pids)))
     for cell in old:
         assert until(lambda base=cell.launch.base: base is None or not os.path.exists(base))
@@ -326,7 +326,7 @@ def test_closing_a_pool_ends_the_calls_in_it(pool: Pool) -> None:
     threads = [threading.Thread(target=call) for _ in range(4)]
     for thread in threads:
         thread.start()
-    assert until(lambda: len(pool._cells) == 2 and len(pool._idle) == 0 and len(pool._queue.everyone()) == 2)
+    assert until(lambda: len(pool.cells) == 2 and len(pool.idle) == 0 and len(pool.queue.everyone()) == 2)
     pool.close()
     for thread in threads:
         thread.join()
@@ -337,7 +337,7 @@ def test_closing_a_pool_ends_the_calls_in_it(pool: Pool) -> None:
 def test_a_sandbox_that_hangs_is_given_up(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its keeper is stopped here; the call fails as a fault of the machinery, and the next is served."""
     monkeypatch.setattr("gem_tools.python.cell.GRACE_S", 0.2)
-    for cell in pool._cells:
+    for cell in pool.cells:
         for pid in processes(pool):
             os.kill(pid, signal.SIGSTOP)
         assert cell.alive
@@ -351,14 +351,14 @@ def test_a_sandbox_that_hangs_is_given_up(pool: Pool, monkeypatch: pytest.Monkey
 def test_a_forked_process_has_sandboxes_of_its_own(pool: Pool) -> None:
     """And leaves those of its parent alone."""
     assert pool.run("print(1)").ok
-    cells = list(pool._cells)
+    cells = list(pool.cells)
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
         code = 1
         try:
             same = {cell.process.pid for cell in cells if cell.process} & {
-                cell.process.pid for cell in pool._cells if cell.process
+                cell.process.pid for cell in pool.cells if cell.process
             }
             os.write(writing, f"{len(same)} {pool.run('print(40 + 2)').stdout}".encode())
             pool.close()
@@ -370,7 +370,7 @@ def test_a_forked_process_has_sandboxes_of_its_own(pool: Pool) -> None:
         assert stream.read() == "0 42\n"
     assert os.waitpid(child, 0)[1] == 0
     assert pool.run("print(2)").stdout == "2\n"
-    assert pool._cells == cells
+    assert pool.cells == cells
 
 
 # What is left.
@@ -386,7 +386,7 @@ def test_nothing_is_left_after_many_calls(pool: Pool) -> None:
         await asyncio.gather(*calls)
 
     def rest() -> None:
-        assert until(lambda: len(pool._idle) == 2)
+        assert until(lambda: len(pool.idle) == 2)
         assert until(lambda: len(processes(pool)) == usual)
 
     asyncio.run(some(20))
@@ -426,7 +426,7 @@ thread = threading.Thread(target=pool.run, args=(code,), kwargs={{"limits": Limi
 thread.start()
 until(lambda: len(processes(pool)) >= {least})
 print(*processes(pool), flush=True)
-print(*[cell.launch.base for cell in pool._cells if cell.launch.base], flush=True)
+print(*[cell.launch.base for cell in pool.cells if cell.launch.base], flush=True)
 {end}
 """
 

@@ -14,10 +14,10 @@ import pytest
 
 import gem_core as gem
 from gem_core.background import run_sync
-from gem_core.data.dataset import DatasetEnv
+from gem_core.data import DatasetEnv
 from gem_core.errors import ArgumentError
 from gem_core.testing import check_plugin, check_tool
-from gem_core.tools.env import ToolEnv
+from gem_core.tools import ToolEnv
 from gem_tools.python import SandboxError, make_python
 from gem_tools.python.tool import PACKAGES
 
@@ -203,7 +203,7 @@ def test_what_the_agent_is_told_is_always_the_same() -> None:
     """At the first reset as at a later one, and in another process."""
     first = env_with().reset(seed=1)[0]
     code = (
-        "from gem_core.data.dataset import DatasetEnv\nfrom gem_core.tools.env import ToolEnv\nimport sys\n"
+        "from gem_core.data import DatasetEnv\nfrom gem_core.tools.env import ToolEnv\nimport sys\n"
         f"env = ToolEnv(DatasetEnv({ROWS!r}), ['python'], max_tool_uses=None)\nsys.stdout.write(env.reset(seed=1)[0])"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

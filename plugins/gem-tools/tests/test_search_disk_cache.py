@@ -17,7 +17,7 @@ from search_server import Reply, Server, serving
 
 from gem_core.background import run_sync
 from gem_core.errors import ArgumentError
-from gem_core.tools.tool import ToolResult
+from gem_core.tools import ToolResult
 from gem_tools.search.disk_cache import DiskCache
 from gem_tools.search.passages import Passage
 from gem_tools.search.remote import Limits, RemoteEngine

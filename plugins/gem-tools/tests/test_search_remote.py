@@ -18,7 +18,7 @@ from search_server import QuickClock, Reply, Server, serving
 from gem_core.background import run_sync
 from gem_core.errors import ArgumentError, MissingRequirementError
 from gem_core.testing import check_tool
-from gem_core.tools.tool import ToolResult
+from gem_core.tools import ToolResult
 from gem_tools.search import remote
 from gem_tools.search.passages import Passage
 from gem_tools.search.remote import RemoteEngine
@@ -47,7 +47,8 @@ def server() -> Iterator[Server]:
 def tool_for(server: Server, engine: str = "retrieve", **options: Any) -> tuple[RemoteSearch, QuickClock]:
     tool = make_search(engine, url=f"{server.url}/path", **options)
     assert isinstance(tool, RemoteSearch)
-    tool.engine.clock = clock = QuickClock()
+    clock = QuickClock()
+    tool.engine.now, tool.engine.sleep, tool.engine.jitter = clock.now, clock.sleep, max
     return tool, clock
 
 

@@ -17,10 +17,10 @@ import pytest
 from search_server import Reply, serving
 
 import gem_core as gem
-from gem_core.data.dataset import DatasetEnv
+from gem_core.data import DatasetEnv
 from gem_core.errors import ArgumentError
 from gem_core.testing import check_plugin, check_tool
-from gem_core.tools.env import ToolEnv
+from gem_core.tools import ToolEnv
 from gem_tools import search as package
 from gem_tools.search import status
 from gem_tools.search.corpus import find_corpus

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 import gem_core as gem
-from gem_core.registry.lookup import registry
 
 QUESTION = "How many kilometres a day did the raft Kon-Tiki make on average, rounded to a whole number?"
+gem.register("raft:Speed-v0", "gem_core:DatasetEnv", rows=[{"question": QUESTION, "answer": "68"}])
 
 
 def searching_agent(observation: Any, context: Any) -> gem.Response | str:
@@ -29,24 +29,11 @@ def searching_agent(observation: Any, context: Any) -> gem.Response | str:
     return "\\boxed{" + text.rsplit("Output of python:", 1)[1].split()[0] + "}"
 
 
-@pytest.fixture
-def raft(monkeypatch: pytest.MonkeyPatch) -> str:
-    """A task that needs both tools."""
-    registry().load()
-    spec = gem.EnvSpec(
-        id="raft:Speed-v0",
-        entry_point="gem_core:DatasetEnv",
-        kwargs={"rows": [{"question": QUESTION, "answer": "68"}]},
-    )
-    monkeypatch.setitem(registry()._envs, spec.id, spec)
-    return spec.id
-
-
 @pytest.mark.parametrize("backend", ["sync", "async"])
 @pytest.mark.parametrize("wrappers", ["python,search,concat", "python,concat,search"])
-def test_a_task_is_solved_in_several_turns_with_two_tools(raft: str, backend: str, wrappers: str) -> None:
+def test_a_task_is_solved_in_several_turns_with_two_tools(backend: str, wrappers: str) -> None:
     """They share one budget and one explanation, wherever they stand; the call that was malformed is told."""
-    vector = gem.make_vec(raft, backend=backend, wrappers=wrappers)
+    vector = gem.make_vec("raft:Speed-v0", backend=backend, wrappers=wrappers)
     try:
         (episode,) = gem.rollout(vector, searching_agent, episodes=1)
     finally:

@@ -1,6 +1,6 @@
 """Points to what cannot be imported, in many ways, and to one environment that can."""
 
-from gem_core import CommandSpec, EnvSpec, ToolSpec, hookimpl
+from gem_core import CommandSpec, EnvSpec, RequirementSpec, ToolSpec, hookimpl
 
 ENTRY_POINTS = {
     "Fine": "gem_dangling_env:MathEnv",
@@ -43,3 +43,14 @@ def gem_register_tools():
 def gem_add_commands():
     """Offer a command."""
     return [CommandSpec(name="dangling", entry_point="gem_dangling_env:make_tool")]
+
+
+@hookimpl
+def gem_register_requirements():
+    """Offer a word."""
+    return [RequirementSpec(name="dangling", entry_point="gem_dangling:weather")]
+
+
+def weather(argument, *, closely=False):
+    """Answer with a text, which is no answer."""
+    return "met"

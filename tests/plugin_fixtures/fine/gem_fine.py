@@ -1,6 +1,16 @@
-"""A plugin that uses all six hooks."""
+"""A plugin that uses all seven hooks."""
 
-from gem_core import AgentSpec, CommandSpec, EnvSpec, ToolSpec, VectorBackendSpec, WrapperSpec, hookimpl
+from gem_core import (
+    AgentSpec,
+    CommandSpec,
+    EnvSpec,
+    RequirementSpec,
+    RequirementStatus,
+    ToolSpec,
+    VectorBackendSpec,
+    WrapperSpec,
+    hookimpl,
+)
 
 
 @hookimpl
@@ -34,6 +44,17 @@ def gem_register_agents():
 
 
 @hookimpl
+def gem_register_requirements():
+    """Offer one word."""
+    return [RequirementSpec(name="fine_weather", entry_point="gem_fine:weather")]
+
+
+@hookimpl
 def gem_add_commands():
     """Offer one command."""
     return [CommandSpec(name="fine", entry_point="gem_fine_env:command")]
+
+
+def weather(argument, *, closely=False):
+    """Say what the weather is like."""
+    return RequirementStatus("met", "the sun shines")

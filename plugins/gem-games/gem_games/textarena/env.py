@@ -7,8 +7,7 @@ import random
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from gem_core.env.base import Env
-from gem_core.env.seeding import stable_hash
+from gem_core.env import Env, stable_hash
 from gem_core.errors import ArgumentError, EnvFaultError, ResetNeededError
 from gem_core.suggestions import did_you_mean
 from gem_core.types import Concurrency, Info, ResetResult, StepResult

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gem_core.registry.specs import EnvSpec
+from gem_core.registry import EnvSpec
 from gem_games.textarena.games import GAMES
 
 _JUDGED = ("GuessWho", "TwentyQuestions", "Debate", "ScenarioPlanning")
@@ -13,6 +13,10 @@ _CLOSED = {
     "UsedCar": "textarena 0.7.4 registers it without its module",
     "BabyAiText": "it needs the package gym and the game files of BabyAI-Text, which textarena 0.7.4 does not bring",
 }
+
+
+EXTRA = "package:gem-games[textarena]"
+"""What every game requires that can run at all."""
 
 
 def textarena_specs() -> Iterator[EnvSpec]:
@@ -32,9 +36,9 @@ def textarena_specs() -> Iterator[EnvSpec]:
 
 def _needs(family: str) -> tuple[str, ...]:
     if family in _JUDGED:
-        return ("argument:judge",)
+        return (EXTRA, "argument:judge")
     if family in _FILES:
         return ("never:textarena 0.7.4 does not ship the text files of this game",)
     if family in _CLOSED:
         return (f"never:{_CLOSED[family]}",)
-    return ()
+    return (EXTRA,)

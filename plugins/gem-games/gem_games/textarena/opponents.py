@@ -7,7 +7,7 @@ from typing import Any
 
 from gem_core.background import run_sync
 from gem_core.errors import ArgumentError
-from gem_core.rollouts.agent import Context, Reading, as_agent, load_agent
+from gem_core.rollouts import Context, Reading, as_agent, load_agent
 
 
 class Player:
@@ -41,8 +41,8 @@ class Player:
             tools=[],
             transitions=[],
             system=self._reading.system,
-            _messages=lambda: self._messages(question),
-            _sample=sample,
+            draw_action=sample,
+            read_messages=lambda: self._messages(question),
         )
         answer = self._agent(context.messages if self._reading.reads == "messages" else question, context)
         return str(answer if isinstance(answer, str) else run_sync(answer))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gem_core.env.seeding import Draws
+from gem_games.cheap_random import CheapRandom
 from gem_games.sokoban_levels import make_level
 
 _WALL, _FLOOR, _GOAL, _BOX_ON_GOAL, _BOX, _PLAYER = range(6)
@@ -25,7 +25,7 @@ def generate_room(dim: tuple[int, int], num_steps: int, num_boxes: int, seed: in
         num_boxes: How many boxes there are.
         seed: Where its randomness comes from.
     """
-    cells = make_level(*dim, num_boxes, num_steps, Draws(seed)).cells
+    cells = make_level(*dim, num_boxes, num_steps, CheapRandom(seed)).cells
     return _array(cells, _FIXED, dim), _array(cells, _SHOWN, dim), {}
 
 

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from gem_core.records.turns import without_thinking
+from gem_core.records import without_thinking
 from gem_games.textarena.fence import Fence
 from gem_games.textarena.judging import JudgeError, judges_of
 from gem_games.textarena.library import copied, load
@@ -16,7 +16,7 @@ LONGEST_ACTION = 4_000
 """Characters; of a longer action the end is read, since some patterns of the library take quadratic time."""
 
 
-_TALK = {
+TALK = {
     "CharacterConclave",
     "Debate",
     "DontSayIt",
@@ -144,7 +144,7 @@ class Table:
     def _is_talk(self) -> bool:
         """Whether what is said now is meant for the ears of others; else only the move is."""
         state = self._game.state
-        if self._family not in _TALK or (self._family == "Taboo" and state.role_mapping[self.seat] == "Guesser"):
+        if self._family not in TALK or (self._family == "Taboo" and state.role_mapping[self.seat] == "Guesser"):
             return False
         phase = state.game_state.get("phase")
         name = str(getattr(phase, "value", phase or "conversation")).lower()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from gem_core.errors import AgentError
-from gem_core.rollouts.agent import Context
+from gem_core.rollouts import Context
 from gem_core.types import Observation
 from gem_games.agents import _text, _wrong_game
 from gem_games.wiki.embedded import embedded_articles

@@ -9,9 +9,9 @@ from functools import lru_cache
 from importlib.resources import files
 from typing import ClassVar
 
-from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
 from gem_core.types import Concurrency
+from gem_games.cheap_random import CheapRandom
 from gem_games.wiki.graph import Article, ArticleGraph, ArticleNotFound, Pair
 
 # [[Title]], or [[Title|other words]] where the sentence needs them.
@@ -48,11 +48,11 @@ class EmbeddedArticles(ArticleGraph):
             hint = f" Did you mean {near[0]!r}?" if near else ""
             raise ArticleNotFound(f"there is no embedded article {title!r:.100}.{hint}") from None
 
-    def random_article(self, draws: Draws) -> Article:
+    def random_article(self, draws: CheapRandom) -> Article:
         """Draw any article, all being equally likely."""
         return self._articles[self.titles[draws.below(len(self.titles))]]
 
-    def pair(self, draws: Draws, nearest: int, farthest: int) -> Pair:
+    def pair(self, draws: CheapRandom, nearest: int, farthest: int) -> Pair:
         """Draw a start, and a target whose shortest way from there has so many links.
 
         Raises:

@@ -6,9 +6,9 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
-from gem_core.env.seeding import Draws
 from gem_core.errors import GemError
 from gem_core.types import Concurrency
+from gem_games.cheap_random import CheapRandom
 
 _ATTEMPTS = 10
 
@@ -70,14 +70,14 @@ class ArticleGraph(ABC):
         """
 
     @abstractmethod
-    def random_article(self, draws: Draws) -> Article:
+    def random_article(self, draws: CheapRandom) -> Article:
         """Draw an article that has links; the same draws give the same one as long as the collection is the same.
 
         Raises:
             ArticleError: None could be fetched; the message says what to do.
         """
 
-    def pair(self, draws: Draws, nearest: int, farthest: int) -> Pair:
+    def pair(self, draws: CheapRandom, nearest: int, farthest: int) -> Pair:
         """Draw a start and a target between which a number of links within these bounds leads.
 
         Here the target is the end of a walk that never takes a link which an earlier article has as well, so that only
@@ -96,7 +96,7 @@ class ArticleGraph(ABC):
             "whose articles have more links"
         )
 
-    def _walk(self, draws: Draws, length: int) -> list[str]:
+    def _walk(self, draws: CheapRandom, length: int) -> list[str]:
         """Return the titles on a walk of so many links, or of fewer where it comes to an end."""
         here = self.random_article(draws)
         titles, known = [here.title], {here.title}

@@ -8,8 +8,8 @@ from html import unescape
 from string import ascii_lowercase
 from urllib.parse import quote, unquote, urldefrag, urlencode, urljoin, urlsplit
 
-from gem_core.env.seeding import Draws
 from gem_core.errors import ArgumentError
+from gem_games.cheap_random import CheapRandom
 from gem_games.wiki.graph import Article, ArticleError, ArticleNotFound
 from gem_games.wiki.html import PageReader
 from gem_games.wiki.web import Answer, WebArticles
@@ -59,7 +59,7 @@ class KiwixArticles(WebArticles):
         self._book = book
         self._root: str | None = None
 
-    def random_article(self, draws: Draws) -> Article:
+    def random_article(self, draws: CheapRandom) -> Article:
         """Draw an article that has links."""
         for _ in range(_PREFIXES):
             prefix = "".join(ascii_lowercase[draws.below(26)] for _ in range(2))

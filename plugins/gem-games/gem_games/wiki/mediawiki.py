@@ -7,7 +7,7 @@ from string import ascii_lowercase, ascii_uppercase
 from typing import Any
 from urllib.parse import urlencode
 
-from gem_core.env.seeding import Draws
+from gem_games.cheap_random import CheapRandom
 from gem_games.wiki.graph import Article, ArticleNotFound
 from gem_games.wiki.html import PageReader
 from gem_games.wiki.web import WebArticles
@@ -37,7 +37,7 @@ class MediaWikiArticles(WebArticles):
 
     advice = "give the address of its api.php as url, or play with backend='embedded'"
 
-    def random_article(self, draws: Draws) -> Article:
+    def random_article(self, draws: CheapRandom) -> Article:
         """Draw an article that has links."""
         for _ in range(_DRAWS):
             letters = [ascii_uppercase, ascii_lowercase, ascii_lowercase]

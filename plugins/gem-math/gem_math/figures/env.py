@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Unpack
 
-from gem_core.data.dataset import DatasetOptions
-from gem_core.env.spaces import Content
+from gem_core.data import DatasetOptions
+from gem_core.env import Content
 from gem_core.errors import DatasetError
 from gem_core.suggestions import did_you_mean
 from gem_core.types import Observation

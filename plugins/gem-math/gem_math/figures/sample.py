@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from itertools import count
 from random import Random
-from typing import TYPE_CHECKING, Any, Unpack, overload
+from typing import TYPE_CHECKING, Any, Unpack
 
+from gem_core.data import Rows
 from gem_core.errors import ArgumentError
 from gem_math.figures import plots, shapes, triangles
 from gem_math.figures.env import FigureEnv, FigureOptions
@@ -18,33 +19,6 @@ if TYPE_CHECKING:
 KINDS = (*triangles.KINDS, *shapes.KINDS, *plots.KINDS)
 EACH = 5
 """Problems of each kind."""
-
-
-class GeometrySample(Sequence[dict[str, Any]]):
-    """Rows with the columns ``problem``, ``answer`` and ``images``, as those of ``math:Geometry3K``, and ``kind``."""
-
-    def __len__(self) -> int:
-        return EACH * len(KINDS)
-
-    @overload
-    def __getitem__(self, place: int) -> dict[str, Any]: ...
-    @overload
-    def __getitem__(self, place: slice) -> list[dict[str, Any]]: ...
-    def __getitem__(self, place: int | slice) -> dict[str, Any] | list[dict[str, Any]]:
-        if isinstance(place, slice):
-            return [self[index] for index in range(*place.indices(len(self)))]
-        if not -len(self) <= place < len(self):
-            raise IndexError(f"there are {len(self)} rows, and none at {place}")
-        place %= len(self)
-        row, kind = divmod(place, len(KINDS))
-        drawn = _drawn(KINDS[kind])[row]
-        image = drawn.image.copy()  # so that nobody draws into another's
-        return {
-            "problem": drawn.problem,
-            "answer": drawn.answer,
-            "images": [image],
-            "kind": KINDS[kind].__name__,
-        }
 
 
 @cache
@@ -59,8 +33,19 @@ def _drawn(kind: Callable[[Random], Drawn]) -> list[Drawn]:
     return list(found.values())
 
 
-GEOMETRY_SAMPLE = GeometrySample()
-"""One for all environments of a process."""
+def _row(place: int) -> dict[str, Any]:
+    row, kind = divmod(place, len(KINDS))
+    drawn = _drawn(KINDS[kind])[row]
+    return {
+        "problem": drawn.problem,
+        "answer": drawn.answer,
+        "images": [drawn.image.copy()],  # so that nobody draws into another's
+        "kind": KINDS[kind].__name__,
+    }
+
+
+GEOMETRY_SAMPLE = Rows(range(EACH * len(KINDS)), _row)
+"""Rows with the columns ``problem``, ``answer`` and ``images``, as those of ``math:Geometry3K``, and ``kind``."""
 
 
 class GeometrySampleEnv(FigureEnv):

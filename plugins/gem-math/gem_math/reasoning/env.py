@@ -7,13 +7,13 @@ import datetime
 import enum
 import json
 import math
-import operator
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import asdict, is_dataclass
 from typing import Any, ClassVar
 
-from gem_core.env.base import Env
+from gem_core.data import chosen_index
+from gem_core.env import Env
 from gem_core.errors import ArgumentError, EnvFaultError, ResetNeededError
 from gem_core.parsing import extract_last_boxed_answer, extract_last_tagged_answer
 from gem_core.suggestions import did_you_mean
@@ -74,6 +74,7 @@ class ReasoningGymEnv(Env):
     """
 
     concurrency: ClassVar[Concurrency] = "thread"
+    endless_tasks = True
 
     def __init__(
         self,
@@ -96,6 +97,7 @@ class ReasoningGymEnv(Env):
         if not isinstance(time_limit_s, int | float) or not 0 < time_limit_s < math.inf:
             raise ArgumentError(f"time_limit_s must be a positive number of seconds, not {time_limit_s!r}")
         self.task, self.size, self.seed = task, size, seed
+        self.num_tasks = size
         self.prompt_template = prompt_template
         self.time_limit_s = float(time_limit_s)
         self._rows = MOST_ROWS // size * size if epochs is None else size * epochs
@@ -104,16 +106,6 @@ class ReasoningGymEnv(Env):
         self._index = 0
         self._row: dict[str, Any] | None = None
         self._check()
-
-    @property
-    def num_tasks(self) -> int:
-        """Rows of an epoch."""
-        return self.size
-
-    @property
-    def endless_tasks(self) -> bool:
-        """Whether ``options={"index": i}`` takes numbers from ``num_tasks`` up, for the rows of later epochs."""
-        return True
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Ask a row.
@@ -128,8 +120,8 @@ class ReasoningGymEnv(Env):
         """
         super().reset(seed=seed)
         self._row = None
-        self._index = self._chosen(options) if options else int(self.np_random.integers(self._rows))
-        row = self._present_row()
+        self._index = chosen_index(options, MOST_ROWS) if options else int(self.np_random.integers(self._rows))
+        row = self.present_row()
         return self.prompt_template.replace("{question}", row["question"]), self._about()
 
     def step(self, action: str) -> StepResult:
@@ -140,7 +132,7 @@ class ReasoningGymEnv(Env):
         info = self._about() | {"parsed_action": answer}
         if answer is not None and len(answer) > LONGEST_ANSWER:
             return self._refused(info, f"an answer has at most {LONGEST_ANSWER} characters")
-        row = self._present_row()
+        row = self.present_row()
         request = {"do": "score", "spec": self._spec, "entry": row["entry"], "answer": answer}
         try:
             verdict = ask(request, self.time_limit_s)
@@ -180,12 +172,13 @@ class ReasoningGymEnv(Env):
     def _about(self) -> Info:
         epoch, row = divmod(self._index, self.size)
         info: Info = {"task_id": f"{self._seed_of(epoch)}-{row}", "index": self._index, "epoch": epoch}
-        return info | {"source": self._present_row()["source"]}
+        return info | {"source": self.present_row()["source"]}
 
     def _seed_of(self, epoch: int) -> int:
         return self.seed + epoch * self.size
 
-    def _present_row(self) -> dict[str, Any]:
+    def present_row(self) -> dict[str, Any]:
+        """Return the row that is asked: question, answer, and what the library keeps beside them."""
         if self._row is None:
             epoch, row = divmod(self._index, self.size)
             seed = self._seed_of(epoch)
@@ -216,24 +209,14 @@ class ReasoningGymEnv(Env):
             self._asked({"do": "check", "spec": self._spec})
             _checked.add(self._key)
 
-    def _chosen(self, options: Mapping[str, Any]) -> int:
-        wrong = [name for name in options if name != "index"]
-        if wrong:
-            raise ArgumentError(f"no option {wrong[0]!r}.{did_you_mean(wrong[0], ['index'])} There is: index")
-        index = options["index"]
-        number = operator.index(index) if hasattr(index, "__index__") and not isinstance(index, bool) else -1
-        if not 0 <= number < MOST_ROWS:
-            raise ArgumentError(f"options['index'] must be from 0 to {MOST_ROWS - 1}, not {index!r}")
-        return number
-
     def _get_state(self) -> dict[str, Any]:
         return {"index": self._index, "begun": self._row is not None}
 
     def _set_state(self, state: dict[str, Any]) -> None:
-        self._index = self._chosen({"index": state["index"]})
+        self._index = chosen_index({"index": state["index"]}, MOST_ROWS)
         self._row = None
         if state["begun"]:
-            self._present_row()
+            self.present_row()
 
 
 def _check_range(name: str, value: Any, least: int, most: int) -> None:

@@ -15,8 +15,10 @@ import threading
 from itertools import count
 from typing import Any
 
-from gem_core.errors import GemError
+from gem_core.errors import GemError, refuse_windows
 from gem_math.reasoning.wire import SilenceError, WireError, receive, send
+
+refuse_windows("rg:*")
 
 _START_S = 300.0
 _SLACK_S = 60.0

@@ -6,6 +6,10 @@ import importlib
 
 import click
 
+from gem_core.errors import refuse_windows
+
+refuse_windows("the command 'terminal'")
+
 _COMMANDS = {
     "list": "Show tasks: their limits, and which of them cannot run here.",
     "build": "Build the images of tasks.",

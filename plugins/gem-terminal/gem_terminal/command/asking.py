@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from gem_core.registry.lookup import registry
+from gem_core.registry import registry
 from gem_terminal.backends.choosing import NAMES, shared_backend
 from gem_terminal.errors import MachineError, TaskError
 from gem_terminal.selecting import read_tasks, select_tasks

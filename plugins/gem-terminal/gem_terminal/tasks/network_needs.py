@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from gem_terminal.tasks.task import Task, Verifier
 
 _MOST_BYTES = 200_000
-_INSTALLS = re.compile(
+INSTALLS = re.compile(
     r"^[^#\n]*?\b(?P<what>apt(?:-get)?\s++(?:-\S++\s++){0,5}(?:update|install)|apk\s++add|dnf\s++install|"
     r"pip3?\s++install|uvx|uv\s++(?:run|add|sync|tool|pip|init)|npm\s++(?:install|ci)|npx|git\s++clone\s++https?|"
     r"(?:curl|wget)\b[^\n]{0,200}?https?://(?!localhost|127\.|\[::1\]|0\.0\.0\.0))",
@@ -57,7 +57,7 @@ def _installs(script: Path) -> str:
             text = file.read(_MOST_BYTES).decode("utf-8", "replace")
     except OSError:
         return ""
-    for found in _INSTALLS.finditer(text):
+    for found in INSTALLS.finditer(text):
         end = text.find("\n", found.end())
         if not any(word in text[found.start() : end if end >= 0 else len(text)] for word in _OFFLINE):
             return " ".join(found["what"].split())[:60]

@@ -24,7 +24,7 @@ import anyio
 from anyio.streams.memory import MemoryObjectReceiveStream, MemoryObjectSendStream
 from mcp.shared.message import SessionMessage
 
-from gem_core.errors import MissingRequirementError
+from gem_core.errors import MissingRequirementError, refuse_windows
 from gem_tools.mcp.messages import Lines, shortened
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ KILL_S = 6.0
 HARMLESS = ("HOME", "LANG", "LC_ALL", "LC_CTYPE", "LOGNAME", "PATH", "SHELL", "TERM", "TMPDIR", "TZ", "USER")
 """Variables of the environment that every server gets."""
 
-_KEEPER = str(Path(__file__).with_name("keeper.py"))
+KEEPER = str(Path(__file__).with_name("keeper.py"))
 _CHUNK = 1 << 16
 
 _keepers: set[int] = set()
@@ -85,6 +85,7 @@ async def stdio_transport(server: Server, remarks: Remarks, max_bytes: int) -> A
     Raises:
         MissingRequirementError: There is no such program, or it cannot be started.
     """
+    refuse_windows("an MCP server that is started by a command")
     process = await _started(server)
     to_session, from_server = anyio.create_memory_object_stream[SessionMessage | Exception](0)
     to_server, from_session = anyio.create_memory_object_stream[SessionMessage](0)
@@ -117,7 +118,7 @@ async def _started(server: Server) -> asyncio.subprocess.Process:
         raise MissingRequirementError(f"the MCP server {server.name!r} cannot be started: no folder {server.cwd!r}")
     command = [os.path.abspath(found), *server.args]
     if sys.executable and os.name == "posix":
-        command = [sys.executable, "-I", "-S", _KEEPER, str(os.getpid()), *command]
+        command = [sys.executable, "-I", "-S", KEEPER, str(os.getpid()), *command]
     try:
         process = await asyncio.create_subprocess_exec(
             *command,

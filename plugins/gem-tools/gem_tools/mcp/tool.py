@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from gem_core.errors import ArgumentError, GemError
-from gem_core.tools.tool import CALL_CLOSE, CALL_OPEN, Tool, ToolResult
+from gem_core.tools import CALL_CLOSE, CALL_OPEN, Tool, ToolResult
 from gem_core.types import Concurrency
 from gem_tools.mcp.config import STDIO, Server, from_keywords, read_config
 from gem_tools.mcp.connection import Limits, ServerFault

@@ -13,12 +13,16 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from gem_core.errors import refuse_windows
+
 if TYPE_CHECKING:
     from gem_tools.python.errors import SandboxError
     from gem_tools.python.limits import Limits
     from gem_tools.python.outcome import Outcome
     from gem_tools.python.pool import Pool, Session, shared_pool
     from gem_tools.python.tool import PythonTool, make_python
+
+refuse_windows("the tool 'python'")
 
 __all__ = ["Limits", "Outcome", "Pool", "PythonTool", "SandboxError", "Session", "make_python", "shared_pool"]
 

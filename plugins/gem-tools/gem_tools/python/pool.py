@@ -95,11 +95,11 @@ class Pool:
         _pools.add(self)
 
     def _forget(self) -> None:
-        self._cells: list[Cell] = []
+        self.cells: list[Cell] = []  # those that run or wait; `idle` are those that wait, `queue` the calls that do
         self._starting = 0
         self._closed = False
-        self._idle: collections.deque[Cell] = collections.deque()
-        self._queue = Turns()
+        self.idle: collections.deque[Cell] = collections.deque()
+        self.queue = Turns()
         self.chosen: starting.Chosen | None = None
         self._tasks: set[asyncio.Task[Any]] = set()
 
@@ -169,10 +169,10 @@ class Pool:
 
     async def _close(self) -> list[tuple[subprocess.Popen[bytes], Launch]]:
         self._closed = True
-        for ticket in self._queue.everyone():
+        for ticket in self.queue.everyone():
             ticket.turn.set_exception(SandboxError("the pool was closed"))
-        processes = [(cell.process, cell.launch) for cell in self._cells if cell.process is not None]
-        for cell in list(self._cells):
+        processes = [(cell.process, cell.launch) for cell in self.cells if cell.process is not None]
+        for cell in list(self.cells):
             cell.close()
         return processes
 
@@ -233,7 +233,7 @@ class Pool:
             session.forget()
             raise SandboxError("the sandbox of this session was lost, and its variables with it")
         ticket = Ticket(next(self._numbers), loop.create_future(), None if session is None else session.cell)
-        self._queue.add(ticket)
+        self.queue.add(ticket)
         self._serve()
         try:
             return await ticket.turn
@@ -244,15 +244,15 @@ class Pool:
 
     def _serve(self) -> None:
         """Give idle sandboxes to those who wait; start more while there are not enough."""
-        for _ in range(len(self._idle)):
-            cell = self._idle.popleft()
-            ticket = self._queue.next_for(cell)
+        for _ in range(len(self.idle)):
+            cell = self.idle.popleft()
+            ticket = self.queue.next_for(cell)
             if ticket is None:
-                self._idle.append(cell)
+                self.idle.append(cell)
             else:
                 ticket.turn.set_result(cell)
-        waiting = sum(1 for ticket in self._queue.free if not ticket.turn.done())
-        while self._starting < waiting and len(self._cells) + self._starting < self.num_workers:
+        waiting = sum(1 for ticket in self.queue.free if not ticket.turn.done())
+        while self._starting < waiting and len(self.cells) + self._starting < self.num_workers:
             self._starting += 1
             task = asyncio.ensure_future(self._start_cell())
             self._tasks.add(task)
@@ -266,8 +266,8 @@ class Pool:
             cell = await self._started(self.chosen)
         except BaseException as error:
             self._starting -= 1
-            if not self._cells and not self._starting:
-                for ticket in self._queue.everyone():
+            if not self.cells and not self._starting:
+                for ticket in self.queue.everyone():
                     ticket.turn.set_exception(_copied(error))
             if not isinstance(error, Exception):
                 raise
@@ -276,7 +276,7 @@ class Pool:
         if self._closed:
             cell.close()
             return
-        self._cells.append(cell)
+        self.cells.append(cell)
         self._release(cell)
 
     async def _started(self, chosen: starting.Chosen) -> Cell:
@@ -293,17 +293,17 @@ class Pool:
         raise SandboxError("the sandbox did not start")
 
     def _release(self, cell: Cell) -> None:
-        if cell.alive and cell not in self._idle:
-            self._idle.append(cell)
+        if cell.alive and cell not in self.idle:
+            self.idle.append(cell)
         self._serve()
 
     def _lost(self, cell: Cell) -> None:
         """Go on without a sandbox: its sessions are gone, and whoever waited for it learns so."""
         with contextlib.suppress(ValueError):
-            self._cells.remove(cell)
+            self.cells.remove(cell)
         with contextlib.suppress(ValueError):
-            self._idle.remove(cell)
-        for ticket in self._queue.bound.pop(cell, ()):
+            self.idle.remove(cell)
+        for ticket in self.queue.bound.pop(cell, ()):
             if not ticket.turn.done():
                 ticket.turn.set_exception(SandboxError("the sandbox of this session was lost"))
         starting.end_of(cell)
@@ -319,7 +319,7 @@ class Pool:
         session.forget()
 
     def _after_fork(self) -> None:
-        for cell in self._cells:
+        for cell in self.cells:
             cell.after_fork()
         self._forget()
 
@@ -427,7 +427,7 @@ def close_all() -> None:
         pools = list(_pools)
         _shared.clear()
     for pool in pools:
-        if pool._cells or pool._starting:
+        if pool.cells or pool._starting:
             with contextlib.suppress(Exception):
                 pool.close()
 

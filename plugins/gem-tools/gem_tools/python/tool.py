@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pydantic
 
 from gem_core.errors import ArgumentError, GemError
-from gem_core.tools.tool import Tool, ToolResult
+from gem_core.tools import Tool, ToolResult
 from gem_tools.python.limits import Limits
 from gem_tools.python.pool import Pool, Session, shared_pool
 from gem_tools.python.starting import interpreter

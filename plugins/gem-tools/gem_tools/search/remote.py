@@ -1,22 +1,27 @@
 """Asking a server: with retries, a deadline, a cache, a rate limit, and no trace of the key.
 
-On aiohttp, as gem-core's own client, for its price; and since ``gem serve-search`` needs a server too. The key is read
+On aiohttp, as gem-openai's client, for its price; and since ``gem serve-search`` needs a server too. The key is read
 from the environment for each request; no attribute, message or record holds it.
 """
 
 from __future__ import annotations
 
 import asyncio
+import email.utils
 import json
+import math
 import os
+import random
 import re
+import time
 import urllib.parse
 import urllib.request
 import weakref
 from collections import OrderedDict
 from typing import TYPE_CHECKING, NamedTuple
 
-from gem_core.agents.retries import Clock, is_transient, retry_after_s, wait_s
+import tenacity
+
 from gem_core.background import background_loop, close_later, in_thread, on_library_loop
 from gem_core.errors import ArgumentError, GemError, MissingRequirementError
 from gem_tools.search.passages import Passage, printable
@@ -34,6 +39,8 @@ MAX_TEXT_CHARS = 100_000
 CONNECT_TIMEOUT_S = 5.0
 LONGEST_PAUSE_S = 60.0
 
+_FIRST_WAIT_S, _LONGEST_WAIT_S = 0.5, 30.0
+_GROWING_WAIT_S = tenacity.wait_exponential(multiplier=_FIRST_WAIT_S, max=_LONGEST_WAIT_S)
 _KEEP_ALIVE_S = 4.0  # below the 5 s of uvicorn and others, which close a connection while we begin to write
 _SHOWN = 200
 _SECRET = 4
@@ -99,6 +106,8 @@ class RemoteEngine:
         url: Where it is.
         limits: How it is treated.
         disk: What was found is kept there as well; None for memory alone.
+
+    ``now``, ``sleep`` and ``jitter`` (a random number between two) are what limits and waits go by.
     """
 
     def __init__(self, service: Service, url: str, limits: Limits, disk: DiskCache | None = None) -> None:
@@ -106,7 +115,10 @@ class RemoteEngine:
         self.url = url
         self.limits = limits
         self.disk = disk
-        self.clock = Clock()
+        self.now = time.monotonic
+        self.sleep = asyncio.sleep
+        # A generator of its own: jitter must differ between processes and touch nobody's random state.
+        self.jitter = random.Random().uniform
         self._cache: OrderedDict[tuple[str, int], Found] = OrderedDict()
         self._link: _Link | None = None
         self._next_request = self._quiet_until = 0.0
@@ -159,21 +171,21 @@ class RemoteEngine:
             kept = await in_thread(self.disk.get, self._server, *asked)
             if kept is not None:
                 return self._kept(asked, Found(kept, cached=True))
-        end = self.clock.now() + self.limits.timeout_s
+        end = self.now() + self.limits.timeout_s
         try:
-            async with self.clock.timeout(self.limits.timeout_s):
+            async with asyncio.timeout(self.limits.timeout_s):
                 await link.places.acquire()
         except TimeoutError:
             return SearchFault("too many searches are under way; none was free in time")
         try:
-            outcome = await self._tried(link, asked, end)
+            found = await self._with_retries(link, asked, end)
+        except SearchFault as fault:
+            return fault.with_traceback(None)
         finally:
             link.places.release()
-        if isinstance(outcome, SearchFault):
-            return outcome
         if self.disk is not None:
-            await in_thread(self.disk.put, self._server, *asked, outcome.passages)
-        return self._kept(asked, outcome)
+            await in_thread(self.disk.put, self._server, *asked, found.passages)
+        return self._kept(asked, found)
 
     @property
     def _server(self) -> str:
@@ -187,58 +199,72 @@ class RemoteEngine:
                 self._cache.popitem(last=False)
         return found
 
-    async def _tried(self, link: _Link, asked: tuple[str, int], end: float) -> Found | SearchFault:
-        attempt = 0
-        while True:
-            attempt += 1
-            if (fault := await self._took_turn(end)) is not None:
-                return fault
-            outcome = await self._attempted(link, asked, end - self.clock.now())
-            if isinstance(outcome, Found):
-                return outcome
-            times = f" ({attempt} attempts)" if attempt > 1 else ""
-            if outcome.retry_after is not None:
-                # What one request is told holds for all, within reason.
-                pause = min(outcome.retry_after, LONGEST_PAUSE_S)
-                self._quiet_until = max(self._quiet_until, self.clock.now() + pause)
-            if not outcome.transient or attempt > self.limits.max_retries:
-                return SearchFault(f"{outcome.message}{times}", transient=outcome.transient)
-            wait = wait_s(self.clock, attempt, outcome.retry_after)
-            if wait >= end - self.clock.now():
-                asked_for = "" if outcome.retry_after is None else f", and it asks to wait {outcome.retry_after:.0f} s"
-                return SearchFault(f"{outcome.message}{asked_for}{times}")
-            await self.clock.sleep(wait)
+    async def _with_retries(self, link: _Link, asked: tuple[str, int], end: float) -> Found:
+        def may_pass(error: BaseException) -> bool:
+            return isinstance(error, SearchFault) and error.transient
 
-    async def _took_turn(self, end: float) -> SearchFault | None:
-        """Wait for the rate limit, and for the end of the pause that the server asked for."""
-        now = self.clock.now()
-        start = max(now, self._quiet_until)
-        if start >= end:
-            return SearchFault(f"it asks to wait {start - now:.0f} s before the next search")
-        if self.limits.requests_per_s is not None:
-            start = max(start, self._next_request)
-        if start >= end:
-            return SearchFault("the rate limit leaves no room for this search in time")
-        if self.limits.requests_per_s is not None:
-            self._next_request = start + 1.0 / self.limits.requests_per_s
-        if start > now:
-            await self.clock.sleep(start - now)
-        return None
+        retrying = tenacity.AsyncRetrying(
+            retry=tenacity.retry_if_exception(may_pass),
+            wait=self._wait_s,
+            stop=tenacity.stop_after_attempt(1 + self.limits.max_retries)
+            | tenacity.stop_before_delay(end - self.now()),
+            sleep=self.sleep,
+            reraise=True,
+        )
+        try:
+            found: Found = await retrying(self._attempt, link, asked, end)
+            return found
+        except SearchFault as fault:
+            attempts = retrying.statistics["attempt_number"]
+            if fault.retry_after is not None and may_pass(fault) and attempts <= self.limits.max_retries:
+                fault.message += f", and it asks to wait {fault.retry_after:.0f} s"
+            fault.message += f" ({attempts} attempts)" if attempts > 1 else ""
+            raise
 
-    async def _attempted(self, link: _Link, asked: tuple[str, int], left: float) -> Found | SearchFault:
+    def _wait_s(self, state: tenacity.RetryCallState) -> float:
+        """Return how long to wait for the next attempt: at random, so that not all come back in one instant.
+
+        Source: "full jitter", https://aws.amazon.com/blogs/architecture/exponential-backoff-and-jitter/.
+        """
+        fault = state.outcome.exception() if state.outcome else None
+        if isinstance(fault, SearchFault) and fault.retry_after is not None:
+            return fault.retry_after + self.jitter(0.0, _FIRST_WAIT_S)
+        return self.jitter(0.0, _GROWING_WAIT_S(state))
+
+    async def _attempt(self, link: _Link, asked: tuple[str, int], end: float) -> Found:
         from aiohttp import ClientError
 
+        await self._take_turn(end)
+        left = end - self.now()
         if left <= 0:
-            return SearchFault("the time for this search is up", transient=False)
+            raise SearchFault("the time for this search is up", transient=False)
         try:
-            async with self.clock.timeout(left):
+            async with asyncio.timeout(left):
                 return await self._once(link, asked)
-        except SearchFault as fault:
-            return fault.with_traceback(None)  # whose frames hold the headers
+        except SearchFault as error:
+            fault = error
         except GemError as error:  # the key is not there any more
-            return SearchFault(str(error), transient=False)
+            fault = SearchFault(str(error), transient=False)
         except (ClientError, OSError, ValueError) as error:
-            return _fault(error)
+            fault = _fault(error)
+        if fault.retry_after is not None:
+            # What one request is told holds for all, within reason.
+            self._quiet_until = max(self._quiet_until, self.now() + min(fault.retry_after, LONGEST_PAUSE_S))
+        raise fault  # outside of the clauses: aiohttp's error would go along, whose frames hold what was sent
+
+    async def _take_turn(self, end: float) -> None:
+        """Wait for the rate limit, and for the end of the pause that the server asked for."""
+        now = self.now()
+        start = max(now, self._quiet_until)
+        if start >= end:
+            raise SearchFault(f"it asks to wait {start - now:.0f} s before the next search", transient=False)
+        if self.limits.requests_per_s is not None:
+            start = max(start, self._next_request)
+            if start >= end:
+                raise SearchFault("the rate limit leaves no room for this search in time", transient=False)
+            self._next_request = start + 1.0 / self.limits.requests_per_s
+        if start > now:
+            await self.sleep(start - now)
 
     async def _once(self, link: _Link, asked: tuple[str, int]) -> Found:
         query, top_k = asked
@@ -277,8 +303,8 @@ class RemoteEngine:
             message = "it redirects elsewhere"
         return SearchFault(
             f"status {response.status}: {self.shown(message or response.reason or 'no reason given')}",
-            transient=is_transient(response.status),
-            retry_after=retry_after_s(response.headers.get("Retry-After"), self.clock.wall()),
+            transient=_is_transient(response.status),
+            retry_after=_retry_after_s(response.headers.get("Retry-After")),
         )
 
     # The key.
@@ -358,6 +384,26 @@ def _fault(error: Exception) -> SearchFault:
     if isinstance(error, TimeoutError):
         return SearchFault("no answer in time", transient=False)
     return SearchFault(f"the connection broke ({type(error).__name__})")
+
+
+def _is_transient(status: int) -> bool:
+    """Tell whether the same request may be answered later."""
+    return status in (408, 409, 425, 429) or (status >= 500 and status not in (501, 505))
+
+
+def _retry_after_s(header: str | None) -> float | None:
+    """Return the seconds that a ``Retry-After`` header asks for, by number or by date; None if it says nothing.
+
+    Source: RFC 9110, section 10.2.3.
+    """
+    try:
+        seconds = float(header or "")
+    except ValueError:
+        try:
+            seconds = email.utils.parsedate_to_datetime(header or "").timestamp() - time.time()
+        except (ValueError, OverflowError):
+            return None
+    return max(seconds, 0.0) if math.isfinite(seconds) else None
 
 
 async def _body(response: ClientResponse) -> bytes:

@@ -13,7 +13,7 @@ from typing import Any
 import pydantic
 
 from gem_core.errors import ArgumentError
-from gem_core.tools.tool import Tool, ToolResult
+from gem_core.tools import Tool, ToolResult
 from gem_core.types import Concurrency
 from gem_tools.search.building import cache_folder, open_index
 from gem_tools.search.corpus import ARTICLES

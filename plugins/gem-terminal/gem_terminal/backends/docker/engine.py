@@ -186,22 +186,29 @@ class Engine:
                 self._client.close()
             self._client = None
 
+    def places(self) -> list[Address]:
+        """Return where an engine is named, or its socket is there, in the order in which they are tried.
+
+        Raises:
+            EngineError: There is none; says what to do.
+        """
+        known = addresses(self._base_url)
+        places = [place for place in known if place.source != "usual place" or _exists(place.url)]
+        if places:
+            return places
+        raise EngineError(
+            f"no container engine: nothing at {', '.join(place.url for place in known)}. Install and start Docker, or "
+            "Podman ('systemctl --user start podman.socket'), or set DOCKER_HOST"
+        )
+
     def _connect(self) -> Client:
-        places = addresses(self._base_url)
         reasons = []
-        for place in places:
-            if place.source == "usual place" and not _exists(place.url):
-                continue
+        for place in self.places():
             try:
                 return self._open(place)
             except (docker.errors.DockerException, requests.RequestException, OSError, ValueError) as error:
                 reasons.append(f"{place.url} ({place.source}): {_why(error)}")
-        if reasons:
-            raise EngineError(f"no container engine answers at {'; '.join(reasons)}")
-        raise EngineError(
-            f"no container engine: nothing at {', '.join(place.url for place in places)}. Install and start Docker, or "
-            "Podman ('systemctl --user start podman.socket'), or set DOCKER_HOST"
-        )
+        raise EngineError(f"no container engine answers at {'; '.join(reasons)}")
 
     def _open(self, place: Address) -> Client:
         if place.url.startswith("unix://"):

@@ -1,0 +1,110 @@
+"""What ``gem list`` and ``gem info`` say of a record: of an environment, tool, wrapper, agent, backend or command."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+from gem_core.arguments import signature_of
+from gem_core.errors import GemError
+from gem_core.registry.entry_points import load_entry_point
+from gem_core.registry.lookup import registry
+from gem_core.registry.plugins import Record
+from gem_core.registry.specs import AgentSpec, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+
+KINDS: dict[str, type[NamedSpec]] = {
+    "tools": ToolSpec,
+    "wrappers": WrapperSpec,
+    "agents": AgentSpec,
+    "backends": VectorBackendSpec,
+}
+"""Words for ``gem list`` that are no pattern of ids."""
+
+
+def find_named(name: str) -> list[NamedSpec]:
+    """Return the tools, wrappers, agents and backends of a name; ``agent:ARGUMENT`` is the agent."""
+    head, colon, _ = name.partition(":")
+    kinds = [AgentSpec] if colon else list(KINDS.values())
+    if colon and any(record.namespace == head for record in registry().envs()):
+        return []
+    return [record for kind in kinds for record in registry().named(kind) if record.name == head]
+
+
+def described(record: Record) -> dict[str, Any]:
+    """Return what is known of a record without importing what it points to, as plain JSON."""
+    point = record.entry_point
+    if isinstance(record, EnvSpec):
+        provider = registry().provider(record.id)
+        facts: dict[str, Any] = {
+            "id": record.id,
+            "summary": record.summary,
+            "kwargs": {key: value if _is_plain(value) else repr(value) for key, value in record.kwargs.items()},
+            "max_turns": record.turn_limit,
+            "tags": list(record.tags),
+            "requires": list(record.requires),
+            "deterministic": record.deterministic,
+        }
+    else:
+        provider = next((plugin for plugin in registry().plugins() if record in plugin.records), None)
+        facts = {"kind": record.kind, "name": record.name, "summary": record.summary}
+    return {
+        **facts,
+        "entry_point": point if isinstance(point, str) else repr(point),
+        "distribution": None if provider is None else provider.distribution,
+    }
+
+
+def described_in_full(record: NamedSpec) -> dict[str, Any]:
+    """Return what is known of a record, with the options of what it points to, as plain JSON."""
+    facts = described(record)
+    maker = load_entry_point(record.entry_point, f"{record.kind} {record.name!r}")
+    parameters = list((signature_of(maker) or inspect.Signature()).parameters.values())
+    if isinstance(record, WrapperSpec | VectorBackendSpec):
+        parameters = parameters[1:]  # the environment, or the setup
+    elif isinstance(record, AgentSpec) and parameters and parameters[0].kind is not parameters[0].KEYWORD_ONLY:
+        facts["argument"] = f"{_option(parameters.pop(0))}, as in {record.name}:…"
+    facts["options"] = [_option(parameter) for parameter in parameters]
+    facts["documentation"] = own_documentation(maker)
+    return {**facts, **_described_tools(record)} if isinstance(record, ToolSpec) else facts
+
+
+def _described_tools(record: ToolSpec) -> dict[str, Any]:
+    """Return what a tool says of itself on this machine, and what an agent is told of it."""
+    from gem_core.cli.diagnosis import status_of
+    from gem_core.tools.selection import tools_by_name
+
+    status, problem = status_of(record)
+    tools: list[Any] = []
+    try:
+        tools = list(tools_by_name([record.name]).values())
+    except GemError as error:  # it may need options, a key or a server; all else can be told without
+        problem = str(error)
+    schemas, instructions = [tool.schema() for tool in tools], [tool.instructions() for tool in tools]
+    return {"schemas": schemas, "instructions": instructions, "status": status, "problem": problem}
+
+
+def option_lines(maker: Callable[..., Any]) -> list[str]:
+    """Return what a callable takes, as ``name: type = default``."""
+    return [_option(parameter) for parameter in (signature_of(maker) or inspect.Signature()).parameters.values()]
+
+
+def own_documentation(maker: Callable[..., Any]) -> str | None:
+    """Return the docstring of a class or function; not that of a base class, which is about something else."""
+    own = vars(maker).get("__doc__") if isinstance(maker, type) else getattr(maker, "__doc__", None)
+    return inspect.cleandoc(own) if isinstance(own, str) else None
+
+
+def _option(parameter: inspect.Parameter) -> str:
+    annotation = parameter.annotation
+    # As it was written: a module with postponed annotations has them as text, which str() would quote.
+    written = annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
+    typed = "" if annotation is parameter.empty else f": {written}"
+    stars = "*" * (parameter.kind is parameter.VAR_POSITIONAL) + "**" * (parameter.kind is parameter.VAR_KEYWORD)
+    equals = " = " if typed else "="
+    default = "" if parameter.default is parameter.empty else f"{equals}{parameter.default!r}"
+    return f"{stars}{parameter.name}{typed}{default}"
+
+
+def _is_plain(value: object) -> bool:
+    return value is None or isinstance(value, bool | int | float | str)

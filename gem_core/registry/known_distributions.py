@@ -1,0 +1,35 @@
+"""Which distributions of this project offer what, for the advice in an error message where one is not installed."""
+
+from __future__ import annotations
+
+KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
+    ("namespace", "game"): ("gem-games",),
+    ("namespace", "ta"): ("gem-games",),
+    ("namespace", "math"): ("gem-math",),
+    ("namespace", "rg"): ("gem-math",),
+    ("namespace", "code"): ("gem-code",),
+    ("namespace", "qa"): ("gem-qa",),
+    ("namespace", "logic"): ("gem-qa",),
+    ("namespace", "terminal"): ("gem-terminal",),
+    ("namespace", "eval"): ("gem-math", "gem-code", "gem-qa"),
+    ("tool", "python"): ("gem-tools",),
+    ("tool", "search"): ("gem-tools",),
+    ("tool", "mcp"): ("gem-tools",),
+    ("vector backend", "ray"): ("gem-ray",),
+    ("agent", "openai"): ("gem-openai",),
+    ("agent", "bisect"): ("gem-games",),
+    ("agent", "hanoi"): ("gem-games",),
+    ("agent", "mastermind"): ("gem-games",),
+    ("agent", "wikigame"): ("gem-games",),
+    ("command", "show"): ("gem-eval",),
+    ("command", "mcp"): ("gem-tools",),
+    ("command", "serve-search"): ("gem-tools",),
+    ("command", "terminal"): ("gem-terminal",),
+}
+"""By kind of record, as its ``kind`` says it (environments by namespace), and name."""
+
+
+def distributions_with(name: str, kind: str | None = None) -> list[str]:
+    """Return the distributions that offer a name, of one kind or of any; none where nobody here does."""
+    found = (owners for (of, known), owners in KNOWN_DISTRIBUTIONS.items() if known == name and kind in (of, None))
+    return list(dict.fromkeys(owner for owners in found for owner in owners))

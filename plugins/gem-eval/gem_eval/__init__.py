@@ -1,0 +1,1 @@
+"""Commands for recorded episodes: a plugin of GEM."""

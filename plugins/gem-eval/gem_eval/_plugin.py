@@ -1,0 +1,19 @@
+"""What this distribution offers; a command is imported when it is called."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from gem_core import CommandSpec, hookimpl
+
+
+@hookimpl
+def gem_add_commands() -> Iterable[CommandSpec]:
+    """The command ``gem show``."""
+    return [
+        CommandSpec(
+            name="show",
+            entry_point="gem_eval.show.command:command",
+            summary="Show recorded episodes: a list, one of them, two compared, or a page.",
+        )
+    ]

@@ -1,0 +1,131 @@
+"""Which episodes of a file are shown, and in which order."""
+
+from __future__ import annotations
+
+import fnmatch
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
+from operator import eq, ge, gt, le, lt, ne
+from typing import TYPE_CHECKING, Any
+
+from gem_core.errors import ArgumentError, EpisodeFileError
+
+if TYPE_CHECKING:
+    from gem_eval.episode_file import Entry, EpisodeFile
+
+Comparison = Callable[[float], bool]
+
+_OPERATORS = {">=": ge, "<=": le, "!=": ne, "==": eq, ">": gt, "<": lt, "=": eq, "": eq}
+_COMPARISON = re.compile(r"\s*(>=|<=|!=|==|>|<|=|)\s*(\S+)\s*")
+# Characters that JSON writes as they are.
+_PLAIN_RUN = re.compile(r"[A-Za-z0-9 .,:;=()_-]+", re.ASCII)
+
+SORTS: dict[str, Callable[[Entry], Any]] = {
+    "number": lambda entry: entry.number,
+    "env": lambda entry: entry.id,
+    "success": lambda entry: -1 if entry.success is None else int(entry.success),
+    "return": lambda entry: -math.inf if math.isnan(entry.episode_return) else entry.episode_return,
+    "turns": lambda entry: entry.turns,
+    "seed": lambda entry: (isinstance(entry.seed, str), -1 if entry.seed is None else entry.seed),
+    "group": lambda entry: entry.group or "",
+}
+"""What episodes can be sorted by; those that are alike stay in the order of the file."""
+
+
+def select(
+    file: EpisodeFile,
+    entries: Iterable[Entry],
+    *,
+    env: str | None = None,
+    success: bool | None = None,
+    returns: Comparison | None = None,
+    errors: bool | None = None,
+    group: str | None = None,
+    grep: str | None = None,
+) -> Iterator[Entry]:
+    """Yield those entries of a file that fit all conditions, as they come.
+
+    Args:
+        file: The file.
+        entries: Its entries.
+        env: Part of the id, or a glob for the whole of it.
+        success: True for those that solved the task, False for those that are known not to have.
+        returns: A test of the return.
+        errors: True for those with an error of the machinery, False for those without.
+        group: The group's name.
+        grep: Text that stands in an observation, a response or an info; case does not count.
+    """
+    for entry in entries:
+        if (
+            (env is None or matches_id(entry.id, env))
+            and (success is None or entry.success is success)
+            and (returns is None or returns(entry.episode_return))
+            and (errors is None or (entry.error is not None) is errors)
+            and (group is None or entry.group == group)
+            and (grep is None or _holds_text(file, entry, grep))
+        ):
+            yield entry
+
+
+def ordered(entries: Iterable[Entry], sort: str | None, reverse: bool, limit: int | None) -> Iterator[Entry]:
+    """Yield entries in order, up to a limit; without a sort as they come.
+
+    Args:
+        entries: What fits.
+        sort: A name of ``SORTS``; None keeps the order.
+        reverse: The last first.
+        limit: How many at most.
+    """
+    if sort is not None or reverse:
+        entries = sorted(entries, key=SORTS[sort or "number"], reverse=reverse)
+    return islice(entries, limit)
+
+
+def matches_id(env_id: str, pattern: str) -> bool:
+    """Whether an id fits: a glob fits the whole, anything else a part, and case does not count."""
+    if any(character in pattern for character in "*?["):
+        return fnmatch.fnmatchcase(env_id.casefold(), pattern.casefold())
+    return pattern.casefold() in env_id.casefold()
+
+
+def parse_comparison(text: str) -> Comparison:
+    """Return the test that a comparison such as ``">0.5"`` stands for.
+
+    Raises:
+        ArgumentError: It is no comparison with a number.
+    """
+    found = _COMPARISON.fullmatch(text)
+    try:
+        if found is None:
+            raise ValueError
+        compare, bound = _OPERATORS[found[1]], float(found[2])
+    except ValueError:
+        raise ArgumentError(
+            f"{text!r} is no comparison with a number; write '>0.5', '>=0.5', '<0.5', '<=0.5', '=1' or '!=0', in quotes"
+        ) from None
+    return lambda value: compare(value, bound)
+
+
+def _holds_text(file: EpisodeFile, entry: Entry, text: str) -> bool:
+    # Reading an episode takes 20 times as long as seeing that its line lacks what JSON writes as it is.
+    run = max(_PLAIN_RUN.findall(text), key=len, default="").lower()
+    if run.encode("ascii") not in file.line(entry).lower():
+        return False
+    try:
+        episode = file.read(entry)
+    except EpisodeFileError:
+        return False  # Damaged in a part that the index does not look at.
+    turns = [(turn.observation, turn.action.text, turn.action.reported(), turn.info) for turn in episode.transitions]
+    shown = (episode.id, episode.observation, episode.info, turns, episode.final_observation)
+    wanted = text.casefold()
+    return any(wanted in part.casefold() for part in _texts(shown))
+
+
+def _texts(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict | list | tuple):
+        for part in value.values() if isinstance(value, dict) else value:
+            yield from _texts(part)

@@ -1,0 +1,217 @@
+"""``gem show``: recorded episodes as a person reads them."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import json
+import os
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import click
+
+from gem_core.cli import output_width
+from gem_core.errors import ArgumentError, EpisodeFileError
+from gem_core.records import ImageFolder, to_plain
+from gem_eval.episode_file import Entry, EpisodeFile
+from gem_eval.filters import SORTS, ordered, parse_comparison, select
+from gem_eval.show.lines import episode_lines, list_lines
+from gem_eval.show.text import count, one_line
+
+_HTML_LIMIT = 500
+_SILENT_S = 2.0
+
+
+@click.command(
+    "show",
+    epilog="""\b
+Examples:
+  gem show runs/mine.jsonl                            the list
+  gem show runs/mine.jsonl --failure --return '>0.5'  nearly solved
+  gem show runs/mine.jsonl --grep Traceback --json
+  gem show runs/mine.jsonl --sort return --reverse --limit 10
+  gem show runs/mine.jsonl 17                         one episode, turn by turn
+  gem show runs/mine.jsonl --diff 17 21               where two episodes of one start part
+  gem show runs/mine.jsonl --html mine.html           a page for the browser, in one file
+\b
+The number of an episode is its line in the file. In a terminal, the output is paged: '/' searches,
+'n' finds the next, 'q' leaves; PAGER names another pager, NO_COLOR switches colours off. What could
+move the cursor or hide text is shown as its code. Images are named; --html shows them.
+\b
+A file of some size gets an index beside it, FILE.index, so that it opens at once the next time; it
+may be deleted. A line that is cut off or damaged is passed over, and named on standard error.
+\b
+Exit code: 0 if the file could be read, even where no episode fits, 1 if it holds no whole episode or
+the one asked for is damaged, 2 for a wrong argument.
+""",
+)
+@click.argument("path", metavar="FILE", type=click.Path(exists=True, dir_okay=False))
+@click.argument("number", metavar="[N]", required=False, type=click.IntRange(min=1))
+@click.option("--episode", "option_number", metavar="N", type=click.IntRange(min=1), help="The same as N.")
+@click.option("--env", metavar="PATTERN", help="Only ids with this part, or that fit a glob in quotes.")
+@click.option("--success/--failure", "success", default=None, help="Only solved, or only known as not solved.")
+@click.option(
+    "--return", "returns", metavar="COMPARISON", type=parse_comparison, help="Only these returns: '>0.5', '<=0', '=1'."
+)
+@click.option("--errors/--no-errors", "errors", default=None, help="Only with, or only without an error.")
+@click.option("--group", metavar="G", help="Only this group.")
+@click.option("--grep", metavar="TEXT", help="Only with this text in an observation, response or info.")
+@click.option("--sort", type=click.Choice(list(SORTS)), help="Order of the list; the whole file is looked at first.")
+@click.option("--reverse", is_flag=True, help="The other way round.")
+@click.option(
+    "--limit", type=click.IntRange(min=1), help=f"So many episodes at most.  [default: all; {_HTML_LIMIT} with --html]"
+)
+@click.option("--diff", nargs=2, metavar="A B", type=click.IntRange(min=1), help="Tell two episodes apart.")
+@click.option("--html", metavar="OUT", type=click.Path(dir_okay=False), help="Write one page that needs no network.")
+@click.option("--full", is_flag=True, help="Show long infos, and what observations repeat, as well.")
+@click.option("--json", "as_json", is_flag=True, help="Write the list, or the episode N, as JSON.")
+def command(
+    path: str,
+    number: int | None,
+    option_number: int | None,
+    diff: tuple[int, int] | None,
+    html: str | None,
+    full: bool,
+    as_json: bool,
+    sort: str | None,
+    reverse: bool,
+    limit: int | None,
+    **conditions: Any,
+) -> None:
+    """Show the episodes of a file: a list, one of them turn by turn, two compared, or a page for the browser.
+
+    FILE is what 'gem run' wrote. N is the number of one episode.
+    """
+    if number is not None and option_number not in (None, number):
+        raise ArgumentError(f"N is {number}, but --episode is {option_number}; name one")
+    number = option_number if number is None else number
+    if diff is not None and (number is not None or html is not None or as_json):
+        raise ArgumentError("--diff goes with no other form: leave out N, --html and --json")
+    if html is not None and as_json:
+        raise ArgumentError("--html and --json are two forms; choose one")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # for what its encoding does not have
+    with EpisodeFile(path) as file:
+        if not file.size:
+            raise EpisodeFileError(f"{path} is empty: it holds no episodes (yet)")
+        if diff is not None:
+            _show_diff(file, diff)
+        elif number is not None and html is None:
+            _show_episode(file, number, full, as_json)
+        else:
+            # A list that grows in a terminal shows by itself how far it is.
+            grows = sys.stdout.isatty() and html is None and not as_json and sort is None and not reverse
+            entries = file.entries() if grows else _with_progress(file)
+            fitting = select(file, entries, **conditions) if number is None else iter([file.entry(number)])
+            if html is not None:
+                _write_page(file, ordered(fitting, sort, reverse, None), html, limit or _HTML_LIMIT)
+            else:
+                _show_list(file, ordered(fitting, sort, reverse, limit), as_json)
+        _report_damage(file)
+
+
+def _show_list(file: EpisodeFile, entries: Iterator[Entry], as_json: bool) -> None:
+    first = list(itertools.islice(entries, 1))
+    entries = itertools.chain(first, entries)
+    if as_json:
+        click.echo(json.dumps([to_plain(entry.to_dict()) for entry in entries], indent=1))
+    else:
+        _write(list_lines(entries, output_width()))
+    if not first:
+        whole = _count_whole(file)
+        if not as_json:
+            click.echo(f"gem: none of the {whole:,} episodes of {file.path} fits", err=True)
+
+
+def _show_episode(file: EpisodeFile, number: int, full: bool, as_json: bool) -> None:
+    episode = file.read(file.entry(number))
+    if as_json:
+        click.echo(json.dumps(to_plain({"number": number, **episode.to_dict()}), indent=1))
+    else:
+        _write(episode_lines(episode, number, full=full))
+
+
+def _show_diff(file: EpisodeFile, numbers: tuple[int, int]) -> None:
+    from gem_eval.show.diff import diff_lines
+
+    one, other = (file.read(file.entry(number)) for number in numbers)
+    _write(diff_lines(numbers, (one, other)))
+
+
+def _write_page(file: EpisodeFile, entries: Iterator[Entry], out: str, limit: int) -> None:
+    from gem_eval.show.page import PageWriter
+
+    if os.path.realpath(out) == os.path.realpath(file.path):
+        raise ArgumentError(f"--html {out} is the file of episodes itself; name another")
+    page = PageWriter(file.path.name, ImageFolder.beside(file.path))
+    written = left_out = 0
+    for entry in entries:
+        if written == limit:
+            left_out += 1
+            continue
+        try:
+            page.add(entry.number, file.read(entry))
+        except EpisodeFileError as error:
+            click.echo(f"gem: passed over, {one_line(str(error))}", err=True)
+        else:
+            written += 1
+    if not written:
+        _count_whole(file)
+        raise ArgumentError(f"no episode of {file.path} fits; no page is written")
+    if left_out:
+        page.notes.append(
+            f"{left_out:,} more episodes are left out of this page; --limit {written + left_out} takes all."
+        )
+    if file.damaged:
+        page.notes.append(f"{len(file.damaged):,} lines of the file hold no whole episode.")
+    page.write(out)
+    rest = f" ({left_out:,} more left out: raise --limit)" if left_out else ""
+    click.echo(f"{count(written, 'episode')} written to {out}{rest}")
+
+
+def _count_whole(file: EpisodeFile) -> int:
+    """Return how many whole episodes a file holds; raise where there is none."""
+    whole = sum(1 for _ in file.entries())
+    if whole:
+        return whole
+    if file.damaged:
+        first = file.damaged[0]
+        raise EpisodeFileError(f"{file.path} holds no whole episode; line {first.number}: {first.damage}")
+    raise EpisodeFileError(f"{file.path} holds no episode: its lines are blank")
+
+
+def _report_damage(file: EpisodeFile) -> None:
+    damaged = file.damaged
+    if damaged:
+        more = f"; lines passed over in all: {len(damaged):,}" if len(damaged) > 1 else ""
+        reason = one_line(f"{damaged[0].damage}", 300)
+        click.echo(f"gem: {file.path}, line {damaged[0].number}: passed over, because {reason}{more}", err=True)
+
+
+def _write(lines: Iterable[str]) -> None:
+    """Write lines: paged in a terminal, else plain and as they come."""
+    if not sys.stdout.isatty():
+        # click.echo would flush each line, at the cost of a system call.
+        sys.stdout.writelines(f"{click.unstyle(line)}\n" for line in lines)
+        return
+    # F: what fits the screen stays there without a pager. R: colours, and no other codes. X: no clearing.
+    os.environ.setdefault("LESS", "-FRX")
+    colours = not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+    click.echo_via_pager((f"{line}\n" for line in lines), color=colours)
+
+
+def _with_progress(file: EpisodeFile) -> Iterator[Entry]:
+    """Yield the entries of a file, and say in a terminal how much of it is read, if that takes more than a moment."""
+    shown = sys.stderr.isatty() and file.share_indexed < 1
+    due = time.monotonic() + _SILENT_S
+    written = False
+    for entry in file.entries():
+        if shown and time.monotonic() > due:
+            due, written = time.monotonic() + 0.2, True
+            click.echo(f"\rgem: reading {file.path.name}, {file.share_indexed:.0%} ", err=True, nl=False)
+        yield entry
+    if written:
+        click.echo("\r\x1b[K", err=True, nl=False)

@@ -1,0 +1,142 @@
+"""A list of episodes, and one episode turn by turn, as lines for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from itertools import chain, islice
+from typing import TYPE_CHECKING
+
+from click import style
+
+from gem_core import Episode
+from gem_core.cli import Layout
+from gem_eval.show.text import count, dim, heading, highlighted, one_line, rule
+from gem_eval.turns import Part, TurnView, error_text, outcome_of, parts_of, start_of, turn_views
+
+if TYPE_CHECKING:
+    from gem_eval.episode_file import Entry
+
+# Of each column the most characters, and what stands in it.
+_COLUMNS: dict[str, tuple[int, Callable[[Entry], object]]] = {
+    "number": (8, lambda entry: entry.number),
+    "environment": (60, lambda entry: entry.id),
+    "outcome": (7, lambda entry: outcome_of(entry.success, failed=entry.error is not None)),
+    "return": (10, lambda entry: f"{entry.episode_return:.4g}"),
+    "turns": (6, lambda entry: entry.turns),
+    "seed": (17, lambda entry: "-" if entry.seed is None else entry.seed),
+    "group": (24, lambda entry: entry.group or ""),
+    "error": (200, lambda entry: entry.error or ""),
+}
+_TO_THE_LEFT = ("environment", "outcome", "group", "error")
+_IF_ANY = ("group", "error")
+_DISPENSABLE = ("group", "seed", "turns", "return")
+# Columns get the width of the first so many rows; a later cell may be wider.
+_ROWS_AHEAD = 200
+_LONGEST_VALUE = 300
+
+_OUTCOME_COLOURS = {"success": "green", "failure": "red", "unknown": "white", "error": "yellow"}
+
+
+def list_lines(entries: Iterable[Entry], width: int | None = None) -> Iterator[str]:
+    """Yield the lines of a list: a header, then one line for each episode, as they come.
+
+    Args:
+        entries: The episodes.
+        width: Characters in a line: columns are left out to fit, and errors cut; None leaves all whole.
+    """
+    rows = map(_cells, entries)
+    first = list(islice(rows, _ROWS_AHEAD))
+    if not first:
+        return
+    headers = [name for name in _COLUMNS if name not in _IF_ANY or any(row[name] for row in first)]
+    layout = Layout(
+        headers,
+        [[row[name] for name in headers] for row in first],
+        width,
+        left=[headers.index(name) for name in _TO_THE_LEFT if name in headers],
+        names=2,
+        dispensable=[headers.index(name) for name in _DISPENSABLE if name in headers],
+        tail=headers.index("error") if "error" in headers else None,
+    )
+    yield from map(heading, layout.header())
+    for row in chain(first, rows):
+        coloured = partial(style, fg=_OUTCOME_COLOURS[row["outcome"]])
+        yield from layout.row([row[name] for name in headers], {headers.index("outcome"): coloured})
+
+
+def episode_lines(episode: Episode, number: int, *, full: bool = False) -> Iterator[str]:
+    """Yield the lines of one episode: what it started from, each turn, and how it ended.
+
+    Args:
+        episode: The episode, its images as names of files.
+        number: Its number in the file.
+        full: Whether what an observation repeats of the one before, and long infos, are shown as well.
+    """
+    outcome = outcome_of(episode.success, failed=episode.error is not None)
+    cut_off = "" if episode.cut_off is None else f", cut off by {episode.cut_off}"
+    figures = f"return {episode.episode_return:g}, {count(episode.turns, 'turn')}{cut_off}"
+    summary = f"{style(outcome, fg=_OUTCOME_COLOURS[outcome])}, {figures}"
+    yield heading(f"Episode {number} · {one_line(episode.id)}")
+    yield summary
+    yield from _facts(start_of(episode), full)
+    if not episode.transitions:
+        yield from _section("observation", parts_of(episode.observation))
+    for turn in turn_views(episode, fold=not full):
+        yield ""
+        yield rule(f"turn {turn.number} of {episode.turns}")
+        yield from _turn_lines(turn, full)
+    yield ""
+    yield rule("end")
+    yield from _section("final observation", parts_of(episode.final_observation))
+    if episode.error is not None:
+        yield style("error: ", fg="yellow") + one_line(error_text(episode.error))
+    yield summary
+
+
+def text_lines(text: str) -> Iterator[str]:
+    """Yield the lines of a text of others, escaped and indented."""
+    for line in text.removesuffix("\n").split("\n"):
+        yield f"  {highlighted(line)}".rstrip(" ")
+
+
+def _turn_lines(turn: TurnView, full: bool) -> Iterator[str]:
+    yield from _section("observation", turn.observation)
+    if turn.reasoning:
+        yield heading("reasoning")
+        yield from text_lines(turn.reasoning)
+    yield heading("response") + (dim(f"  {one_line(turn.reported)}") if turn.reported else "")
+    yield from text_lines(turn.response) if turn.response else [dim("  (empty)")]
+    for call in turn.calls:
+        yield heading("tool call  ") + one_line(call)
+    sign = "green" if turn.reward > 0 else "red" if turn.reward < 0 else None
+    yield heading("reward  ") + ", ".join([style(f"{turn.reward:g}", fg=sign), *turn.flags])
+    if turn.feedback:
+        yield from _section("feedback", turn.feedback)
+    if turn.error:
+        yield style("error  ", fg="yellow", bold=True) + one_line(turn.error)
+    yield from _facts(turn.rest, full)
+
+
+def _section(title: str, parts: list[Part]) -> Iterator[str]:
+    yield heading(title)
+    if hidden := sum(len(part.text) for part in parts if part.repeated):
+        yield dim(f"  … {hidden:,} characters as in the turn before (--full shows them)")
+    for part in parts:
+        if part.repeated:
+            continue
+        if part.kind == "role":
+            yield dim(f"  {one_line(str(part))}")
+        elif part.kind == "image":
+            yield style(f"  {one_line(str(part))}", fg="magenta")
+        else:
+            yield from text_lines(part.text)
+
+
+def _facts(facts: dict[str, str], full: bool) -> Iterator[str]:
+    for name, value in facts.items():
+        yield dim(f"{one_line(name)}: ") + one_line(value, None if full else _LONGEST_VALUE)
+
+
+def _cells(entry: Entry) -> dict[str, str]:
+    return {name: one_line(str(cell(entry)), widest) for name, (widest, cell) in _COLUMNS.items()}

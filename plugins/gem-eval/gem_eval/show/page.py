@@ -1,0 +1,141 @@
+"""One self-contained page of episodes: no network, no script but its own, and all text of others inert.
+
+What is shown is data inside the page: JSON in which no character can end a script, put into the page as text by the
+page's own script. The policy in its head allows that script and that style by their hashes, and images as data.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from gem_core import Episode
+from gem_core.errors import ArgumentError, EpisodeFileError
+from gem_core.records import ImageFolder
+from gem_eval.files import write_whole
+from gem_eval.show.text import escaped
+from gem_eval.turns import Part, TurnView, error_text, outcome_of, parts_of, start_of, turn_views
+
+MOST_TEXT = 100_000
+"""Characters of one text that go into the page; a browser is slow with more."""
+
+MOST_IMAGE_BYTES = 64_000_000
+"""Bytes of all images that go into the page."""
+
+
+class PageWriter:
+    """Gathers episodes, and writes the page.
+
+    Args:
+        title: Stands at the top, the name of the file as a rule.
+        images: Where the episodes' images are.
+        most_image_bytes: Images beyond so many bytes are left out.
+    """
+
+    def __init__(self, title: str, images: ImageFolder, most_image_bytes: int = MOST_IMAGE_BYTES) -> None:
+        self.title = title
+        self.notes: list[str] = []
+        """Lines that stand above the episodes."""
+        self._images = images
+        self._image_bytes_left = most_image_bytes
+        self._image_data: dict[str, str | None] = {}
+        self._episodes: list[dict[str, Any]] = []
+
+    def add(self, number: int, episode: Episode) -> None:
+        """Add an episode under its number."""
+        record = {
+            "number": number,
+            "id": episode.id,
+            "outcome": outcome_of(episode.success, failed=episode.error is not None),
+            "return": f"{episode.episode_return:.4g}",
+            "error": error_text(episode.error),
+            "start": start_of(episode),
+            "observation": [] if episode.transitions else parts_of(episode.observation),
+            "turns": list(turn_views(episode)),
+            "final": parts_of(episode.final_observation),
+        }
+        self._episodes.append(self._data(record))
+
+    def html(self) -> str:
+        """Return the page."""
+        images = {name: data for name, data in self._image_data.items() if data is not None}
+        notes = list(self.notes)
+        if left_out := len(self._image_data) - len(images):
+            notes.append(f"Images that cannot be read, or would be too much: {left_out}. Their names stand instead.")
+        data = {"title": escaped(self.title), "notes": notes, "episodes": self._episodes, "images": images}
+        style, script, page = (
+            (resources.files("gem_eval.show") / "assets" / name).read_text(encoding="utf-8").replace("\r\n", "\n")
+            for name in ("page.css", "page.js", "page.html")
+        )
+        policy = (
+            f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src data:; "
+            "base-uri 'none'; form-action 'none'"
+        )
+        # The data come last, so that a mark in a text of others stays what it is.
+        for mark, text in (("POLICY", policy), ("STYLE", style), ("SCRIPT", script), ("DATA", inert_json(data))):
+            page = page.replace(f"{{{{{mark}}}}}", text)
+        return page
+
+    def write(self, path: str | Path) -> None:
+        """Write the page to a file, whole or not at all.
+
+        Raises:
+            ArgumentError: The file cannot be written.
+        """
+        path = Path(path)
+        page = self.html().encode("utf-8")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(path, page)
+        except OSError as error:
+            raise ArgumentError(f"cannot write {path}: {error.strerror or error}") from error
+
+    def _data(self, value: Any) -> Any:
+        """Return what is shown as plain JSON: texts escaped and cut, numbers finite."""
+        if isinstance(value, str):
+            left_out = len(value) - MOST_TEXT
+            return escaped(value) if left_out <= 0 else f"{escaped(value[:MOST_TEXT])}\n… {left_out:,} more characters"
+        if isinstance(value, float):
+            return value if abs(value) < 1e300 else 0.0
+        if isinstance(value, list):
+            return [self._data(part) for part in value]
+        if isinstance(value, dict):
+            return {self._data(name): self._data(part) for name, part in value.items()}
+        if isinstance(value, TurnView):
+            return {**self._data(vars(value)), "rewardText": f"{value.reward:g}"}
+        if isinstance(value, Part):
+            if value.kind == "image" and value.text not in self._image_data:
+                self._image_data[value.text] = self._read_image(value.text)
+            return self._data(vars(value))
+        return value
+
+    def _read_image(self, name: str) -> str | None:
+        """Return an image as a data URL of a PNG written anew, so that nothing else of its file gets into the page."""
+        try:
+            image = self._images.read(name)
+        except EpisodeFileError:
+            return None
+        if image.mode not in ("1", "L", "LA", "P", "RGB", "RGBA", "I;16"):
+            image = image.convert("RGBA" if "A" in image.mode else "RGB")
+        buffer = io.BytesIO()
+        image.save(buffer, format="PNG")
+        content = buffer.getvalue()
+        if len(content) > self._image_bytes_left:
+            return None
+        self._image_bytes_left -= len(content)
+        return f"data:image/png;base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def inert_json(value: Any) -> str:
+    """Return JSON that may stand in a script element: ASCII, and no character that HTML or JavaScript looks at."""
+    text = json.dumps(value, ensure_ascii=True, allow_nan=False)
+    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+def _hash(text: str) -> str:
+    return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}"

@@ -1,0 +1,443 @@
+"""gem show: lists, filters, one episode, two compared, and what it says of files that are none."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from recorded import broken, failed, hostile, maze, turn, write_all
+
+from gem_core import Episode, Response, write_episodes
+from gem_core.cli import main
+from gem_core.errors import ArgumentError
+from gem_core.testing import check_plugin
+from gem_eval.episode_file import EpisodeFile
+from gem_eval.filters import matches_id, parse_comparison
+from gem_eval.show.diff import diff_lines
+from gem_eval.show.lines import episode_lines, list_lines
+from gem_eval.show.text import escaped, highlighted, one_line
+from gem_eval.turns import parts_of, turn_views
+
+ANY_TEXT = st.text(st.characters(codec=None, categories=None), max_size=60)
+README = Path(__file__).parent.parent / "README.md"
+COLOURS = re.compile(r"\x1b\[[\d;]*m")
+
+
+class Outcome(NamedTuple):
+    """What one call of the command did."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def show(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Call gem show on a file of five episodes, in this process."""
+    monkeypatch.chdir(tmp_path)
+    write_all(tmp_path / "run.jsonl")
+
+    def call(*arguments: str, file: str = "run.jsonl") -> Outcome:
+        with pytest.raises(SystemExit) as caught:
+            main(["show", file, *arguments])
+        return Outcome(int(caught.value.code or 0), *capsys.readouterr())
+
+    return call
+
+
+def numbers(outcome: Outcome) -> list[int]:
+    """The numbers of the episodes of a list."""
+    assert (outcome.code, outcome.err) == (0, "")
+    return [int(line.split()[0]) for line in outcome.out.splitlines()[1:]]
+
+
+def plain(lines: Iterable[str]) -> list[str]:
+    """Lines without their colours."""
+    return [COLOURS.sub("", line) for line in lines]
+
+
+def test_the_plugin_keeps_to_the_rules() -> None:
+    """Its command is found, says what it does, and is not imported before it is called."""
+    check_plugin("gem-eval")
+
+
+def test_the_list_has_a_line_for_each_episode(show) -> None:
+    """A header, then plain columns."""
+    lines = show().out.splitlines()
+    assert lines[0].split() == ["number", "environment", "outcome", "return", "turns", "seed", "group", "error"]
+    assert lines[1].split() == ["1", "maze:Room-v0", "success", "0.75", "3", "7", "g1"]
+    assert lines[2].split() == ["2", "maze:Room-v0", "failure", "0.25", "2", "7", "g1"]
+    assert lines[3].split() == ["3", "chat:Talk-v0", "error", "0", "1", "3", "timeout:", "no", "answer", "in", "5", "s"]
+    assert len(lines) == 6
+
+
+@pytest.mark.parametrize("width", [30, 50, 80, 120])
+def test_the_list_keeps_ids_and_outcomes_whole_in_any_width(tmp_path: Path, width: int) -> None:
+    """What matters least is left out, or each episode is a paragraph."""
+    write_episodes(tmp_path / "run.jsonl", [maze(), failed()])
+    with EpisodeFile(tmp_path / "run.jsonl") as file:
+        lines = plain(list_lines(file.entries(), width))
+    assert max(map(len, lines)) <= width
+    assert "\n".join(lines).count("maze:Room-v0") == 2
+    assert {"success", "failure"} <= {word for line in lines for word in re.findall(r"\w+", line)}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--env", "ROOM"], [1, 2, 5]),
+        (["--env", "*:Talk*"], [3]),
+        (["--success"], [1, 5]),
+        (["--failure"], [2]),
+        (["--return", ">0.25"], [1, 5]),
+        (["--return", "<= 0"], [3, 4]),
+        (["--return", "0.25"], [2]),
+        (["--errors"], [3]),
+        (["--no-errors", "--env", "a"], [1, 2, 4, 5]),
+        (["--group", "g1"], [1, 2, 5]),
+        (["--grep", "night FALLS."], [2]),
+        (["--grep", "where is the door"], [1, 2, 5]),
+        (["--grep", "no answer in 5 s"], [3]),
+        (["--grep", "\x1b[2J"], [4]),
+        (["--limit", "2"], [1, 2]),
+        (["--reverse", "--limit", "2"], [5, 4]),
+        (["--sort", "return"], [3, 4, 2, 1, 5]),
+        (["--sort", "turns", "--reverse"], [1, 5, 2, 3, 4]),
+        (["--sort", "success"], [3, 4, 2, 1, 5]),
+        (["--sort", "seed", "--no-errors"], [4, 1, 2, 5]),
+        (["--sort", "env", "--limit", "1"], [3]),
+    ],
+)
+def test_filters_and_order(show, arguments: list[str], expected: list[int]) -> None:
+    """Each condition alone; several hold together."""
+    assert numbers(show(*arguments)) == expected
+
+
+def test_a_filter_that_nothing_fits_says_so(show) -> None:
+    """On standard error; as JSON it is an empty list."""
+    assert show("--group", "none") == (0, "", "gem: none of the 5 episodes of run.jsonl fits\n")
+    assert show("--group", "none", "--json") == (0, "[]\n", "")
+
+
+def test_json_lists_what_fits(show) -> None:
+    """For machines, with the number that opens the episode."""
+    (found,) = json.loads(show("--failure", "--json").out)
+    assert found == {
+        "number": 2,
+        "id": "maze:Room-v0",
+        "success": False,
+        "return": 0.25,
+        "turns": 2,
+        "error": None,
+        "seed": 7,
+        "group": "g1",
+    }
+    assert json.loads(show("2", "--json").out)["final_observation"] == "Night falls."
+
+
+COMMANDS = re.findall(r"^gem show runs/guess.jsonl(.*?)(?:  |$)", README.read_text(encoding="utf-8"), re.MULTILINE)
+
+
+@pytest.mark.parametrize("arguments", COMMANDS)
+def test_what_the_readme_shows_can_be_typed(show, arguments: str) -> None:
+    """With another file."""
+    outcome = show(*shlex.split(arguments))
+    assert (outcome.code, bool(outcome.out), outcome.err) == (0, True, "")
+
+
+@pytest.mark.parametrize("text", ["x", "> y", ">>1", "", "1 2", ">"])
+def test_what_is_no_comparison_is_refused(text: str) -> None:
+    """With the forms that are."""
+    with pytest.raises(ArgumentError) as caught:
+        parse_comparison(text)
+    assert str(caught.value) == (
+        f"{text!r} is no comparison with a number; write '>0.5', '>=0.5', '<0.5', '<=0.5', '=1' or '!=0', in quotes"
+    )
+
+
+@pytest.mark.parametrize("text", [">1", ">=1", "<1", "<=1", "=1", "==1", "1", "!=1"])
+def test_comparisons_are_those_of_python(text: str) -> None:
+    """On both sides of the bound and on it; what is no number fits none but the last."""
+    expression = text if text[0] in "<>!" or text.startswith("==") else f"=={text.lstrip('=')}"
+    for value in (0.5, 1.0, 1.5, float("nan")):
+        assert parse_comparison(text)(value) == eval(f"value{expression}", {"value": value})
+
+
+def test_an_id_fits_by_part_or_glob() -> None:
+    """A glob must fit the whole."""
+    assert matches_id("game:A-v0-easy", "a-V0")
+    assert matches_id("game:A-v0-easy", "game:*-easy")
+    assert not matches_id("game:A-v0-easy", "a-v0*")
+
+
+def test_one_episode_is_told_turn_by_turn(show) -> None:
+    """What was observed, thought, answered, called, reported and rewarded, in this order."""
+    out = show("1").out
+    places = [
+        out.index(part)
+        for part in (
+            "Episode 1 · maze:Room-v0\nsuccess, return 0.75, 3 turns\nseed: 7\ngroup: g1\n",
+            "task: room-7\n",
+            "── turn 1 of 3 ─",
+            "observation\n  Find a way out",
+            "reasoning\n  Where is the door?\n",
+            "response  tiny-1 · 120 prompt tokens · 34 sampled tokens · mean log-probability -0.200 · "
+            "finish reason tool_calls\n  I look around.\n",
+            'tool call  python({"code": "print(6 * 7)"})\n',
+            "reward  0.25\nfeedback\n  The tool says 42.\n",
+            'tool: {"name": "python", "failed": false}\n',
+            "── turn 2 of 3 ─",
+            "  … 372 characters as in the turn before (--full shows them)\n  The tool says 42.\n  A door.\n",
+            "reward  -0.5, cut off at the token limit\n",
+            "reward  1, terminated\ncorrect: true\n",
+            "final observation\n  You are outside.\nsuccess, return 0.75, 3 turns\n",
+        )
+    ]
+    assert places == sorted(places)
+    assert show("--episode", "1").out == out
+    assert show("1", "--full").out.count("Find a way out") == 12
+    assert "error  timeout: no answer in 5 s\n" in show("3").out
+    assert "  A picture of the room:\n  [image " in show("5").out
+
+
+def test_an_episode_without_turns_is_shown() -> None:
+    """A reset that failed: the observation and the error."""
+    episode = Episode("toy:A-v0", None, "first", {"error": {"kind": "crash", "message": "gone"}})
+    lines = plain(episode_lines(episode, 1))
+    assert lines[:2] == ["Episode 1 · toy:A-v0", "error, return 0, 0 turns"]
+    assert {"  first", "error: crash: gone"} <= {*lines}
+
+
+def test_an_observation_that_only_repeats_is_counted() -> None:
+    """A turn after which the environment says the same again."""
+    episode = maze()
+    episode.transitions[1].observation = episode.observation
+    length = len(str(episode.observation))
+    lines = plain(episode_lines(episode, 1))
+    assert f"  … {length} characters as in the turn before (--full shows them)" in lines
+
+
+def test_messages_are_told_by_role_and_those_said_before_are_folded() -> None:
+    """Lists of messages, with parts inside and tool calls."""
+    call = {"function": {"name": "add", "arguments": "{}"}}
+    first: Any = [
+        {"role": "system", "content": "Be kind."},
+        {"role": "user", "content": [{"type": "text", "text": "Hi"}]},
+    ]
+    second: Any = [
+        *first,
+        {"role": "assistant", "content": None, "tool_calls": [call]},
+        {"role": "user", "content": "Yo"},
+    ]
+    _, view = turn_views(Episode("toy:A-v0", 1, first, {}, [turn(first, "a"), turn(second, "b")], "end"))
+    assert [(part.kind, part.text, part.repeated) for part in view.observation] == [
+        ("role", "system", True),
+        ("text", "Be kind.", True),
+        ("role", "user", True),
+        ("text", "Hi", True),
+        ("role", "assistant", False),
+        ("text", "add({})", False),
+        ("role", "user", False),
+        ("text", "Yo", False),
+    ]
+
+
+@settings(deadline=None)
+@given(ANY_TEXT, ANY_TEXT, ANY_TEXT)
+def test_folding_loses_nothing(start: str, one: str, other: str) -> None:
+    """The pieces are the observation, whatever it repeats."""
+    before, after = start * 10 + one, start * 10 + other
+    pieces = parts_of(after, before)
+    assert "".join(piece.text for piece in pieces) == after
+    assert all(before.startswith(piece.text) for piece in pieces if piece.repeated)
+
+
+def test_a_diff_says_where_two_episodes_of_one_start_part(show) -> None:
+    """What is alike is counted, what is not stands with its sign."""
+    lines = show("--diff", "1", "2").out.splitlines()
+    assert lines[0] == "- episode 1 · maze:Room-v0 · success, return 0.75, 3 turns, seed 7"
+    assert lines[2] == "They share a start: environment, seed, options, arguments, wrappers and tools."
+    assert lines[4:6] == ["They part at turn 2, with the response.", "… 1 turn alike"]
+    at = lines.index("response")
+    assert lines[at + 1 : at + 6] == ["- go", "+ stay", "reward", "- -0.5", "+ 0, terminated"]
+    assert "only in the first" in lines
+    assert lines[-2:] == ["- You are outside.", "+ Night falls."]
+
+
+def test_a_diff_says_when_the_start_is_another(show) -> None:
+    """Named with both values."""
+    out = show("--diff", "1", "3").out
+    assert "They do not share a start: environment maze:Room-v0 and chat:Talk-v0; seed 7 and 3; " in out
+
+
+def test_a_diff_of_episodes_that_are_alike_says_so() -> None:
+    """And one whose environment answers alike with something else."""
+    same = plain(diff_lines((1, 2), (maze(), maze())))
+    assert same[-1] == "All 3 turns are alike."
+    other = maze()
+    other.transitions[1].observation = "Another room."
+    assert "They part at turn 2, with the observation, although all before it was alike." in [
+        *plain(diff_lines((1, 2), (maze(), other)))
+    ]
+
+
+@pytest.mark.parametrize("make", [maze, failed, broken, hostile])
+@settings(deadline=None)
+@given(text=ANY_TEXT)
+def test_no_text_of_others_reaches_the_terminal_as_it_is(make, text: str) -> None:
+    """No control character but line feed and tab, no mark that reorders text, no half of a character."""
+    episode = make()
+    text = f"\x1b[2J{text}"  # which is no colour of our own, wherever it stands unescaped
+    episode.transitions[0].action = Response(text, reasoning=text, model=text)
+    episode.transitions[0].info[text] = text
+    episode.final_observation, episode.id, episode.seed = text, text, text
+    for line in plain([*episode_lines(episode, 1), *diff_lines((1, 2), (episode, maze()))]):
+        assert "\n" not in line
+        assert escaped(line) == line
+        line.encode("utf-8")
+
+
+def test_what_is_escaped_stands_as_its_code() -> None:
+    """In reverse where there are colours; a list's cell is one line."""
+    assert escaped("a\x1b[0m\x9b\u202e\ud800\U000e0041\tb\n") == "a\\x1b[0m\\x9b\\u202e\\ud800\\U000e0041\tb\n"
+    assert highlighted("a\x07") == "a\x1b[7m\\x07\x1b[0m"
+    assert one_line("a\nb\tc" + "d" * 10, 8) == "a\\nb cd…"
+    assert escaped("👩\u200d🔬 naïve 漢字") == "👩\u200d🔬 naïve 漢字"
+
+
+@pytest.mark.parametrize(
+    ("content", "code", "message"),
+    [
+        (b"", 1, "gem: run.jsonl is empty: it holds no episodes (yet)"),
+        (b"\n\n", 1, "gem: run.jsonl holds no episode: its lines are blank"),
+        (b"hello\nworld\n", 1, "gem: run.jsonl holds no whole episode; line 1: it is no JSON object"),
+        (
+            b'{"a": 1}\n',
+            1,
+            "gem: run.jsonl holds no whole episode; line 1: it is no record of an episode: there is no schema_version",
+        ),
+        (None, 2, "gem: Invalid value for 'FILE': File 'run.jsonl' does not exist. Run 'gem show --help'"),
+    ],
+)
+def test_what_is_no_file_of_episodes_gets_one_line(show, content: bytes | None, code: int, message: str) -> None:
+    """With the reason and an exit code that fits."""
+    path = Path("run.jsonl")
+    path.unlink()
+    if content is not None:
+        path.write_bytes(content)
+    assert show() == (code, "", message + "\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["6"], "no episode 6 in run.jsonl, which has 5 lines. Run 'gem show FILE'"),
+        (["1", "--episode", "2"], "N is 1, but --episode is 2; name one"),
+        (["1", "--diff", "1", "2"], "--diff goes with no other form: leave out N, --html and --json"),
+        (["--html", "x.html", "--json"], "--html and --json are two forms; choose one"),
+        (["--html", "run.jsonl"], "--html run.jsonl is the file of episodes itself; name another"),
+        (["--html", "x.html", "--env", "zz"], "no episode of run.jsonl fits; no page is written"),
+        (["--return", "high"], "'high' is no comparison with a number"),
+        (["0"], "Invalid value for '[N]': 0 is not in the range x>=1."),
+        (["--sort", "x"], "Invalid value for '--sort': 'x' is not one of"),
+    ],
+)
+def test_what_is_asked_wrongly_gets_one_line_and_exit_code_2(show, arguments: list[str], message: str) -> None:
+    """And nothing on standard output."""
+    outcome = show(*arguments)
+    assert (outcome.code, outcome.out, outcome.err.count("\n")) == (2, "", 1)
+    assert message in outcome.err
+    assert not Path("x.html").exists()
+
+
+def test_damaged_lines_are_named_and_the_rest_is_shown(show) -> None:
+    """In one line, in the list and in the page; asked for by number it is an error."""
+    with Path("run.jsonl").open("ab") as file:
+        file.write(b'nonsense\n{"id": "cut')
+    outcome = show()
+    assert len(outcome.out.splitlines()) == 6
+    line = "gem: run.jsonl, line 6: passed over, because it is no JSON object; lines passed over in all: 2\n"
+    assert (outcome.code, outcome.err) == (0, line)
+    assert show("--html", "x.html").err == line
+    assert "2 lines of the file hold no whole episode." in Path("x.html").read_text("utf-8")
+    outcome = show("7")
+    assert outcome.code == 1
+    assert outcome.err.startswith("gem: run.jsonl, line 7 holds no whole episode: it is no valid JSON (")
+    assert outcome.err.endswith(". The line is cut off: the writer was interrupted, or is still at it\n")
+
+
+def test_a_damaged_turn_in_the_middle_is_damage(show) -> None:
+    """As reading the episodes would find it."""
+    record = maze().to_dict()
+    del record["transitions"][1]["action"]
+    Path("run.jsonl").write_text(json.dumps(record) + "\n" + json.dumps(maze().to_dict()) + "\n", encoding="ascii")
+    outcome = show("--grep", "door")
+    assert len(outcome.out.splitlines()) == 2
+    assert "line 1: passed over" in outcome.err
+
+
+def in_terminal(path: Path, *arguments: str, **env: str) -> str:
+    """What gem show writes to a terminal, with `cat` for a pager."""
+    controller, terminal = pty.openpty()
+    command = [sys.executable, "-m", "gem_core", "show", str(path), *arguments]
+    clean = {name: value for name, value in os.environ.items() if name not in ("NO_COLOR", "LESS")}
+    with subprocess.Popen(
+        command, stdout=terminal, stderr=terminal, stdin=terminal, env={**clean, "TERM": "xterm", "PAGER": "cat", **env}
+    ) as process:
+        os.close(terminal)
+        written = b""
+        while True:
+            try:
+                chunk = os.read(controller, 65536)
+            except OSError:  # Linux says so when the other side is closed.
+                break
+            if not chunk:
+                break
+            written += chunk
+        assert process.wait(timeout=60) == 0
+    os.close(controller)
+    return written.decode()
+
+
+def test_colours_stand_in_a_terminal_alone_and_not_with_no_color(tmp_path: Path) -> None:
+    """And escape sequences of others in neither."""
+    path = write_all(tmp_path / "run.jsonl")
+    assert "\x1b[32msuccess\x1b[0m" in in_terminal(path)
+    coloured = in_terminal(path, "4")
+    assert "\x1b[1mEpisode 4" in coloured
+    assert "\x1b[2J" not in coloured
+    assert "\x07" not in coloured
+    assert "\x1b" not in in_terminal(path, NO_COLOR="1")
+    assert "\x1b" not in in_terminal(path, "1", TERM="dumb")
+
+
+def test_a_reader_that_has_seen_enough_is_no_error(tmp_path: Path) -> None:
+    """As in `gem show FILE | head -1`."""
+    path = tmp_path / "run.jsonl"
+    write_episodes(path, [maze()] * 2000)
+    command = f"{sys.executable} -m gem_core show {path} | head -1"
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.split()[0] == "number"
+    assert done.stderr == ""
+
+
+def test_files_without_the_seed_of_the_run_are_shown_alike(show, tmp_path: Path) -> None:
+    """Those of the form before; the list, an episode, and two compared."""
+    lines = [json.loads(line) for line in (tmp_path / "run.jsonl").read_text().splitlines()]
+    assert all("run_seed" in record for record in lines)
+    for record in lines:
+        del record["run_seed"]
+    (tmp_path / "old.jsonl").write_text("".join(json.dumps(record) + "\n" for record in lines))
+    for arguments in ([], ["1"], ["--diff", "1", "2"], ["--json"]):
+        assert show(*arguments, file="old.jsonl") == show(*arguments)

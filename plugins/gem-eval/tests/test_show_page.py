@@ -1,0 +1,226 @@
+"""The page of gem show --html: self-contained, closed to the network, and inert whatever the episodes hold."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from recorded import HOSTILE, hostile, maze, turn, write_all
+
+from gem_core import Episode, write_episodes
+from gem_core.cli import main
+from gem_core.errors import ArgumentError
+from gem_core.records import ImageFolder
+from gem_eval.show.page import MOST_TEXT, PageWriter, inert_json
+from gem_eval.show.text import escaped
+
+ANY_TEXT = st.text(st.characters(codec=None, categories=None), max_size=60)
+
+
+class Page(HTMLParser):
+    """The elements of a page, and the texts of its scripts and styles."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.raw: dict[str, list[str]] = {"script": [], "style": []}
+        self._inside = ""
+        self.feed(text)
+        self.close()
+        self.data: Any = json.loads(self.raw["script"][0])
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        self._inside = tag
+        if tag in self.raw:
+            self.raw[tag].append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        self._inside = ""
+
+    def handle_data(self, data: str) -> None:
+        if self._inside in self.raw:
+            self.raw[self._inside][-1] += data
+
+    @property
+    def policy(self) -> dict[str, list[str]]:
+        """The directives of the content security policy."""
+        (content,) = [
+            values["content"] or ""
+            for _, values in self.elements
+            if values.get("http-equiv") == "Content-Security-Policy"
+        ]
+        return {part.split()[0]: part.split()[1:] for part in content.split(";")}
+
+
+def page_of(*episodes: Episode, folder: Path = Path("none")) -> Page:
+    """The page of some episodes."""
+    writer = PageWriter("run.jsonl", ImageFolder(folder))
+    for number, episode in enumerate(episodes, start=1):
+        writer.add(number, episode)
+    return Page(writer.html())
+
+
+def hash_of(text: str) -> str:
+    """The source expression that allows exactly this text."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+@pytest.fixture
+def written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """Write the page of five episodes with the command."""
+    monkeypatch.chdir(tmp_path)
+    write_all(tmp_path / "run.jsonl")
+
+    def call(*arguments: str) -> tuple[Page, str]:
+        with pytest.raises(SystemExit) as caught:
+            main(["show", "run.jsonl", "--html", "out/page.html", *arguments])
+        assert not caught.value.code
+        return Page((tmp_path / "out" / "page.html").read_text("utf-8")), capsys.readouterr().out
+
+    return call
+
+
+def test_a_page_of_one_episode_says_so(written) -> None:
+    """In good English, as the command play does."""
+    assert written("1")[1] == "1 episode written to out/page.html\n"
+
+
+def test_the_page_needs_nothing_but_itself(written) -> None:
+    """No element names anything outside, and neither script nor style does."""
+    page, out = written()
+    assert out == "5 episodes written to out/page.html\n"
+    for tag, attributes in page.elements:
+        assert tag not in ("link", "iframe", "object", "embed", "base", "form", "img", "a")
+        assert not {"src", "href", "srcset", "data", "action", "style", "background"} & {*attributes}
+        assert not [name for name in attributes if name.startswith("on")]
+    for text in (page.raw["script"][1], *page.raw["style"]):
+        assert not re.search(
+            r"@import|url\(|\bfetch\(|XMLHttpRequest|WebSocket|import\(|eval\(|innerHTML|insertAdj", text
+        )
+        assert {*re.findall(r"https?://[^\s\"']+", text)} <= {"http://www.w3.org/2000/svg"}
+
+
+def test_the_policy_allows_its_own_script_and_style_and_images_as_data(written) -> None:
+    """By their hashes; nothing else is loaded, sent or run."""
+    page, _ = written()
+    assert page.policy == {
+        "default-src": ["'none'"],
+        "script-src": [hash_of(page.raw["script"][1])],
+        "style-src": [hash_of(page.raw["style"][0])],
+        "img-src": ["data:"],
+        "base-uri": ["'none'"],
+        "form-action": ["'none'"],
+    }
+    assert len(page.raw["script"]) == 2
+    assert len(page.raw["style"]) == 1
+
+
+def test_hostile_text_stays_text(written) -> None:
+    """It is in the data with its control characters as codes, and nowhere else in the page."""
+    page, _ = written()
+    evil = page.data["episodes"][3]
+    assert evil["final"] == [{"kind": "text", "text": escaped(HOSTILE), "repeated": False}]
+    assert evil["turns"][0]["response"] == escaped(HOSTILE)
+    tags = [tag for tag, _ in page.elements]
+    assert tags == [tag for tag, _ in page_of(maze()).elements]
+    assert "<" not in page.raw["script"][0]
+
+
+@settings(deadline=None)
+@given(ANY_TEXT)
+def test_any_text_stays_text(text: str) -> None:
+    """The data parse back, and the elements are those of any page."""
+    page = page_of(Episode(text, 1, text, {}, [turn(text, text, **{text: text})], text, group=text), hostile())
+    assert page.data["episodes"][0]["turns"][0]["response"] == escaped(text)
+    assert [tag for tag, _ in page.elements] == [tag for tag, _ in page_of(maze()).elements]
+
+
+@settings(deadline=None)
+@given(ANY_TEXT)
+def test_inert_json_is_json_without_markup(text: str) -> None:
+    """ASCII, and nothing that ends a script or begins a comment."""
+    inert = inert_json({text: [text, 1.5]})
+    assert json.loads(inert) == {text: [text, 1.5]}
+    assert not {*"<>&"} & {*inert}
+    assert inert.isascii()
+
+
+def test_the_data_hold_what_is_shown(written) -> None:
+    """Turns with rewards for the bars, what the server reported, and folded observations."""
+    page, _ = written("--env", "maze:*", "--limit", "1")
+    (episode,) = page.data["episodes"]
+    assert (episode["number"], episode["outcome"], episode["return"]) == (1, "success", "0.75")
+    assert [turn["reward"] for turn in episode["turns"]] == [0.25, -0.5, 1.0]
+    assert episode["turns"][0]["calls"] == ['python({"code": "print(6 * 7)"})']
+    assert episode["turns"][1]["flags"] == ["cut off at the token limit"]
+    assert [part["repeated"] for part in episode["turns"][1]["observation"]] == [True, False]
+    assert episode["start"]["task"] == "room-7"
+
+
+def test_what_the_limit_leaves_out_is_said(written) -> None:
+    """In the page and in the terminal."""
+    page, out = written("--limit", "2")
+    assert [episode["number"] for episode in page.data["episodes"]] == [1, 2]
+    assert page.data["notes"] == ["3 more episodes are left out of this page; --limit 5 takes all."]
+    assert out == "2 episodes written to out/page.html (3 more left out: raise --limit)\n"
+
+
+def test_one_episode_has_a_page_of_its_own(written) -> None:
+    """With its number in the file."""
+    page, _ = written("5")
+    assert [episode["number"] for episode in page.data["episodes"]] == [5]
+
+
+def test_images_stand_in_the_page_once(written) -> None:
+    """As data, written anew as PNG; a name that is none of ours is not looked for."""
+    page, _ = written()
+    ((name, source),) = page.data["images"].items()
+    assert page.data["episodes"][4]["turns"][0]["observation"][1] == {"kind": "image", "text": name, "repeated": False}
+    assert base64.b64decode(source.removeprefix("data:image/png;base64,")).startswith(b"\x89PNG")
+    assert page.data["notes"] == ["Images that cannot be read, or would be too much: 1. Their names stand instead."]
+
+
+def test_images_beyond_the_limit_are_left_out(tmp_path: Path) -> None:
+    """And any mode of Pillow's becomes what a browser shows."""
+    pictures = [Image.new("F", (4, 4), 0.5), Image.new("CMYK", (4, 4)), Image.new("RGBA", (4, 4))]
+    parts: Any = [{"type": "image", "image": picture} for picture in pictures]
+    write_episodes(tmp_path / "run.jsonl", [Episode("toy:A-v0", 1, parts, {})])
+    record = json.loads((tmp_path / "run.jsonl").read_text("ascii"))
+    for limit, expected in ((10**6, 3), (0, 0)):
+        writer = PageWriter("run", ImageFolder(tmp_path / "run.images"), most_image_bytes=limit)
+        writer.add(1, Episode.from_dict(record))
+        assert len(Page(writer.html()).data["images"]) == expected
+
+
+def test_a_very_long_text_is_cut_with_a_note() -> None:
+    """So that a browser can open the page."""
+    page = page_of(Episode("toy:A-v0", 1, "x" * (MOST_TEXT + 1234), {}))
+    assert page.data["episodes"][0]["observation"][0]["text"].endswith("x\n… 1,234 more characters")
+
+
+def test_numbers_that_are_none_do_not_break_the_page() -> None:
+    """JSON has no infinity: the bar is flat and the text says it."""
+    page = page_of(Episode("toy:A-v0", 1, "a", {}, [turn("a", "b", float("inf")), turn("a", "b", float("nan"))], "c"))
+    assert [(turn["reward"], turn["rewardText"]) for turn in page.data["episodes"][0]["turns"]] == [
+        (0.0, "inf"),
+        (0.0, "nan"),
+    ]
+
+
+def test_a_page_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
+    """With the reason, and what was there stays."""
+    (tmp_path / "file").write_text("kept")
+    with pytest.raises(ArgumentError) as caught:
+        PageWriter("run", ImageFolder(tmp_path)).write(tmp_path / "file" / "page.html")
+    assert str(caught.value).startswith(f"cannot write {tmp_path / 'file' / 'page.html'}: ")
+    assert (tmp_path / "file").read_text() == "kept"

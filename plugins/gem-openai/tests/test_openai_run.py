@@ -1,0 +1,161 @@
+"""``gem run`` with a model server: options, one-line errors, token usage."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from chat_server import KEY, ChatServer, Reply, Request, completion, error
+
+from gem_core import extract_code_blocks
+from gem_core.cli import main
+from gem_core.records import read_episodes
+
+COUNTDOWN = "toy:Countdown-v0"
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(server: ChatServer, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Call ``gem run`` in this process, in an empty folder, beside a server and with a key."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("OPENAI_API_KEY", KEY)
+    monkeypatch.setenv("OPENAI_BASE_URL", server.url)
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as caught:
+            main(["run", *arguments])
+        captured = capsys.readouterr()
+        everything = captured.out + captured.err + "".join(path.read_text() for path in tmp_path.rglob("*.jsonl"))
+        assert KEY not in everything
+        return int(caught.value.code or 0), captured.out, captured.err
+
+    return call
+
+
+def test_token_usage_is_in_the_table_and_in_the_json(run: Run) -> None:
+    """Columns that a run without a model does not have."""
+    code, out, _ = run(COUNTDOWN, "-n", "3", "--agent", "openai:toy-model", "-o", "a.jsonl")
+    turns = sum(episode.turns for episode in read_episodes("a.jsonl"))
+    header, row = out.splitlines()[:2]
+    assert code == 0
+    assert header.endswith("errors  turns/s  tokens in  tokens out")
+    assert row.split()[-2:] == [str(7 * turns), str(3 * turns)]
+    report = json.loads(run(COUNTDOWN, "-n", "3", "--agent", "openai:toy-model", "--json")[1])
+    counted = report["environments"][0]
+    assert (counted["prompt_tokens"], counted["completion_tokens"]) == (7 * counted["turns"], 3 * counted["turns"])
+    assert "tokens in" not in run(COUNTDOWN, "-n", "3")[1]
+
+
+def test_options_reach_the_server(server: ChatServer, run: Run) -> None:
+    """Those that were given, and a system prompt from a file."""
+    Path("system.txt").write_text("Be brief.", encoding="utf-8")
+    options = ["--temperature", "0", "--top-p", "0.5", "--max-tokens", "7", "--stop", "x", "--sampling-seed", "0"]
+    options += ["--system", "@system.txt", "--extra-body", '{"top_k": 2}', "--token-ids", "--request-timeout", "9"]
+    assert run(COUNTDOWN, "-n", "1", "--agent", "openai:toy-model", *options)[0] == 0
+    chat = server.chats[0]
+    assert chat.pop("messages")[0] == {"role": "system", "content": "Be brief."}
+    assert chat == {
+        "model": "toy-model",
+        "temperature": 0.0,
+        "top_p": 0.5,
+        "max_tokens": 7,
+        "stop": ["x"],
+        "seed": 0,
+        "top_k": 2,
+        "return_token_ids": True,
+        "logprobs": True,
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--agent", "random", "--top-p", "1"], "unexpected keyword argument 'top_p'. It accepts: no arguments"),
+        (["--agent", "openai"], "the agent 'openai' needs the name of a model, as in openai:MODEL"),
+        (["--agent", "openai:"], "the agent 'openai' needs the name of a model, as in openai:MODEL"),
+        (["--agent", "toys:CountdownEnv.step", "--top-p", "1"], "is not a class, so it takes no options"),
+        (["--agent", "openai:m", "--system", "@none.txt"], "--system: cannot read 'none.txt': No such file"),
+        (["--agent", "openai:m", "--extra-body", "{"], "--extra-body is no valid JSON"),
+        (["--agent", "openai:m", "--extra-body", "[1]"], "--extra-body must be a JSON object, not [1]"),
+    ],
+)  # fmt: skip
+def test_wrong_options_get_one_line_and_exit_code_2(run: Run, arguments: list[str], message: str) -> None:
+    """That says what the agent takes."""
+    code, out, err = run(COUNTDOWN, *arguments)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert message in err
+
+
+def test_what_cannot_work_is_said_at_the_start(server: ChatServer, run: Run) -> None:
+    """One line, nothing run and nothing written."""
+    server.models = error(401, f"wrong: {KEY}")
+    wrong_key = run(COUNTDOWN, "--agent", "openai:toy-model")
+    server.models = Reply({"data": [{"id": "toy-model"}]})
+    server.otherwise = error(404, "no such model")
+    wrong_model = run(COUNTDOWN, "--agent", "openai:toy-modle")
+    server.close()
+    unreachable = run(COUNTDOWN, "--agent", "openai:toy-model")
+    where = server.url
+    assert wrong_key == (1, "", f"gem: {where} refuses the key in OPENAI_API_KEY (status 401: wrong: ***)\n")
+    assert wrong_model == (
+        2,
+        "",
+        f"gem: {where} refuses the model 'toy-modle'. Did you mean 'toy-model'? It has: toy-model. "
+        "(status 404: no such model)\n",
+    )
+    assert unreachable == (
+        1,
+        "",
+        f"gem: cannot reach {where}: connection refused; start the server or correct --base-url\n",
+    )
+    assert not Path("runs").exists()
+
+
+def test_as_many_environments_as_requests_at_once(server: ChatServer, run: Run) -> None:
+    """Without being told; the server answers when all are there."""
+    opened = asyncio.Event()
+
+    async def together(request: Request) -> Reply:
+        if server.in_flight == 20:
+            opened.set()
+        await opened.wait()
+        return Reply(completion())
+
+    server.otherwise = together
+    run("toy:Echo-v0", "-n", "40", "-t", "2", "--agent", "openai:toy-model", "--max-concurrency", "20")
+    assert server.peak == 20
+
+
+def test_usage_that_is_no_count_is_left_out(server: ChatServer, run: Run) -> None:
+    """Servers write what they like."""
+    server.otherwise = Reply(completion() | {"usage": {"prompt_tokens": None, "completion_tokens": "many"}})
+    code, out, _ = run(COUNTDOWN, "-n", "1", "--agent", "openai:toy-model")
+    assert (code, "tokens in" in out) == (0, False)
+
+
+@pytest.mark.parametrize("name", ["openai", "openai:some-model"])
+def test_gem_info_tells_what_the_agent_takes(capsys: pytest.CaptureFixture[str], name: str) -> None:
+    """With a model or without one."""
+    with pytest.raises(SystemExit) as caught:
+        main(["info", name])
+    lines = capsys.readouterr().out.splitlines()
+    assert caught.value.code in (None, 0)
+    assert "  argument:     model: str = '', as in openai:…" in lines
+    assert "  options:      base_url: str | None = None" in lines
+
+
+def test_the_example_of_the_readme_runs(
+    server: ChatServer, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Against a server elsewhere."""
+    pytest.importorskip("gem_games")
+    monkeypatch.delenv("OPENAI_API_KEY", raising=False)
+    readme = Path(__file__).parent.parent / "README.md"
+    (example,) = extract_code_blocks(readme.read_text(encoding="utf-8"), "python")
+    exec(example.code.replace("http://localhost:8000/v1", server.url), {})
+    assert len(capsys.readouterr().out.splitlines()) == 16
