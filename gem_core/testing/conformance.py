@@ -12,7 +12,8 @@ from gem_core.errors import ArgumentError, GemError
 from gem_core.registry.specs import EnvSpec
 from gem_core.suggestions import did_you_mean
 from gem_core.testing import promises_actions, promises_interface, promises_randomness, promises_state
-from gem_core.testing.contract import PROMISES, ContractError, NotTriedError, Promise, Report
+from gem_core.testing.contract import PROMISES, ContractError, Promise, Report
+from gem_core.testing.findings import NotTriedError
 from gem_core.testing.isolation import TookTooLongError, preserved
 from gem_core.testing.subject import Limits, Subject
 

@@ -16,7 +16,7 @@ from typing import Any
 import cloudpickle  # type: ignore[import-untyped]  # it has no types
 
 from gem_core.testing.comparing import record_of
-from gem_core.testing.contract import NotTriedError
+from gem_core.testing.findings import NotTriedError
 from gem_core.testing.hostile import hostile_actions
 from gem_core.testing.interpreter import CallError, Interpreter
 from gem_core.testing.remaking import guarded

@@ -12,6 +12,10 @@ _LONGEST_SHOWN = 80
 _NOT_THE_AUTHORS = ("gem_core", "importlib", "gymnasium")
 
 
+class NotTriedError(Exception):
+    """A promise cannot be tried on this environment; the message is the reason."""
+
+
 class CheckError(GemError, AssertionError):
     """Something breaks promises; the message has one line for each."""
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import SamplingNotSupported
 from gem_core.testing.comparing import differences, json_loss
-from gem_core.testing.contract import NotTriedError, promise
-from gem_core.testing.findings import shown
+from gem_core.testing.contract import promise
+from gem_core.testing.findings import NotTriedError, shown
 from gem_core.testing.hostile import hostile_actions
 from gem_core.testing.interpreter import CallError, InterpreterLostError
 from gem_core.testing.promises_interface import problems_of

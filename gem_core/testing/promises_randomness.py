@@ -12,11 +12,11 @@ from gem_core.background import run_sync
 from gem_core.env.wrapper import AnyEnv, reset_async, step_async
 from gem_core.errors import NotSupportedError
 from gem_core.testing.comparing import differences, play
-from gem_core.testing.contract import NotTriedError, promise
-from gem_core.testing.findings import shown
+from gem_core.testing.contract import promise
+from gem_core.testing.findings import NotTriedError, shown
 from gem_core.testing.interpreter import CallError
 from gem_core.testing.isolation import global_random_state, scramble
-from gem_core.testing.subject import Record, Script, Subject
+from gem_core.testing.subject import PlainResult, Script, Subject
 
 _FROM_NP_RANDOM = "draw only from self.np_random, and make everything of an episode anew in reset."
 
@@ -25,7 +25,7 @@ _FROM_NP_RANDOM = "draw only from self.np_random, and make everything of an epis
 def determinism(subject: Subject) -> Iterator[str]:
     """The same seed and actions give the same episode, in a new and in a used instance, whatever the global state."""
     subject.expect_determinism()
-    references: list[list[Record]] = []
+    references: list[list[PlainResult]] = []
     seen: list[str] = []
     used = subject.new()
     for script in subject.scripts:
@@ -135,7 +135,7 @@ def action_sampling(subject: Subject) -> Iterator[str]:
     samples: list[list[str]] = []
     for script, expected in [subject.references[0], *subject.references]:
         env = subject.new()
-        found: list[Record] = []
+        found: list[PlainResult] = []
         drawn: list[str] = []
         for index, record in enumerate(subject.play(env, script)):
             found.append(record)
@@ -149,7 +149,7 @@ def action_sampling(subject: Subject) -> Iterator[str]:
         yield f"seed {seed} sampled {shown(samples[0][:5])}, and a second time {shown(samples[1][:5])}"
 
 
-def _stream(subject: Subject, env: AnyEnv, script: Script, later: tuple[str, ...]) -> list[list[Record]]:
+def _stream(subject: Subject, env: AnyEnv, script: Script, later: tuple[str, ...]) -> list[list[PlainResult]]:
     """Play an episode from a seed and the two that follow it in its stream."""
     return [list(subject.play(env, script)), *(list(subject.play_from(env, None, later)) for _ in range(2))]
 

@@ -11,11 +11,11 @@ from gem_core.env.base import Env
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import StateNotSupported
 from gem_core.testing.comparing import differences, json_loss, plain
-from gem_core.testing.contract import NotTriedError, promise
-from gem_core.testing.findings import shown
+from gem_core.testing.contract import promise
+from gem_core.testing.findings import NotTriedError, shown
 from gem_core.testing.interpreter import CallError
 from gem_core.testing.remaking import unchecked
-from gem_core.testing.subject import Record, Script, Subject
+from gem_core.testing.subject import PlainResult, Script, Subject
 
 
 @promise("return copies of strings, numbers, lists and dictionaries with string keys from _get_state.")
@@ -98,7 +98,7 @@ def spawn(subject: Subject) -> Iterator[str]:
         yield from _sibling_problems(subject, script, expected, between=subject.scripts[number - 1])
 
 
-def _sibling_problems(subject: Subject, script: Script, expected: list[Record], between: Script) -> Iterator[str]:
+def _sibling_problems(subject: Subject, script: Script, expected: list[PlainResult], between: Script) -> Iterator[str]:
     """Spawn in the middle of a script, and let the sibling play ``between`` before the first one goes on."""
     steps = len(script.actions) // 2
     env = subject.new()
@@ -121,12 +121,12 @@ def _sibling_problems(subject: Subject, script: Script, expected: list[Record], 
         yield from differences(what, expected[steps + 1 :], found, steps + 1)
 
 
-def _advance(subject: Subject, env: AnyEnv, script: Script, steps: int) -> list[Record]:
+def _advance(subject: Subject, env: AnyEnv, script: Script, steps: int) -> list[PlainResult]:
     """Play the first ``steps`` actions of a script."""
     return list(subject.play_from(env, script.seed, script.actions[:steps]))
 
 
-def _continued(subject: Subject, env: AnyEnv, script: Script, steps: int) -> list[Record]:
+def _continued(subject: Subject, env: AnyEnv, script: Script, steps: int) -> list[PlainResult]:
     """Play the rest of a script, and begin the next episode of the stream."""
     rest = list(subject.play_on(env, script.actions[steps:]))
     return [*rest, *subject.play_from(env, None, ())]

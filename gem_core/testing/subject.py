@@ -19,13 +19,12 @@ from gem_core.errors import ArgumentError, StateNotSupported
 from gem_core.registry.requirements import check_requirements
 from gem_core.registry.specs import EnvSpec
 from gem_core.testing.comparing import play
-from gem_core.testing.contract import NotTriedError
 from gem_core.testing.elsewhere import OTHER_PROCESS, EnvElsewhere
-from gem_core.testing.findings import place_of, shown
+from gem_core.testing.findings import NotTriedError, place_of, shown
 from gem_core.testing.isolation import Watch
 from gem_core.testing.remaking import guarded, layers_of, remaker
 
-Record = dict[str, Any]
+PlainResult = dict[str, Any]
 """What one reset or step gave, as plain data."""
 
 CLUMSY_ACTIONS = (
@@ -89,7 +88,7 @@ class Subject:
         self.package = ""
         """The module of the task's class."""
         self._scripts: list[Script] | None = None
-        self.recorded: list[list[Record]] | None = None
+        self.recorded: list[list[PlainResult]] | None = None
         """What each script gives, once it is known to repeat."""
 
     # Instances.
@@ -214,15 +213,15 @@ class Subject:
                 if result[2] or result[3]:
                     break
 
-    def play(self, env: AnyEnv, script: Script) -> Iterator[Record]:
+    def play(self, env: AnyEnv, script: Script) -> Iterator[PlainResult]:
         """Play a script from its reset."""
         return self.play_from(env, script.seed, script.actions)
 
-    def play_from(self, env: AnyEnv, seed: int | None, actions: Sequence[str]) -> Iterator[Record]:
+    def play_from(self, env: AnyEnv, seed: int | None, actions: Sequence[str]) -> Iterator[PlainResult]:
         """Reset and play some actions; without a seed, the next episode of the stream."""
         return play(lambda: self.reset(env, seed), partial(self.step, env), actions)
 
-    def play_on(self, env: AnyEnv, actions: Sequence[str]) -> Iterator[Record]:
+    def play_on(self, env: AnyEnv, actions: Sequence[str]) -> Iterator[PlainResult]:
         """Play what is left of an episode."""
         return play(None, partial(self.step, env), actions)
 
@@ -235,7 +234,7 @@ class Subject:
             raise NotTriedError("its record says deterministic=False")
 
     @property
-    def references(self) -> list[tuple[Script, list[Record]]]:
+    def references(self) -> list[tuple[Script, list[PlainResult]]]:
         """Every script with what it gives, known to be the same each time."""
         self.need_episodes()
         self.expect_determinism()
