@@ -44,6 +44,10 @@ class EnvSpec:
         RegistrationError: A field has a wrong form; the message says which and what was expected.
     """
 
+    instance_of: ClassVar[str | None] = None
+    subclass_of: ClassVar[str | None] = "gymnasium:Env"
+    """See ``NamedSpec``."""
+
     id: str
     entry_point: EntryPoint
     kwargs: Mapping[str, Any] = field(default_factory=dict, hash=False)
@@ -113,6 +117,10 @@ class NamedSpec:
     """
 
     kind: ClassVar[str] = "record"
+    instance_of: ClassVar[str | None] = None
+    """The class of what the entry point names, as ``"package.module:Class"``; None where it is anything callable."""
+    subclass_of: ClassVar[str | None] = None
+    """What the entry point derives from where it is a class."""
 
     name: str
     entry_point: EntryPoint
@@ -138,6 +146,7 @@ class ToolSpec(NamedSpec):
     """
 
     kind: ClassVar[str] = "tool"
+    subclass_of: ClassVar[str | None] = "gem_core.tools.tool:Tool"
 
     status: EntryPoint | None = None
 
@@ -152,6 +161,7 @@ class WrapperSpec(NamedSpec):
     """A wrapper: the entry point is called with an environment and the wrapper's options."""
 
     kind: ClassVar[str] = "wrapper"
+    subclass_of: ClassVar[str | None] = "gymnasium:Wrapper"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,6 +187,7 @@ class CommandSpec(NamedSpec):
     """A subcommand of ``gem``: the entry point is a ``click.Command``."""
 
     kind: ClassVar[str] = "command"
+    instance_of: ClassVar[str | None] = "click:Command"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,8 +8,8 @@ from gem_core.api import make_vec
 from gem_core.records.episode import Episode
 from gem_core.rollouts.agent import Agent, as_agent, load_agent
 from gem_core.rollouts.drivers import rollout
-from gem_core.testing.backend_check import FRAGILE, register_small_tasks
 from gem_core.testing.findings import Findings
+from gem_core.testing.small_task import SMALL_TASK, register_small_task
 
 
 def check_agent(agent: str | Agent, **options: Any) -> list[str]:
@@ -26,17 +26,14 @@ def check_agent(agent: str | Agent, **options: Any) -> list[str]:
         CheckError: Promises are broken; the message names each, with what was seen.
         UnknownAgentError: There is no agent of this name.
     """
-    register_small_tasks()
+    register_small_task()
     findings = Findings(f"agent {agent if isinstance(agent, str) else type(agent).__name__!r}")
     made = load_agent(agent, **options) if isinstance(agent, str) else as_agent(agent)
     episodes: list[Episode] = []
 
     def played() -> None:
-        vector = make_vec(FRAGILE, 4, seed=1)
-        try:
+        with make_vec(SMALL_TASK, 4, seed=1) as vector:
             episodes.extend(rollout(vector, made, episodes=8))
-        finally:
-            vector.close()
 
     findings.attempt("It plays eight episodes, four at once, and prepares and closes as often as it is asked.", played)
     errors = [episode.error for episode in episodes if episode.error]

@@ -6,15 +6,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from typing import Any
 
-from gem_core.api import make_vec, register
+from gem_core.api import make_vec
 from gem_core.errors import ClosedError
 from gem_core.testing.comparing import plain
 from gem_core.testing.findings import Findings
-from gem_core.testing.wrapper_check import SmallTask
-from gem_core.types import StepResult
-
-FRAGILE = "check:Fragile-v0"
-"""The small task: three turns, and what ends it by an exception is the action ``"break"``."""
+from gem_core.testing.small_task import SMALL_TASK, register_small_task
 
 _SLOTS = 3
 _ROUNDS = [["say 3", "hello", "say 7"], ["", "say 1", "say 1"], ["a", "b", "c"], ["say 5"] * 3]
@@ -22,25 +18,10 @@ _BREAKING = ["hello", "break", "hello"]
 
 
 class _CtrlC(list[str]):
-    """Actions at whose reading a person presses Ctrl-C."""
+    """Actions that cannot be read to their end, as when a person presses Ctrl-C."""
 
     def __iter__(self) -> Iterator[str]:
         raise KeyboardInterrupt
-
-
-class FragileTask(SmallTask):
-    """The small task, with an action that it does not survive."""
-
-    def step(self, action: str) -> StepResult:
-        """Fail, if that is asked for."""
-        if action == "break":
-            raise RuntimeError("broken on request")
-        return super().step(action)
-
-
-def register_small_tasks() -> None:
-    """Register what backends and agents are tried on."""
-    register(FRAGILE, f"{__name__}:FragileTask", summary="Three turns; made for checks.")
 
 
 def check_backend(backend: str | tuple[str, Mapping[str, Any]]) -> list[str]:
@@ -56,21 +37,19 @@ def check_backend(backend: str | tuple[str, Mapping[str, Any]]) -> list[str]:
         CheckError: Promises are broken; the message names each, with what was seen.
         UnknownBackendError: There is no backend of this name.
     """
-    register_small_tasks()
+    register_small_task()
     findings = Findings(f"backend {backend!r}")
-    vector, model = (make_vec(FRAGILE, _SLOTS, backend=each, seed=1) for each in (backend, "sync"))
+    vector, model = (make_vec(SMALL_TASK, _SLOTS, backend=each, seed=1) for each in (backend, "sync"))
+
+    def expect_same(promise: str, rounds: list[list[str]]) -> None:
+        findings.expect_equal(promise, _played(vector, rounds), _played(model, rounds))
+
     try:
-        theirs, ours = _played(vector, _ROUNDS), _played(model, _ROUNDS)
-        seen = f"{theirs!r:.300} and {ours!r:.300}"
-        findings.expect("The same seed and actions give what backend 'sync' gives.", theirs == ours, seen)
-        theirs, ours = _played(vector, [_BREAKING, *_ROUNDS]), _played(model, [_BREAKING, *_ROUNDS])
-        seen = f"{theirs!r:.300} and {ours!r:.300}"
-        findings.expect("An environment that fails costs its own episode, and is replaced.", theirs == ours, seen)
+        expect_same("The same seed and actions give what backend 'sync' gives.", _ROUNDS)
+        expect_same("An environment that fails costs its own episode, and is replaced.", [_BREAKING, *_ROUNDS])
         findings.attempt("It gives random actions, and says what stands in a slot.", lambda: _asked(vector))
         findings.attempt("Ctrl-C in the middle of a call leaves it usable.", lambda: _interrupted(vector))
-        theirs, ours = _played(vector, _ROUNDS), _played(model, _ROUNDS)
-        seen = f"{theirs!r:.300} and {ours!r:.300}"
-        findings.expect("After Ctrl-C it begins anew, with what backend 'sync' gives.", theirs == ours, seen)
+        expect_same("After Ctrl-C it begins anew, with what backend 'sync' gives.", _ROUNDS)
         vector.reset(seed=2)
         vector.send({0: "a", 2: "b"})
         received: list[int] = []
@@ -101,7 +80,7 @@ def _played(vector: Any, rounds: list[list[str]]) -> list[Any]:
 def _asked(vector: Any) -> None:
     for slot in range(_SLOTS):
         action, described = vector.sample_random_action(slot), vector.describe(slot)
-        if not action.startswith("say ") or described["id"] != FRAGILE:
+        if not action.startswith("say ") or described["id"] != SMALL_TASK:
             raise ValueError(f"slot {slot} answered {action!r} and {described!r}")
 
 

@@ -11,7 +11,10 @@ from typing import Any
 
 import numpy as np
 
-_LONGEST_SHOWN = 80
+from gem_core.testing.findings import shown
+
+_TOO_LARGE = 10**4300
+"""Python writes whole numbers of no more than 4,300 digits."""
 
 
 def play(
@@ -39,9 +42,11 @@ def record_of(result: Any) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Copy a value into what JSON keeps exactly, so that equal values stay equal and different ones different."""
-    if value is None or isinstance(value, bool | int | str):
-        return str(value) if isinstance(value, str) else value
+    """Copy a value into plain data: equal values stay equal and different ones different, in any process."""
+    if value is None or isinstance(value, bool):
+        return value
+    if isinstance(value, str | int):
+        return str(value) if isinstance(value, str) else int(value)
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else {"float": repr(float(value))}
     if isinstance(value, Mapping):
@@ -63,10 +68,11 @@ def is_image(value: Any) -> bool:
     return pil is not None and isinstance(value, pil.Image)
 
 
-def first_difference(expected: Sequence[Any], found: Sequence[Any], first_step: int = 0) -> str | None:
-    """Tell where two recorded episodes begin to differ, or None.
+def differences(what: str, expected: Sequence[Any], found: Sequence[Any], first_step: int = 0) -> Iterator[str]:
+    """Say where two recorded episodes begin to differ, if they do.
 
     Args:
+        what: How the sentence begins, as in ``"a used instance differs"``.
         expected: One recording.
         found: The other.
         first_step: Number of the step that the first record belongs to; 0 is the reset.
@@ -74,18 +80,11 @@ def first_difference(expected: Sequence[Any], found: Sequence[Any], first_step: 
     for index, (left, right) in enumerate(zip(expected, found, strict=False), first_step):
         where = _difference(left, right, "")
         if where is not None:
-            return f"at {f'step {index}' if index else 'reset'}{where}"
+            yield f"{what} at {f'step {index}' if index else 'reset'}{where}"
+            return
     if len(expected) != len(found):
-        return f"one has {len(expected) + first_step - 1} steps and the other {len(found) + first_step - 1}"
-    return None
-
-
-def shown(value: object) -> str:
-    """Return a short representation on one line, safe to print."""
-    if isinstance(value, str) and len(value) > _LONGEST_SHOWN:
-        return f"{value[:_LONGEST_SHOWN]!a}... ({len(value):,} characters)"
-    text = ascii(value)
-    return text if len(text) <= 2 * _LONGEST_SHOWN else f"{text[: 2 * _LONGEST_SHOWN]}..."
+        lengths = (len(episode) + first_step - 1 for episode in (expected, found))
+        yield "{} one has {} steps and the other {}".format(what, *lengths)
 
 
 def json_loss(value: Any) -> str | None:
@@ -137,26 +136,16 @@ def _without_images(value: Any) -> Any:
 
 def _culprit(value: Any, path: str) -> str | None:
     where = path or "the whole"
-    if isinstance(value, dict):
-        for key, item in value.items():
-            if not isinstance(key, str):
+    if isinstance(value, dict | list):
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+            if isinstance(value, dict) and not isinstance(key, str):
                 return f"{where} has the key {shown(key)}, which is not a string"
             found = _culprit(item, f"{path}[{key!r}]")
             if found is not None:
                 return found
         return None
-    if isinstance(value, list):
-        return next((found for i, item in enumerate(value) if (found := _culprit(item, f"{path}[{i}]"))), None)
     if isinstance(value, float) and not math.isfinite(value):
         return f"{where} is {value!r}"
-    if value is None or isinstance(value, str | float) or (isinstance(value, int) and _is_writable(value)):
-        return None
-    return f"{where} is {'an int of too many digits' if isinstance(value, int) else f'a {type(value).__name__}'}"
-
-
-def _is_writable(number: int) -> bool:
-    try:
-        json.dumps(number)
-    except ValueError:  # Python writes no more than 4,300 digits
-        return False
-    return True
+    if isinstance(value, int) and abs(value) >= _TOO_LARGE:
+        return f"{where} is an int of too many digits"
+    return None if value is None or isinstance(value, str | float | int) else f"{where} is a {type(value).__name__}"

@@ -12,10 +12,10 @@ from gem_core.errors import ArgumentError, GemError
 from gem_core.registry.specs import EnvSpec
 from gem_core.suggestions import did_you_mean
 from gem_core.testing import promises_actions, promises_interface, promises_randomness, promises_state
-from gem_core.testing.contract import PROMISES, ContractError, NotTriedError, Promise, Report
-from gem_core.testing.global_random import preserved
+from gem_core.testing.contract import PROMISES, ContractError, Promise, Report
+from gem_core.testing.findings import NotTriedError
+from gem_core.testing.isolation import TookTooLongError, preserved
 from gem_core.testing.subject import Limits, Subject
-from gem_core.testing.watch import TookTooLongError
 
 __all__ = ["PROMISE_MODULES", "check_env"]
 
@@ -144,5 +144,5 @@ def _sightings(promise: Promise, subject: Subject) -> Iterator[str]:
     except NotTriedError:
         if not found:
             raise
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - foreign code: whatever it raises breaks the promise
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code: all that it raises breaks the promise
         yield f"{subject.watch.last_call} raised {subject.told(error)}"

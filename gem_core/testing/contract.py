@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from gem_core.errors import GemError
+from gem_core.testing.subject import Subject
 
-if TYPE_CHECKING:
-    from gem_core.testing.subject import Subject
-
-PromiseCheck = Callable[["Subject"], Iterator[str]]
+PromiseCheck = Callable[[Subject], Iterator[str]]
 """Tries one promise and yields what was seen to break it; raises ``NotTriedError`` where it cannot be tried."""
 
 
@@ -34,10 +31,6 @@ class Promise:
 
 PROMISES: dict[str, Promise] = {}
 """Every promise by its slug."""
-
-
-class NotTriedError(Exception):
-    """A promise cannot be tried on this environment; the message is the reason."""
 
 
 def promise(mend: str) -> Callable[[PromiseCheck], PromiseCheck]:

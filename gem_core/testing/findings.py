@@ -1,10 +1,19 @@
-"""How the checks of tools, wrappers and plugins report: sentences that hold, and what was seen where they do not."""
+"""How checks report: sentences that hold, what was seen where they do not, and where in the author's file."""
 
 from __future__ import annotations
 
+import os
+import traceback
 from collections.abc import Callable
 
 from gem_core.errors import GemError
+
+_LONGEST_SHOWN = 80
+_NOT_THE_AUTHORS = ("gem_core", "importlib", "gymnasium")
+
+
+class NotTriedError(Exception):
+    """A promise cannot be tried on this environment; the message is the reason."""
 
 
 class CheckError(GemError, AssertionError):
@@ -31,11 +40,15 @@ class Findings:
             self.broken[promise] = " ".join(str(seen).split())
         return holds
 
+    def expect_equal(self, promise: str, found: object, expected: object) -> bool:
+        """Note whether two values are equal, and both where they are not."""
+        return self.expect(promise, found == expected, f"{found!r:.300} and {expected!r:.300}")
+
     def attempt(self, promise: str, action: Callable[[], object]) -> bool:
         """Note whether a call returns; what it raises is what was seen."""
         try:
             action()
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - foreign code: whatever it raises breaks the promise
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code: all that it raises breaks the promise
             return self.expect(promise, False, f"{type(error).__name__}: {error}")
         return self.expect(promise, True)
 
@@ -51,3 +64,43 @@ class Findings:
             lines += [f"  {promise}" + (f" Seen: {seen}" if seen else "") for promise, seen in self.broken.items()]
             raise CheckError("\n".join(lines))
         return self.kept
+
+
+def shown(value: object) -> str:
+    """Return a short representation on one line, safe to print."""
+    if isinstance(value, str) and len(value) > _LONGEST_SHOWN:
+        return f"{value[:_LONGEST_SHOWN]!a}... ({len(value):,} characters)"
+    text = ascii(value)
+    return text if len(text) <= 2 * _LONGEST_SHOWN else f"{text[: 2 * _LONGEST_SHOWN]}..."
+
+
+def place_of(error: BaseException, package: str) -> str:
+    """Return ``file:line`` of the last line of a package that an exception passed through.
+
+    Args:
+        error: The exception, with its traceback.
+        package: Name of the author's package, or of any module in it.
+
+    Returns:
+        The place; of the last line of others where no line of the package took part; ``""`` where there is none.
+    """
+    if isinstance(error, SyntaxError) and error.filename and error.lineno:
+        return shown_place(error.filename, error.lineno)
+    author = package.partition(".")[0]
+    by_author, by_others = "", ""
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        top = str(frame.f_globals.get("__name__", "")).partition(".")[0]
+        if top == author:
+            by_author = shown_place(frame.f_code.co_filename, line)
+        elif top not in _NOT_THE_AUTHORS:
+            by_others = shown_place(frame.f_code.co_filename, line)
+    return by_author or by_others
+
+
+def shown_place(path: str, line: int) -> str:
+    """Return ``file:line``, with a path below the current folder written from there on."""
+    try:
+        relative = os.path.relpath(path)
+    except (OSError, ValueError):  # the current folder is gone, or on another drive
+        relative = path
+    return f"{path if relative.startswith(os.pardir) else relative}:{line}"

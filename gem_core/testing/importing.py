@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import faulthandler
-import json
-import os
 import re
-import signal
-import subprocess
 import sys
 import tempfile
 import threading
-import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
-from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from gem_core.arguments import check_arguments
 from gem_core.errors import GemError, RegistrationError
@@ -26,8 +19,9 @@ from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.hookspecs import ENTRY_POINT_GROUP
 from gem_core.registry.plugins import Record, one_line
 from gem_core.registry.requirements import RequirementStatus, unmet
-from gem_core.registry.specs import CommandSpec, EnvSpec, NamedSpec, RequirementSpec, ToolSpec, WrapperSpec
-from gem_core.testing.places import place_of, shown_place
+from gem_core.registry.specs import EnvSpec, NamedSpec, RequirementSpec, ToolSpec
+from gem_core.testing.findings import place_of, shown_place
+from gem_core.testing.interpreter import CallError, Interpreter, InterpreterLostError
 
 TIMEOUT_S = 60.0
 """How long the import of one entry point may take by default."""
@@ -42,13 +36,19 @@ class Imported:
         packages: Top-level packages that declaring imported, beside the standard library and the core.
         printed: What declaring and importing wrote to standard output.
         records: Of each record the ``name``, the ``module`` of its entry point, the ``summary``, the ``place`` (file
-            and line where it is made) and the ``error``, which is empty where its entry point can be used.
+            and line where it is made) and the ``error``: empty where its entry point can be used, None where that has
+            not been tried.
     """
 
     failure: str | None = None
     packages: list[str] = field(default_factory=list)
     printed: str = ""
-    records: list[dict[str, str]] = field(default_factory=list)
+    records: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def untried(self) -> list[dict[str, Any]]:
+        """The records whose entry point has not been tried."""
+        return [record for record in self.records if record["error"] is None]
 
     @property
     def problems(self) -> list[str]:
@@ -73,124 +73,71 @@ def imported(point: EntryPoint, timeout_s: float = TIMEOUT_S, stop: threading.Ev
         timeout_s: Seconds that each import may take.
         stop: Ends the imports when it is set.
     """
-    seen: Imported | None = None
-    tried: list[int] = []
     stop = stop or threading.Event()
-    while seen is None or (len(tried) < len(seen.records) and not stop.is_set()):
-        run = _run(point, tried, timeout_s, stop)
-        if not run.said:
-            return Imported(f"while it was loaded, {run.ended}", printed=run.printed)
-        loaded, *errors = run.said
-        seen = seen or Imported(**loaded, printed=run.printed)
-        for number, error in errors:
-            seen.records[number]["error"] = error
-            tried.append(number)
-        untried = [number for number in range(len(seen.records)) if number not in tried]
-        if untried:
-            first = seen.records[untried[0]]
-            place = run.place_in(first["module"]) or first["place"]
-            for number in untried:  # what else is in that module has the same fate
-                if seen.records[number]["module"] == first["module"]:
-                    seen.records[number]["error"] = f"{place}: while its entry point was imported, {run.ended}"
-                    tried.append(number)
+    seen: Imported | None = None
+    while seen is None or (not stop.is_set() and seen.untried):
+        # Files and not pipes: what the interpreter starts may outlive it.
+        with tempfile.TemporaryFile() as printed, tempfile.TemporaryFile() as complained:
+            try:
+                with closing(Interpreter(_others_disabled(point), printed, complained, stop)) as interpreter:
+                    loaded = interpreter.call(_load, point.name, _distribution(point), timeout_s=timeout_s)
+                    seen = seen or Imported(**loaded)
+                    for number, record in enumerate(seen.records):
+                        if record["error"] is None:
+                            record["error"] = interpreter.call(_problem, number, timeout_s=timeout_s)
+            except CallError as error:
+                complaint = _text(complained)
+                if seen is None:
+                    return Imported(f"while it was loaded, {_ended(error, complaint)}", printed=_text(printed))
+                first = seen.untried[0]
+                place = _place_in(first["module"], complaint) or first["place"]
+                for record in seen.untried:  # what else is in that module has the same fate
+                    if record["module"] == first["module"]:
+                        record["error"] = f"{place}: while its entry point was imported, {_ended(error, complaint)}"
+            seen.printed += _text(printed)
     return seen
 
 
-@dataclass
-class _Run:
-    """What one interpreter did.
-
-    Args:
-        ended: How it ended, in words.
-        printed: What it wrote to standard output.
-        complained: What it wrote to standard error.
-        said: What it reported: what it loaded, then of each record its number and what is wrong.
-    """
-
-    ended: str
-    printed: str
-    complained: str
-    said: list[Any]
-
-    def place_in(self, module: str) -> str:
-        """Return file and line where a module's package stood when the interpreter was ended, or crashed."""
-        package = re.escape(module.partition(".")[0])
-        stood = re.search(rf'File "(.*/{package}(?:/.*|\.py))", line (\d+) in ', self.complained)
-        return shown_place(stood[1], int(stood[2])) if stood else ""
-
-
-def _run(point: EntryPoint, tried: list[int], timeout_s: float, stop: threading.Event) -> _Run:
-    """Run an interpreter until it has imported all but what was tried, or an import takes too long."""
-    own = _distribution(point)
+def _others_disabled(point: EntryPoint) -> dict[str, str]:
+    """Return the environment variables with which only one plugin is loaded, and its failure is not raised."""
     others = [other for other in entry_points(group=ENTRY_POINT_GROUP) if other != point]
-    disabled = {name for other in others for name in (other.name, _distribution(other))} - {point.name, own}
-    variables = {name: value for name, value in os.environ.items() if name != "GEM_PLUGINS_STRICT"}
-    variables |= {
-        "GEM_PLUGINS_DISABLE": ",".join(sorted(disabled)),
-        "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
-    }
-    with tempfile.TemporaryDirectory(prefix="gem-check-") as folder:
-        printed, complained, said = (Path(folder) / name for name in ("printed", "complained", "said"))
-        asked = {"name": point.name, "distribution": own, "tried": tried, "path": sys.path, "said": str(said)}
-        said.touch()
-        with printed.open("wb") as out, complained.open("wb") as err:
-            # Files and not pipes, and a session of its own: what it starts may outlive it.
-            process = subprocess.Popen(
-                [sys.executable, "-c", f"from {__name__} import _report; _report()", json.dumps(asked)],
-                env=variables,
-                stdin=subprocess.DEVNULL,
-                stdout=out,
-                stderr=err,
-                start_new_session=True,
-            )
-            try:
-                code = _wait(process, said, timeout_s, stop)
-            finally:
-                with suppress(ProcessLookupError):
-                    os.killpg(process.pid, signal.SIGKILL)
-                process.wait()
-        complaint = complained.read_text(errors="replace")
-        lines = complaint.strip().splitlines()
-        last = next((line for line in lines if line.startswith("Fatal Python error: ")), lines[-1] if lines else "")
-        ended = f"the interpreter ended with exit code {code}" + (f": {last[:200]}" if last else "")
-        return _Run(
-            "it took too long" if code is None else ended,
-            printed.read_text(errors="replace"),
-            complaint,
-            [json.loads(line) for line in said.read_text().splitlines(keepends=True) if line.endswith("\n")],
-        )
-
-
-def _wait(process: subprocess.Popen[bytes], said: Path, timeout_s: float, stop: threading.Event) -> int | None:
-    """Wait until a process ends, and return its exit code; None where it reported nothing for too long."""
-    size, deadline = -1, 0.0
-    while not stop.is_set():
-        if said.stat().st_size != size:
-            size, deadline = said.stat().st_size, time.monotonic() + timeout_s
-        try:
-            return process.wait(0.1)
-        except subprocess.TimeoutExpired:
-            if time.monotonic() >= deadline:
-                break
-    process.send_signal(signal.SIGUSR1)  # it writes where it stands, and ends
-    with suppress(subprocess.TimeoutExpired):
-        process.wait(1.0)
-    return None
+    names = {name for other in others for name in (other.name, _distribution(other))}
+    disabled = sorted(names - {point.name, _distribution(point)})
+    return {"GEM_PLUGINS_DISABLE": ",".join(disabled), "GEM_PLUGINS_STRICT": ""}
 
 
 def _distribution(point: EntryPoint) -> str:
     return point.dist.name if point.dist is not None else ""
 
 
+def _text(file: IO[bytes]) -> str:
+    file.seek(0)
+    return file.read().decode(errors="replace")
+
+
+def _ended(error: CallError, complaint: str) -> str:
+    """Say how a call ended that did not return, with the last line that was written to standard error."""
+    if not isinstance(error, InterpreterLostError):
+        return str(error)
+    if error.exit_code is None:
+        return "it took too long"
+    lines = complaint.strip().splitlines()
+    last = next((line for line in lines if line.startswith("Fatal Python error: ")), lines[-1] if lines else "")
+    return f"the interpreter ended with exit code {error.exit_code}" + (f": {last[:200]}" if last else "")
+
+
+def _place_in(module: str, complaint: str) -> str:
+    """Return file and line where a module's package stood when the interpreter was ended, or crashed."""
+    package = re.escape(module.partition(".")[0])
+    stood = re.search(rf'File "(.*/{package}(?:/.*|\.py))", line (\d+) in ', complaint)
+    return shown_place(stood[1], int(stood[2])) if stood else ""
+
+
 # In the other interpreter.
 
 
-def _report() -> None:
-    """Load the plugin that was asked for, then import its entry points one by one; say each thing once it is known."""
-    faulthandler.enable()
-    faulthandler.register(signal.SIGUSR1, chain=True)
-    asked = json.loads(sys.argv[1])
-    sys.path[:] = asked["path"]
+def _load(kept: dict[str, Any], name: str, distribution: str) -> dict[str, Any]:
+    """Load a plugin, and return the fields of ``Imported``."""
     import pluggy  # noqa: F401 - what the loader itself needs is no import of the plugin's
 
     from gem_core.registry.lookup import registry
@@ -198,38 +145,25 @@ def _report() -> None:
     places = _noting_places()
     before = set(sys.modules)
     plugin = next(
-        plugin
-        for plugin in registry().plugins()
-        if plugin.name == asked["name"] and asked["distribution"] in ("", plugin.distribution)
+        plugin for plugin in registry().plugins() if plugin.name == name and distribution in ("", plugin.distribution)
     )
     packages = {name.partition(".")[0] for name in set(sys.modules) - before}
     packages -= {*sys.stdlib_module_names, "gem_core", "pluggy"}
-    loaded = {
+    kept["records"] = [(record, places.get(id(record), "")) for record in plugin.records]
+    return {
         "failure": None if plugin.failure is None else plugin.failure.error,
         "packages": sorted(name for name in packages if not name.startswith("__editable__")),
         "records": [
             {
-                "name": _name(record),
+                "name": record.id if isinstance(record, EnvSpec) else f"{record.kind} {record.name}",
                 "module": _module(record),
                 "summary": record.summary,
-                "place": places.get(id(record), ""),
-                "error": "",
+                "place": place,
+                "error": None,
             }
-            for record in plugin.records
+            for record, place in kept["records"]
         ],
     }
-    with open(asked["said"], "a", encoding="utf-8") as file:
-        print(json.dumps(loaded), file=file, flush=True)
-        for number, record in enumerate(plugin.records):
-            if number not in asked["tried"]:
-                said = [number, _error_of(record, places.get(id(record), ""))]
-                print(json.dumps(said), file=file, flush=True)
-    sys.stdout.flush()
-    os._exit(0)  # threads and exit handlers of what was imported are nobody's concern
-
-
-def _name(record: Record) -> str:
-    return record.id if isinstance(record, EnvSpec) else f"{record.kind} {record.name}"
 
 
 def _noting_places() -> dict[int, str]:
@@ -251,74 +185,50 @@ def _noting_places() -> dict[int, str]:
     return places
 
 
-def _error_of(record: Record, declared: str) -> str:
-    """Return what is wrong with the entry points of a record, and where; ``""`` where nothing is.
-
-    Args:
-        record: What is tried.
-        declared: File and line where it is made.
-    """
+def _problem(kept: dict[str, Any], number: int) -> str:
+    """Return what is wrong with the entry points of a record, and where; ``""`` where nothing is."""
+    record, declared = kept["records"][number]
+    package = _module(record).partition(".")[0]
     try:
-        maker = load_entry_point(record.entry_point, "its entry point")
-        if isinstance(record, ToolSpec) and record.status is not None:
-            load_entry_point(record.status, "its status")
-        if isinstance(record, EnvSpec):
-            check_arguments(maker, (), {k: v for k, v in record.kwargs.items() if k != "render_mode"}, "its kwargs")
-        _check_kind(record, maker)
+        _check_entry_points(record)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a plugin's module does is what was seen
-        cause = error.__cause__ or error
-        foreign = (
-            error.__cause__ is not None
-            and isinstance(cause, ImportError)
-            and (cause.name or "").partition(".")[0] != _package(record)
-        )
-        if foreign and isinstance(record, EnvSpec) and unmet(record.requires):
+        cause = error.__cause__
+        needs_another = isinstance(cause, ImportError) and (cause.name or "").partition(".")[0] != package
+        if needs_another and isinstance(record, EnvSpec) and unmet(record.requires):
             return ""  # what it needs is not here, and that is what its module imports
-        inside = place_of(cause, _package(record)) if error.__cause__ is not None else ""
+        place = "" if cause is None else place_of(cause, package)
         text = f"{error}" if isinstance(error, GemError) else one_line(error)
-        return f"{inside or declared}: {' '.join(text.split())}"
+        return f"{place or declared}: {' '.join(text.split())}"
     return ""
+
+
+def _check_entry_points(record: Record) -> None:
+    """Import what a record points to, and refuse what is something else than its kind needs."""
+    target = load_entry_point(record.entry_point, "its entry point")
+    if isinstance(record, ToolSpec) and record.status is not None:
+        load_entry_point(record.status, "its status")
+    if isinstance(record, EnvSpec):
+        check_arguments(target, (), {k: v for k, v in record.kwargs.items() if k != "render_mode"}, "its kwargs")
+    if isinstance(record, RequirementSpec):
+        check_arguments(target, ("",), {"closely": False}, "its probe")
+        answer = target("", closely=False)
+        if not isinstance(answer, RequirementStatus):
+            raise RegistrationError(f"{record.entry_point!r} returned {answer!r:.100}, and no RequirementStatus")
+    if record.instance_of is not None:
+        base: Any = load_entry_point(record.instance_of, "its kind")
+        if not isinstance(target, base):
+            raise RegistrationError(f"{record.entry_point!r} is a {type(target).__name__}, and no {_called(base)}")
+    if record.subclass_of is not None and isinstance(target, type):
+        base = load_entry_point(record.subclass_of, "its kind")
+        if not issubclass(target, base):
+            raise RegistrationError(f"{record.entry_point!r} does not derive from {_called(base)}")
+
+
+def _called(base: type) -> str:
+    return f"{base.__module__.partition('.')[0]}.{base.__name__}"
 
 
 def _module(record: Record) -> str:
     point = record.entry_point
     module = point if isinstance(point, str) else str(getattr(point, "__module__", ""))
     return module.partition(":")[0]
-
-
-def _package(record: Record) -> str:
-    return _module(record).partition(".")[0]
-
-
-def _check_kind(record: Record, maker: Any) -> None:
-    """Refuse what is no environment, tool, wrapper, backend or command, and a probe that gives no status."""
-    if isinstance(record, CommandSpec):
-        import click
-
-        if not isinstance(maker, click.Command):
-            raise RegistrationError(f"{record.entry_point!r} is a {type(maker).__name__}, and no click.Command")
-    elif isinstance(record, RequirementSpec):
-        check_arguments(maker, ("",), {"closely": False}, "its probe")
-        answer = maker("", closely=False)
-        if not isinstance(answer, RequirementStatus):
-            raise RegistrationError(f"{record.entry_point!r} returned {answer!r:.100}, and no RequirementStatus")
-    elif isinstance(maker, type):
-        base = _base_of(record)
-        if base is not None and not issubclass(maker, base):
-            package = base.__module__.partition(".")[0]
-            raise RegistrationError(f"{record.entry_point!r} does not derive from {package}.{base.__name__}")
-
-
-def _base_of(record: Record) -> type | None:
-    """Return what a class that a record names must derive from."""
-    import gymnasium
-
-    if isinstance(record, EnvSpec):
-        return gymnasium.Env
-    if isinstance(record, WrapperSpec):
-        return gymnasium.Wrapper
-    if isinstance(record, ToolSpec):
-        from gem_core.tools.tool import Tool
-
-        return Tool
-    return None

@@ -27,7 +27,7 @@ def check_plugin(plugin: str | ModuleType, *, allow: Collection[str] = ()) -> li
         CheckError: Promises are broken; the message names each, with what was seen.
         UnknownPluginError: No plugin of this name is installed.
     """
-    point = _find(plugin if isinstance(plugin, str) else plugin.__name__)
+    point = find_plugin(plugin if isinstance(plugin, str) else plugin.__name__)
     seen = imported(point)
     findings = Findings(f"plugin {point.name!r}")
     if not findings.expect("It loads, and its hooks return records.", seen.failure is None, seen.failure):
@@ -48,7 +48,12 @@ def check_plugin(plugin: str | ModuleType, *, allow: Collection[str] = ()) -> li
     return findings.result()
 
 
-def _find(name: str) -> EntryPoint:
+def find_plugin(name: str) -> EntryPoint:
+    """Return the entry point of an installed plugin, by its name or that of its distribution, package or module.
+
+    Raises:
+        UnknownPluginError: No plugin of this name is installed.
+    """
     points = list(entry_points(group=ENTRY_POINT_GROUP))
     for point in points:
         module = point.value.partition(":")[0]

@@ -6,10 +6,11 @@ from collections.abc import Iterator, Sequence
 
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import SamplingNotSupported
-from gem_core.testing.comparing import first_difference, json_loss, shown
-from gem_core.testing.contract import NotTriedError, promise
-from gem_core.testing.helper import HelperError
+from gem_core.testing.comparing import differences, json_loss
+from gem_core.testing.contract import promise
+from gem_core.testing.findings import NotTriedError, shown
 from gem_core.testing.hostile import hostile_actions
+from gem_core.testing.interpreter import CallError, InterpreterLostError
 from gem_core.testing.promises_interface import problems_of
 from gem_core.testing.subject import Subject
 from gem_core.types import Response
@@ -46,9 +47,8 @@ def response(subject: Subject) -> Iterator[str]:
             Response(action, finish_reason="stop", model="none", token_ids=[1, 2], logprobs=[-0.1, -0.2])
             for action in script.actions
         )
-        difference = first_difference(expected, list(subject.play_from(subject.new(), script.seed, actions)))
-        if difference is not None:
-            yield f"with seed {script.seed}, answers of type Response differ {difference}"
+        found = list(subject.play_from(subject.new(), script.seed, actions))
+        yield from differences(f"with seed {script.seed}, answers of type Response differ", expected, found)
 
 
 @promise("treat what cannot be read as a wrong answer: an observation, a reward, no exception, in bounded time.")
@@ -65,7 +65,7 @@ def hostile_actions_(subject: Subject) -> Iterator[str]:
     for number, action in enumerate(actions):
         try:
             result = subject.step(env, action)
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - foreign code, and no error is allowed
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code, and no error is allowed
             yield f"step({shown(action)}) raised {subject.told(error)}"
             env = subject.new()
             subject.reset(env, number)
@@ -81,11 +81,10 @@ def hostile_actions_(subject: Subject) -> Iterator[str]:
         if result[2] or result[3]:
             subject.reset(env, number)
     # Whatever was said before, the next episode is the usual one.
-    expected = subject.references[0][1] if subject.repeats else None
     after = list(subject.play(env, script))
-    difference = None if expected is None else first_difference(expected, after)
-    if difference is not None:
-        yield f"with seed {script.seed}, the episode after all of them differs {difference}"
+    if subject.recorded is not None:
+        what = f"with seed {script.seed}, the episode after all of them differs"
+        yield from differences(what, subject.recorded[0], after)
 
 
 def _fatal_action(subject: Subject, env: AnyEnv, actions: Sequence[str]) -> str | None:
@@ -96,11 +95,23 @@ def _fatal_action(subject: Subject, env: AnyEnv, actions: Sequence[str]) -> str 
     """
     if getattr(env.unwrapped, "concurrency", None) in ("thread", "async"):
         return None
+    label = "reset()"
     try:
-        subject.elsewhere(None, seed=subject.limits.seed)
+        with subject.elsewhere() as other:
+            other.reset(subject.limits.seed)
+            for number, action in enumerate(actions):
+                label = f"step({shown(action)})"
+                try:
+                    over = other.step_hostile(subject.limits.seed, number)
+                except InterpreterLostError:
+                    raise
+                except CallError:  # tried here too, and named then
+                    over = True
+                if over:
+                    label = "reset()"
+                    other.reset(number)
     except NotTriedError:
         return None
-    except HelperError as error:
-        where = f"step({shown(actions[error.records])})" if error.records < len(actions) else "reset()"
-        return f"{where}, tried in another process: {error}"
+    except CallError as error:
+        return f"{label}, tried in another process: {error}"
     return None

@@ -12,8 +12,9 @@ import numpy as np
 
 from gem_core.env.observations import observation_from
 from gem_core.errors import ResetNeededError
-from gem_core.testing.comparing import json_loss, mutable_parts, plain, shown
+from gem_core.testing.comparing import json_loss, mutable_parts, plain
 from gem_core.testing.contract import promise
+from gem_core.testing.findings import shown
 from gem_core.testing.subject import Subject
 
 _CONCURRENCY = ("inline", "thread", "process", "async")
@@ -73,7 +74,8 @@ def _shape_problem(what: str, expected: int, result: Any) -> str:
 )
 def types(subject: Subject) -> Iterator[str]:
     """Observations lie in the observation space, rewards are finite numbers, flags are bools and info is a dict."""
-    for where, env, result in _results(subject):
+    env = subject.new()
+    for where, result in subject.results:
         for problem in problems_of(env, result):
             yield f"{where} gave {problem}"
 
@@ -110,7 +112,7 @@ def spaces(subject: Subject) -> Iterator[str]:
 @promise("set terminated when the task itself is over, and truncated only when it is cut off from outside.")
 def end_flags(subject: Subject) -> Iterator[str]:
     """An episode ends either because the task is over or because it was cut off, never both at once."""
-    for where, _, result in _results(subject):
+    for where, result in subject.results:
         if len(result) == 5 and result[2] and result[3]:
             yield f"{where} gave terminated and truncated, both True"
 
@@ -118,7 +120,7 @@ def end_flags(subject: Subject) -> Iterator[str]:
 @promise("put only strings, finite numbers, bools, None, lists and dictionaries with string keys into info.")
 def info_json(subject: Subject) -> Iterator[str]:
     """Info is plain JSON, images apart: writing and reading it gives an equal object."""
-    for where, _, result in _results(subject):
+    for where, result in subject.results:
         loss = json_loss(result[-1])
         if loss is not None:
             yield f"info of {where}: {loss}"
@@ -127,7 +129,7 @@ def info_json(subject: Subject) -> Iterator[str]:
 @promise("give the keys with one meaning everywhere the form that DESIGN.md names, section 3.")
 def info_keys(subject: Subject) -> Iterator[str]:
     """The keys of info that mean the same everywhere have their form, and an error ends the episode as truncated."""
-    for where, _, result in _results(subject):
+    for where, result in subject.results:
         info = result[-1]
         if not isinstance(info, Mapping):
             continue
@@ -142,7 +144,7 @@ def info_keys(subject: Subject) -> Iterator[str]:
 def suffix(subject: Subject) -> Iterator[str]:
     """Where info holds feedback and suffix, the observation is the first followed by the second."""
     # The task alone: a view of the history changes observations and leaves the keys.
-    for where, _, result in _results(subject, wrapped=False):
+    for where, result in subject.results_of(subject.new().unwrapped):
         observation, info = result[0], result[-1]
         if "feedback" not in info and "suffix" not in info:
             continue
@@ -161,7 +163,7 @@ def fresh_objects(subject: Subject) -> Iterator[str]:
     """Every call returns objects of its own, so that what a caller keeps is not changed by later calls."""
     seen: dict[int, tuple[str, Any]] = {}
     kept: list[tuple[str, Any, Any]] = []
-    for where, _, result in _results(subject):
+    for where, result in subject.results_of(subject.new()):
         given = [result[0], result[-1]]
         kept.append((where, given, plain(given)))
         own: dict[int, tuple[str, Any]] = {}
@@ -250,20 +252,6 @@ def problems_of(env: Any, result: Any) -> Iterator[str]:
     for name, flag in (("terminated", terminated), ("truncated", truncated)):
         if not isinstance(flag, bool):
             yield f"{name} = {shown(flag)}, which is a {type(flag).__name__} and not a bool"
-
-
-def _results(subject: Subject, *, wrapped: bool = True) -> Iterator[tuple[str, Any, Any]]:
-    """Play all scripts and give each result with its place and the environment."""
-    env: Any = subject.new()
-    if not wrapped:
-        env = env.unwrapped
-    for script in subject.scripts:
-        yield f"reset(seed={script.seed})", env, subject.reset(env, script.seed)
-        for action in script.actions:
-            result = subject.step(env, action)
-            yield f"step({shown(action)})", env, result
-            if result[2] or result[3]:
-                break
 
 
 def _stepping(subject: Subject, env: Any, when: str) -> Iterator[str]:

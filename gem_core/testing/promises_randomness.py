@@ -11,11 +11,12 @@ from typing import Any
 from gem_core.background import run_sync
 from gem_core.env.wrapper import AnyEnv, reset_async, step_async
 from gem_core.errors import NotSupportedError
-from gem_core.testing.comparing import first_difference, play, shown
-from gem_core.testing.contract import NotTriedError, promise
-from gem_core.testing.global_random import changed, global_state, scramble
-from gem_core.testing.helper import HelperError
-from gem_core.testing.subject import Record, Script, Subject
+from gem_core.testing.comparing import differences, play
+from gem_core.testing.contract import promise
+from gem_core.testing.findings import NotTriedError, shown
+from gem_core.testing.interpreter import CallError
+from gem_core.testing.isolation import global_random_state, scramble
+from gem_core.testing.subject import PlainResult, Script, Subject
 
 _FROM_NP_RANDOM = "draw only from self.np_random, and make everything of an episode anew in reset."
 
@@ -24,7 +25,8 @@ _FROM_NP_RANDOM = "draw only from self.np_random, and make everything of an epis
 def determinism(subject: Subject) -> Iterator[str]:
     """The same seed and actions give the same episode, in a new and in a used instance, whatever the global state."""
     subject.expect_determinism()
-    references = []
+    references: list[list[PlainResult]] = []
+    seen: list[str] = []
     used = subject.new()
     for script in subject.scripts:
         scramble(1)
@@ -32,16 +34,16 @@ def determinism(subject: Subject) -> Iterator[str]:
         for number, kind in enumerate(("a new", "a used"), 2):
             scramble(number)
             env = subject.new() if kind == "a new" else used
-            difference = first_difference(expected, list(subject.play(env, script)))
-            if difference is not None:
-                yield f"with seed {script.seed}, {kind} instance differs {difference}"
+            found = subject.play(env, script)
+            seen += differences(f"with seed {script.seed}, {kind} instance differs", expected, list(found))
         references.append(expected)
     # The used one has now played other episodes before this one.
-    difference = first_difference(references[0], list(subject.play(used, subject.scripts[0])))
-    if difference is not None:
-        yield f"with seed {subject.scripts[0].seed}, an instance that played other episodes differs {difference}"
-        return
-    subject.keep_references(references)
+    first = subject.scripts[0]
+    what = f"with seed {first.seed}, an instance that played other episodes differs"
+    seen += differences(what, references[0], list(subject.play(used, first)))
+    if not seen:
+        subject.recorded = references
+    yield from seen
 
 
 @promise("keep the state of an episode in self, never in the class or the module.")
@@ -51,9 +53,8 @@ def interleaving(subject: Subject) -> Iterator[str]:
     players = [subject.play(subject.new(), script) for script, _ in references]
     rounds = list(zip_longest(*players))
     for (script, expected), found in zip(references, zip(*rounds, strict=True), strict=True):
-        difference = first_difference(expected, [record for record in found if record is not None])
-        if difference is not None:
-            yield f"with seed {script.seed}, beside {len(players) - 1} others, it differs {difference}"
+        what = f"with seed {script.seed}, beside {len(players) - 1} others, it differs"
+        yield from differences(what, expected, [record for record in found if record is not None])
 
 
 @promise("derive from AsyncEnv to write coroutines, and otherwise leave reset_async and step_async alone.")
@@ -69,9 +70,7 @@ def coroutines(subject: Subject) -> Iterator[str]:
 
     for script, expected in subject.references:
         found = list(play(partial(reset_in_loop, script.seed), step_in_loop, script.actions))
-        difference = first_difference(expected, found)
-        if difference is not None:
-            yield f"with seed {script.seed}, reset_async and step_async differ {difference}"
+        yield from differences(f"with seed {script.seed}, reset_async and step_async differ", expected, found)
 
 
 @promise("do not depend on hash(), the order of a set, the process id or the environment's variables.")
@@ -79,13 +78,12 @@ def process_determinism(subject: Subject) -> Iterator[str]:
     """Another process, in which strings hash differently, plays the same episode."""
     for script, expected in subject.references:
         try:
-            found = subject.elsewhere(script.actions, seed=script.seed)
-        except HelperError as error:
+            with subject.elsewhere() as env:
+                found = [env.reset(script.seed), *env.play(script.actions)]
+        except CallError as error:
             yield f"with seed {script.seed}, {error}"
             return
-        difference = first_difference(expected, found)
-        if difference is not None:
-            yield f"with seed {script.seed}, the other process differs {difference}"
+        yield from differences(f"with seed {script.seed}, the other process differs", expected, found)
 
 
 @promise("draw from self.np_random; fence in a library that insists on global state, and put its state back.")
@@ -97,8 +95,8 @@ def global_random(subject: Subject) -> Iterator[str]:
     for script in (subject.scripts[0], subject.scripts[-1]):
         yield from _touching("reset()", partial(subject.reset, env, script.seed))
         for action in script.actions:
-            yield from _touching("sample_random_action()", partial(_sampled, subject, env))
-            yield from _touching("get_state()", partial(_saved, subject, env))
+            yield from _touching("sample_random_action()", partial(subject.sample, env))
+            yield from _touching("get_state()", partial(subject.saved, env))
             yield from _touching(f"step({shown(action)})", partial(subject.step, env, action))
     yield from _touching("close()", partial(subject.close, env))
 
@@ -122,13 +120,10 @@ def seed_stream(subject: Subject) -> Iterator[str]:
     if not subject.references:
         return
     for number, (seed, first, second) in enumerate(zip(seeds, *streams, strict=True), 1):
-        difference = first_difference(first, second)
-        if difference is not None:
-            yield f"episode {number} of the stream differs from itself {difference}"
-        actions = script.actions if number == 1 else later
-        difference = first_difference(first, list(subject.play_from(subject.new(), seed, actions)))
-        if difference is not None:
-            yield f"reset(seed={seed}) does not replay episode {number} of the stream: it differs {difference}"
+        yield from differences(f"episode {number} of the stream differs from itself", first, second)
+        replayed = subject.play_from(subject.new(), seed, script.actions if number == 1 else later)
+        what = f"reset(seed={seed}) does not replay episode {number} of the stream: it differs"
+        yield from differences(what, first, list(replayed))
 
 
 @promise("draw sampled actions from self.action_random, and change nothing else.")
@@ -140,39 +135,30 @@ def action_sampling(subject: Subject) -> Iterator[str]:
     samples: list[list[str]] = []
     for script, expected in [subject.references[0], *subject.references]:
         env = subject.new()
-        found: list[Record] = []
+        found: list[PlainResult] = []
         drawn: list[str] = []
         for index, record in enumerate(subject.play(env, script)):
             found.append(record)
             if index < len(script.actions):
                 drawn += [subject.sample(env) for _ in range(index % 3 + 1)]
-        difference = first_difference(expected, found)
-        if difference is not None:
-            yield f"with seed {script.seed}, the episode in which actions are sampled differs {difference}"
+        what = f"with seed {script.seed}, the episode in which actions are sampled differs"
+        yield from differences(what, expected, found)
         samples.append(drawn)
     if samples[0] != samples[1]:
         seed = subject.scripts[0].seed
         yield f"seed {seed} sampled {shown(samples[0][:5])}, and a second time {shown(samples[1][:5])}"
 
 
-def _stream(subject: Subject, env: AnyEnv, script: Script, later: tuple[str, ...]) -> list[list[Record]]:
+def _stream(subject: Subject, env: AnyEnv, script: Script, later: tuple[str, ...]) -> list[list[PlainResult]]:
     """Play an episode from a seed and the two that follow it in its stream."""
     return [list(subject.play(env, script)), *(list(subject.play_from(env, None, later)) for _ in range(2))]
 
 
 def _touching(label: str, call: Callable[[], object]) -> Iterator[str]:
-    before = global_state()
-    call()
-    names = changed(before, global_state())
-    if names is not None:
-        yield f"{label} changed the state of {names}"
-
-
-def _sampled(subject: Subject, env: AnyEnv) -> None:
-    with suppress(NotSupportedError):
-        subject.sample(env)
-
-
-def _saved(subject: Subject, env: AnyEnv) -> None:
-    with suppress(NotTriedError):
-        subject.saved(env)
+    before = global_random_state()
+    with suppress(NotSupportedError, NotTriedError):
+        call()
+    after = global_random_state()
+    names = [name for name in before if before[name] != after[name]]
+    if names:
+        yield f"{label} changed the state of {' and '.join(names)}"

@@ -10,11 +10,12 @@ from typing import Any, cast
 from gem_core.env.base import Env
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import StateNotSupported
-from gem_core.testing.comparing import first_difference, json_loss, plain, shown
-from gem_core.testing.contract import NotTriedError, promise
-from gem_core.testing.helper import HelperError
-from gem_core.testing.serialization import unchecked
-from gem_core.testing.subject import Record, Script, Subject
+from gem_core.testing.comparing import differences, json_loss, plain
+from gem_core.testing.contract import promise
+from gem_core.testing.findings import NotTriedError, shown
+from gem_core.testing.interpreter import CallError
+from gem_core.testing.remaking import unchecked
+from gem_core.testing.subject import PlainResult, Script, Subject
 
 
 @promise("return copies of strings, numbers, lists and dictionaries with string keys from _get_state.")
@@ -54,11 +55,9 @@ def state_instance(subject: Subject) -> Iterator[str]:
                 subject.called("set_state(state)", cast("Env", other).set_state, state)
                 samples += [subject.sample(other)] if sampling else []
                 theirs = _continued(subject, other, script, steps)
-                difference = first_difference(mine, theirs, steps + 1) or first_difference(
-                    expected[steps + 1 :], theirs[: len(expected) - steps - 1], steps + 1
-                )
-                if difference is not None:
-                    yield f"with seed {script.seed}, restored after {steps} steps, a {kind} one differs {difference}"
+                what = f"with seed {script.seed}, restored after {steps} steps, a {kind} one differs"
+                yield from differences(what, mine, theirs, steps + 1)
+                yield from differences(what, expected[steps + 1 :], theirs[: len(expected) - steps - 1], steps + 1)
             if len(set(samples)) > 1:
                 yield f"with seed {script.seed}, after {steps} steps, restored ones sample other actions: {samples}"
 
@@ -72,13 +71,14 @@ def state_process(subject: Subject) -> Iterator[str]:
             _advance(subject, original, script, steps)
             state = _carried(subject.saved(original))
             try:
-                found = subject.elsewhere(script.actions[steps:], state=state)
-            except HelperError as error:
+                with subject.elsewhere() as env:
+                    env.set_state(state)
+                    found = env.play(script.actions[steps:])
+            except CallError as error:
                 yield f"with seed {script.seed}, restored after {steps} steps, {error}"
                 return
-            difference = first_difference(expected[steps + 1 :], found, steps + 1)
-            if difference is not None:
-                yield f"with seed {script.seed}, restored after {steps} steps, it differs {difference}"
+            what = f"with seed {script.seed}, restored after {steps} steps, it differs"
+            yield from differences(what, expected[steps + 1 :], found, steps + 1)
 
 
 @promise("let spawn call the constructor with the same arguments, and share nothing that changes.")
@@ -98,7 +98,7 @@ def spawn(subject: Subject) -> Iterator[str]:
         yield from _sibling_problems(subject, script, expected, between=subject.scripts[number - 1])
 
 
-def _sibling_problems(subject: Subject, script: Script, expected: list[Record], between: Script) -> Iterator[str]:
+def _sibling_problems(subject: Subject, script: Script, expected: list[PlainResult], between: Script) -> Iterator[str]:
     """Spawn in the middle of a script, and let the sibling play ``between`` before the first one goes on."""
     steps = len(script.actions) // 2
     env = subject.new()
@@ -108,28 +108,27 @@ def _sibling_problems(subject: Subject, script: Script, expected: list[Record], 
         twin = _spawned(subject, env, same_state=True)
     except StateNotSupported:
         twin = None
-    difference = first_difference(expected, list(subject.play(sibling, script)))
-    if difference is not None:
-        yield f"with seed {script.seed}, the sibling differs {difference}"
+    seed = script.seed
+    yield from differences(f"with seed {seed}, the sibling differs", expected, list(subject.play(sibling, script)))
     for _ in subject.play(sibling, between):
         pass
-    difference = first_difference(expected, before + list(subject.play_on(env, script, steps)))
-    if difference is not None:
-        yield f"what a sibling played changed the first one: with seed {script.seed}, it differs {difference}"
+    found = [*before, *subject.play_on(env, script.actions[steps:])]
+    what = f"what a sibling played changed the first one: with seed {seed}, it differs"
+    yield from differences(what, expected, found)
     if twin is not None:
-        difference = first_difference(expected[steps + 1 :], list(subject.play_on(twin, script, steps)), steps + 1)
-        if difference is not None:
-            yield f"with seed {script.seed}, spawn(same_state=True) after {steps} steps differs {difference}"
+        what = f"with seed {seed}, spawn(same_state=True) after {steps} steps differs"
+        found = list(subject.play_on(twin, script.actions[steps:]))
+        yield from differences(what, expected[steps + 1 :], found, steps + 1)
 
 
-def _advance(subject: Subject, env: AnyEnv, script: Script, steps: int) -> list[Record]:
+def _advance(subject: Subject, env: AnyEnv, script: Script, steps: int) -> list[PlainResult]:
     """Play the first ``steps`` actions of a script."""
     return list(subject.play_from(env, script.seed, script.actions[:steps]))
 
 
-def _continued(subject: Subject, env: AnyEnv, script: Script, steps: int) -> list[Record]:
+def _continued(subject: Subject, env: AnyEnv, script: Script, steps: int) -> list[PlainResult]:
     """Play the rest of a script, and begin the next episode of the stream."""
-    rest = list(subject.play_on(env, script, steps))
+    rest = list(subject.play_on(env, script.actions[steps:]))
     return [*rest, *subject.play_from(env, None, ())]
 
 

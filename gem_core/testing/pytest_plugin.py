@@ -36,7 +36,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Start the collection of environments where somebody asked for it."""
+    """Collect environments if the command line or the configuration file names any."""
     config.addinivalue_line("markers", f"{MARKER}: the check of an environment that --gem-envs asked for.")
     # The command line stands in for the file, as it does for pytest's own options.
     patterns = config.getoption("gem_envs") or config.getini("gem_envs")
@@ -54,7 +54,7 @@ def _skipped(entries: Iterable[str]) -> Iterator[tuple[str, str]]:
 
 
 class _Collection:
-    """Adds one item for each environment behind whatever else was collected."""
+    """Adds one item for each environment after everything else that was collected."""
 
     def __init__(self, patterns: list[str], skip: dict[str, str]) -> None:
         self.patterns = patterns
@@ -74,11 +74,10 @@ class _Collection:
         except GemError as error:
             if not hasattr(config, "workerinput"):
                 raise pytest.UsageError(str(error)) from None
-            message = str(error)  # a usage error in a worker of xdist would read as a crash
-        parent = _Environments.from_parent(
-            session, name="gem-envs", nodeid="gem-envs", ids=ids, skip=self.skip, message=message
-        )
-        items.extend(session.genitems(parent))
+            ids, message = ["--gem-envs"], str(error)  # a usage error in a worker of xdist would read as a crash
+        collector = _Environments.from_parent(session, name="gem-envs", nodeid="gem-envs")
+        collector.items = [EnvItem.from_parent(collector, name=name, skip=self.skip, message=message) for name in ids]
+        items.extend(session.genitems(collector))
 
 
 def _matching(patterns: list[str]) -> list[str]:
@@ -103,25 +102,20 @@ def _matching(patterns: list[str]) -> list[str]:
 class _Environments(pytest.Collector):
     """What the items stand under."""
 
-    def __init__(self, *, ids: list[str], skip: dict[str, str], message: str, **kwargs: Any) -> None:
-        super().__init__(**kwargs)
-        self.ids = ids
-        self.skip = skip
-        self.message = message
+    items: list[pytest.Item]
 
-    def collect(self) -> Iterable[pytest.Item]:
-        """Give one item for each id, or one that fails with the message."""
-        if self.message:
-            return [_Failure.from_parent(self, name="gem-envs", message=self.message)]
-        return [EnvItem.from_parent(self, name=env_id, skip=self.skip) for env_id in self.ids]
+    def collect(self) -> list[pytest.Item]:
+        """Give the items."""
+        return self.items
 
 
 class EnvItem(pytest.Item):
-    """The check of one environment."""
+    """The check of one environment, or a message with which it fails."""
 
-    def __init__(self, *, skip: dict[str, str], **kwargs: Any) -> None:
+    def __init__(self, *, skip: dict[str, str], message: str, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self.skip = skip
+        self.message = message
         self.add_marker(MARKER)
 
     def runtest(self) -> None:
@@ -129,6 +123,8 @@ class EnvItem(pytest.Item):
         from gem_core.errors import MissingRequirementError
         from gem_core.testing.conformance import check_env
 
+        if self.message:
+            pytest.fail(self.message, pytrace=False)
         try:
             report = check_env(self.name, skip=self.skip)
         except MissingRequirementError as error:
@@ -146,19 +142,3 @@ class EnvItem(pytest.Item):
     def reportinfo(self) -> tuple[Any, int | None, str]:
         """Name the item in the summary."""
         return self.config.rootpath, None, f"check_env({self.name!r})"
-
-
-class _Failure(pytest.Item):
-    """A pattern that matches nothing, told by a worker."""
-
-    def __init__(self, *, message: str, **kwargs: Any) -> None:
-        super().__init__(**kwargs)
-        self.message = message
-
-    def runtest(self) -> None:
-        """Fail with the message."""
-        pytest.fail(self.message, pytrace=False)
-
-    def reportinfo(self) -> tuple[Any, int | None, str]:
-        """Name the item in the summary."""
-        return self.config.rootpath, None, "--gem-envs"

@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any, cast
 
 import gymnasium
 
-from gem_core.api import make
+from gem_core.api import make, spec
 from gem_core.env.base import Env
 from gem_core.env.seeding import stable_hash
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, StateNotSupported
+from gem_core.registry.requirements import check_requirements
 from gem_core.registry.specs import EnvSpec
-from gem_core.testing.comparing import play, shown
-from gem_core.testing.contract import NotTriedError
-from gem_core.testing.helper import other_process
-from gem_core.testing.hostile import hostile_actions
-from gem_core.testing.places import place_of
-from gem_core.testing.serialization import guarded, layers_of, recipe_of, remade
-from gem_core.testing.watch import Watch
+from gem_core.testing.comparing import play
+from gem_core.testing.elsewhere import OTHER_PROCESS, EnvElsewhere
+from gem_core.testing.findings import NotTriedError, place_of, shown
+from gem_core.testing.isolation import Watch
+from gem_core.testing.remaking import guarded, layers_of, remaker
 
-Record = dict[str, Any]
+PlainResult = dict[str, Any]
 """What one reset or step gave, as plain data."""
 
 CLUMSY_ACTIONS = (
@@ -87,13 +88,14 @@ class Subject:
         self.package = ""
         """The module of the task's class."""
         self._scripts: list[Script] | None = None
-        self._references: list[list[Record]] | None = None
+        self.recorded: list[list[PlainResult]] | None = None
+        """What each script gives, once it is known to repeat."""
 
     # Instances.
 
     def new(self) -> AnyEnv:
         """Return another instance with the same arguments; it is closed when the promise has been tried."""
-        env = self._limited(lambda: f"making {self.name}", self.limits.reset_timeout_s, self._make)
+        env = self.called(f"making {self.name}", self._make)
         if not isinstance(env, Env | Wrapper):
             raise ArgumentError(f"{self.name} is a {type(env).__name__}, which does not derive from gem_core.Env")
         self.package = type(env.unwrapped).__module__
@@ -108,12 +110,21 @@ class Subject:
         """Close what the last promise made; what goes wrong is named by ``close-twice``."""
         instances, self._instances = self._instances, []
         for env in instances:
-            with suppress(Exception, SystemExit):  # a promise of its own tries and names it
+            with suppress(Exception, SystemExit):
                 self.close(env)
 
     def forget_all(self) -> None:
         """Leave the instances of a promise to the thread that hangs in one of them."""
         self._instances = []
+
+    def elsewhere(self) -> AbstractContextManager[EnvElsewhere]:
+        """Return a context in which there is an instance in another process.
+
+        Raises:
+            NotTriedError: When it is entered: this environment cannot be made there.
+            CallError: When it is entered: its constructor hangs there, or ends the process.
+        """
+        return OTHER_PROCESS.env(self._make, self.limits.step_timeout_s, self.limits.reset_timeout_s)
 
     # Calls.
 
@@ -123,7 +134,7 @@ class Subject:
 
     def step(self, env: AnyEnv, action: str) -> Any:
         """Step under the time limit."""
-        return self._limited(lambda: f"step({shown(action)})", self.limits.step_timeout_s, env.step, action)
+        return self.watch.call(lambda: f"step({shown(action)})", self.limits.step_timeout_s, env.step, action)
 
     def sample(self, env: AnyEnv) -> str:
         """Sample an action under the time limit."""
@@ -135,10 +146,12 @@ class Subject:
 
     def called(self, label: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         """Call anything else under the time limit."""
-        return self._limited(lambda: label, self.limits.reset_timeout_s, function, *args, **kwargs)
+        return self.watch.call(lambda: label, self.limits.reset_timeout_s, function, *args, **kwargs)
 
-    def _limited(self, label: Callable[[], str], limit_s: float, function: Any, *args: Any, **kwargs: Any) -> Any:
-        return self.watch.call(label, limit_s, function, *args, **kwargs)
+    def told(self, error: BaseException) -> str:
+        """Return an exception with its text and its place in the author's file."""
+        place = place_of(error, self.package)
+        return f"{type(error).__name__}: {shown(str(error))}" + (f" ({place})" if place else "")
 
     # Episodes.
 
@@ -158,16 +171,12 @@ class Subject:
         """Refuse what needs an episode where none can be played."""
         len(self.scripts)
 
-    def told(self, error: BaseException) -> str:
-        """Return an exception with its text and its place in the author's file."""
-        place = place_of(error, self.package)
-        return f"{type(error).__name__}: {shown(str(error))}" + (f" ({place})" if place else "")
-
     def record_scripts(self) -> None:
         """Play the episodes that the other promises repeat."""
         *sampled, clumsy = self.seeds
         env = self.new()
-        scripts = [self._recorded(env, seed, self.can_sample()) for seed in sampled]
+        can_sample = self.can_sample()
+        scripts = [self._recorded(env, seed, can_sample) for seed in sampled]
         self._scripts = [*scripts, self._recorded(env, clumsy, False)]
 
     def can_sample(self) -> bool:
@@ -189,43 +198,49 @@ class Subject:
             ended = bool(result[2] or result[3])
         return Script(seed, tuple(actions), ended)
 
-    def play(self, env: AnyEnv, script: Script) -> Iterator[Record]:
+    @cached_property
+    def results(self) -> list[tuple[str, Any]]:
+        """Every result of the scripts as it is, with the name of its call."""
+        return list(self.results_of(self.new()))
+
+    def results_of(self, env: AnyEnv) -> Iterator[tuple[str, Any]]:
+        """Play all scripts, and give each result with the name of its call."""
+        for script in self.scripts:
+            yield f"reset(seed={script.seed})", self.reset(env, script.seed)
+            for action in script.actions:
+                result = self.step(env, action)
+                yield f"step({shown(action)})", result
+                if result[2] or result[3]:
+                    break
+
+    def play(self, env: AnyEnv, script: Script) -> Iterator[PlainResult]:
         """Play a script from its reset."""
         return self.play_from(env, script.seed, script.actions)
 
-    def play_from(self, env: AnyEnv, seed: int | None, actions: tuple[str, ...]) -> Iterator[Record]:
+    def play_from(self, env: AnyEnv, seed: int | None, actions: Sequence[str]) -> Iterator[PlainResult]:
         """Reset and play some actions; without a seed, the next episode of the stream."""
-        return play(lambda: self.reset(env, seed), lambda action: self.step(env, action), actions)
+        return play(lambda: self.reset(env, seed), partial(self.step, env), actions)
 
-    def play_on(self, env: AnyEnv, script: Script, first: int) -> Iterator[Record]:
-        """Play what is left of a script, from the action with index ``first``."""
-        return play(None, lambda action: self.step(env, action), script.actions[first:])
+    def play_on(self, env: AnyEnv, actions: Sequence[str]) -> Iterator[PlainResult]:
+        """Play what is left of an episode."""
+        return play(None, partial(self.step, env), actions)
 
     # What is known to repeat.
 
     def expect_determinism(self) -> None:
         """Refuse what the environment's record says cannot be repeated."""
-        spec = self.new().unwrapped.spec
-        if spec is not None and spec.nondeterministic:
+        made_from = self.new().unwrapped.spec
+        if made_from is not None and made_from.nondeterministic:
             raise NotTriedError("its record says deterministic=False")
 
     @property
-    def references(self) -> list[tuple[Script, list[Record]]]:
+    def references(self) -> list[tuple[Script, list[PlainResult]]]:
         """Every script with what it gives, known to be the same each time."""
         self.need_episodes()
         self.expect_determinism()
-        if self._references is None:
+        if self.recorded is None:
             raise NotTriedError("the same seed and actions do not repeat; see 'determinism'")
-        return list(zip(self.scripts, self._references, strict=True))
-
-    @property
-    def repeats(self) -> bool:
-        """Whether episodes are known to repeat."""
-        return self._references is not None
-
-    def keep_references(self, references: list[list[Record]]) -> None:
-        """Note what each script gives, once it is known to repeat."""
-        self._references = references
+        return list(zip(self.scripts, self.recorded, strict=True))
 
     def cuts(self, script: Script) -> list[int]:
         """Return the numbers of actions after which states are saved: none, half, and all but the last."""
@@ -239,36 +254,15 @@ class Subject:
         except StateNotSupported as error:
             raise NotTriedError(str(error)) from error
 
-    def elsewhere(
-        self, actions: tuple[str, ...] | None, *, seed: int | None = None, state: Mapping[str, Any] | None = None
-    ) -> list[Record]:
-        """Play in another process, from a seed or a state; None stands for the hostile actions of that seed.
-
-        Raises:
-            NotTriedError: This environment cannot be made there.
-            HelperError: It was made there, and did not get to the end.
-        """
-        recipe = recipe_of(self.new())
-        request = {"recipe": recipe, "seed": seed, "state": state, "actions": actions}
-        steps = len(hostile_actions() if actions is None else actions)
-        # The helper has a time limit of its own for every call; this one is for all of them.
-        records: list[Record] = self._limited(
-            lambda: "the other process",
-            (steps + 2) * self.limits.reset_timeout_s,
-            other_process().play,
-            request,
-            step_timeout_s=self.limits.step_timeout_s,
-            reset_timeout_s=self.limits.reset_timeout_s,
-        )
-        return records
-
     def _maker(self, target: object) -> tuple[str, Callable[[], Any]]:
         if isinstance(target, str | EnvSpec):
-            return target if isinstance(target, str) else target.id, lambda: make(target)
+            record = spec(target) if isinstance(target, str) else target
+            check_requirements(record, record.kwargs)  # once, and not for each of a hundred instances
+            return record.id, partial(make, dataclasses.replace(record, requires=()))
         if isinstance(target, gymnasium.Env):
             env = self._without_outer_gymnasium_wrappers(target)
             names = [type(layer).__name__ for layer in layers_of(env)]
-            return getattr(env, "env_id", None) or " around ".join(names), lambda: remade(env)
+            return getattr(env, "env_id", None) or " around ".join(names), remaker(env)
         if callable(target):
             return getattr(target, "__name__", repr(target)), target
         raise ArgumentError(f"check_env takes an id, an environment, or a class, not {target!r}")

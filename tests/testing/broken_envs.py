@@ -432,11 +432,20 @@ class OtherProcessEnv(GoodEnv):
         return super().step(action)
 
 
+class PidEnv(GoodEnv):
+    """It notes the processes in which it is made."""
+
+    def __init__(self, file: str) -> None:
+        super().__init__()
+        with open(file, "a") as pids:
+            pids.write(f"{os.getpid()}\n")
+
+
 class ChattyEnv(GoodEnv):
-    """It prints, and asks, on all channels."""
+    """It prints, with and without Python's own streams."""
 
     def step(self, action: str) -> Any:
-        sys.stdout.write('{"number": 1, "end": "done"}\n')
+        sys.stdout.write("a line\n")
         sys.stdout.flush()
         os.write(1, b"raw bytes\n")
         return super().step(action)

@@ -162,7 +162,7 @@ def test_broken_promise_of_a_wrapper_is_named(wrapper, error: type[Exception], p
 def test_plugin_is_found_by_each_of_its_names(name: str) -> None:
     """Entry point, distribution, package and module."""
     pytest.importorskip("gem_games")
-    assert plugin_check._find(name).name == "games"
+    assert plugin_check.find_plugin(name).name == "games"
 
 
 def test_good_plugin_passes() -> None:

@@ -1,120 +1,133 @@
-"""The other process is one, keeps its conversation to itself, and is replaced when it hangs or dies."""
+"""The other process is one, is kept apart from this one, and is replaced when it hangs or dies."""
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from typing import Any
+import threading
+from pathlib import Path
 
 import pytest
-from broken_envs import ChattyEnv, OtherProcessEnv
-from reference_envs import GoodEnv
+from broken_envs import ChattyEnv, OtherProcessEnv, PidEnv
+from reference_envs import CountingWrapper, GoodEnv
 
 from gem_core.testing import ContractError, check_env
-from gem_core.testing.contract import NotTriedError
-from gem_core.testing.helper import HelperError, OtherProcess, other_process
-from gem_core.testing.serialization import guarded, recipe_of
+from gem_core.testing.contract import PROMISES
 
 
-@pytest.fixture
-def helper() -> Iterator[OtherProcess]:
-    helper = OtherProcess()
-    yield helper
-    helper.stop()
+def other_pids(file: Path) -> list[int]:
+    """Return the processes besides this one in which a ``PidEnv`` was made, in order."""
+    return [int(pid) for pid in dict.fromkeys(file.read_text().split()) if int(pid) != os.getpid()]
 
 
-def request(env: GoodEnv, actions: tuple[str, ...] = ("\\boxed{1}",)) -> dict[str, Any]:
-    return {"recipe": recipe_of(guarded(env)), "seed": 1, "state": None, "actions": actions}
-
-
-def play(helper: OtherProcess, env: GoodEnv, limit_s: float = 60.0) -> list[dict[str, Any]]:
-    return helper.play(request(env), step_timeout_s=limit_s, reset_timeout_s=60.0)
-
-
-def test_one_process_serves_many_checks() -> None:
-    check_env(GoodEnv)
-    first = other_process().pid
-    check_env(GoodEnv(limit=3))
-    assert other_process().pid == first is not None
-
-
-def test_it_plays_what_this_process_plays(helper: OtherProcess) -> None:
-    env = guarded(GoodEnv())
-    observation, info = env.reset(seed=1)
-    step_observation, *_ = env.step("\\boxed{1}")
-    first, second = play(helper, GoodEnv())
-    assert (first["observation"], first["info"]) == (observation, info)
-    assert second["observation"] == step_observation
+def test_one_process_serves_many_checks_and_a_killed_one_is_replaced(tmp_path: Path) -> None:
+    pids = tmp_path / "pids"
+    check_env(PidEnv(str(pids)))
+    check_env(CountingWrapper(PidEnv(str(pids))))
+    (first,) = other_pids(pids)
+    os.kill(first, signal.SIGKILL)
+    os.waitid(os.P_PID, first, os.WEXITED | os.WNOWAIT)
+    assert set(check_env(PidEnv(str(pids))).kept) == set(PROMISES)
+    assert len(other_pids(pids)) == 2
 
 
 def test_prints_do_not_disturb_it() -> None:
-    """An environment that prints to standard output, even what looks like an answer, keeps its promises."""
+    """An environment that prints to standard output, with or without Python's streams, keeps its promises."""
     report = check_env(ChattyEnv, skip={"hostile-actions": "240 lines are enough"})
     assert "process-determinism" in report.kept
 
 
-def test_hang_is_named_and_the_process_replaced(helper: OtherProcess) -> None:
-    play(helper, GoodEnv())
-    hung = helper.pid
-    with pytest.raises(HelperError, match="it gave no answer within"):
-        play(helper, OtherProcessEnv(os.getpid(), "hang"), limit_s=0.2)
-    assert len(play(helper, GoodEnv())) == 2
-    assert helper.pid != hung
-
-
 @pytest.mark.parametrize(
-    ("deed", "seen"), [("die", "the process ended with exit code 3"), ("leave", "it raised SystemExit: 4")]
+    ("deed", "seen"),
+    [
+        ("die", "the process ended with exit code 3"),
+        ("leave", "it raised SystemExit: 4"),
+        ("hang", "it gave no answer within 2 s"),
+    ],
 )
-def test_what_ends_the_process_breaks_the_promise(deed: str, seen: str) -> None:
+def test_what_goes_wrong_there_breaks_the_promise(deed: str, seen: str) -> None:
+    """And not the check, nor the next one."""
     with pytest.raises(ContractError) as caught:
-        check_env(OtherProcessEnv(os.getpid(), deed))
+        check_env(OtherProcessEnv(os.getpid(), deed), step_timeout_s=2.0)
     broken = caught.value.report.broken
     assert set(broken) - {"hostile-actions"} == {"process-determinism", "state-process"}
     assert seen in broken["process-determinism"]
+    assert set(check_env(GoodEnv).kept) == set(PROMISES)
 
 
-def test_killed_process_is_replaced(helper: OtherProcess) -> None:
-    play(helper, GoodEnv())
-    killed = helper.pid
-    assert killed is not None
-    process = helper._process
-    assert process is not None
-    os.kill(killed, signal.SIGKILL)
-    process.wait()
-    assert len(play(helper, GoodEnv())) == 2
-    assert helper.pid != killed
+MODULE = """
+from reference_envs import GoodEnv
+
+class MineEnv(GoodEnv):
+    def hint(self, guess):
+        return f"{super().hint(guess)} {HINT}"
+"""
+SCRIPT = f"{MODULE}\nfrom gem_core.testing import check_env\nprint(check_env(MineEnv))"
 
 
-def test_it_hashes_strings_differently() -> None:
-    """The hash seed is another one, also where this process has a fixed one."""
-    environment = {**os.environ, "PYTHONHASHSEED": "1"}
-    script = (
-        "from gem_core.testing.helper import _start; import pathlib\n"
-        "p = _start(); p.stdout.readline()\n"
-        "env = pathlib.Path(f'/proc/{p.pid}/environ')\n"
-        "print('PYTHONHASHSEED=2' in env.read_text().split('\\0') if env.exists() else True); p.kill()"
+def run_script(hint: str, **variables: str) -> str:
+    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT.replace("HINT", hint)],
+        env={**os.environ, "PYTHONPATH": path, **variables},
+        capture_output=True,
+        text=True,
+        check=False,
     )
-    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "True"
+    return done.stdout + done.stderr
 
 
-def test_arguments_that_json_cannot_keep_are_a_reason_to_skip() -> None:
-    with pytest.raises(NotTriedError, match="its arguments cannot be handed to another process"):
-        recipe_of(guarded(GoodEnv(limit=range(3))))  # type: ignore[arg-type]
+def test_a_class_of_a_script_is_tried_there_too() -> None:
+    """It needs no ``if __name__ == "__main__"``."""
+    assert run_script("'Mine.'") == f"MineEnv keeps all {len(PROMISES)} promises that were tried\n"
+
+
+def test_strings_hash_differently_there() -> None:
+    """Also where this process has a fixed hash seed."""
+    assert "  process-determinism: " in run_script("hash('number')", PYTHONHASHSEED="1")
+
+
+class EnvOfATest(GoodEnv):
+    """In a module that only pytest can import by its name, with ``--import-mode=importlib``."""
+
+
+def test_classes_that_cannot_be_imported_there_are_sent_by_value() -> None:
+    """Those of a function, and of a test module."""
+
+    class LocalEnv(GoodEnv):
+        pass
+
+    for env in (LocalEnv, EnvOfATest):
+        assert set(check_env(env).kept) == set(PROMISES)
+
+
+def test_modules_of_one_name_are_not_confused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The process that has imported the first is replaced when the path has changed."""
+    for hint in ("One.", "Two."):
+        folder = tmp_path / hint
+        folder.mkdir()
+        (folder / "gem_mine_env.py").write_text(MODULE.replace("HINT", repr(hint)))
+        monkeypatch.syspath_prepend(folder)
+        monkeypatch.delitem(sys.modules, "gem_mine_env", raising=False)
+        assert set(check_env(importlib.import_module("gem_mine_env").MineEnv).kept) == set(PROMISES)
+
+
+def test_arguments_that_cannot_be_pickled_are_a_reason_to_skip() -> None:
+    report = check_env(OtherProcessEnv(os.getpid(), threading.Lock()))  # type: ignore[arg-type]
+    assert set(report.skipped) == {"process-determinism", "state-process"}
+    assert report.skipped["state-process"] == (
+        "its arguments cannot be handed to another process: TypeError: cannot pickle '_thread.lock' object"
+    )
 
 
 def test_it_ends_with_its_parent() -> None:
-    """When standard input ends, so does the process."""
-    process = subprocess.run(
-        [sys.executable, "-m", "gem_core.testing.other_process"],
-        input="",
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=True,
+    """A parent that is killed leaves no process behind: what holds standard output open has ended."""
+    code = (
+        "import os, signal; from gem_core.testing.interpreter import Interpreter\n"
+        "interpreter = Interpreter(stdout=1); os.kill(os.getpid(), signal.SIGKILL)"
     )
-    assert process.stdout == '{"ready": true}\n'
-    assert process.stderr == ""
+    done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, timeout=60, check=False)
+    assert done.returncode == -signal.SIGKILL

@@ -117,17 +117,6 @@ def test_nondeterministic_environment_is_not_asked_to_repeat() -> None:
     assert "hostile-actions" in report.kept
 
 
-def test_local_class_cannot_be_handed_to_another_process() -> None:
-    """A class inside a function is checked here, and the reason for the rest is given."""
-
-    class LocalEnv(GoodEnv):
-        pass
-
-    report = check_env(LocalEnv)
-    assert set(report.skipped) == {"process-determinism", "state-process"}
-    assert "define it at the top of a module" in report.skipped["state-process"]
-
-
 def test_step_that_hangs_is_named_with_its_action() -> None:
     """A hang ends that promise and not the check."""
     try:

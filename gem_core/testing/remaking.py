@@ -1,0 +1,67 @@
+"""Making an environment once more from the arguments that it was made with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, cast
+
+import gymnasium
+
+from gem_core.env.base import Env
+from gem_core.env.guard import Guard
+from gem_core.env.wrapper import AnyEnv, Wrapper
+
+
+def layers_of(env: AnyEnv) -> list[AnyEnv]:
+    """Return an environment's wrappers and its task, outermost first."""
+    layers = [env]
+    while isinstance(layers[-1], gymnasium.Wrapper):
+        layers.append(layers[-1].env)
+    return layers
+
+
+def guarded(env: AnyEnv) -> AnyEnv:
+    """Put a ``Guard`` around a stack that has none; ``make`` gives every environment one."""
+    return unchecked(env if any(isinstance(layer, Guard) for layer in layers_of(env)) else Guard(env))
+
+
+def unchecked(env: AnyEnv) -> AnyEnv:
+    """Let the guard of a stack pass results as they are: it is for the promises to judge them."""
+    for layer in layers_of(env):
+        if isinstance(layer, Guard):
+            layer.checks_results = False
+    return env
+
+
+def remaker(env: AnyEnv) -> Callable[[], AnyEnv]:
+    """Return what calls all constructors of a stack again, with the arguments that they were called with.
+
+    ``spawn`` does the same; it is a promise of its own here, which must not decide the others.
+    """
+    if isinstance(env, Wrapper):
+        args, kwargs = env._init_args
+        set_by_make = {"made_as": env.made_as, "implicit": env.implicit}
+    elif isinstance(env, gymnasium.Wrapper):
+        args, kwargs, set_by_make = (None,), getattr(env, "_saved_kwargs", {}), {}
+    else:
+        args, kwargs = env._init_args if isinstance(env, Env) else ((), {})
+        return partial(_remade, type(env), None, args, kwargs, {"spec": env.spec, "render_mode": env.render_mode})
+    args, kwargs = (None, *args[1:]) if args else (), {name: kwargs[name] for name in kwargs if name != "env"}
+    return partial(_remade, type(env), remaker(env.env), args, kwargs, set_by_make)
+
+
+def _remade(
+    kind: type,
+    remake_inner: Callable[[], AnyEnv] | None,
+    args: tuple[Any, ...],
+    kwargs: dict[str, Any],
+    set_by_make: dict[str, Any],
+) -> AnyEnv:
+    if remake_inner is not None:
+        # The inner environment was given by position or by name.
+        args, kwargs = ((remake_inner(), *args[1:]), kwargs) if args else ((), {**kwargs, "env": remake_inner()})
+    env = cast("AnyEnv", kind(*args, **kwargs))
+    for name, value in set_by_make.items():
+        setattr(env, name, value)
+    return env
