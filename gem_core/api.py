@@ -102,7 +102,7 @@ def make_vec(
         UnknownBackendError: No such backend.
         ArgumentError: A value that is not accepted.
     """
-    from gem_core.vector.setup import make_vector
+    from gem_core.vector.backends import make_vector
 
     return make_vector(
         ids,

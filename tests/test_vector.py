@@ -17,7 +17,7 @@ from gem_core.errors import (
     UnknownBackendError,
     UnknownEnvError,
 )
-from gem_core.vector.setup import new_source
+from gem_core.records.plans import EpisodeQueue
 
 COUNTDOWN = "toy:Countdown-v0"
 
@@ -399,7 +399,7 @@ def test_resets_that_are_none_are_faults(result: Any, message: str) -> None:
             return result
 
     vector = gem.VectorEnv.around(Odd(), seed=0)
-    vector.send_reset(new_source(lasting(1, 1), 0))
+    vector.send_reset(EpisodeQueue(lasting(1, 1), 0))
     info = vector.recv().infos[0]
     assert info["failed_resets"][0]["error"]["message"] == f"reset raised TypeError: {message}"
 

@@ -157,10 +157,10 @@ def command(
     from gem_core.cli.resumed_run import ResumedRun
     from gem_core.progress import Progress
     from gem_core.records.files import EpisodeWriter
+    from gem_core.records.plans import EpisodeQueue
     from gem_core.records.summary import RunSummary
     from gem_core.rollouts.agent import current_folder_importable, load_agent
     from gem_core.rollouts.drivers import default_plan, rollout
-    from gem_core.vector.setup import new_source
 
     if resume is not None:
         _refuse_beside_resume({"--seed": seed is not None, "--out": out is not None, "--overwrite": overwrite})
@@ -179,7 +179,7 @@ def command(
         plan = default_plan(vector, episodes)
         summary = RunSummary(env_ids)
         if resumed is not None:
-            resumed.begin(new_source(plan, vector.seed), summary)
+            resumed.begin(EpisodeQueue(plan, vector.seed), summary)
         path = _out_path(out, vector.seed, overwrite) if resumed is None else resumed.path
         before = summary.total.episodes
         started = time.perf_counter()

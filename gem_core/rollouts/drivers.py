@@ -13,7 +13,6 @@ from typing import Any
 
 import gymnasium
 
-from gem_core.api import make_vec
 from gem_core.background import in_thread
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError
@@ -24,6 +23,7 @@ from gem_core.rollouts.agent import Agent, Reading, as_agent, is_asynchronous, p
 from gem_core.rollouts.loop import EpisodeLoop
 from gem_core.rollouts.requests import AgentRequests
 from gem_core.rollouts.resume import FinishedEpisodes, finished_episodes
+from gem_core.vector.backends import make_vector
 from gem_core.vector.setup import IdOrIds
 from gem_core.vector.vector_env import VectorEnv
 
@@ -173,7 +173,7 @@ class _Run:
         """
         if isinstance(self.env, Sequence):
             num_envs = _asked_at_once(self.agent, self.max_requests) if self.num_envs is None else self.num_envs
-            return make_vec(self.env, num_envs, seed=self.seed)
+            return make_vector(self.env, num_envs, seed=self.seed)
         if self.num_envs is not None:
             raise ArgumentError("num_envs goes with an id: what is made already has its number of environments")
         if isinstance(self.env, VectorEnv):

@@ -1,4 +1,4 @@
-"""The backends: where the environments of a vector environment live.
+"""``make_vector``, and the backends: where the environments of a vector environment live.
 
 Each takes a ``VectorSetup`` and, by keyword, its own options; plugins add more by the hook
 ``gem_register_vector_backends``.
@@ -6,12 +6,25 @@ Each takes a ``VectorSetup`` and, by keyword, its own options; plugins add more 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 from gem_core.errors import ArgumentError
+from gem_core.registry.entry_points import construct
+from gem_core.registry.lookup import registry
 from gem_core.types import Concurrency
 from gem_core.vector.local import LocalExecutor, SyncExecutor
-from gem_core.vector.setup import VectorSetup
+from gem_core.vector.setup import IdOrIds, VectorSetup
 from gem_core.vector.vector_env import VectorEnv
 from gem_core.vector.workers.process import ProcessExecutor
+
+
+def make_vector(ids: IdOrIds, num_envs: int | None, *, backend: object = "auto", **options: Any) -> VectorEnv:
+    """Make several environments that are reset and stepped together; see ``make_vec`` for the arguments."""
+    name, backend_options = _backend_and_options(backend)
+    setup = VectorSetup.of(ids, num_envs, **options)
+    vector: VectorEnv = construct(registry().backend(name), setup, **backend_options)
+    return vector
 
 
 def sync(setup: VectorSetup) -> VectorEnv:
@@ -87,3 +100,18 @@ def _needs_worker(setup: VectorSetup, concurrency: Concurrency | None) -> bool:
 def _local(setup: VectorSetup) -> LocalExecutor:
     # What runs in place cannot be abandoned.
     return LocalExecutor(setup, in_place=["inline"] if setup.step_timeout is None else [])
+
+
+def _backend_and_options(backend: object) -> tuple[str, Mapping[str, Any]]:
+    """Return the name of a backend and its options.
+
+    Raises:
+        ArgumentError: It has not the form ``name`` or ``(name, {option: value})``.
+    """
+    if isinstance(backend, str):
+        return backend, {}
+    if isinstance(backend, Sequence) and len(backend) == 2:
+        name, options = backend
+        if isinstance(name, str) and isinstance(options, Mapping):
+            return name, options
+    raise ArgumentError(f"a backend is a name, or (name, {{option: value}}), not {backend!r:.200}")

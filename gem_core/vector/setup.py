@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from gem_core.env.wrapper import AnyEnv, concurrency_of
 from gem_core.errors import ArgumentError
 from gem_core.making.environment import check_choices, make_from
 from gem_core.making.layers import Wrappers, wrapper_targets
 from gem_core.records.plans import EpisodeQueue, PlanItem
-from gem_core.registry.entry_points import construct, load_entry_point
+from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import EnvSpec
 from gem_core.types import Concurrency
 from gem_core.vector.runner import EnvFactory
 from gem_core.vector.slot import Autoreset, FaultBudget, OnError, Rules
-
-if TYPE_CHECKING:
-    from gem_core.vector.vector_env import VectorEnv
 
 IdWithKwargs = tuple[str, Mapping[str, Any]]
 """An id, and keyword arguments."""
@@ -101,7 +98,7 @@ class VectorSetup:
     def rules(self) -> Rules:
         """Return what all slots share."""
         budget = FaultBudget(limit=max(16, 2 * len(self.ids)))
-        return Rules(new_source(self.plan, self.seed), budget, self.autoreset, self.on_error, self.step_timeout)
+        return Rules(EpisodeQueue(self.plan, self.seed), budget, self.autoreset, self.on_error, self.step_timeout)
 
     def factories(self) -> list[EnvFactory]:
         """Return what makes the environment of each slot in this process."""
@@ -157,36 +154,6 @@ class VectorSetup:
             if "process" in (getattr(made, "needs", None), getattr(made, "concurrency", None)):
                 return True
         return False
-
-
-def make_vector(ids: IdOrIds, num_envs: int | None, *, backend: object, **options: Any) -> VectorEnv:
-    """Make several environments that are reset and stepped together; see ``make_vec``, which says what all is."""
-    name, backend_options = backend_and_options(backend)
-    setup = VectorSetup.of(ids, num_envs, **options)
-    vector: VectorEnv = construct(registry().backend(name), setup, **backend_options)
-    return vector
-
-
-def backend_and_options(backend: object) -> tuple[str, Mapping[str, Any]]:
-    """Return the name of a backend and its options.
-
-    Raises:
-        ArgumentError: It has not the form ``name`` or ``(name, {option: value})``.
-    """
-    if isinstance(backend, str):
-        return backend, {}
-    if isinstance(backend, Sequence) and len(backend) == 2:
-        name, options = backend
-        if isinstance(name, str) and isinstance(options, Mapping):
-            return name, options
-    raise ArgumentError(f"a backend is a name, or (name, {{option: value}}), not {backend!r:.200}")
-
-
-def new_source(plan: Iterable[PlanItem] | None, seed: int | None) -> EpisodeQueue:
-    """Return the draws of a run."""
-    if plan is not None and (isinstance(plan, str | Mapping) or not isinstance(plan, Iterable)):
-        raise ArgumentError(f"a plan is an iterable of PlanItem records, not {type(plan).__name__}")
-    return EpisodeQueue(plan, seed)
 
 
 def _is_pair(given: object) -> bool:
