@@ -140,10 +140,17 @@ def test_a_typo_does_not_end_the_episode(play) -> None:
     outcome = play(STRICT, "-o", "a.jsonl", typed="a\n7\nb\nx\nc\nd\n")
     assert outcome.out.count("was not played: it cannot be read, or breaks the rules.") == 2
     assert "The end" not in outcome.out
+    assert "Noted.\n\n  [ab  ]\n" in outcome.out  # the board of the episode that goes on, not of the one that ended
     assert "Won after 4 turns. Return 1.\nTurns taken back, which are in no record: 2.\n" in outcome.out
     (episode,) = read_episodes("a.jsonl")
     assert [str(turn.action) for turn in episode.transitions] == [f"\\boxed{{{letter}}}" for letter in "abcd"]
     assert "Lost after 1 turn. Return -1." in play(STRICT, "--raw", typed="a\n").out
+
+
+def test_every_episode_is_drawn(play) -> None:
+    """One after another is played in one environment, whose board is shown."""
+    out = play(BOARD, "-n", "2", typed="a\nb\nc\nd\nx\n").out
+    assert "Noted.\n\n  [x   ]\n" in out.partition("episode 2")[2]
 
 
 def test_a_picture_of_the_board_stands_in_the_place_of_its_text(play) -> None:

@@ -57,8 +57,8 @@ class Executor(ABC):
         return None
 
     def release(self, slot: int) -> None:
-        """Close a slot's environment, if there is one."""
-        self.runners[slot].discard()
+        """Close a slot's environment, if there is one that is not the caller's."""
+        self.runners[slot].release()
 
     def sample_random_action(self, slot: int, seed: int | None) -> str:
         """Return a valid action, from a generator that starts at ``seed`` in each episode."""

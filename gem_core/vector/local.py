@@ -88,7 +88,7 @@ class LocalExecutor(Executor):
         """Close a slot's environment."""
         runner = self.runners[slot]
         if runner.concurrency is None or runner.concurrency in self._in_place:
-            runner.discard()
+            runner.release()
         else:
             self._discard_in_thread(self._replace(slot))
 

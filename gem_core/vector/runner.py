@@ -173,8 +173,13 @@ class EnvRunner:
         self.discard()
         return Failure.of(error, where)
 
+    def release(self) -> None:
+        """Close an environment that is not needed any more; the caller's stays here for the next run."""
+        if self.env is not self.borrowed:
+            self.discard()
+
     def discard(self) -> None:
-        """Close the environment, if there is one that is not the caller's."""
+        """Let go of the environment, if there is one, and close it if it is not the caller's."""
         env, self.env, self.env_step, self._made_for, self.concurrency = self.env, None, _nothing_to_step, None, None
         if env is None or env is self.borrowed:
             return
