@@ -1,4 +1,4 @@
-"""Tools: what an agent may call before it answers. ``gem_core.tools.env`` puts them around a task."""
+"""``Tool``: the base class of what an agent may call. ``gem_core.tools.env`` puts tools around a task."""
 
 from __future__ import annotations
 
