@@ -88,12 +88,14 @@ def imported(point: EntryPoint, timeout_s: float = TIMEOUT_S, stop: threading.Ev
             except CallError as error:
                 complaint = _text(complained)
                 if seen is None:
-                    return Imported(f"while it was loaded, {_ended(error, complaint)}", printed=_text(printed))
+                    return Imported(f"while it was loaded, {_how_it_ended(error, complaint)}", printed=_text(printed))
                 first = seen.untried[0]
                 place = _place_in(first["module"], complaint) or first["place"]
                 for record in seen.untried:  # the other records of that module fail the same way
                     if record["module"] == first["module"]:
-                        record["error"] = f"{place}: while its entry point was imported, {_ended(error, complaint)}"
+                        record["error"] = (
+                            f"{place}: while its entry point was imported, {_how_it_ended(error, complaint)}"
+                        )
             seen.printed += _text(printed)
     return seen
 
@@ -115,7 +117,7 @@ def _text(file: IO[bytes]) -> str:
     return file.read().decode(errors="replace")
 
 
-def _ended(error: CallError, complaint: str) -> str:
+def _how_it_ended(error: CallError, complaint: str) -> str:
     """Return how a call ended that did not return, with the last line of standard error."""
     if not isinstance(error, InterpreterLostError):
         return str(error)
@@ -217,14 +219,16 @@ def _check_entry_points(record: Record) -> None:
     if record.instance_of is not None:
         base: Any = load_entry_point(record.instance_of, "its kind")
         if not isinstance(target, base):
-            raise RegistrationError(f"{record.entry_point!r} is a {type(target).__name__}, and no {_called(base)}")
+            raise RegistrationError(
+                f"{record.entry_point!r} is a {type(target).__name__}, and no {_expected_type(base)}"
+            )
     if record.subclass_of is not None and isinstance(target, type):
         base = load_entry_point(record.subclass_of, "its kind")
         if not issubclass(target, base):
-            raise RegistrationError(f"{record.entry_point!r} does not derive from {_called(base)}")
+            raise RegistrationError(f"{record.entry_point!r} does not derive from {_expected_type(base)}")
 
 
-def _called(base: type) -> str:
+def _expected_type(base: type) -> str:
     return f"{base.__module__.partition('.')[0]}.{base.__name__}"
 
 
