@@ -100,7 +100,7 @@ def call_again(ctx: click.Context, without: Collection[str], *more: str) -> str:
     Args:
         ctx: Of the call.
         without: Names of parameters that are left out.
-        more: Words that stand behind the command's arguments.
+        more: Words that follow the command's arguments.
     """
     arguments: list[str] = []
     options: list[str] = []

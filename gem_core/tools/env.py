@@ -55,7 +55,7 @@ class ToolEnv(Wrapper):
         instructions: Whether the first observation ends by explaining the tools; or the text to do so.
         thinking_tag: Name of the tag around thinking; with None, calls in it count as any other.
         call_timeout_s: Seconds that a call may take; what takes longer is given up, together with its session, and
-            told to the agent. A coroutine is cancelled; a thread, which cannot be, is left behind. None for no limit.
+            told to the agent. A coroutine is cancelled; a thread, which cannot be, is abandoned. None for no limit.
     """
 
     def __init__(

@@ -40,7 +40,7 @@ def object_call(value: Any, end: int) -> ParsedCall:
 
 
 def fenced_list(text: str, at: int) -> ParsedCall | None:
-    """Read a list of Command-R, in whose words ``directly-answer`` is no call, and the fence behind it."""
+    """Read a list of Command-R, in whose words ``directly-answer`` is no call, and the fence after it."""
     call = json_call_at(text, at)
     if call.name in ("directly-answer", "directly_answer", "_"):
         return None

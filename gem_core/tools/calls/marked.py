@@ -168,7 +168,7 @@ def functionary_v3(text: str, start: int, at: int, tools: Tools) -> ParsedCall |
 
 
 def action(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
-    """What stands behind ``Action:`` alone: Command-R's fenced list, or ``search[…]`` and ``search("…")`` of a tool."""
+    """What stands after ``Action:`` alone: Command-R's fenced list, or ``search[…]`` and ``search("…")`` of a tool."""
     colon = _NUMBERED.match(text, at)
     if colon is None:
         return None
@@ -186,7 +186,7 @@ def action(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
 
 
 def react(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
-    """ReAct, and Qwen-Agent's kin: the tool on one line, its input behind the next heading."""
+    """ReAct, and Qwen-Agent's kin: the tool on one line, its input after the next heading."""
     before = text[max(0, start - 400) : start].rstrip(" \t*#")
     heading = next(reversed([*_HEADING.finditer(before)]), None)
     name = before[heading.end() :].strip(" \t\r\n*`[]") if heading else ""

@@ -76,7 +76,7 @@ FORMATS = (
     Format("CodeAct", "<execute>", between("</execute>", "code")),
     Format("smolagents", "<code>", between("</code>", "code", whole_lines=True), clear=False),
 )
-"""One row for each mark. What stands behind a mark tells which of several forms it is: see ``marked.body``. Tags and
+"""One row for each mark. What stands after a mark tells which of several forms it is: see ``marked.body``. Tags and
 fenced blocks of the tools themselves are read by ``Tool.parse``; what has no mark at all, by ``bare_call``."""
 
 # What may close a call, and belongs to it: spare brackets, closing tags, and tokens at the end of a turn.

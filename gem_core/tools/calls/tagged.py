@@ -79,7 +79,7 @@ def _value(content: str, is_text: str | None) -> Any:
 
 
 def keyed(name: str, text: str, at: int) -> ParsedCall | None:
-    """GLM and Hunyuan 3: behind the name, ``<arg_key>…</arg_key><arg_value>…</arg_value>`` for each argument."""
+    """GLM and Hunyuan 3: after the name, ``<arg_key>…</arg_key><arg_value>…</arg_value>`` for each argument."""
     given: dict[str, Any] = {}
     while key := _KEY.match(text, at):
         ending = _KEYED_END.search(text, key.end())

@@ -39,7 +39,7 @@ def loaded(text: str) -> Read:
 
 
 def value_at(text: str, at: int) -> tuple[Any, int]:
-    """Return the value that begins at a place, and the index behind it: JSON, or what Python and Gemma write for it.
+    """Return the value that begins at a place, and the index after it: JSON, or what Python and Gemma write for it.
 
     Args:
         text: The response.
@@ -70,7 +70,7 @@ def skip_blanks(text: str, at: int) -> int:
 
 
 def arguments_at(text: str, at: int) -> tuple[Any, int]:
-    """Return the arguments behind the ``(`` of a call in Python, by name, and the index behind its ``)``.
+    """Return the arguments after the ``(`` of a call in Python, by name, and the index after its ``)``.
 
     A single argument without a name is returned as text.
 
