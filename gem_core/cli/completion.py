@@ -6,16 +6,20 @@ import logging
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
 
-import click
 from click.shell_completion import BashComplete, CompletionItem, FishComplete, add_completion_class, split_arg_string
 
 from gem_core.errors import GemError
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import AgentSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
 
-Items = list[CompletionItem[str]]
-Completer = Callable[[click.Context, click.Parameter, str], Items]
+if TYPE_CHECKING:
+    import click
+
+    # Here, as click before 8.5 has no generic CompletionItem.
+    Items = list[CompletionItem[str]]
+    Completer = Callable[[click.Context, click.Parameter, str], Items]
 
 SHELLS = ("bash", "zsh", "fish")
 

@@ -29,7 +29,7 @@ from gem_core.registry.specs import (
     VectorBackendSpec,
     WrapperSpec,
 )
-from gem_core.suggestions import did_you_mean
+from gem_core.suggestions import did_you_mean, did_you_mean_one_of
 
 N = TypeVar("N", bound=NamedSpec)
 
@@ -292,7 +292,7 @@ class Registry:
         hint = hint or did_you_mean(env_id, candidates) or did_you_mean(env_id, self._envs)
         if not hint:
             variants = sorted(name for name in self._envs if name.startswith(env_id))[:3] if env_id else []
-            hint = f" Did you mean {' or '.join(map(repr, variants))}?" if variants else ""
+            hint = did_you_mean_one_of(variants)
         if not hint and not colon:
             kinds = (ToolSpec, WrapperSpec, AgentSpec, VectorBackendSpec)
             hints = ((kind.kind, did_you_mean(env_id, (each.name for each in self.named(kind)))) for kind in kinds)

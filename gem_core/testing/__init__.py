@@ -61,7 +61,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    # Lazy, so that `python -m gem_core.testing.other_process` does not find its own module imported already.
+    # Lazy, so that the interpreter which checks what a plugin imports has imported nothing but the standard library.
     module = _MODULE_OF.get(name)
     if module is None:
         raise AttributeError(f"module 'gem_core.testing' has no attribute {name!r}")
