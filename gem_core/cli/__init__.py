@@ -37,7 +37,7 @@ INTERRUPTED = 130
 
 
 class _ReaderGoneError(Exception):
-    """Nobody reads standard output any more."""
+    """The reader of standard output has closed it."""
 
 
 class _Commands(click.Group):
@@ -125,7 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         _complain("interrupted")
         code = INTERRUPTED
     except (_ReaderGoneError, BrokenPipeError):
-        # The reader has seen enough, as with `gem list | head`; what is buffered must not be written at exit.
+        # The reader has closed the pipe, as with `gem list | head`; buffered output must not be written at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
     except GemError as error:

@@ -1,4 +1,4 @@
-"""What a shell completes, and scripts for bash and fish that can handle the colons and commas in it."""
+"""Shell completion of ids and names, with scripts for bash and fish that handle colons and commas."""
 
 from __future__ import annotations
 
@@ -6,22 +6,26 @@ import logging
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
 
-import click
 from click.shell_completion import BashComplete, CompletionItem, FishComplete, add_completion_class, split_arg_string
 
 from gem_core.errors import GemError
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import AgentSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
 
-Items = list[CompletionItem[str]]
-Completer = Callable[[click.Context, click.Parameter, str], Items]
+if TYPE_CHECKING:
+    import click
+
+    # Here, as click before 8.5 has no generic CompletionItem.
+    Items = list[CompletionItem[str]]
+    Completer = Callable[[click.Context, click.Parameter, str], Items]
 
 SHELLS = ("bash", "zsh", "fish")
 
 
 def _names(*kinds: type[NamedSpec]) -> Completer:
-    """Return what completes the names of records of some kinds, behind the last comma of a list of them."""
+    """Return a completer for the names of records of some kinds, after the last comma of a list."""
 
     def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
         before, comma, begun = incomplete.rpartition(",")
@@ -45,7 +49,7 @@ _complete_names = _names(ToolSpec, WrapperSpec, AgentSpec, VectorBackendSpec)
 
 
 def complete_env_ids(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
-    """Return the ids that begin so; the namespaces first, where several are left."""
+    """Return the ids that begin with the text; only namespaces while several of them match."""
     items: Items = []
     with _quietly():
         records = [record for record in registry().envs() if record.id.startswith(incomplete)]
@@ -57,13 +61,13 @@ def complete_env_ids(ctx: click.Context, param: click.Parameter, incomplete: str
 
 
 def complete_ids_and_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
-    """Return the ids that begin so, and behind a first letter the tools, wrappers, agents and backends."""
+    """Return the matching ids and, after a first letter, the tools, wrappers, agents and backends."""
     ids = complete_env_ids(ctx, param, incomplete)
     return ids + _complete_names(ctx, param, incomplete) if incomplete else ids
 
 
 def complete_plugins(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
-    """Return the installed plugins whose names begin so."""
+    """Return the installed plugins whose names begin with the text."""
     items: Items = []
     with _quietly():
         plugins = [plugin for plugin in registry().plugins() if plugin.name.startswith(incomplete)]
@@ -73,7 +77,7 @@ def complete_plugins(ctx: click.Context, param: click.Parameter, incomplete: str
 
 @contextmanager
 def _quietly() -> Iterator[None]:
-    """Say nothing on the terminal, where somebody is just typing; the command itself will say what is wrong."""
+    """Suppress errors and warnings while the user is typing; the command itself will report them."""
     logger = logging.getLogger("gem_core")
     was = logger.disabled
     logger.disabled = True
@@ -88,7 +92,7 @@ class ColonBash(BashComplete):
     """Completion for bash where words have colons, as ids do.
 
     bash takes a colon for the end of a word, so that click's own script would see three words in ``game:Mast``. Here
-    the line is read instead, and the part before the last colon is left out of what is given back.
+    the line is read instead, and the part before the last colon is removed from the completions.
     """
 
     source_template = """\
@@ -115,7 +119,7 @@ complete -o nosort -F %(complete_func)s %(prog_name)s
 """
 
     def get_completion_args(self) -> tuple[list[str], str]:
-        """Return the whole words before the cursor, and the one that is begun."""
+        """Return the complete words before the cursor, and the incomplete one."""
         line = os.environ["GEM_COMP_LINE"]
         words = split_arg_string(line)[1:]
         return (words, "") if not words or line[-1:].isspace() else (words[:-1], words[-1])

@@ -1,4 +1,4 @@
-"""How ``gem play`` shows an episode: laid out for a person, or exactly as a model gets it."""
+"""``PlayView``: shows an episode in the terminal, laid out for a person or exactly as a model gets it."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class PlayView:
     # An episode.
 
     def see(self, observation: Observation, context: Context) -> None:
-        """Note what waits for an answer."""
+        """Remember the observation that is to be answered."""
         self.began, self._over = True, False
         self._observation, self._context = observation, context
         if context.turn == 0:
@@ -84,7 +84,7 @@ class PlayView:
         return AnswerForm.of_task(self._observation, self._context)
 
     def opening(self) -> None:
-        """Show what the present episode begins with."""
+        """Show the beginning of the present episode."""
         show = self._terminal.show
         show()
         show(f"{self._context.env_id} · episode {self.number}", bold=True)
@@ -97,10 +97,10 @@ class PlayView:
 
     def situation(self) -> None:
         """Show the present observation."""
-        self._observed(self._observation, self._context.info, f"turn {self._context.turn + 1}")
+        self._show_observation(self._observation, self._context.info, f"turn {self._context.turn + 1}")
 
     def turn(self) -> None:
-        """Show what the last turn brought."""
+        """Show the result of the last turn."""
         self._result(self._context.transitions)
         self.situation()
 
@@ -114,7 +114,7 @@ class PlayView:
         """
         self._over = True
         self._result(episode.transitions)
-        self._observed(episode.final_observation, episode.final_info, "after the last turn")
+        self._show_observation(episode.final_observation, episode.final_info, "after the last turn")
         show = self._terminal.show
         colour = "yellow" if episode.success is None else "green" if episode.success else "red"
         show(ending_of(episode), bold=True, fg=colour)
@@ -127,7 +127,9 @@ class PlayView:
         """Say what was played, what was left unfinished, where the rest was written, and how to play it again."""
         show = self._terminal.show
         if not self._over:
-            left = f"after {_counted(self._context.turn, 'turn')}, return {_number(_return(self._context.transitions))}"
+            left = (
+                f"after {_count_noun(self._context.turn, 'turn')}, return {_number(_return(self._context.transitions))}"
+            )
             show(f"Left unfinished {left}{'; it is not recorded' if path else ''}.", fg="yellow")
         if len(episodes) > 1:
             verdicts = [episode.success for episode in episodes if episode.success is not None]
@@ -135,7 +137,7 @@ class PlayView:
             mean = sum(episode.episode_return for episode in episodes) / len(episodes)
             show(f"{len(episodes)} episodes{solved}, mean return {_number(mean)}.")
         if path and episodes:
-            show(f"{_counted(len(episodes), 'episode')} written to {path}.")
+            show(f"{_count_noun(len(episodes), 'episode')} written to {path}.")
         elif path:
             show("No episode was finished, and no file written.")
         show(f"The same again: {again}", dim=True)
@@ -173,9 +175,9 @@ class PlayView:
             **({} if self._exact else {"bold": True}),
         )
 
-    def _observed(self, observation: Observation, info: Info, title: str) -> None:
+    def _show_observation(self, observation: Observation, info: Info, title: str) -> None:
         if not self._exact:
-            self._laid_out(observation, info)
+            self._show_laid_out(observation, info)
             return
         self._terminal.show(f"──── {title} ".ljust(40, "─"), dim=True)
         self._terminal.show_exactly(self._text(observation))
@@ -186,9 +188,9 @@ class PlayView:
         save_image = None if images is None else lambda image: images.path / images.write(image)
         return observation_text(observation, save_image)
 
-    def _laid_out(self, observation: Observation, info: Info) -> None:
+    def _show_laid_out(self, observation: Observation, info: Info) -> None:
         feedback, suffix = split_observation(observation, info)
-        # The drawing shows to a person what the suffix tells a model.
+        # The board shows a person what the suffix tells a model.
         board = self._board() if suffix else ""
         show = self._terminal.show
         if feedback and feedback != TERMINAL_STATE:
@@ -220,7 +222,7 @@ class PlayView:
 
 def ending_of(episode: Episode) -> str:
     """Return one line on how an episode ended."""
-    turns = _counted(episode.turns, "turn")
+    turns = _count_noun(episode.turns, "turn")
     if episode.error is not None:
         cause = printable(str(episode.error.get("message", episode.error)))
         return f"Ended after {turns} by an error that was not yours: {cause}"
@@ -234,7 +236,7 @@ def _return(transitions: list[Transition]) -> float:
     return sum(turn.reward for turn in transitions)
 
 
-def _counted(number: int, noun: str) -> str:
+def _count_noun(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' if number != 1 else ''}"
 
 

@@ -164,7 +164,7 @@ def command(
 
     if resume is not None:
         _refuse_beside_resume({"--seed": seed is not None, "--out": out is not None, "--overwrite": overwrite})
-    env_ids = _expanded(ids)
+    env_ids = _expand_globs(ids)
     ctx.with_resource(current_folder_importable())  # an agent may import what stands beside it when it first acts
     acting = load_agent(agent, **given(options))
     stack = wrapper_stack(wrappers, tools, max_tool_uses, max_turns)
@@ -175,7 +175,7 @@ def command(
     resumed = None if resume is None else ResumedRun(Path(resume))
     run_seed = seed if resumed is None else resumed.seed
     made = partial(make_vec, env_ids, slots, backend=backend, wrappers=stack, step_timeout=step_timeout)
-    with _ready(acting), closing(made(seed=run_seed)) as vector:
+    with _prepared_agent(acting), closing(made(seed=run_seed)) as vector:
         plan = default_plan(vector, episodes)
         summary = RunSummary(env_ids)
         if resumed is not None:
@@ -194,7 +194,7 @@ def command(
                     writer.write(episode)
                     summary.add(episode)
                     progress.advance(summary.total.episodes + summary.total.errors, status_of(summary.total))
-            except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - raised again below, behind the table
+            except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - raised again below, after the table
                 stopped_by = error
                 if isinstance(error, KeyboardInterrupt):
                     ctx.with_resource(_interrupts_ignored())
@@ -207,7 +207,7 @@ def command(
         click.echo(json.dumps({**summary.to_dict(seconds), "seed": vector.seed, "out": written}, indent=1))
     else:
         print_table(summary, seconds)
-        ran = f"{_counted(writer.count)} in {seconds:.1f} s (seed {vector.seed})"
+        ran = f"{_count_episodes(writer.count)} in {seconds:.1f} s (seed {vector.seed})"
         echo_line(f"{ran}, {_where(path, None if resumed is None else before)}")
     _tell_errors(summary)
     if stopped_by is not None:
@@ -217,7 +217,7 @@ def command(
 
 @contextmanager
 def _interrupts_ignored() -> Iterator[None]:
-    """Ignore a second Ctrl-C, which would cut off what is said after the first."""
+    """Ignore a second Ctrl-C, which would cut off the messages after the first."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -229,7 +229,7 @@ def _interrupts_ignored() -> Iterator[None]:
 
 
 def _stop(ctx: click.Context, stopped_by: BaseException, count: int, total: int, path: Path) -> NoReturn:
-    """Say how a run that was stopped goes on, and end as what stopped it asks for."""
+    """Say how to resume a run that was stopped, and exit with the code for the cause."""
     interrupted = isinstance(stopped_by, KeyboardInterrupt)
     if interrupted:
         click.echo(f"gem: interrupted after {count} of {total} episodes", err=True)
@@ -249,7 +249,9 @@ def _refuse_beside_resume(given: dict[str, bool]) -> None:
 
 def _tell_errors(summary: RunSummary) -> None:
     if summary.first_error is not None:
-        echo_line(f"gem: {_counted(summary.total.errors)} had an error; the first: {summary.first_error}", err=True)
+        echo_line(
+            f"gem: {_count_episodes(summary.total.errors)} had an error; the first: {summary.first_error}", err=True
+        )
 
 
 def _where(path: Path, already: int | None) -> str:
@@ -259,13 +261,13 @@ def _where(path: Path, already: int | None) -> str:
     return f"written to {path}" if path.exists() else "no file written"
 
 
-def _counted(episodes: int) -> str:
+def _count_episodes(episodes: int) -> str:
     return "1 episode" if episodes == 1 else f"{episodes} episodes"
 
 
 @contextmanager
-def _ready(agent: Agent) -> Iterator[None]:
-    """Let an agent say at the start what would fail later, before environments are made; and close it at the end."""
+def _prepared_agent(agent: Agent) -> Iterator[None]:
+    """Prepare an agent, so that it fails before environments are made, and close it at the end."""
     from gem_core.rollouts.agent import close_agent, prepare_agent
 
     prepare_agent(agent)
@@ -281,7 +283,7 @@ def _slots(agent: Agent, ids: int, episodes: int | None) -> int:
     return max(ids, wanted if episodes is None else min(wanted, max(_DEFAULT_SLOTS, ids * episodes)))
 
 
-def _expanded(ids: tuple[str, ...]) -> list[str]:
+def _expand_globs(ids: tuple[str, ...]) -> list[str]:
     expanded: dict[str, None] = {}
     for env_id in ids:
         if any(character in env_id for character in "*?["):
@@ -292,7 +294,7 @@ def _expanded(ids: tuple[str, ...]) -> list[str]:
 
 
 def _runnable(records: Sequence[EnvSpec]) -> list[str]:
-    """Return the ids of what a glob found, without those that cannot run here; all of them if none can."""
+    """Return the ids of records that match a glob, without those that cannot run here; all if none can."""
     closed = {record.id for record in records if unmet(record.requires)}
     if not closed or len(closed) == len(records):
         return [record.id for record in records]
