@@ -20,6 +20,7 @@ from typing import Any
 
 from gem_core import __version__
 from gem_core.background import in_thread, run_sync
+from gem_core.cli.layout import counted
 from gem_core.progress import Progress
 from gem_core.registry.lookup import Registry, registry
 from gem_core.registry.plugins import Plugin, Record, one_line
@@ -93,8 +94,8 @@ def _kind_of(record: Record) -> str:
 
 def offers_in_words(described_plugin: Mapping[str, Any]) -> str:
     """Return what a plugin offers as text: "2 environments, 1 tool"."""
-    counts = described_plugin["offers"].items()
-    return ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in counts) or "offers nothing"
+    offers = described_plugin["offers"].items()
+    return ", ".join(counted(number, kind) for kind, number in offers) or "offers nothing"
 
 
 def requirements(found: Registry) -> list[dict[str, Any]]:

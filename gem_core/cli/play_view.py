@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from gem_core.agents.answer_form import AnswerForm
+from gem_core.cli.layout import counted
 from gem_core.env.base import Env
 from gem_core.env.observations import split_observation
 from gem_core.env.wrapper import AnyEnv
@@ -127,7 +128,7 @@ class PlayView:
         """Say what was played, what was left unfinished, where the rest was written, and how to play it again."""
         show = self._terminal.show
         if not self._over:
-            left = f"after {_counted(self._context.turn, 'turn')}, return {_number(_return(self._context.transitions))}"
+            left = f"after {counted(self._context.turn, 'turn')}, return {_number(_return(self._context.transitions))}"
             show(f"Left unfinished {left}{'; it is not recorded' if path else ''}.", fg="yellow")
         if len(episodes) > 1:
             verdicts = [episode.success for episode in episodes if episode.success is not None]
@@ -135,7 +136,7 @@ class PlayView:
             mean = sum(episode.episode_return for episode in episodes) / len(episodes)
             show(f"{len(episodes)} episodes{solved}, mean return {_number(mean)}.")
         if path and episodes:
-            show(f"{_counted(len(episodes), 'episode')} written to {path}.")
+            show(f"{counted(len(episodes), 'episode')} written to {path}.")
         elif path:
             show("No episode was finished, and no file written.")
         show(f"The same again: {again}", dim=True)
@@ -220,7 +221,7 @@ class PlayView:
 
 def ending_of(episode: Episode) -> str:
     """Return one line on how an episode ended."""
-    turns = _counted(episode.turns, "turn")
+    turns = counted(episode.turns, "turn")
     if episode.error is not None:
         cause = printable(str(episode.error.get("message", episode.error)))
         return f"Ended after {turns} by an error that was not yours: {cause}"
@@ -232,10 +233,6 @@ def ending_of(episode: Episode) -> str:
 
 def _return(transitions: list[Transition]) -> float:
     return sum(turn.reward for turn in transitions)
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number} {noun}{'s' if number != 1 else ''}"
 
 
 def _number(value: float) -> str:
