@@ -149,7 +149,7 @@ class PlayView:
             show(f"  Tools: {', '.join(self.tools)}. A call is sent as you type it.")
         show(f"  {self._example()}")
         show()
-        self._running(self._text(self._rules))
+        self._terminal.show_plainly(self._text(self._rules))
 
     def _example(self) -> str:
         # An answer drawn from a data set may be the right one.
@@ -194,13 +194,13 @@ class PlayView:
         show = self._terminal.show
         if feedback and feedback != TERMINAL_STATE:
             show()
-            self._running(self._text(feedback).strip("\n"))
+            self._terminal.show_plainly(self._text(feedback).strip("\n"))
         if board:
             show()
             self._terminal.show_drawing(textwrap.indent(board.strip("\n"), "  "))
         elif suffix:
             show()
-            self._running(self._text(suffix).strip("\n"))
+            self._terminal.show_plainly(self._text(suffix).strip("\n"))
         show()
 
     def _board(self) -> str:
@@ -209,14 +209,6 @@ class PlayView:
             return ""
         drawn: Any = env.render()
         return drawn if isinstance(drawn, str) else drawn.getvalue() if hasattr(drawn, "getvalue") else ""
-
-    def _running(self, text: str, **style: Any) -> None:
-        """Show text, its long lines broken between words."""
-        columns = self._terminal.columns
-        for line in text.split("\n"):
-            fits = columns is None or len(line) <= columns or line[:1].isspace()
-            for piece in [line] if fits else textwrap.wrap(line, columns or 0, break_on_hyphens=False):
-                self._terminal.show_plainly(piece, **style)
 
 
 def ending_of(episode: Episode) -> str:
