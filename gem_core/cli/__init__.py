@@ -95,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     arguments = sys.argv[1:] if arguments is None else arguments
     with_traceback = "--traceback" in arguments
     arguments = [argument for argument in arguments if argument != "--traceback"]
-    if "_GEM_COMPLETE" in os.environ:
+    if os.environ.get("_GEM_COMPLETE"):
         from gem_core.cli import completion  # noqa: F401 - it registers completers of our own
 
         cli.main(prog_name="gem")  # answers the shell, and exits
