@@ -1,4 +1,4 @@
-"""What the core itself offers, declared by the same hooks as every plugin's."""
+"""Records of the core's own wrappers, backends, agents and commands, by the same hooks as those of plugins."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The functions that everything begins with: ``make``, ``make_vec``, ``register``, and what there is to make."""
+"""The main functions: ``make``, ``make_vec``, ``register``, ``spec`` and ``list_envs``."""
 
 from __future__ import annotations
 
@@ -90,8 +90,8 @@ def make_vec(
         wrappers: Put around each environment; see ``make``.
         seed: Seed of the run, from which every episode's own is made; None draws one, found as ``vec.seed``.
         plan: What episodes start from, drawn by all slots; see ``gem_core.records.plans``.
-        step_timeout: Seconds that a step, or a reset with the making of its environment, may take; None for as long as
-            it likes. What takes longer is given up as a fault of its slot: its thread is abandoned, or its worker
+        step_timeout: Seconds that a step, or a reset with the making of its environment, may take; None for no
+            limit. What takes longer is given up as a fault of its slot: its thread is abandoned, or its worker
             killed. What runs in place cannot be given up: it goes to worker processes under ``"auto"``, and is refused
             by ``"sync"`` and ``"async"``.
         on_error: ``"truncate"`` ends the episode of an environment that fails and replaces it; ``"raise"`` raises.

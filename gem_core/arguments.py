@@ -1,4 +1,4 @@
-"""Which arguments a class or a function takes, and an error that names them."""
+"""Check arguments against the signature of a class or function, with an error that names those it takes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class RemembersArguments:
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         """Remember the arguments; they are still checked by ``__init__``."""
         if (args or kwargs) and cls.__init__ is object.__init__:
-            # What Python itself says for a class without a __new__ of its own.
+            # The message of Python for a class without its own __new__.
             raise TypeError(f"{cls.__name__}() takes no arguments")
         self = super().__new__(cls)
         self._init_args = (args, kwargs)
@@ -30,7 +30,7 @@ class RemembersArguments:
 
 
 def signature_of(maker: Callable[..., Any]) -> inspect.Signature | None:
-    """Return what a callable takes, or None for one of C code that does not tell."""
+    """Return the signature of a callable, or None if it is C code without one."""
     if isinstance(maker, type) and issubclass(maker, RemembersArguments):
         # inspect may show its __new__, which takes anything.
         if maker.__init__ is object.__init__:
@@ -53,7 +53,7 @@ def _constructor_parameters(maker: type) -> list[inspect.Parameter]:
         names = list(typing.get_type_hints(typing.get_args(hint)[0]))
     except (NameError, TypeError, AttributeError):  # what is imported for the type checker alone
         return found
-    # They are handed on, to where their types and defaults stand.
+    # They are passed on to the function that defines their types and defaults.
     known = {name: inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None) for name in names}
     for constructor in reversed(constructors[1:]):
         known |= {name: each for name, each in inspect.signature(constructor).parameters.items() if name in known}
@@ -83,7 +83,7 @@ def check_arguments(maker: Callable[..., Any], args: tuple[Any, ...], options: M
     for name, value in options.items():
         parameter = signature.parameters.get(name)
         if isinstance(value, str) and parameter is not None and parameter.annotation in (bool, "bool"):
-            # Any text, "False" too, would be true without a word.
+            # Any text, even "False", would silently count as true.
             raise ArgumentError(f"{owner}: {name} must be True or False, not the text {value!r:.100}")
 
 

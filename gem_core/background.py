@@ -25,7 +25,7 @@ _loop: asyncio.AbstractEventLoop | None = None
 _started: set[asyncio.Future[Any]] = set()
 """Tasks without a waiter; a loop keeps only weak references to its own."""
 
-_of_parent: list[object] = []
+_parent_loops: list[object] = []
 """The parent's loop and tasks, kept alive in a forked child: closing them would change the parent's epoll set."""
 
 
@@ -65,7 +65,7 @@ def run_sync(awaitable: Awaitable[T]) -> T:
 def finish_or_start(awaitable: Awaitable[object]) -> None:
     """Wait in plain code for a coroutine; on the library's loop itself, start it there without waiting.
 
-    For cleaning up, which may be called anywhere: the garbage collector runs in whichever thread it likes.
+    For cleaning up, which may be called anywhere: the garbage collector runs in any thread.
     """
     if _running_loop() is background_loop():
         task = asyncio.ensure_future(awaitable)
@@ -76,7 +76,7 @@ def finish_or_start(awaitable: Awaitable[object]) -> None:
 
 
 def wait_for_started(timeout_s: float) -> None:
-    """Wait in plain code for what ``finish_or_start`` has begun without waiting; on the loop itself, return at once.
+    """Wait in plain code for tasks that ``finish_or_start`` started; on the loop itself, return at once.
 
     Args:
         timeout_s: Longest wait, in seconds; what takes longer goes on.
@@ -145,7 +145,7 @@ async def in_thread(function: Callable[..., T], *args: Any) -> T:
 
 
 class DaemonPool:
-    """Threads that take work in turn, as many as are needed at once, and that hold up nothing at exit.
+    """A pool of daemon threads, as many as are needed at once, which do not delay the exit of the interpreter.
 
     The threads of ``concurrent.futures`` are joined at exit, so that one hung job would keep the interpreter alive.
 
@@ -167,7 +167,7 @@ class DaemonPool:
         self._finalizer.atexit = False
 
     def submit(self, work: Callable[[], object]) -> None:
-        """Do some work, which sees to its own errors, in a thread."""
+        """Run a function in a thread; it must handle its own errors."""
         with self._pool_lock:
             self._open += 1
             if self._open > self._threads < self._most:
@@ -176,7 +176,7 @@ class DaemonPool:
         self._work.put(functools.partial(self._do, work))
 
     def close(self) -> None:
-        """Let the threads end once they have nothing to do; the pool can be used again."""
+        """End the threads when they are idle; the pool can be used again."""
         with self._pool_lock:
             if self._threads:
                 self._finalizer()
@@ -234,8 +234,8 @@ async def _finish(awaitable: Awaitable[T]) -> T:
 def _after_fork() -> None:
     # The thread of the loop does not exist in a forked child.
     global _loop, _lock
-    _of_parent.append(_loop)
-    _of_parent.extend(_started)
+    _parent_loops.append(_loop)
+    _parent_loops.extend(_started)
     _started.clear()
     _loop, _lock = None, threading.Lock()
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 _BOXED = "\\boxed"
-# A backslash takes the character behind it out of play, so that LaTeX's \{ and \} do not count as braces. The start of
+# A backslash escapes the character after it, so that LaTeX's \{ and \} do not count as braces. The start of
 # a box is never taken out: models that escape twice write \\boxed{7} and mean a box.
 _BRACE_OR_BOX = re.compile(r"\\boxed[ \t]*+\{|\\(?!\\boxed[ \t]*+\{).|[{}]", re.DOTALL)
 # Possessive, so that a long line that is no fence after all is not tried again from each of its characters.
@@ -21,10 +21,10 @@ class CodeBlock(NamedTuple):
     """A fenced block of code.
 
     Args:
-        language: First word behind the opening fence, in lower case; ``""`` where there is none.
+        language: First word after the opening fence, in lower case; ``""`` where there is none.
         code: What stands between the fences, without the last line break and the indentation of the opening fence.
         start: Index of the opening fence in the text.
-        end: Index behind the closing fence.
+        end: Index after the closing fence.
     """
 
     language: str

@@ -34,6 +34,14 @@ def completed(*words: str) -> list[str]:
     return [item.value for item in completer.get_completions(list(args), incomplete)]
 
 
+def test_older_releases_of_click_do() -> None:
+    """Before 8.5 click has no generic ``CompletionItem``, and without completion no command can be imported."""
+    older = "from click import shell_completion\nshell_completion.CompletionItem = type('CompletionItem', (), {})\n"
+    program = f"{older}import gem_core.cli.list_command"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 @pytest.mark.parametrize(
     ("words", "offered"),
     [

@@ -1,4 +1,4 @@
-r"""The form in which a task wants its answers, found out from the task, so that a person may type ``25`` alone."""
+r"""``AnswerForm``: the form in which a task expects answers, so that a person may type just ``25``."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class AnswerForm:
 
     Args:
         opening: What stands before the answer.
-        closing: What stands behind it.
+        closing: What stands after the answer.
     """
 
     opening: str = ""

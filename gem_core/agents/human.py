@@ -1,4 +1,4 @@
-"""The agent that is a person at the terminal."""
+"""``HumanAgent``: a person at the terminal."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class HumanAgent:
     """Whether it answers one episode at a time, and shares the terminal with no progress bar."""
 
     reads = "observation"
-    """The earlier turns are still in the terminal."""
+    """The observation alone, since the earlier turns are still in the terminal."""
 
     def __init__(self) -> None:
         self._terminal = Terminal(err=True)

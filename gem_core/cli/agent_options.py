@@ -47,7 +47,7 @@ def agent_options(command: Command) -> Command:
 
 
 def given(options: dict[str, Any]) -> dict[str, Any]:
-    """Return those options that were given, as an agent takes them.
+    """Return the options that the user gave, as keyword arguments of the agent.
 
     Raises:
         ArgumentError: A value that cannot be read.

@@ -1,4 +1,4 @@
-"""What a shell completes, and scripts for bash and fish that can handle the colons and commas in it."""
+"""Shell completion of ids and names, with scripts for bash and fish that handle colons and commas."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import logging
 import os
 from collections.abc import Callable
 from functools import wraps
+from typing import TYPE_CHECKING
 
-import click
 from click.shell_completion import (
     BashComplete,
     CompletionItem,
@@ -22,12 +22,16 @@ from gem_core.errors import GemError
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import AgentSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
 
-Items = list[CompletionItem[str]]
-Completer = Callable[[click.Context, click.Parameter, str], Items]
+if TYPE_CHECKING:
+    import click
+
+    # Here, as click before 8.5 has no generic CompletionItem.
+    Items = list[CompletionItem[str]]
+    Completer = Callable[[click.Context, click.Parameter, str], Items]
 
 
 def _quiet(complete: Completer) -> Completer:
-    """Return a completer that says nothing on the terminal, where somebody is typing; the command itself will."""
+    """Return a completer without errors and warnings while the user is typing; the command itself will report them."""
 
     @wraps(complete)
     def quiet(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
@@ -44,7 +48,7 @@ def _quiet(complete: Completer) -> Completer:
 
 
 def _names(*kinds: type[NamedSpec]) -> Completer:
-    """Return what completes the names of records of some kinds, behind the last comma of a list of them."""
+    """Return a completer for the names of records of some kinds, after the last comma of a list."""
 
     def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
         before, comma, begun = incomplete.rpartition(",")
@@ -66,7 +70,7 @@ _complete_names = _names(ToolSpec, WrapperSpec, AgentSpec, VectorBackendSpec)
 
 @_quiet
 def complete_env_ids(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
-    """Return the ids that begin so; the namespaces first, where several are left."""
+    """Return the ids that begin with the text; only namespaces while several of them match."""
     records = [record for record in registry().envs() if record.id.startswith(incomplete)]
     namespaces = list(dict.fromkeys(f"{record.namespace}:" for record in records))
     if len(namespaces) > 1:
@@ -75,14 +79,14 @@ def complete_env_ids(ctx: click.Context, param: click.Parameter, incomplete: str
 
 
 def complete_ids_and_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
-    """Return the ids that begin so, and behind a first letter the tools, wrappers, agents and backends."""
+    """Return the matching ids and, after a first letter, the tools, wrappers, agents and backends."""
     ids = complete_env_ids(ctx, param, incomplete)
     return ids + _complete_names(ctx, param, incomplete) if incomplete else ids
 
 
 @_quiet
 def complete_plugins(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
-    """Return the installed plugins whose names begin so."""
+    """Return the installed plugins whose names begin with the text."""
     plugins = [plugin for plugin in registry().plugins() if plugin.name.startswith(incomplete)]
     return [CompletionItem(plugin.name, help=str(plugin)) for plugin in plugins]
 
@@ -91,7 +95,7 @@ class ColonBash(BashComplete):
     """Completion for bash where words have colons, as ids do.
 
     bash takes a colon for the end of a word, so that click's own script would see three words in ``game:Mast``. Here
-    the line is read instead, and the part before the last colon is left out of what is given back.
+    the line is read instead, and the part before the last colon is removed from the completions.
     """
 
     source_template = """\
@@ -118,7 +122,7 @@ complete -o nosort -F %(complete_func)s %(prog_name)s
 """
 
     def get_completion_args(self) -> tuple[list[str], str]:
-        """Return the whole words before the cursor, and the one that is begun."""
+        """Return the complete words before the cursor, and the incomplete one."""
         line = os.environ["GEM_COMP_LINE"]
         words = split_arg_string(line)[1:]
         return (words, "") if not words or line[-1:].isspace() else (words[:-1], words[-1])

@@ -1,4 +1,4 @@
-"""What ``gem list`` and ``gem info`` say of a record: of an environment, tool, wrapper, agent, backend or command."""
+"""Descriptions of records for ``gem list`` and ``gem info``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KINDS: dict[str, type[NamedSpec]] = {
     "agents": AgentSpec,
     "backends": VectorBackendSpec,
 }
-"""Words for ``gem list`` that are no pattern of ids."""
+"""Words for ``gem list`` that name a kind of record instead of a pattern of ids."""
 
 
 def find_named(name: str) -> list[NamedSpec]:
@@ -31,8 +31,8 @@ def find_named(name: str) -> list[NamedSpec]:
     return [record for kind in kinds for record in registry().named(kind) if record.name == head]
 
 
-def described(record: Record) -> dict[str, Any]:
-    """Return what is known of a record without importing what it points to, as plain JSON."""
+def describe_record(record: Record) -> dict[str, Any]:
+    """Describe a record as plain JSON, without importing its entry point."""
     point = record.entry_point
     if isinstance(record, EnvSpec):
         provider = registry().provider(record.id)
@@ -55,9 +55,9 @@ def described(record: Record) -> dict[str, Any]:
     }
 
 
-def described_in_full(record: NamedSpec) -> dict[str, Any]:
-    """Return what is known of a record, with the options of what it points to, as plain JSON."""
-    facts = described(record)
+def describe_in_full(record: NamedSpec) -> dict[str, Any]:
+    """Describe a record as plain JSON, with the options of its entry point."""
+    facts = describe_record(record)
     maker = load_entry_point(record.entry_point, f"{record.kind} {record.name!r}")
     parameters = list((signature_of(maker) or inspect.Signature()).parameters.values())
     if isinstance(record, WrapperSpec | VectorBackendSpec):
@@ -66,11 +66,11 @@ def described_in_full(record: NamedSpec) -> dict[str, Any]:
         facts["argument"] = f"{_option(parameters.pop(0))}, as in {record.name}:…"
     facts["options"] = [_option(parameter) for parameter in parameters]
     facts["documentation"] = own_documentation(maker)
-    return {**facts, **_described_tools(record)} if isinstance(record, ToolSpec) else facts
+    return {**facts, **_describe_tools(record)} if isinstance(record, ToolSpec) else facts
 
 
-def _described_tools(record: ToolSpec) -> dict[str, Any]:
-    """Return what a tool says of itself on this machine, and what an agent is told of it."""
+def _describe_tools(record: ToolSpec) -> dict[str, Any]:
+    """Describe a tool's status on this machine, and its instructions for an agent."""
     from gem_core.cli.diagnosis import status_of
     from gem_core.tools.selection import tools_by_name
 
@@ -78,7 +78,7 @@ def _described_tools(record: ToolSpec) -> dict[str, Any]:
     tools: list[Any] = []
     try:
         tools = list(tools_by_name([record.name]).values())
-    except GemError as error:  # it may need options, a key or a server; all else can be told without
+    except GemError as error:  # it may need options, a key or a server; describe the rest
         problem = str(error)
     schemas, instructions = [tool.schema() for tool in tools], [tool.instructions() for tool in tools]
     return {"schemas": schemas, "instructions": instructions, "status": status, "problem": problem}
@@ -97,7 +97,7 @@ def own_documentation(maker: Callable[..., Any]) -> str | None:
 
 def _option(parameter: inspect.Parameter) -> str:
     annotation = parameter.annotation
-    # As it was written: a module with postponed annotations has them as text, which str() would quote.
+    # As written in the source: postponed annotations are strings, which formatannotation would quote.
     written = annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
     typed = "" if annotation is parameter.empty else f": {written}"
     stars = "*" * (parameter.kind is parameter.VAR_POSITIONAL) + "**" * (parameter.kind is parameter.VAR_KEYWORD)

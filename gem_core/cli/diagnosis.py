@@ -1,4 +1,4 @@
-"""What ``gem doctor`` finds out: versions, plugins, what is broken, how tools stand, which requirements are met."""
+"""The checks of ``gem doctor``: versions, plugins, failures, status of tools and requirements."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from gem_core.registry.specs import EnvSpec, RequirementSpec, ToolSpec
 from gem_core.testing.importing import TIMEOUT_S, imported
 
 PACKAGES = ("gymnasium", "numpy", "pydantic", "pluggy", "click", "rich")
-"""What the core is built on; their versions belong into every report of a bug."""
+"""Dependencies of the core, whose versions belong in every bug report."""
 
 
 def diagnose(*, quick: bool = False) -> dict[str, Any]:
-    """Return all that is known of this installation, as plain JSON.
+    """Describe this installation as plain JSON.
 
     ``broken`` lists in one line each what is installed and cannot work. No value of a key is in it.
 
@@ -60,7 +60,7 @@ def diagnose(*, quick: bool = False) -> dict[str, Any]:
         "executable": sys.executable,
         "platform": platform.platform(),
         "packages": {name: installed_version(name) for name in PACKAGES},
-        "plugins": [described(plugin) for plugin in plugins],
+        "plugins": [describe_plugin(plugin) for plugin in plugins],
         "broken": [*broken, *problems, *unknown],
         "tools": tools,
         "requirements": requirements(found),
@@ -70,8 +70,8 @@ def diagnose(*, quick: bool = False) -> dict[str, Any]:
     }
 
 
-def described(plugin: Plugin) -> dict[str, Any]:
-    """Return a plugin, what it offers and what is wrong with it, as plain JSON."""
+def describe_plugin(plugin: Plugin) -> dict[str, Any]:
+    """Describe a plugin, its records and its problems as plain JSON."""
     return {
         "name": plugin.name,
         "distribution": plugin.distribution,
@@ -125,13 +125,13 @@ def _probed(requirement: str) -> RequirementStatus:
         status = find(requirement, closely=True)
         if not isinstance(status, RequirementStatus):
             raise TypeError(f"it returned {type(status).__name__}")
-    except Exception as error:  # noqa: BLE001 - a plugin's probe, which must not end the report
+    except Exception as error:  # noqa: BLE001 - a failing probe of a plugin must not end the report
         return RequirementStatus("unknown", f"its probe failed: {one_line(error)}")
     return status
 
 
 def tool_statuses(found: Registry, timeout_s: float = 30.0) -> list[dict[str, Any]]:
-    """Return every tool with what it says of itself on this machine, each asked in its own guard.
+    """Return every tool with its status on this machine; the failure of one does not affect the others.
 
     Args:
         found: Where the tools are.
@@ -145,14 +145,14 @@ def tool_statuses(found: Registry, timeout_s: float = 30.0) -> list[dict[str, An
 
 
 def status_line(status: Any) -> str:
-    """Return what a tool says of itself as one line."""
+    """Return the status of a tool in one line."""
     if isinstance(status, dict):
         status = ", ".join(f"{key}: {value}" for key, value in status.items())
     return " ".join(str(status or "").split())
 
 
 def status_of(record: ToolSpec, timeout_s: float = 30.0) -> tuple[Any, str | None]:
-    """Return what a tool says of itself on this machine, and what is wrong with that.
+    """Return the status of a tool on this machine, and the error of asking for it, if any.
 
     Args:
         record: Of the tool.
@@ -201,13 +201,13 @@ def problems_of(
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         try:
             yield from pool.map(tried, plugins)
-        finally:  # where that is interrupted, nobody waits for the others
+        finally:  # after an interrupt, do not wait for the others
             stop.set()
             pool.shutdown(cancel_futures=True)
 
 
 def _load_quietly() -> list[str]:
-    """Load the plugins and return what was logged, but for the failures: a report shows those in full."""
+    """Load the plugins and return what was logged, except failures, which the report shows in full."""
     logger = logging.getLogger("gem_core.registry.plugins")
     notes: list[str] = []
 

@@ -101,7 +101,7 @@ def _print_requirements(rows: list[dict[str, Any]]) -> None:
         needed = "no environment needs it" if not count else f"{row['example']} needs it"
         if count > 1:
             needed = f"{count} environments need it, as {row['example']}"
-        # Nobody need act on what nothing needs.
+        # No colour for a requirement that nothing needs.
         _row(f"{name}: {row['detail']}; {needed}", row["status"], plain=not count)
         if count and row["advice"]:
             _row(f"→ {row['advice']}")
@@ -137,7 +137,7 @@ def _heading(text: str) -> None:
 
 
 def _row(text: str, state: str = "", *, plain: bool = False) -> None:
-    """Write a row behind its state, which has its colour unless it is ``plain``."""
+    """Print a row after its state, which is coloured unless ``plain``."""
     label = state.ljust(_LABEL)
     width = min(output_width() or _WIDTH, _WIDTH) - _INDENT - _LABEL
     first, *rest = textwrap.wrap(text, width, break_on_hyphens=False, break_long_words=False) or [""]

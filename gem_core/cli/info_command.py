@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from gem_core.cli.completion import complete_ids_and_names
-from gem_core.cli.descriptions import described, described_in_full, find_named, option_lines, own_documentation
+from gem_core.cli.descriptions import describe_in_full, describe_record, find_named, option_lines, own_documentation
 from gem_core.cli.layout import output_width
 from gem_core.errors import GemError
 from gem_core.registry.lookup import registry
@@ -34,7 +34,7 @@ def command(env_id: str, as_json: bool) -> None:
 
     Or one tool, wrapper, agent or vector backend, with its options.
     """
-    named = [described_in_full(record) for record in find_named(env_id)]
+    named = [describe_in_full(record) for record in find_named(env_id)]
     if not named:
         _describe_env(registry().env(env_id), as_json)
     elif as_json:
@@ -46,7 +46,7 @@ def command(env_id: str, as_json: bool) -> None:
 
 
 def _describe_env(record: EnvSpec, as_json: bool) -> None:
-    facts = described(record)
+    facts = describe_record(record)
     missing = unmet(record.requires)
     if as_json:
         click.echo(json.dumps({**facts, "unmet": missing}, indent=1))
@@ -79,7 +79,7 @@ def _print_class(record: EnvSpec) -> None:
             observation, _ = env.reset(seed=0)
         finally:
             env.close()
-    except GemError as error:  # what there is to know of it is worth reading without its data or its engine too
+    except GemError as error:  # print the rest even without its data or engine
         click.echo(f"\nThere is no observation to show: {error}")
         return
     click.echo(click.style("\nThe first observation, with seed 0:", bold=True))
@@ -87,7 +87,7 @@ def _print_class(record: EnvSpec) -> None:
 
 
 def _print_named(facts: dict[str, Any]) -> None:
-    """Print what is known of a tool, wrapper, agent or backend: its options, and what an agent is told of a tool."""
+    """Print the description of a tool, wrapper, agent or backend: its options, and a tool's instructions."""
     from gem_core.cli.diagnosis import status_line
 
     _print_title(facts["name"], facts["summary"])
@@ -111,7 +111,7 @@ def _print_title(name: str, summary: str) -> None:
 
 
 def _print_field(label: str, value: str | list[str] | None) -> None:
-    """Print a fact behind its label, a list with a line for each; nothing where there is none."""
+    """Print a label and its value, a list with a line for each item; nothing if there is no value."""
     lines = [value] if isinstance(value, str) and value else value or []
     width = output_width()
     if width is not None:

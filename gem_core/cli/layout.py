@@ -1,4 +1,4 @@
-"""Tables that fit a terminal: figures and words stay whole, and what matters least gives way first."""
+"""``Layout``: tables that fit a terminal; less important columns are left out first."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import click
 _GAP = "  "
 
 Style = Callable[[str], str]
-"""Colours a cell that has its width already."""
+"""Colours a cell that is already padded to its width."""
 
 
 def output_width() -> int | None:
@@ -21,7 +21,7 @@ def output_width() -> int | None:
 
 
 def echo_line(text: str, *, err: bool = False) -> None:
-    """Write a line of our own; a terminal that is too narrow for it breaks it between words."""
+    """Write a line; a terminal that is too narrow for it gets it wrapped between words."""
     if (sys.stderr if err else sys.stdout).isatty():
         indent = " " * (len(text) - len(text.lstrip(" ")))
         width = max(shutil.get_terminal_size().columns, len(indent) + 20)
@@ -35,7 +35,7 @@ def counted(number: int, noun: str) -> str:
 
 
 def cut_at_word(text: str, width: int) -> str:
-    """Return text in so many characters: cut behind a whole word, and marked as cut."""
+    """Return text in at most ``width`` characters, cut after a whole word, with a mark where it was cut."""
     if len(text) <= width:
         return text
     kept = text[: max(width - 1, 0)]
@@ -47,12 +47,12 @@ def cut_at_word(text: str, width: int) -> str:
 class Layout:
     """How rows of cells are laid out.
 
-    With room, each row is a line. Without, headers are written in several lines, then columns are left out, and where
-    not even the rest fits, each row is a paragraph that has all of them again.
+    If there is room, each row is a line. Otherwise headers are wrapped, then columns are left out, and if even the rest
+    does not fit, each row becomes a paragraph with all columns.
 
     Args:
         headers: Name of each column.
-        rows: Rows by which the columns are measured; those that come later may stand out.
+        rows: Rows by which the columns are measured; later ones may be wider.
         width: Characters in a line; None for any number.
         left: Columns that stand to the left; the others are figures.
         names: Number of columns, from the first, that name the row; they head its paragraph.
@@ -120,7 +120,7 @@ class Layout:
         return [name, *self._paragraph(cells, styles)]
 
     def _paragraph(self, cells: Sequence[str], styles: Mapping[int, Style]) -> list[str]:
-        """Return all but the name, each figure beside its header."""
+        """Return the lines of a paragraph: the name, then each value beside its header."""
         width = max((self._width or 0) - len(_GAP), 10)
         lines: list[str] = []
         taken = width

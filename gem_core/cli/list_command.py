@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 import click
 
 from gem_core.cli.completion import complete_env_ids
-from gem_core.cli.descriptions import KINDS, described
+from gem_core.cli.descriptions import KINDS, describe_record
 from gem_core.cli.layout import cut_at_word, output_width
 from gem_core.errors import UnknownEnvError
 from gem_core.registry.lookup import registry
@@ -44,7 +44,7 @@ def command(pattern: str | None, show_all: bool, as_json: bool) -> None:
     records: Sequence[Record]
     records = registry().named(kind) if kind is not None else _offered_by(pattern) or matching(pattern)
     if as_json:
-        click.echo(json.dumps([described(record) for record in records], indent=1))
+        click.echo(json.dumps([describe_record(record) for record in records], indent=1))
     elif not records:
         distribution = {None: "gem-games", "tools": "gem-tools"}.get(pattern)
         advice = f" Try 'pip install {distribution}'." if distribution else ""
@@ -78,14 +78,14 @@ def matching(pattern: str | None) -> list[EnvSpec]:
 
 
 def _offered_by(name: str | None) -> list[Record]:
-    """Return what the plugins of a name offer, where that is no namespace; nothing where there is no such plugin."""
+    """Return the records of the plugins of a name; none if the name is a namespace, or of no plugin."""
     if name is None or any(record.namespace == name.removesuffix(":") for record in registry().envs()):
         return []
     return _usable(plugin for plugin in registry().plugins() if name in (plugin.name, plugin.distribution))
 
 
 def _usable(plugins: Iterable[Plugin]) -> list[Record]:
-    """Return what some plugins offer, without the ids and names that are contested, or the core's."""
+    """Return the records of some plugins that can be used: ids and names that no other plugin claims."""
     found = registry()
     return [
         record

@@ -1,7 +1,7 @@
-"""``gem play`` as an agent of ``rollout``: a person answers, and may take turns back.
+"""``PlaySession``: an agent of ``rollout`` through which a person answers and may take turns back.
 
-A turn is taken back by playing the episode again from its start without it, which works in every environment that a
-seed and the actions repeat, and leaves no trace in the record.
+A turn is taken back by replaying the episode from its start without it, which works in every deterministic environment
+and leaves no trace in the record.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from gem_core.vector.vector_env import VectorEnv
 
 
 class _PlayAgain(Exception):
-    """The present episode begins again."""
+    """Raised to replay the present episode."""
 
 
 class _PlayNext(Exception):
-    """The present episode is left for the next."""
+    """Raised to leave the present episode for the next."""
 
 
 class PlaySession:
@@ -96,13 +96,13 @@ class PlaySession:
         """Play an episode to its end, and record it; return whether another is wanted, if that is asked."""
         while True:
             try:
-                episode = self._rolled_out(start)
+                episode = self._run_episode(start)
             except _PlayAgain:
                 continue
             last = episode.transitions[-1]
             if not self._raw and self._repeatable and _was_not_played(last):
                 self._take_back(episode.transitions, lambda: None)
-                # Why is left out: the last words of a task may give its solution away.
+                # The reason is not shown: the last observation of a task may reveal its solution.
                 self._terminal.show(
                     f"{in_one_line(last.action)} was not played: it cannot be read, or breaks the rules. That would "
                     "end the episode, so it does not count: answer again, or type ? for help.",
@@ -135,7 +135,7 @@ class PlaySession:
             else:
                 return None
 
-    def _rolled_out(self, start: EpisodeStart) -> Episode:
+    def _run_episode(self, start: EpisodeStart) -> Episode:
         plan = [replace(start.item, seed=start.seed)]
         try:
             (episode,) = rollout(self._vector, self, plan=plan, seed=self.seed)
@@ -200,5 +200,5 @@ class PlaySession:
 
 
 def _was_not_played(turn: Transition) -> bool:
-    """Tell whether the environment says that it could do nothing with a response."""
+    """Tell whether the environment reports that it could not parse or play a response."""
     return turn.info.get("parsed_action", "") is None and not turn.info.get("correct")

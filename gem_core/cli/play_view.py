@@ -1,4 +1,4 @@
-"""How ``gem play`` shows an episode: laid out for a person, or exactly as a model gets it."""
+"""``PlayView``: shows an episode in the terminal, laid out for a person or exactly as a model gets it."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class PlayView:
     # An episode.
 
     def see(self, observation: Observation, context: Context) -> None:
-        """Note what waits for an answer."""
+        """Remember the observation that is to be answered."""
         self.began, self._over = True, False
         self._observation, self._context = observation, context
         if context.turn == 0:
@@ -85,7 +85,7 @@ class PlayView:
         return AnswerForm.of_task(self._observation, self._context)
 
     def opening(self) -> None:
-        """Show what the present episode begins with."""
+        """Show the beginning of the present episode."""
         show = self._terminal.show
         show()
         show(f"{self._context.env_id} · episode {self.number}", bold=True)
@@ -98,10 +98,10 @@ class PlayView:
 
     def situation(self) -> None:
         """Show the present observation."""
-        self._observed(self._observation, self._context.info, f"turn {self._context.turn + 1}")
+        self._show_observation(self._observation, self._context.info, f"turn {self._context.turn + 1}")
 
     def turn(self) -> None:
-        """Show what the last turn brought."""
+        """Show the result of the last turn."""
         self._result(self._context.transitions)
         self.situation()
 
@@ -115,7 +115,7 @@ class PlayView:
         """
         self._over = True
         self._result(episode.transitions)
-        self._observed(episode.final_observation, episode.final_info, "after the last turn")
+        self._show_observation(episode.final_observation, episode.final_info, "after the last turn")
         show = self._terminal.show
         colour = "yellow" if episode.success is None else "green" if episode.success else "red"
         show(ending_of(episode), bold=True, fg=colour)
@@ -174,9 +174,9 @@ class PlayView:
             **({} if self._exact else {"bold": True}),
         )
 
-    def _observed(self, observation: Observation, info: Info, title: str) -> None:
+    def _show_observation(self, observation: Observation, info: Info, title: str) -> None:
         if not self._exact:
-            self._laid_out(observation, info)
+            self._show_laid_out(observation, info)
             return
         self._terminal.show(f"──── {title} ".ljust(40, "─"), dim=True)
         self._terminal.show_exactly(self._text(observation))
@@ -187,9 +187,9 @@ class PlayView:
         save_image = None if images is None else lambda image: images.path / images.write(image)
         return observation_text(observation, save_image)
 
-    def _laid_out(self, observation: Observation, info: Info) -> None:
+    def _show_laid_out(self, observation: Observation, info: Info) -> None:
         feedback, suffix = split_observation(observation, info)
-        # The drawing shows to a person what the suffix tells a model.
+        # The board shows a person what the suffix tells a model.
         board = self._board() if suffix else ""
         show = self._terminal.show
         if feedback and feedback != TERMINAL_STATE:

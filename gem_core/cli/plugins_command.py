@@ -1,4 +1,4 @@
-"""``gem plugins``: what is installed, and what is wrong with it."""
+"""``gem plugins``: the installed plugins, and their problems."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from gem_core.cli.completion import complete_plugins
-from gem_core.cli.diagnosis import described, offers_in_words, problems_of
+from gem_core.cli.diagnosis import describe_plugin, offers_in_words, problems_of
 from gem_core.cli.layout import echo_line
 from gem_core.registry.lookup import registry
 from gem_core.testing.importing import TIMEOUT_S
@@ -44,7 +44,7 @@ def command(ctx: click.Context, name: str | None, check: bool, timeout_s: float,
     plugins = registry().plugins() if name is None else registry().plugins_named(name)
     found: list[dict[str, Any]] = []
     for plugin, problems in problems_of(plugins, timeout_s, quick=not check):
-        found.append({**described(plugin), "problems": problems})
+        found.append({**describe_plugin(plugin), "problems": problems})
         if not as_json:
             _print(found[-1], with_traceback=check)
     if as_json:

@@ -1,4 +1,4 @@
-"""What ``gem run`` shows at the end: a table."""
+"""The table that ``gem run`` prints at the end."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _cells(row: EnvSummary, seconds: float) -> tuple[str, ...]:
 
 
 def status_of(total: EnvSummary) -> str:
-    """Return how good a run is so far, for the line that shows how far it is."""
+    """Return the scores of a run so far, for the progress line."""
     parts = [f"success {_shown(total.success_rate, '.0%')}", f"return {_shown(total.mean_return, '.2f')}"]
     if total.errors:
         parts.append(f"{total.errors} errors")

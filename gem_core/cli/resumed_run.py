@@ -1,4 +1,4 @@
-"""``gem run --resume``: what the file of a run holds, and what of it is run again."""
+"""``ResumedRun``: the episodes in a file that ``gem run --resume`` keeps, and those that it runs again."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gem_core.rollouts.resume import FinishedEpisodes
 
 
 class ResumedRun:
-    """The episodes of a file that a run goes on with.
+    """The recorded episodes of a run that is resumed.
 
     Args:
         path: The file.
@@ -48,7 +48,7 @@ class ResumedRun:
         return self.done.run_seed(None)
 
     def begin(self, source: EpisodeQueue, summary: RunSummary) -> None:
-        """Leave out what is done, count it, and take what is run again out of the file.
+        """Skip and count the finished episodes, and remove those that are run again from the file.
 
         Args:
             source: What the episodes of the whole run start from.
@@ -68,7 +68,7 @@ class ResumedRun:
             click.echo(f"gem: {counted(self._again, 'episode')} with an error or cut off: run again", err=True)
 
     def _rewrite(self) -> None:
-        """Write the file without what is run again, in one stroke; images stay where they are."""
+        """Replace the file atomically by one without the episodes that are run again; images stay."""
         target = self.path.resolve()
         try:
             number, name = tempfile.mkstemp(prefix=f"{target.name}.", suffix=".partial", dir=target.parent)

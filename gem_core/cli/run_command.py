@@ -147,7 +147,7 @@ def command(
 
     if resume is not None:
         _refuse_beside_resume({"--seed": seed is not None, "--out": out is not None, "--overwrite": overwrite})
-    env_ids = _expanded(ids)
+    env_ids = _expand_globs(ids)
     ctx.with_resource(current_folder_importable())  # an agent may import what stands beside it when it first acts
     acting = load_agent(agent, **given(options))
     stack = wrapper_stack(wrappers, tools, max_tool_uses, max_turns)
@@ -180,7 +180,7 @@ def command(
                     writer.write(episode)
                     summary.add(episode)
                     progress.advance(summary.total.episodes + summary.total.errors, status_of(summary.total))
-            except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - raised again below, behind the table
+            except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - raised again below, after the table
                 stopped_by = error
                 if isinstance(error, KeyboardInterrupt):
                     # A second Ctrl-C would cut off what is said after the first.
@@ -204,7 +204,7 @@ def command(
 
 
 def _stop(ctx: click.Context, stopped_by: BaseException, count: int, total: int, path: Path) -> NoReturn:
-    """Say how a run that was stopped goes on, and end as what stopped it asks for."""
+    """Say how to resume a run that was stopped, and exit with the code for the cause."""
     interrupted = isinstance(stopped_by, KeyboardInterrupt)
     if interrupted:
         click.echo(f"gem: interrupted after {count} of {total} episodes", err=True)
@@ -242,7 +242,7 @@ def _slots(agent: Agent, ids: int, episodes: int | None) -> int:
     return max(ids, wanted if episodes is None else min(wanted, max(_DEFAULT_SLOTS, ids * episodes)))
 
 
-def _expanded(ids: tuple[str, ...]) -> list[str]:
+def _expand_globs(ids: tuple[str, ...]) -> list[str]:
     expanded: dict[str, None] = {}
     for env_id in ids:
         if any(character in env_id for character in "*?["):
@@ -253,7 +253,7 @@ def _expanded(ids: tuple[str, ...]) -> list[str]:
 
 
 def _runnable(records: Sequence[EnvSpec]) -> list[str]:
-    """Return the ids of what a glob found, without those that cannot run here; all of them if none can."""
+    """Return the ids of records that match a glob, without those that cannot run here; all if none can."""
     closed = {record.id for record in records if unmet(record.requires)}
     if not closed or len(closed) == len(records):
         return [record.id for record in records]

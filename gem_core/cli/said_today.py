@@ -1,4 +1,4 @@
-"""Says a plugin's warning once per command and day: what was said is noted in the user's cache folder."""
+"""Show a plugin's warning once per command and day, as recorded in the user's cache folder."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 
 @contextmanager
 def said_once(command: str) -> Iterator[None]:
-    """Keep back what was said of plugins today already, by the same command in the same environment of Python."""
+    """Hide warnings that the same command in the same Python environment has already shown today."""
     logger = logging.getLogger("gem_core.registry.plugins")
 
     def is_new(record: logging.LogRecord) -> bool:
@@ -29,9 +29,9 @@ def said_once(command: str) -> Iterator[None]:
 
 
 def _note(key: str) -> bool:
-    """Note that something is said now; tell whether it is for the first time today, as far as that can be known."""
+    """Record that a message is shown now; tell whether it is the first time today, as far as is known."""
     today = datetime.date.today().isoformat()
-    # A file for each, without content: two commands at once cannot spoil what the other has noted.
+    # An empty file for each message: two commands at once cannot damage each other's record.
     try:
         folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gem" / "said"
         folder.mkdir(parents=True, exist_ok=True)
@@ -41,6 +41,6 @@ def _note(key: str) -> bool:
         note = folder / f"{today}-{key}"
         known = note.exists()
         note.touch()
-    except (OSError, RuntimeError):  # it cannot be written, or there is no home: it is said again, then
+    except (OSError, RuntimeError):  # not writable, or there is no home: the message is shown again
         return True
     return not known

@@ -1,4 +1,4 @@
-"""What ``gem run`` and ``gem play`` share: tools and wrappers as options, the stack that they make, the call again."""
+"""Options of ``gem run`` and ``gem play`` for tools and wrappers, and the command line to repeat a call."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 NO_LIMIT = "none"
 
 _PYTHON = {"True": True, "False": False, "None": None}
-"""Words that ``gem info`` shows where JSON writes others."""
+"""Python's words for constants, which ``gem info`` shows, beside those of JSON."""
 
-# Before the first colon of a name there is no equals sign, so that what has one goes on with the name before it.
+# A name has no equals sign before its first colon, so a piece that has one is an option of the name before it.
 _NAME = re.compile(r"\s*([\w.-]+)\s*(?::(.*))?", re.ASCII | re.DOTALL)
 _OPTION = re.compile(r"\s*(\w+)\s*=(.*)", re.ASCII | re.DOTALL)
 _FORMS = {
@@ -97,7 +97,7 @@ def stack_options(view: str) -> Callable[[Command], Command]:
 def wrapper_stack(
     wrappers: tuple[str, ...], tools: tuple[str, ...], max_tool_uses: int | str | None, max_turns: int | None
 ) -> list[WrapperChoice]:
-    """Return what is put around an environment, innermost first.
+    """Return the wrappers of an environment, innermost first.
 
     Raises:
         ArgumentError: Wrappers or tools cannot be read, or a limit is given for tools and there are none.
@@ -126,7 +126,7 @@ def call_again(ctx: click.Context, without: Collection[str], *more: str) -> str:
     Args:
         ctx: Of the call.
         without: Names of parameters that are left out.
-        more: Words that stand behind the command's arguments.
+        more: Words that follow the command's arguments.
     """
     arguments: list[str] = []
     options: list[str] = []

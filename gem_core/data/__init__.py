@@ -1,4 +1,4 @@
-"""Environments that ask the rows of a data set, and where the rows come from."""
+"""Data sets: environments that ask their rows, and functions that load rows."""
 
 from __future__ import annotations
 

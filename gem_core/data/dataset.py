@@ -1,4 +1,4 @@
-"""``DatasetEnv``: rows in, single-turn task out."""
+"""``DatasetEnv``: a single-turn task from the rows of a data set."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Grade:
     Args:
         reward: The reward of the turn.
         correct: Whether the task is solved.
-        answer: What was read out of the response; None when there was nothing to read.
+        answer: The answer found in the response; None if there is none.
         info: More for ``info``, plain JSON.
     """
 
@@ -181,7 +181,7 @@ class DatasetEnv(Env):
         return Grade(reward=float(correct), correct=correct, answer=answer)
 
     def task_id(self, index: int, row: Row) -> str:
-        """Return what names a row across runs."""
+        """Return the id of a row, stable across runs."""
         return str(index) if self.id_key is None else str(row[self.id_key])
 
     def sample_random_action(self) -> str:
@@ -193,7 +193,7 @@ class DatasetEnv(Env):
         row = self.rows[index]
         for key in (self.question_key, self.answer_key, self.id_key):
             if key is not None and key not in row:
-                raise DatasetError(f"row {index} has no column {key!r}. Columns: {_listed(row)}")
+                raise DatasetError(f"row {index} has no column {key!r}. Columns: {_list_columns(row)}")
         self._index, self._row = index, row
 
     def _checked_first_row(self, name: str) -> Row:
@@ -208,7 +208,7 @@ class DatasetEnv(Env):
         for key in filter(None, (self.question_key, self.answer_key, self.id_key)):
             if key not in first:
                 hint = did_you_mean(key, first)
-                raise DatasetError(f"no column {key!r} in the data set.{hint} Columns: {_listed(first)}")
+                raise DatasetError(f"no column {key!r} in the data set.{hint} Columns: {_list_columns(first)}")
         return first
 
     def _column_at(self, place: re.Match[str]) -> str | None:
@@ -242,12 +242,12 @@ def chosen_index(options: Mapping[str, Any], count: int) -> int:
     if wrong:
         raise ArgumentError(f"no option {wrong[0]!r}.{did_you_mean(wrong[0], ['index'])} There is: index")
     index = options["index"]
-    # Samplers give whole numbers of NumPy too.
+    # Samplers return integers of NumPy, too.
     number = operator.index(index) if hasattr(index, "__index__") and not isinstance(index, bool) else -1
     if not 0 <= number < count:
         raise ArgumentError(f"options['index'] must be from 0 to {count - 1}, not {index!r}")
     return number
 
 
-def _listed(row: Row) -> str:
+def _list_columns(row: Row) -> str:
     return ", ".join(map(repr, row))

@@ -1,4 +1,4 @@
-"""Data sets on this machine: where they are, and rows of JSON, for which the core needs no other package."""
+"""Find data sets on this machine, and read rows of JSON without another package."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def local_path(source: str | Path) -> Path | None:
 
 
 def _shipped_path(package: str, inside: str) -> Path:
-    """Return where a file is that an installed package ships, without importing the package."""
+    """Return the path of a file that an installed package ships, without importing the package."""
     found = importlib.util.find_spec(package)
     folders = list(found.submodule_search_locations or []) if found is not None else []
     if not folders:
@@ -66,7 +66,7 @@ def _shipped_path(package: str, inside: str) -> Path:
 
 
 def ending(path: Path) -> str:
-    """Return the ending that says what a file holds, the ``.gz`` of a packed one apart."""
+    """Return the ending that tells the format of a file, without ``.gz``."""
     return Path(path.name.lower().removesuffix(".gz")).suffix
 
 
@@ -76,7 +76,7 @@ def opened(path: Path) -> IO[bytes]:
 
 
 def stamp(path: Path) -> tuple[tuple[str, int, int], ...]:
-    """Return what changes whenever a file, or one in a folder, changes."""
+    """Return a value that changes whenever a file, or one in a folder, changes."""
     files = [(str(file), file.stat()) for file in sorted([path, *path.rglob("*")])]
     return tuple((name, status.st_size, status.st_mtime_ns) for name, status in files)
 

@@ -40,7 +40,7 @@ def load_with_datasets(source: str | Path, *, split: str | None, config: str | N
         raise MissingRequirementError(
             f"loading {name!r} needs the package datasets: pip install 'gem-core[datasets]'"
         ) from error
-    with _explained(datasets, source, config):
+    with _explain_errors(datasets, source, config):
         if isinstance(source, Path) and source.is_file():
             loaded = _load_file(datasets, source)
         elif os.path.isfile(f"{name}/state.json") or os.path.isfile(f"{name}/dataset_dict.json"):
@@ -79,7 +79,7 @@ def is_from_datasets(rows: object, kind: str) -> bool:
 
 
 def one_split(loaded: Any, name: str, split: str | None) -> Any:
-    """Return the one data set that is meant.
+    """Return the data set of a split.
 
     Args:
         loaded: A data set, or several by the names of their splits.
@@ -102,8 +102,8 @@ def one_split(loaded: Any, name: str, split: str | None) -> Any:
 
 
 @contextmanager
-def _explained(datasets: Any, source: str | Path, config: str | None) -> Iterator[None]:
-    """Turn what the library raises into one line that says what to do."""
+def _explain_errors(datasets: Any, source: str | Path, config: str | None) -> Iterator[None]:
+    """Turn exceptions of the library into an error with one line that says what to do."""
     name = os.fspath(source)
     try:
         yield

@@ -1,4 +1,4 @@
-"""``load_rows``: the rows of a data set, wherever they come from, shared by all that ask for the same."""
+"""``load_rows``: loads the rows of a data set from any source, once for all environments that use it."""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ def load_rows(
         rows = _whole_split(source, whole, config, revision)
         if part is not None or keep is not None:
             key = ("selected", id(rows), len(rows), part, keep)
-            rows = _shared(key, lambda: _selected(rows, part, keep, source))
-    return rows if change is None else Rows(range(len(rows)), partial(_changed_row, change, rows))
+            rows = _shared(key, lambda: _select_rows(rows, part, keep, source))
+    return rows if change is None else Rows(range(len(rows)), partial(_map_row, change, rows))
 
 
 def _whole_split(source: RowSource, split: str | None, config: str | None, revision: str | None) -> Sequence[Row]:
@@ -90,7 +90,7 @@ def _whole_split(source: RowSource, split: str | None, config: str | None, revis
 
 
 def _given_rows(source: Any, split: str | None, config: str | None, revision: str | None) -> Sequence[Row]:
-    """Return rows that were handed over, those of a ``datasets.Dataset`` with cheaper access to them."""
+    """Return rows that the caller passed, with faster access to those of a ``datasets.Dataset``."""
     if is_from_datasets(source, "DatasetDict"):
         source, split = one_split(source, "the dictionary of data sets", split), None
     _refuse("a named data set, and rows were given themselves", split=split, config=config, revision=revision)
@@ -144,7 +144,7 @@ def _split_and_part(split: str | None) -> tuple[str | None, tuple[str | None, st
     return (split, None) if match is None else (match["split"] or None, (match["start"], match["stop"]))
 
 
-def _selected(
+def _select_rows(
     rows: Sequence[Row],
     part: tuple[str | None, str | None] | None,
     keep: Callable[[Row], Any] | None,
@@ -153,17 +153,17 @@ def _selected(
     """Return the rows of a part of a split for which the filter is true."""
     indices: Sequence[int] = range(len(rows))
     if part is not None:
-        indices = indices[slice(*(_bound(text, len(rows)) for text in part))]
+        indices = indices[slice(*(_slice_bound(text, len(rows)) for text in part))]
     if keep is not None and indices:
         total = len(indices)
-        indices = array("q", (index for index in indices if _called("row_filter", keep, rows, index)))
+        indices = array("q", (index for index in indices if _call_with_row("row_filter", keep, rows, index)))
         if not indices:
             where = f" of {str(source)!r}" if isinstance(source, str | os.PathLike) else ""
             raise DatasetError(f"row_filter leaves none of the {total} rows{where}")
     return Rows(indices, rows.__getitem__)
 
 
-def _bound(text: str | None, total: int) -> int | None:
+def _slice_bound(text: str | None, total: int) -> int | None:
     if text is None:
         return None
     return round(int(text[:-1]) * total / 100) if text.endswith("%") else int(text)
@@ -177,14 +177,14 @@ def _function(given: RowFunction | None, what: str) -> Callable[[Row], Any] | No
     return load_entry_point(given, what)
 
 
-def _changed_row(change: Callable[[Row], Any], rows: Sequence[Row], index: int) -> Row:
-    row = _called("map_row", change, rows, index)
+def _map_row(change: Callable[[Row], Any], rows: Sequence[Row], index: int) -> Row:
+    row = _call_with_row("map_row", change, rows, index)
     if not isinstance(row, Mapping):
         raise DatasetError(f"map_row must return a mapping of columns to values, not a {type(row).__name__}")
     return row
 
 
-def _called(what: str, function: Callable[[Row], Any], rows: Sequence[Row], index: int) -> Any:
+def _call_with_row(what: str, function: Callable[[Row], Any], rows: Sequence[Row], index: int) -> Any:
     """Call a user's function with a row."""
     row = rows[index]
     try:
@@ -198,10 +198,10 @@ def _called(what: str, function: Callable[[Row], Any], rows: Sequence[Row], inde
 
 _lock = threading.RLock()
 """Held while rows are loaded or filtered, so that environments made at the same time in many threads do it once."""
-_living: WeakValueDictionary[Hashable, Rows] = WeakValueDictionary()
-"""Rows that are in use, by what they were made from: what is used no more is not kept in memory."""
+_rows_in_use: WeakValueDictionary[Hashable, Rows] = WeakValueDictionary()
+"""Rows that are in use, by their source, filter and options; held weakly, so unused rows are freed."""
 _recent: deque[Rows] = deque(maxlen=8)
-"""The last that were asked for by name, so that ``make`` after ``close`` does not load the same once more."""
+"""Rows loaded last, kept so that ``make`` after ``close`` does not load the same rows again."""
 _failures: dict[Hashable, tuple[float, str]] = {}
 """When the hub last failed, and how: offline, ``datasets`` tries for 23 s, and each of 64 environments would wait."""
 
@@ -209,9 +209,9 @@ _failures: dict[Hashable, tuple[float, str]] = {}
 def _shared(key: Hashable, load: Callable[[], Rows]) -> Rows:
     """Return rows that are in use, or load them."""
     try:
-        rows = _living.get(key)
+        rows = _rows_in_use.get(key)
     except TypeError:  # a filter that has no hash
         return load()
     if rows is None:
-        rows = _living[key] = load()
+        rows = _rows_in_use[key] = load()
     return rows

@@ -1,4 +1,4 @@
-"""What an environment is: ``Env``, ``Wrapper``, the guard around a task, spaces, and seeding."""
+"""The environment interface: ``Env``, ``Wrapper``, the guard around a task, spaces, and seeding."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``Env``: the base class of every environment, and what it promises."""
+"""``Env``: the base class of every environment, and its contract."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from gymnasium import spaces
 
 
-_FOREIGN = -1
+_SET_FROM_OUTSIDE = -1
 """Gymnasium's number for the seed of a generator that was set from outside."""
 
 
@@ -115,7 +115,7 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
             seed = fresh_seed() if previous is None or previous < 0 else next_seed(previous)
         elif type(seed) is not int or not 0 <= seed < SEED_MAXIMUM:
             seed = checked_seed(cast("SupportsIndex", seed))
-        if self._np_random_seed == _FOREIGN:
+        if self._np_random_seed == _SET_FROM_OUTSIDE:
             self._generator = None
         self._np_random_seed = seed
         self._generator_started = False
@@ -136,7 +136,7 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         """Return a valid response in the present state, drawn from ``action_random``.
 
         Raises:
-            SamplingNotSupported: The environment does not say what is valid.
+            SamplingNotSupported: The environment cannot sample actions.
         """
         raise SamplingNotSupported(
             f"{type(self).__name__} does not say what a valid action is; override sample_random_action"
@@ -159,7 +159,7 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
     @np_random.setter
     def np_random(self, value: np.random.Generator) -> None:
         self._np_random = value
-        self._np_random_seed = _FOREIGN
+        self._np_random_seed = _SET_FROM_OUTSIDE
 
     @property
     def np_random_seed(self) -> int:
@@ -173,7 +173,7 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
 
     def _own_generator(self) -> np.random.Generator | None:
         # A generator that was set from outside may be shared, or of another kind: it is never set in place.
-        return None if self._np_random_seed == _FOREIGN else self._generator
+        return None if self._np_random_seed == _SET_FROM_OUTSIDE else self._generator
 
     @property
     def _np_random(self) -> np.random.Generator | None:
@@ -223,7 +223,7 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         }
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Go on where another instance of this environment was when ``get_state`` gave ``state``.
+        """Restore a state that ``get_state`` of an instance of this environment returned.
 
         Raises:
             StateError: It belongs to another environment, or is damaged.
@@ -254,7 +254,7 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         raise StateNotSupported(f"{type(self).__name__} cannot save its state; override _get_state and _set_state")
 
     def _set_state(self, state: dict[str, Any]) -> None:
-        """Take back what ``_get_state`` returned; override together with it."""
+        """Restore what ``_get_state`` returned; override together with it."""
         raise StateNotSupported(f"{type(self).__name__} cannot restore a state; override _get_state and _set_state")
 
     def spawn(self, same_state: bool = False, **overrides: Any) -> Env:

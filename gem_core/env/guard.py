@@ -1,4 +1,4 @@
-"""``Guard``: what ``make`` puts around every task, so that a mistake in it is an error that says so."""
+"""``Guard``: the wrapper around every task that ``make`` returns, which reports mistakes of the task as errors."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Guard(Wrapper):
 
     implicit = True
     checks_results = True
-    """Whether malformed results are refused; ``check_env`` judges them itself."""
-    _plain_only = False  # its hooks say the same as its reset and step
+    """Whether malformed results are refused; ``check_env`` turns it off and checks them itself."""
+    _plain_only = False  # its hooks do the same as its reset and step
     _live = False
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
@@ -68,7 +68,7 @@ class Guard(Wrapper):
         return action
 
     def after_step(self, action: str, result: StepResult) -> StepResult:
-        """Refuse a malformed result, and note the end of the episode."""
+        """Refuse a malformed result, and record the end of the episode."""
         result = self._checked(checked_result, result)
         if result[2] or result[3]:
             self._live = False

@@ -1,4 +1,4 @@
-"""Observations: text, content parts or chat messages; how they are split, joined and told apart."""
+"""Split, join and distinguish observations: text, content parts or chat messages."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from gem_core.types import Observation
 
 
 def observation_from(feedback: Observation, suffix: Observation) -> Observation:
-    """Join what happened and how things stand now into one observation.
+    """Join feedback (what happened) and suffix (the present state) into one observation.
 
     Text is joined as it is; once one of the two is a list of content parts, both become parts.
     """
@@ -26,7 +26,7 @@ def as_parts(observation: Observation) -> list[dict[str, Any]]:
 
 
 def split_observation(observation: Observation, info: dict[str, Any]) -> tuple[Observation, Observation]:
-    """Return what happened and how things stand now; without both keys in ``info`` all of it is feedback."""
+    """Return feedback and suffix of an observation; without both keys in ``info`` all of it is feedback."""
     feedback, suffix = info.get("feedback"), info.get("suffix")
     if isinstance(feedback, str | list) and isinstance(suffix, str | list):
         return feedback, suffix

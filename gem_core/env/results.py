@@ -65,7 +65,7 @@ def _check_types(observation: object, info: object) -> None:
 
 
 def _flag(name: str, flag: object) -> bool:
-    # Any other object would be true without a word.
+    # Any other object would silently count as true or false.
     if isinstance(flag, bool | np.bool_) or (isinstance(flag, int | np.integer) and flag in (0, 1)):
         return bool(flag)
     raise TypeError(f"{name} must be True or False, not {flag!r:.200}")

@@ -31,11 +31,11 @@ def stable_hash(*parts: SupportsIndex | str | None) -> int:
     Returns:
         A whole number from 0 to 2**53 - 1.
     """
-    digest = blake2b(b"".join(map(_encoded, parts)), digest_size=8).digest()
+    digest = blake2b(b"".join(map(_encode_part, parts)), digest_size=8).digest()
     return int.from_bytes(digest, "little") % SEED_LIMIT
 
 
-def _encoded(part: SupportsIndex | str | None) -> bytes:
+def _encode_part(part: SupportsIndex | str | None) -> bytes:
     # Each part says its kind and where it ends, so that no two lists of parts give the same bytes.
     if part is None:
         return b"n"
@@ -47,7 +47,7 @@ def _encoded(part: SupportsIndex | str | None) -> bytes:
 
 def seed_family(*parts: SupportsIndex | str | None) -> blake2b:
     """Return what ``seed_at`` draws from: hashes that begin with the same parts."""
-    return blake2b(b"".join(map(_encoded, parts)), digest_size=8)
+    return blake2b(b"".join(map(_encode_part, parts)), digest_size=8)
 
 
 def seed_at(family: blake2b, place: tuple[int, ...]) -> int:

@@ -1,4 +1,4 @@
-"""``EnvRecipe``: what an environment was made from; it is the ``spec`` of an environment."""
+"""``EnvRecipe``: the ``spec`` of an environment: the record, arguments and wrappers that it was made from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``Wrapper``: what changes an environment from outside, written once for plain and asynchronous code."""
+"""``Wrapper``: the base class of wrappers, written once for plain and asynchronous code."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
     _plain_only = False
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Note a subclass that overrides ``reset`` or ``step`` itself, as one does in Gymnasium."""
+        """Record whether a subclass overrides ``reset`` or ``step`` itself, as in Gymnasium."""
         super().__init_subclass__(**kwargs)
         own = vars(cls)
         if "_plain_only" not in own and not {"reset_async", "step_async"} & own.keys():
@@ -60,7 +60,7 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         return result
 
     def before_step(self, action: str) -> str | StepResult | Awaitable[str | StepResult]:
-        """Return the action for the environment, or a whole result in its stead."""
+        """Return the action for the environment, or a whole result instead of a step."""
         return action
 
     def after_step(self, action: str, result: StepResult) -> StepResult | Awaitable[StepResult]:
@@ -173,7 +173,7 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         return {"wrapper": type(self).__name__, "own": self._get_state(), "env": _inner(self.env).get_state()}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Take back what ``get_state`` returned; see ``Env.set_state``."""
+        """Restore what ``get_state`` returned; see ``Env.set_state``."""
         name = type(self).__name__
         if not isinstance(state, Mapping) or state.get("wrapper") != name:
             found = (state.get("wrapper") or state.get("id")) if isinstance(state, Mapping) else type(state).__name__
@@ -192,7 +192,7 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         return {}
 
     def _set_state(self, state: dict[str, Any]) -> None:
-        """Take back what ``_get_state`` returned; override together with it."""
+        """Restore what ``_get_state`` returned; override together with it."""
 
     def spawn(self, same_state: bool = False, **overrides: Any) -> Self:
         """Return a sibling of the whole stack; see ``Env.spawn``."""

@@ -1,4 +1,4 @@
-"""From a record to a living environment: requirements, entry point, arguments, guard and wrappers."""
+"""Make environments from records, with their guard and wrappers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a record to a living environment: requirements, entry point, arguments, guard and wrappers."""
+"""Make an environment from a record: requirements, entry point, arguments, guard and wrappers."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class MadeSpec(EnvRecipe):
 
     @staticmethod
     def from_json(json_env_spec: str) -> MadeSpec:
-        """Return what ``to_json`` gave as a specification again; its id is looked up in the registry."""
+        """Return the specification that ``to_json`` wrote; its id is looked up in the registry."""
         fields = json.loads(json_env_spec)
         wrappers = tuple((name, options) for name, options in fields["wrappers"])
         return dataclasses.replace(_made_spec(registry().env(fields["id"]), fields["kwargs"]), wrappers=wrappers)
@@ -98,11 +98,11 @@ def _finish_env(env: AnyEnv, record: EnvSpec, arguments: dict[str, Any], render_
 def wrap(env: AnyEnv, wrappers: Wrappers) -> AnyEnv:
     """Put wrappers and tools around an environment, innermost first."""
     for layer in layers_of(wrappers):
-        env = _wrapped(env, layer)
+        env = _apply_layer(env, layer)
     return env
 
 
-def _wrapped(env: AnyEnv, layer: Layer) -> AnyEnv:
+def _apply_layer(env: AnyEnv, layer: Layer) -> AnyEnv:
     wrapper = load_entry_point(layer.entry_point, layer.owner)
     wrapped = call_entry_point(wrapper, (env,), layer.options, layer.owner)
     if not isinstance(wrapped, gymnasium.Env):
@@ -113,7 +113,7 @@ def _wrapped(env: AnyEnv, layer: Layer) -> AnyEnv:
 
 
 def check_choices(record: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers) -> None:
-    """Raise what ``make_from`` would for a keyword or an option that there is not, before anything is made.
+    """Raise an error for an unknown keyword or option, as ``make_from`` would, before anything is made.
 
     Raises:
         ArgumentError: A keyword that the environment, or an option that a wrapper or a tool, does not have.

@@ -1,4 +1,4 @@
-"""What is asked for around a task: wrappers and tools, each by name, entry point or object, with its options."""
+"""Resolve the wrappers and tools of an environment, given by name, entry point or object, with their options."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def layers_of(wrappers: Wrappers) -> list[Layer]:
 
 
 def check_options(wrappers: Wrappers) -> None:
-    """Raise for a wrapper or tool that there is not, or an option that it does not have, before anything is made."""
+    """Raise an error for an unknown wrapper, tool or option, before anything is made."""
     for target, options in choices(wrappers):
         record = registry().wrapper(target) if is_name(target) else None
         if record is not None and options and target != _TOOLS:

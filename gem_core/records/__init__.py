@@ -1,4 +1,4 @@
-"""What is kept of episodes: transitions, the conversation, files, plans, and scores."""
+"""Records of episodes: transitions, the conversation, files, plans, and scores."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The conversation of an episode, whatever its view: what was said on both sides, as chat messages or as text."""
+"""``Conversation``: an episode as chat messages or as text, regardless of its view."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CONCAT_WITH_ACTION = "concat_with_action"
 
 
 class Turned(Protocol):
-    """What the conversation reads of a transition."""
+    """The attributes of a transition that the conversation uses."""
 
     observation: Observation
     action: Response
@@ -23,7 +23,7 @@ class Turned(Protocol):
 
 
 class Recorded(Protocol):
-    """What the conversation reads of an ``Episode``, whose fields these are."""
+    """The attributes of an ``Episode`` that the conversation uses."""
 
     observation: Observation
     info: Info
@@ -38,9 +38,9 @@ class Recorded(Protocol):
 
 
 class Conversation:
-    """What was said in an episode so far, read from its record; each turn is read once, when it is asked for.
+    """The conversation of an episode so far, built from its record; each turn is read once, when it is needed.
 
-    The messages are append-only: each answer of the environment keeps how things stood then.
+    The messages are append-only: each answer of the environment keeps its suffix.
 
     Args:
         episode: It may still be under way.
@@ -59,7 +59,7 @@ class Conversation:
         self._chat = self._opening()
 
     def sent(self) -> Observation:
-        """Return what an agent that reads as the episode says is sent now."""
+        """Return what the agent is sent now, according to ``reads`` of the episode."""
         episode = self._episode
         if episode.reads == "messages":
             return self.messages()
@@ -100,7 +100,7 @@ class Conversation:
         return opening_messages(self.system, observation_from(task, self._suffix))
 
     def _explained_once(self, observation: Any) -> Any:
-        """Return an observation that explains the tools no more where the agent is offered them natively."""
+        """Return an observation without the explanation of tools if the agent is offered them natively."""
         return observation if self._instructions is None else _in_native_words(observation, *self._instructions)
 
     def _in_both_wordings(self) -> tuple[str, str] | None:

@@ -1,4 +1,4 @@
-"""Records of what happened: transitions and episodes."""
+"""``Transition`` and ``Episode``: the record of an episode."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Transition:
         reward: Reward of this turn.
         terminated: Whether the task was over with it.
         truncated: Whether the episode was cut off after it.
-        info: What ``step`` returned.
+        info: The info that ``step`` returned.
     """
 
     observation: Observation
@@ -40,7 +40,7 @@ class Transition:
 
 @dataclass(eq=False)
 class Episode:
-    """All of one episode, and what it started from: enough to replay it.
+    """The record of one episode and of its start, from which it can be replayed.
 
     Args:
         id: Id of the environment, or the name of its class.
@@ -122,7 +122,7 @@ class Episode:
     def success(self) -> bool | None:
         """Whether the task was solved, as ``info["correct"]`` says at the end.
 
-        False for an episode that was cut off without a word. None, for unknown, after an error, where the task ended
+        False for an episode that was cut off without a verdict. None, for unknown, after an error, where the task ended
         and did not say, and where ``reset`` already said ``info["correct"] = None``: this task never tells.
         """
         correct = self.final_info.get("correct")
@@ -150,7 +150,7 @@ class Episode:
 
     @property
     def error(self) -> dict[str, Any] | None:
-        """What failed in the machinery, whatever the agent did; None for an episode that counts."""
+        """The failure of the environment or a server, not of the agent; None for an episode that counts."""
         error = self.final_info.get("error")
         return error if error is None or isinstance(error, dict) else {"kind": "unknown", "message": str(error)}
 

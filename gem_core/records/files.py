@@ -25,7 +25,7 @@ class EpisodeWriter:
 
     Args:
         path: The file; folders above it are made.
-        append: Go on behind what is there, instead of writing the file anew with the first episode.
+        append: Append to the file, instead of replacing it with the first episode.
 
     Raises:
         EpisodeFileError: The file cannot be written.
@@ -72,7 +72,7 @@ class EpisodeWriter:
         self._to_empty = False
 
     def discard(self) -> None:
-        """Close the file of a run that wrote nothing: what was there before stays, and an empty file goes."""
+        """Close the file of a run that wrote nothing: earlier content stays, and an empty file is removed."""
         self._to_empty = False
         self.close()
         with suppress(OSError):

@@ -1,4 +1,4 @@
-"""Any value as plain JSON, with images as side files: writing a record never fails in the middle of a run."""
+"""Convert any value to plain JSON, with images as side files, so that writing a record never fails."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class ImageFolder:
         return cls(file.with_suffix(".images"))
 
     def write(self, image: Any) -> str:
-        """Write a PIL image, unless it is there already, and return its file name. Nothing is lost."""
+        """Write a PIL image without loss, unless its file exists, and return the file name."""
         name = image_name(image)
         target = self.path / name
         if not target.exists():

@@ -1,4 +1,4 @@
-"""Plans: what episodes start from, fixed before the first of them begins.
+"""Plans: the items that episodes start from, fixed before the first episode begins.
 
 All slots of a vector environment draw from one plan. So a data set is covered exactly, a mixture has exact
 proportions, a group of episodes shares one start, and a run gives the same episodes whatever the number of slots.
@@ -75,7 +75,7 @@ class EpisodeStart:
 
 
 class EpisodeQueue:
-    """Hands out what episodes start from, one at a time; slots may draw from several threads.
+    """Returns the starts of episodes, one at a time; slots may draw from several threads.
 
     Args:
         plan: Items in order, finite or not; None for an endless queue in which the slots do not share episodes.
@@ -126,7 +126,7 @@ class EpisodeQueue:
         return self._start(int(key), item, repeat) if 0 <= repeat < item.repeat else None
 
     def leave_out(self, is_done: Callable[[EpisodeStart], bool]) -> None:
-        """Pass over the planned episodes for which a function returns true."""
+        """Skip the planned episodes for which a function returns true."""
         self._is_done = is_done
 
     def restarted(self, seed: int | None = None) -> EpisodeQueue:
@@ -146,7 +146,7 @@ class EpisodeQueue:
         return EpisodeQueue(self._plan, self.seed if seed is None else seed)
 
     def continued(self) -> EpisodeQueue:
-        """Return a queue that goes on where this one is, with a new lock: an interrupt may leave the old one held."""
+        """Return a queue that continues at this position, with a new lock: an interrupt may leave the old one held."""
         other = copy.copy(self)
         other._lock = threading.Lock()
         return other

@@ -1,4 +1,4 @@
-"""Keep secrets out of records: those under names, or in places, where secrets usually stand."""
+"""Redact secrets in records, found by names and places where secrets usually are."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _QUERY = re.compile(r"(?<=[?&])([\w.~%-]+=)[^&#\s]+")
 
 
 def without_secrets(value: Any) -> Any:
-    """Return options as they may be written down.
+    """Return options with secrets redacted.
 
-    Blotted out are texts under names such as ``api_key``, ``password`` or ``token``, all in mappings that are called
+    Redacted are texts under names such as ``api_key``, ``password`` or ``token``, all in mappings that are called
     ``headers`` or ``env``, what follows a flag such as ``--api-key`` in a list, and in addresses the user with the
     password, and the values of the query. Names of variables, as in ``${TOKEN}``, stay.
 
@@ -35,9 +35,9 @@ def without_secrets(value: Any) -> Any:
         value: Names and options as plain JSON, of which nothing is changed.
     """
     if isinstance(value, str):
-        return _address(value)
+        return _redact_address(value)
     if isinstance(value, Mapping):
-        return {name: _under(name, part) for name, part in value.items()}
+        return {name: _redact_item(name, part) for name, part in value.items()}
     if isinstance(value, list):
         parts = [without_secrets(part) for part in value]
         for number, part in enumerate(value):
@@ -45,26 +45,26 @@ def without_secrets(value: Any) -> Any:
             if flag and flag[2] is not None:
                 parts[number] = f"{flag[1]}={BLOT}"
             elif flag and number + 1 < len(parts) and isinstance(parts[number + 1], str):
-                parts[number + 1] = _blotted(value[number + 1])
+                parts[number + 1] = _redact(value[number + 1])
         return parts
     return value
 
 
-def _under(name: object, value: Any) -> Any:
+def _redact_item(name: object, value: Any) -> Any:
     if name in _PAIRS and isinstance(value, Mapping):
-        return {key: _blotted(part) for key, part in value.items()}
+        return {key: _redact(part) for key, part in value.items()}
     if isinstance(value, str) and isinstance(name, str) and _NAME.fullmatch(name):
-        return _blotted(value)
+        return _redact(value)
     return without_secrets(value)
 
 
-def _blotted(value: object) -> Any:
+def _redact(value: object) -> Any:
     if value is None or isinstance(value, bool) or (isinstance(value, str) and _VARIABLE.fullmatch(value)):
         return value
     return BLOT
 
 
-def _address(text: str) -> str:
+def _redact_address(text: str) -> str:
     if "://" not in text:
         return text
     return _QUERY.sub(rf"\g<1>{BLOT}", _USER.sub(f"{BLOT}@", text))

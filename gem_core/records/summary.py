@@ -84,7 +84,7 @@ class EnvSummary:
         self.judged = self._verdicts + (0 if never_tells else self._cut_off)
 
     def turns_per_second(self, seconds: float) -> float | None:
-        """Return how fast this session of the run was; None where it took no time."""
+        """Return the turns per second of this session of the run; None if it took no time."""
         return (self.turns - self.earlier_turns) / seconds if seconds > 0 else None
 
     @property
@@ -154,12 +154,12 @@ class RunSummary:
         others = self.total.judged - row.judged
         row.add(episode)
         self.total.add(episode)
-        self.total.judged = others + row.judged  # one task that never tells says nothing about another
+        self.total.judged = others + row.judged  # a task without verdicts says nothing about another
         if episode.error is not None and self.first_error is None:
             self.first_error = f"{episode.id}, seed {episode.seed}: {episode.error.get('message', episode.error)}"
 
     def begin_session(self) -> None:
-        """Note that what was counted so far was run before; it has no part in how fast the run is."""
+        """Mark the episodes counted so far as run earlier: they do not count for turns per second."""
         for row in (self.total, *self.by_env.values()):
             row.earlier_turns = row.turns
 

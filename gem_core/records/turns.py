@@ -1,4 +1,4 @@
-"""Turns as views and the conversation remember them, and how they read as text."""
+"""``Turn``: a turn as views and the conversation remember it, and its form as text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What there is to make: the records that plugins hand over, how plugins are loaded, and how a name is looked up."""
+"""The registry: records that plugins offer, the loader of plugins, and look-up by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Import what a record points to, and call it; the errors say whose record it is."""
+"""Import and call the entry point of a record, with errors that name the record."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where names are resolved: ids to environments, names to wrappers, tools, backends and agents."""
+"""``Registry``: looks up environments by id, and wrappers, tools, backends and agents by name."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from gem_core.registry.specs import (
     VectorBackendSpec,
     WrapperSpec,
 )
-from gem_core.suggestions import did_you_mean
+from gem_core.suggestions import did_you_mean, did_you_mean_one_of
 
 N = TypeVar("N", bound=NamedSpec)
 
@@ -155,7 +155,7 @@ class Registry:
         if message:
             raise RegistrationError(f"{message}; uninstall one of them, or disable it with GEM_PLUGINS_DISABLE")
 
-    # Taking in.
+    # Adding records.
 
     def load(self) -> None:
         """Load the installed plugins, once.
@@ -184,7 +184,7 @@ class Registry:
                 self._loading = False
 
     def add(self, record: EnvSpec) -> None:
-        """Take in an environment that the program itself registers.
+        """Add an environment that the program itself registers.
 
         Raises:
             RegistrationError: The id is taken. The same class may be registered again, as a notebook cell does.
@@ -201,7 +201,7 @@ class Registry:
             self._envs[record.id] = record
 
     def _take(self, plugins: list[Plugin]) -> None:
-        """Take in what plugins offer, the core's first; what several claim costs them that id or name alone."""
+        """Add the records of plugins, the core's first; an id or name that several claim is given to none of them."""
         claims: dict[Key, list[tuple[Plugin, Record | None]]] = {}
         for plugin in plugins:
             if not plugin.disabled:
@@ -225,7 +225,7 @@ class Registry:
             complain(messages[0] + (f" (and {len(messages) - 1} more)" if len(messages) > 1 else ""))
 
     def _dispute(self, key: Key, what: str, parties: Sequence[Plugin]) -> str:
-        """Note that several claim an id or a name, and tell each; what the core offers stays the core's."""
+        """Record that several plugins claim an id or a name, and warn; a name of the core stays with the core."""
         owner, *others = map(str, parties)
         if parties[0].is_core:
             message = f"{what} is the core's own, and is offered by {' and '.join(others)} too"
@@ -247,7 +247,7 @@ class Registry:
         else:
             self._named.setdefault(_space(record.kind), {})[record.name] = record
 
-    # Saying what is wrong.
+    # Error messages.
 
     def how_to_get(self, name: str, kind: str | None = None) -> str:
         """Return the sentence that says which plugin to install for a name, or which one is disabled.
@@ -292,7 +292,7 @@ class Registry:
         hint = hint or did_you_mean(env_id, candidates) or did_you_mean(env_id, self._envs)
         if not hint:
             variants = sorted(name for name in self._envs if name.startswith(env_id))[:3] if env_id else []
-            hint = f" Did you mean {' or '.join(map(repr, variants))}?" if variants else ""
+            hint = did_you_mean_one_of(variants)
         if not hint and not colon:
             kinds = (ToolSpec, WrapperSpec, AgentSpec, VectorBackendSpec)
             hints = ((kind.kind, did_you_mean(env_id, (each.name for each in self.named(kind)))) for kind in kinds)

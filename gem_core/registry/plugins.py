@@ -29,7 +29,7 @@ from gem_core.suggestions import did_you_mean
 logger = logging.getLogger(__name__)
 
 BUILTIN = "gem_core._plugin"
-"""The core's own records come by the same hooks."""
+"""Module of the core's own records, which use the same hooks as plugins."""
 
 RECORD_TYPES: dict[str, type[EnvSpec | NamedSpec]] = {
     name: typing.get_args(typing.get_type_hints(hook)["return"])[0]
@@ -60,7 +60,7 @@ class PluginFailure:
 
 @dataclass(eq=False)
 class Plugin:
-    """One entry point of the group ``gem.plugins``, and what became of it.
+    """One entry point of the group ``gem.plugins``, and the result of loading it.
 
     Args:
         entry_point: What it is loaded from.
@@ -123,10 +123,10 @@ def load_plugins() -> list[Plugin]:
 
 
 def complain(line: str, cause: BaseException | None = None) -> None:
-    """Say in one line what is wrong with a plugin, or raise when ``GEM_PLUGINS_STRICT`` is set.
+    """Log in one line what is wrong with a plugin, or raise if ``GEM_PLUGINS_STRICT`` is set.
 
     Raises:
-        PluginError: It is.
+        PluginError: ``GEM_PLUGINS_STRICT`` is set.
     """
     if os.environ.get("GEM_PLUGINS_STRICT", "") not in ("", "0"):
         raise PluginError(f"{line} (GEM_PLUGINS_STRICT is set)") from cause

@@ -1,4 +1,4 @@
-"""What must be there before an environment can run, and how to get it."""
+"""Check the requirements of an environment, and say how to meet them."""
 
 from __future__ import annotations
 

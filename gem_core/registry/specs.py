@@ -1,4 +1,4 @@
-"""The records that plugins hand over: what exists, and where to find it.
+"""The records that plugins offer: names, summaries and entry points.
 
 They are plain data, frozen, and checked on arrival, so that listing a thousand of them imports nothing.
 """

@@ -1,4 +1,4 @@
-"""Episodes of an agent in environments: what an agent is, the one loop that asks it, and resuming what was stopped."""
+"""Rollouts: agents, the loop in which they act in environments, and resuming a stopped run."""
 
 from gem_core.rollouts.agent import (
     READS,

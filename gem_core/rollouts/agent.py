@@ -1,4 +1,4 @@
-"""What an agent is, how any callable becomes one, and how one is found by its name."""
+"""The protocol of an agent, and functions that make one from a callable or find it by name."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gem_core.types import Info, Observation, Response
 
 @dataclass
 class Context:
-    """What an agent may know besides the observation.
+    """What an agent is given besides the observation.
 
     Args:
         episode: Id of the episode in its run: the item's place in the plan and the repeat, as ``"12.0"``.
@@ -93,7 +93,7 @@ READS = ("messages", "observation")
 
 
 class Reading(NamedTuple):
-    """What an agent is to be sent, by its attributes of these names; see ``Agent``."""
+    """What an agent is sent, read from its attributes of these names; see ``Agent``."""
 
     reads: str | None = None
     system: str | None = None
@@ -101,7 +101,7 @@ class Reading(NamedTuple):
 
     @classmethod
     def of(cls, agent: Any) -> Self:
-        """Return what an agent is to be sent.
+        """Read the attributes of an agent.
 
         Raises:
             AgentError: Its ``reads`` is not one of ``READS``.
@@ -161,7 +161,7 @@ class _ObservationAgent:
         return self.function(observation)
 
     def __getattr__(self, name: str) -> Any:
-        # Only these: with all attributes of a function, an object would be taken for one.
+        # Only these: an object with all attributes of a function would be treated as a function.
         if name not in _ATTRIBUTES:
             raise AttributeError(name)
         return getattr(self.function, name)
@@ -171,7 +171,7 @@ def is_asynchronous(agent: Agent) -> bool:
     """Tell whether an agent is known to answer later, as a coroutine function does."""
     call = agent.function if isinstance(agent, _ObservationAgent) else agent
     return inspect.iscoroutinefunction(call) or inspect.iscoroutinefunction(
-        getattr(call, "__call__", None)  # noqa: B004 - it is looked at, not called
+        getattr(call, "__call__", None)  # noqa: B004 - inspected, not called
     )
 
 
@@ -230,7 +230,7 @@ def load_agent(name: str, **options: Any) -> Agent:
 
 
 def _agent_of_module(name: str, module: str, path: str, registered: list[str], options: dict[str, Any]) -> Agent:
-    target = _imported(name, module, path, registered)
+    target = _import_target(name, module, path, registered)
     if not callable(target):
         raise UnknownAgentError(
             f"no agent {name!r}: an agent is a callable of (observation, context), and this is {target!r:.100}"
@@ -253,12 +253,12 @@ def current_folder_importable() -> Iterator[None]:
     try:
         yield
     finally:
-        # Once: where the folder was there before, or was added meanwhile, it stays.
+        # Remove only one entry: one that was there before, or was added meanwhile, stays.
         with suppress(ValueError):
             sys.path.remove(here)
 
 
-def _imported(name: str, module_name: str, path: str, registered: list[str]) -> Any:
+def _import_target(name: str, module_name: str, path: str, registered: list[str]) -> Any:
     try:
         target: Any = importlib.import_module(module_name)
     except ModuleNotFoundError as error:

@@ -57,8 +57,8 @@ def rollout(
     The episodes are fixed before they start: the same plan and seed give the same ones, whatever the number of slots,
     the backend, and the order in which they finish.
     A plain agent is asked for one slot after another; an asynchronous one for each slot as soon as it is ready, so that
-    neither a slow answer nor a slow environment holds up anything but its own slot. Nothing runs ahead of whoever takes
-    the episodes: while one is looked at, no slot takes another step.
+    a slow answer or a slow environment delays only its own slot. No slot takes another step until the caller asks for
+    the next episode.
 
     Args:
         env: A vector environment, an environment, an id or several. What was made here is closed at the end; what was
@@ -145,7 +145,7 @@ def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[Pla
 
 @dataclass
 class _Run:
-    """What one call of ``rollout`` asks for."""
+    """The arguments of one call of ``rollout``."""
 
     env: Environments
     agent: Agent
@@ -185,7 +185,7 @@ class _Run:
         return VectorEnv.around(self.env, seed=self.seed, keep_open=True, plain=plain)
 
     def queue(self, vector: VectorEnv, finished: FinishedEpisodes) -> EpisodeQueue:
-        """Return what the episodes start from, those left out that are finished."""
+        """Return the queue of the episodes that are not finished."""
         seed = finished.run_seed(self.seed)
         if self.plan is None and self.episodes is None and vector.own_source.planned:
             queue = vector.own_source.restarted(seed)
@@ -197,7 +197,7 @@ class _Run:
 
     @contextmanager
     def counting(self, queue: EpisodeQueue, finished: FinishedEpisodes) -> Iterator[Callable[[], None]]:
-        """Show how far the run is, inside this context; yield what to call for each episode that is over."""
+        """Show progress inside this context; yield a function to call for each finished episode."""
         if not self.progress:
             yield lambda: None
             return

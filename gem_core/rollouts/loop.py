@@ -1,4 +1,4 @@
-"""The loop that joins an agent to environments. It never waits; ``drivers`` does, in plain code or in a coroutine."""
+"""``EpisodeLoop``: sends observations to an agent and its actions to environments. ``drivers`` does the waiting."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from gem_core.vector.vector_env import VectorEnv
 class EpisodeLoop:
     """Runs episodes in the slots of a vector environment.
 
-    Each slot is stepped as soon as its agent has answered, and its agent is asked as soon as the slot is ready: neither
-    a slow answer nor a slow environment holds up anything but its own slot.
+    Each slot is stepped as soon as its agent has answered, and its agent is asked as soon as the slot is ready: a slow
+    answer or a slow environment delays only its own slot.
 
     Args:
         vector: Where they run.
@@ -53,12 +53,12 @@ class EpisodeLoop:
             try:
                 self._advance()
             finally:
-                # What stops the run is raised after the episodes that had finished by then.
+                # An error that stops the run is raised after the finished episodes have been yielded.
                 while self._finished:
                     yield self._finished.pop(0)
 
     def _advance(self) -> None:
-        """Take the replies and the results that are there, and send and ask what follows from them."""
+        """Handle the replies and results that are ready: send actions, and ask the agent about new observations."""
         self._ask()
         responses: dict[int, Response] = {}
         for slot, reply in self._requests.replies():
@@ -84,7 +84,7 @@ class EpisodeLoop:
     def _take(
         self, slot: int, observation: Observation, reward: float, terminated: bool, truncated: bool, info: Info
     ) -> None:
-        """Take the result of a reset, a step, or a step with the reset that follows it."""
+        """Handle the result of a reset, a step, or a step with the reset after it."""
         running = self._running.get(slot)
         if running is None:
             self._begin(slot, observation, info)
@@ -127,13 +127,13 @@ class EpisodeLoop:
 
 
 class _RunningEpisode:
-    """An episode in a slot, and what its agent is given."""
+    """The present episode of a slot, and the context of its agent."""
 
     def __init__(
         self, vector: VectorEnv, slot: int, start: EpisodeStart, observation: Observation, info: Info, reading: Reading
     ) -> None:
         self.episode = new_episode(vector.describe(slot), start, observation, info)
-        self.episode.reads = _sent_as(reading, info)
+        self.episode.reads = _what_to_read(reading, info)
         self.episode.system = reading.system
         self.episode.native_tools = reading.native_tools and bool(info.get("tools"))
         self.conversation = Conversation(self.episode)
@@ -171,7 +171,7 @@ def _cut_off(episode: Episode, reported: Info) -> None:
         episode.info = {**episode.info, **reported}
 
 
-def _sent_as(reading: Reading, info: Info) -> str:
+def _what_to_read(reading: Reading, info: Info) -> str:
     """Return what an agent is sent in an episode that begins: what it reads, unless a view was named."""
     if info.get("view") is not None:
         return "observation"

@@ -1,4 +1,4 @@
-"""The questions of a run to its agent, whether that is plain or asynchronous."""
+"""``AgentRequests``: asks a plain or asynchronous agent for many slots at once."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gem_core.rollouts.agent import Agent, Context, is_asynchronous
 from gem_core.types import Observation, Response
 
 Reply = Response | RequestError | EnvFaultError
-"""An answer, or why there is none: the server failed, or the environment that should sample an action did."""
+"""An answer, or the error of the server, or of the environment that should sample an action."""
 
 _CANCEL_TIMEOUT_S = 5.0
 
@@ -59,7 +59,7 @@ class AgentRequests:
         return bool(self._ready)
 
     def replies(self) -> list[tuple[int, Reply]]:
-        """Return the replies that are there, each with its slot, and ask what waited for them.
+        """Return the replies that are ready, each with its slot, and start requests that waited for a free place.
 
         Raises:
             AgentError: The agent returned something else than text, or cancelled its own task.
@@ -121,7 +121,7 @@ class AgentRequests:
         for task in self._tasks:
             task.cancel()
         if self._tasks:
-            # A coroutine that swallows its cancellation must not hold up the end of the run.
+            # A coroutine that swallows its cancellation must not block the end of the run.
             await asyncio.wait(self._tasks, timeout=_CANCEL_TIMEOUT_S)
 
 

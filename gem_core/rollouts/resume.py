@@ -1,4 +1,4 @@
-"""What is finished of a run that is resumed, and need not be run again."""
+"""``FinishedEpisodes``: the episodes of a resumed run that need not be run again."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gem_core.records.plain_json import to_plain
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
 
 
-class _StartedFrom(NamedTuple):
+class _StartRecord(NamedTuple):
     """What a finished episode started from, as far as its record tells.
 
     Args:
@@ -33,24 +33,24 @@ class FinishedEpisodes:
     def __init__(self) -> None:
         self.run_seeds: set[int] = set()
         """Seeds of the runs that the episodes belong to, those with an error included."""
-        self._starts: dict[tuple[str, int], _StartedFrom] = {}
+        self._starts: dict[tuple[str, int], _StartRecord] = {}
 
     def __len__(self) -> int:
         return len(self._starts)
 
     def add(self, episode: Episode) -> None:
-        """Note an episode; one with an error tells only to which run it belongs."""
+        """Add an episode; of one with an error, only the seed of its run is kept."""
         if episode.run_seed is not None:
             self.run_seeds.add(episode.run_seed)
         if episode.error is None:
-            started = _StartedFrom(episode.id, episode.seed, to_plain(episode.options) or None)
+            started = _StartRecord(episode.id, episode.seed, to_plain(episode.options) or None)
             self._starts[episode.key, episode.repeat] = started
 
     def run_seed(self, given: int | None) -> int | None:
         """Return the seed of the run that goes on, or the one given where there is no episode.
 
         Raises:
-            ArgumentError: The episodes belong to several runs, or to another than the one with the seed given.
+            ArgumentError: The episodes belong to several runs, or to a run with another seed than the one given.
         """
         if not self.run_seeds:
             return given

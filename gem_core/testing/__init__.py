@@ -1,4 +1,4 @@
-"""The environment contract as a check that anyone can run.
+"""Checks of the contracts of environments, tools, wrappers, agents, commands, backends and plugins.
 
 ::
 
@@ -8,7 +8,7 @@
         check_env("mine:MyEnv-v0")
 
 ``check_tool``, ``check_wrapper``, ``check_agent``, ``check_command``, ``check_backend`` and ``check_plugin`` do the
-same for what they are called after, and
+same for the things in their names, and
 ``pytest --gem-envs 'mine:*'`` runs ``check_env`` on each environment that matches.
 
 Neither pytest nor hypothesis is needed. Every promise is one small function: see ``promises_*.py``.
@@ -61,7 +61,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    # Lazy, so that `python -m gem_core.testing.other_process` does not find its own module imported already.
+    # Lazy, so that the interpreter which checks what a plugin imports has imported nothing but the standard library.
     module = _MODULE_OF.get(name)
     if module is None:
         raise AttributeError(f"module 'gem_core.testing' has no attribute {name!r}")

@@ -42,13 +42,13 @@ def check_backend(backend: str | tuple[str, Mapping[str, Any]]) -> list[str]:
     vector, model = (make_vec(SMALL_TASK, _SLOTS, backend=each, seed=1) for each in (backend, "sync"))
 
     def expect_same(promise: str, rounds: list[list[str]]) -> None:
-        findings.expect_equal(promise, _played(vector, rounds), _played(model, rounds))
+        findings.expect_equal(promise, _play(vector, rounds), _play(model, rounds))
 
     try:
         expect_same("The same seed and actions give what backend 'sync' gives.", _ROUNDS)
         expect_same("An environment that fails costs its own episode, and is replaced.", [_BREAKING, *_ROUNDS])
-        findings.attempt("It gives random actions, and says what stands in a slot.", lambda: _asked(vector))
-        findings.attempt("Ctrl-C in the middle of a call leaves it usable.", lambda: _interrupted(vector))
+        findings.attempt("It gives random actions, and says what stands in a slot.", lambda: _check_calls(vector))
+        findings.attempt("Ctrl-C in the middle of a call leaves it usable.", lambda: _check_interrupt(vector))
         expect_same("After Ctrl-C it begins anew, with what backend 'sync' gives.", _ROUNDS)
         vector.reset(seed=2)
         vector.send({0: "a", 2: "b"})
@@ -59,7 +59,7 @@ def check_backend(backend: str | tuple[str, Mapping[str, Any]]) -> list[str]:
         vector.send(["a"] * _SLOTS)
     finally:
         model.close()
-        findings.attempt("It can be closed while something is under way, and once more.", lambda: _closed(vector))
+        findings.attempt("It can be closed while something is under way, and once more.", lambda: _check_close(vector))
     try:
         vector.reset()
         findings.expect("What is closed stays closed.", False, "reset() after close() began an episode")
@@ -68,7 +68,7 @@ def check_backend(backend: str | tuple[str, Mapping[str, Any]]) -> list[str]:
     return findings.result()
 
 
-def _played(vector: Any, rounds: list[list[str]]) -> list[Any]:
+def _play(vector: Any, rounds: list[list[str]]) -> list[Any]:
     seen: list[Any] = [plain(each) for each in vector.reset(seed=1)]
     for actions in rounds:
         step = vector.step(actions)
@@ -77,18 +77,18 @@ def _played(vector: Any, rounds: list[list[str]]) -> list[Any]:
     return seen
 
 
-def _asked(vector: Any) -> None:
+def _check_calls(vector: Any) -> None:
     for slot in range(_SLOTS):
         action, described = vector.sample_random_action(slot), vector.describe(slot)
         if not action.startswith("say ") or described["id"] != SMALL_TASK:
             raise ValueError(f"slot {slot} answered {action!r} and {described!r}")
 
 
-def _interrupted(vector: Any) -> None:
+def _check_interrupt(vector: Any) -> None:
     with suppress(KeyboardInterrupt):
         vector.step(_CtrlC(_BREAKING))
 
 
-def _closed(vector: Any) -> None:
+def _check_close(vector: Any) -> None:
     vector.close()
     vector.close()

@@ -1,4 +1,4 @@
-"""Results of an environment as plain data: what is compared between runs, and what JSON would lose."""
+"""Convert results of an environment to plain data, compare them between runs, and find what JSON would lose."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TOO_LARGE = 10**4300
 def play(
     reset: Callable[[], Any] | None, step: Callable[[str], Any], actions: Sequence[str]
 ) -> Iterator[dict[str, Any]]:
-    """Play one episode and give what came back as plain data, call by call, until its end or the last action."""
+    """Play one episode and yield each result as plain data, until its end or the last action."""
     if reset is not None:
         yield record_of(reset())
     for action in actions:
@@ -31,7 +31,7 @@ def play(
 
 
 def record_of(result: Any) -> dict[str, Any]:
-    """Return the result of a reset or a step as plain data, without what a clock decides."""
+    """Return the result of a reset or a step as plain data, without durations."""
     observation, *middle, info = result
     record = {"observation": plain(observation), "info": plain(info)}
     record.update(zip(("reward", "terminated", "truncated"), map(plain, middle), strict=False))
@@ -69,7 +69,7 @@ def is_image(value: Any) -> bool:
 
 
 def differences(what: str, expected: Sequence[Any], found: Sequence[Any], first_step: int = 0) -> Iterator[str]:
-    """Say where two recorded episodes begin to differ, if they do.
+    """Yield a sentence for the first difference of two recorded episodes.
 
     Args:
         what: How the sentence begins, as in ``"a used instance differs"``.
@@ -88,7 +88,7 @@ def differences(what: str, expected: Sequence[Any], found: Sequence[Any], first_
 
 
 def json_loss(value: Any) -> str | None:
-    """Tell what JSON cannot keep of a value, images apart, or None."""
+    """Return what JSON cannot represent in a value, except images; None if it can represent all."""
     value = _without_images(value)
     try:
         kept = json.loads(json.dumps(value, allow_nan=False)) == value
@@ -98,7 +98,7 @@ def json_loss(value: Any) -> str | None:
 
 
 def mutable_parts(value: Any) -> Iterator[Any]:
-    """Give every dictionary, list and array within a value."""
+    """Yield every dictionary, list and array within a value."""
     if isinstance(value, Mapping):
         yield value
         for item in value.values():

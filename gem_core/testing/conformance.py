@@ -23,7 +23,7 @@ PROMISE_MODULES = (promises_interface, promises_randomness, promises_actions, pr
 """Where the contract is written down, promise by promise, in the order in which they are tried."""
 
 _SIGHTINGS = 20
-"""After so many sightings, a promise counts as broken often enough."""
+"""Number of violations after which a promise is not tried further."""
 
 
 def check_env(
@@ -38,8 +38,8 @@ def check_env(
 ) -> Report:
     """Try everything that the environment contract promises.
 
-    New instances are made for it, from the id, the class, or the arguments of the given instance, which itself is left
-    alone. They are used in threads other than the caller's, as vector environments do.
+    New instances are made for it, from the id, the class, or the arguments of the given instance, which itself is not
+    used. They are used in threads other than the caller's, as vector environments do.
 
     Args:
         env_or_id: An id, a record, an environment with or without wrappers, or a class that needs no arguments.
@@ -47,7 +47,7 @@ def check_env(
         seed: Decides the seeds and the generated actions.
         episodes: Episodes that are played with sampled actions; one more is played with fixed ones.
         max_turns: Turns after which the check stops playing an episode.
-        step_timeout_s: Limit of one step. A step that exceeds it is named, and its thread left behind.
+        step_timeout_s: Limit of one step. A step that exceeds it is reported, and its thread abandoned.
         reset_timeout_s: Limit of any other call.
 
     Returns:
@@ -97,19 +97,19 @@ def _in_order() -> list[Promise]:
 
 
 def _make_once(subject: Subject) -> None:
-    """Let what only the caller can mend reach him as it is; all else ``construct`` finds and names."""
+    """Make the environment, and raise only errors that the caller can fix; ``construct`` reports all others."""
     try:
         with preserved():
             subject.watch.run(subject.new)
             subject.watch.run(subject.close_all)
     except GemError:
         raise
-    except (Exception, SystemExit):  # noqa: BLE001, S110 - a promise of its own tries and names it
+    except (Exception, SystemExit):  # noqa: BLE001, S110 - another promise reports it
         pass
 
 
 def _tried(promise: Promise, subject: Subject) -> str:
-    """Try one promise and return what was seen to break it, or nothing.
+    """Try one promise; return how it is broken, or an empty string.
 
     Raises:
         NotTriedError: It cannot be tried.
@@ -120,11 +120,11 @@ def _tried(promise: Promise, subject: Subject) -> str:
         try:
             seen.extend(islice(_sightings(promise, subject), _SIGHTINGS))
         finally:
-            # A thread that was left behind must not close what a later promise has made.
+            # An abandoned thread must not close what a later promise has made.
             if subject.watch.is_live:
                 subject.close_all()
 
-    # The filters of warnings are put back here too, in case a thread that changed them is left behind.
+    # The filters of warnings are put back here too, in case a thread that changed them is abandoned.
     with preserved(), warnings.catch_warnings():
         try:
             subject.watch.run(body)

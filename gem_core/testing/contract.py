@@ -1,4 +1,4 @@
-"""What a promise is, the table of all of them, and how the outcome of a check is reported."""
+"""The table of promises that make up the environment contract, and the report of a check."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from gem_core.errors import GemError
 from gem_core.testing.subject import Subject
 
 PromiseCheck = Callable[[Subject], Iterator[str]]
-"""Tries one promise and yields what was seen to break it; raises ``NotTriedError`` where it cannot be tried."""
+"""Tries one promise and yields each violation; raises ``NotTriedError`` if it cannot be tried."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Promise:
     Args:
         slug: Its short, stable name.
         sentence: What is promised.
-        mend: What an author whose environment breaks it should do.
+        mend: How an author can fix an environment that breaks it.
         check: The function that tries it.
     """
 
@@ -34,7 +34,7 @@ PROMISES: dict[str, Promise] = {}
 
 
 def promise(mend: str) -> Callable[[PromiseCheck], PromiseCheck]:
-    """Put a check into the table: its name gives the slug, the first line of its docstring the sentence."""
+    """Register a check: its name is the slug, the first line of its docstring the sentence."""
 
     def enter(check: PromiseCheck) -> PromiseCheck:
         slug = check.__name__.rstrip("_").replace("_", "-")
@@ -54,7 +54,7 @@ class Report:
         kept: Slugs of the promises that were tried and kept.
         skipped: Slug and reason of each that could not be tried.
         broken: Slug of each broken promise, and what was seen.
-        notes: What is no breach and still worth knowing.
+        notes: Remarks that are not violations.
     """
 
     name: str

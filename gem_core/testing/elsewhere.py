@@ -1,4 +1,4 @@
-"""The environment under check in another process, which may hang or die there."""
+"""``EnvElsewhere``: the environment under check in another process, which may hang or die."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class EnvElsewhere:
     """An environment in another process. Calls raise ``CallError``; results are plain data.
 
     Args:
-        interpreter: Where it is.
+        interpreter: Interpreter in which the environment runs.
         step_timeout_s: Limit of a step, in seconds.
         reset_timeout_s: Limit of any other call, in seconds.
     """
@@ -45,7 +45,7 @@ class EnvElsewhere:
         return record, over
 
     def step_hostile(self, seed: int, number: int) -> bool:
-        """Step with a hostile action, and tell whether the episode is over; it is made there, for all are 13 MB."""
+        """Step with a hostile action, and tell whether the episode is over; it is made there: all are 13 MB."""
         return bool(self._call_step(_step_hostile, seed, number))
 
     def play(self, actions: Iterable[str]) -> list[dict[str, Any]]:
@@ -59,7 +59,7 @@ class EnvElsewhere:
         return records
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Go on from a state."""
+        """Restore a state."""
         self.call(_set_state, state)
 
 
@@ -91,7 +91,7 @@ class OtherProcess:
                     raise NotTriedError(f"in another process it cannot be made there: {why_not}")
                 yield env
             finally:
-                with suppress(CallError):  # a promise of its own tries and names it
+                with suppress(CallError):  # another promise reports it
                     env.call(_close)
 
     def _started(self) -> Interpreter:
@@ -111,7 +111,7 @@ OTHER_PROCESS = OtherProcess()
 
 
 def packed(maker: Callable[[], Any]) -> bytes:
-    """Pickle what makes an environment; classes that another process could not import go along by value.
+    """Pickle a function that makes an environment; classes that another process cannot import are pickled by value.
 
     Raises:
         NotTriedError: It cannot be pickled.
@@ -126,7 +126,7 @@ def packed(maker: Callable[[], Any]) -> bytes:
 
 
 class _Packer(cloudpickle.Pickler):  # type: ignore[misc]  # as above
-    """Sends the modules of tests by value too: names that pytest gives them lead nowhere without pytest."""
+    """Pickles the modules of tests by value, too: pytest gives them names that cannot be imported without pytest."""
 
     def reducer_override(self, obj: Any) -> Any:
         module = sys.modules.get(getattr(obj, "__module__", None) or "")
@@ -147,7 +147,7 @@ def _is_found(module: Any) -> bool:
     return False
 
 
-# In the other process.
+# These functions run in the other process.
 
 
 def _make(kept: dict[str, Any], packed_maker: bytes) -> str:

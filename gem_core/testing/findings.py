@@ -1,4 +1,4 @@
-"""How checks report: sentences that hold, what was seen where they do not, and where in the author's file."""
+"""``Findings``: collects which promises are kept and broken, and the place in the author's file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class CheckError(GemError, AssertionError):
 
 
 class Findings:
-    """Collects what a check saw.
+    """Collects which promises a check found kept or broken.
 
     Args:
         name: What is checked, as it is called in the report.
@@ -33,7 +33,7 @@ class Findings:
         self.broken: dict[str, str] = {}
 
     def expect(self, promise: str, holds: bool, seen: object = "") -> bool:
-        """Note whether a promise holds, and what was seen where it does not."""
+        """Record whether a promise holds, and otherwise what was seen."""
         if holds:
             self.kept.append(promise)
         else:
@@ -41,11 +41,11 @@ class Findings:
         return holds
 
     def expect_equal(self, promise: str, found: object, expected: object) -> bool:
-        """Note whether two values are equal, and both where they are not."""
+        """Record whether two values are equal, and otherwise both."""
         return self.expect(promise, found == expected, f"{found!r:.300} and {expected!r:.300}")
 
     def attempt(self, promise: str, action: Callable[[], object]) -> bool:
-        """Note whether a call returns; what it raises is what was seen."""
+        """Record whether a call returns, and otherwise its exception."""
         try:
             action()
         except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code: all that it raises breaks the promise
@@ -82,7 +82,7 @@ def place_of(error: BaseException, package: str) -> str:
         package: Name of the author's package, or of any module in it.
 
     Returns:
-        The place; of the last line of others where no line of the package took part; ``""`` where there is none.
+        The place; the last line of other code if no line of the package was involved; ``""`` if there is no traceback.
     """
     if isinstance(error, SyntaxError) and error.filename and error.lineno:
         return shown_place(error.filename, error.lineno)

@@ -1,4 +1,4 @@
-"""Imports what an installed plugin declares in interpreters of their own, which may die or hang."""
+"""Import the entry points of an installed plugin in other interpreters, which may die or hang."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from gem_core.testing.findings import place_of, shown_place
 from gem_core.testing.interpreter import CallError, Interpreter, InterpreterLostError
 
 TIMEOUT_S = 60.0
-"""How long the import of one entry point may take by default."""
+"""Default limit for the import of one entry point, in seconds."""
 
 
 @dataclass
 class Imported:
-    """What was seen of a plugin.
+    """What was found out about a plugin.
 
     Args:
         failure: Why it could not be loaded, or None.
@@ -88,12 +88,14 @@ def imported(point: EntryPoint, timeout_s: float = TIMEOUT_S, stop: threading.Ev
             except CallError as error:
                 complaint = _text(complained)
                 if seen is None:
-                    return Imported(f"while it was loaded, {_ended(error, complaint)}", printed=_text(printed))
+                    return Imported(f"while it was loaded, {_how_it_ended(error, complaint)}", printed=_text(printed))
                 first = seen.untried[0]
                 place = _place_in(first["module"], complaint) or first["place"]
-                for record in seen.untried:  # what else is in that module has the same fate
+                for record in seen.untried:  # the other records of that module fail the same way
                     if record["module"] == first["module"]:
-                        record["error"] = f"{place}: while its entry point was imported, {_ended(error, complaint)}"
+                        record["error"] = (
+                            f"{place}: while its entry point was imported, {_how_it_ended(error, complaint)}"
+                        )
             seen.printed += _text(printed)
     return seen
 
@@ -115,8 +117,8 @@ def _text(file: IO[bytes]) -> str:
     return file.read().decode(errors="replace")
 
 
-def _ended(error: CallError, complaint: str) -> str:
-    """Say how a call ended that did not return, with the last line that was written to standard error."""
+def _how_it_ended(error: CallError, complaint: str) -> str:
+    """Return how a call ended that did not return, with the last line of standard error."""
     if not isinstance(error, InterpreterLostError):
         return str(error)
     if error.exit_code is None:
@@ -127,13 +129,13 @@ def _ended(error: CallError, complaint: str) -> str:
 
 
 def _place_in(module: str, complaint: str) -> str:
-    """Return file and line where a module's package stood when the interpreter was ended, or crashed."""
+    """Return file and line of a module's package that was running when the interpreter was killed or crashed."""
     package = re.escape(module.partition(".")[0])
     stood = re.search(rf'File "(.*/{package}(?:/.*|\.py))", line (\d+) in ', complaint)
     return shown_place(stood[1], int(stood[2])) if stood else ""
 
 
-# In the other interpreter.
+# These functions run in the other interpreter.
 
 
 def _load(kept: dict[str, Any], name: str, distribution: str) -> dict[str, Any]:
@@ -167,7 +169,7 @@ def _load(kept: dict[str, Any], name: str, distribution: str) -> dict[str, Any]:
 
 
 def _noting_places() -> dict[int, str]:
-    """Note from now on where each record is made, by its ``id()``."""
+    """Record from now on where each record is made, by its ``id()``."""
     places: dict[int, str] = {}
 
     def noting(check: Callable[[Any], None]) -> Callable[[Any], None]:
@@ -191,11 +193,11 @@ def _problem(kept: dict[str, Any], number: int) -> str:
     package = _module(record).partition(".")[0]
     try:
         _check_entry_points(record)
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a plugin's module does is what was seen
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code may raise anything
         cause = error.__cause__
         needs_another = isinstance(cause, ImportError) and (cause.name or "").partition(".")[0] != package
         if needs_another and isinstance(record, EnvSpec) and unmet(record.requires):
-            return ""  # what it needs is not here, and that is what its module imports
+            return ""  # its module imports a requirement that is not installed
         place = "" if cause is None else place_of(cause, package)
         text = f"{error}" if isinstance(error, GemError) else one_line(error)
         return f"{place or declared}: {' '.join(text.split())}"
@@ -203,7 +205,7 @@ def _problem(kept: dict[str, Any], number: int) -> str:
 
 
 def _check_entry_points(record: Record) -> None:
-    """Import what a record points to, and refuse what is something else than its kind needs."""
+    """Import the entry points of a record, and raise an error if one has the wrong type."""
     target = load_entry_point(record.entry_point, "its entry point")
     if isinstance(record, ToolSpec) and record.status is not None:
         load_entry_point(record.status, "its status")
@@ -217,14 +219,16 @@ def _check_entry_points(record: Record) -> None:
     if record.instance_of is not None:
         base: Any = load_entry_point(record.instance_of, "its kind")
         if not isinstance(target, base):
-            raise RegistrationError(f"{record.entry_point!r} is a {type(target).__name__}, and no {_called(base)}")
+            raise RegistrationError(
+                f"{record.entry_point!r} is a {type(target).__name__}, and no {_expected_type(base)}"
+            )
     if record.subclass_of is not None and isinstance(target, type):
         base = load_entry_point(record.subclass_of, "its kind")
         if not issubclass(target, base):
-            raise RegistrationError(f"{record.entry_point!r} does not derive from {_called(base)}")
+            raise RegistrationError(f"{record.entry_point!r} does not derive from {_expected_type(base)}")
 
 
-def _called(base: type) -> str:
+def _expected_type(base: type) -> str:
     return f"{base.__module__.partition('.')[0]}.{base.__name__}"
 
 

@@ -1,4 +1,4 @@
-"""Another Python interpreter, which calls functions for this one and may hang or die without harm.
+"""``Interpreter``: another Python process that calls functions for this one, and may hang or die without harm.
 
 Requests and answers are pickles. This module imports the standard library only, so that a check of what a plugin
 imports does not find it imported already.
@@ -33,7 +33,7 @@ _NONE: Mapping[str, str] = MappingProxyType({})
 
 
 class CallError(Exception):
-    """A function did not return; the message says what happened instead."""
+    """A remote call did not return; the message says why."""
 
 
 class InterpreterLostError(CallError):
@@ -50,7 +50,7 @@ class InterpreterLostError(CallError):
 
 
 class Interpreter:
-    """An interpreter with the path of this one, in which strings hash differently.
+    """A Python process with the ``sys.path`` of this one and another hash seed.
 
     It leads a session of its own: Ctrl-C in a terminal does not reach it, and what it starts is killed with it.
 
@@ -124,11 +124,11 @@ class Interpreter:
     def _wait(self, timeout_s: float) -> None:
         deadline = time.monotonic() + timeout_s
         while not self._connection.poll(0.1):
-            # What it has started may hold the connection open after its end.
+            # Its child processes may keep the connection open after its end.
             if not self.is_alive and not self._connection.poll(0.0):
                 raise EOFError
             if time.monotonic() >= deadline or self._stop.is_set():
-                self._process.send_signal(signal.SIGUSR1)  # it writes to standard error where it stands, and ends
+                self._process.send_signal(signal.SIGUSR1)  # it writes its traceback to standard error, and ends
                 with suppress(subprocess.TimeoutExpired):
                     self._process.wait(1.0)
                 self.close()
@@ -144,7 +144,7 @@ def _end(process: subprocess.Popen[bytes], connection: Connection, started_by: i
 
 
 def serve(number: int) -> None:
-    """Call what the interpreter at the other end of a socket asks for, until it is gone.
+    """Call functions for the interpreter at the other end of a socket, until it is gone.
 
     Args:
         number: Of the open socket.

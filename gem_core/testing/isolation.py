@@ -1,4 +1,4 @@
-"""What keeps one promise from disturbing the next, and the caller: time limits, and the global random state."""
+"""Time limits, and saving of the global random state, so that promises do not disturb each other or the caller."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ T = TypeVar("T")
 
 
 class TookTooLongError(Exception):
-    """A call of the environment did not come back in time; its thread was left behind."""
+    """A call of the environment did not return in time; its thread was abandoned."""
 
 
 class _AbandonedError(BaseException):
-    """Ends a thread that was left behind, at its next call. Environments must not catch it."""
+    """Ends an abandoned thread at its next call. Environments must not catch it."""
 
 
-class _Body(threading.Thread, Generic[T]):
+class _BodyThread(threading.Thread, Generic[T]):
     """Runs a function in a daemon thread.
 
     Args:
@@ -36,7 +36,7 @@ class _Body(threading.Thread, Generic[T]):
         super().__init__(name="gem-check", daemon=True)
         self.future: Future[T] = Future()
         self.call: Callable[[], str] = str
-        """Gives the name of the call that it is in, or was in last."""
+        """Returns the name of the present or last call."""
         self.limit_s = self.deadline = math.inf
         self._function = function
 
@@ -54,7 +54,7 @@ class Watch:
     """
 
     def __init__(self) -> None:
-        self._body: _Body[Any] | None = None
+        self._body: _BodyThread[Any] | None = None
 
     @property
     def last_call(self) -> str:
@@ -63,7 +63,7 @@ class Watch:
 
     @property
     def is_live(self) -> bool:
-        """Whether the calling thread is the one that runs a body now, and was not left behind."""
+        """Whether the calling thread is the one that runs a function now, and was not abandoned."""
         return threading.current_thread() is self._body
 
     def run(self, function: Callable[[], T]) -> T:
@@ -72,7 +72,7 @@ class Watch:
         Raises:
             TookTooLongError: A call exceeded its limit; the message names it.
         """
-        body = _Body(function)
+        body = _BodyThread(function)
         self._body = body
         body.start()
         try:
@@ -103,14 +103,14 @@ def global_random_state() -> dict[str, Any]:
 
 
 def scramble(number: int) -> None:
-    """Put both into a state that is decided by ``number``."""
+    """Seed ``random`` and ``numpy.random`` with ``number``."""
     random.setstate(random.Random(number).getstate())
     np.random.set_state(np.random.RandomState(number).get_state())
 
 
 @contextmanager
 def preserved() -> Iterator[None]:
-    """Put the global random state back at the end."""
+    """Restore the global random state at the end."""
     state, numpy_state = random.getstate(), np.random.get_state()
     try:
         yield

@@ -1,4 +1,4 @@
-"""``check_plugin``: loads an installed plugin in an interpreter of its own and tries what it declares."""
+"""``check_plugin``: loads an installed plugin in another interpreter and tries what it declares."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def hostile_actions_(subject: Subject) -> Iterator[str]:
             yield f"step({shown(action)}) gave the error {shown(info['error'])}; what an action causes is the agent's"
         if result[2] or result[3]:
             subject.reset(env, number)
-    # Whatever was said before, the next episode is the usual one.
+    # After hostile actions, the next episode must be the same as ever.
     after = list(subject.play(env, script))
     if subject.recorded is not None:
         what = f"with seed {script.seed}, the episode after all of them differs"
@@ -88,7 +88,7 @@ def hostile_actions_(subject: Subject) -> Iterator[str]:
 
 
 def _fatal_action(subject: Subject, env: AnyEnv, actions: Sequence[str]) -> str | None:
-    """Find the action that ends or hangs a whole process, in a process that can be spared.
+    """Find the action that ends or hangs a whole process, in another process.
 
     A time limit here does not hold against a regular expression, which lets no other thread run. What blocks on input
     and output does let them run, and can be slow to reset: it is not tried twice.

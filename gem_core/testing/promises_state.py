@@ -46,15 +46,15 @@ def state_instance(subject: Subject) -> Iterator[str]:
             _advance(subject, original, script, steps)
             if sampling:
                 subject.sample(original)
-            state = _carried(subject.saved(original))
+            state = _through_json(subject.saved(original))
             samples = [subject.sample(original)] if sampling else []
-            mine = _continued(subject, original, script, steps)
+            mine = _play_rest(subject, original, script, steps)
             busy = subject.new()
             subject.reset(busy, script.seed + 1)
             for kind, other in (("new", subject.new()), ("busy", busy), ("third", subject.new())):
                 subject.called("set_state(state)", cast("Env", other).set_state, state)
                 samples += [subject.sample(other)] if sampling else []
-                theirs = _continued(subject, other, script, steps)
+                theirs = _play_rest(subject, other, script, steps)
                 what = f"with seed {script.seed}, restored after {steps} steps, a {kind} one differs"
                 yield from differences(what, mine, theirs, steps + 1)
                 yield from differences(what, expected[steps + 1 :], theirs[: len(expected) - steps - 1], steps + 1)
@@ -69,7 +69,7 @@ def state_process(subject: Subject) -> Iterator[str]:
         for steps in subject.cuts(script):
             original = subject.new()
             _advance(subject, original, script, steps)
-            state = _carried(subject.saved(original))
+            state = _through_json(subject.saved(original))
             try:
                 with subject.elsewhere() as env:
                     env.set_state(state)
@@ -86,7 +86,7 @@ def spawn(subject: Subject) -> Iterator[str]:
     """Spawn gives an independent sibling that plays the same episodes, and with same_state goes on from here."""
     env = subject.new()
     try:
-        sibling = _spawned(subject, env)
+        sibling = _spawn(subject, env)
     except StateNotSupported as error:
         raise NotTriedError(str(error)) from error
     if sibling is env or type(sibling) is not type(env):
@@ -103,9 +103,9 @@ def _sibling_problems(subject: Subject, script: Script, expected: list[PlainResu
     steps = len(script.actions) // 2
     env = subject.new()
     before = _advance(subject, env, script, steps)
-    sibling = _spawned(subject, env)
+    sibling = _spawn(subject, env)
     try:
-        twin = _spawned(subject, env, same_state=True)
+        twin = _spawn(subject, env, same_state=True)
     except StateNotSupported:
         twin = None
     seed = script.seed
@@ -126,16 +126,16 @@ def _advance(subject: Subject, env: AnyEnv, script: Script, steps: int) -> list[
     return list(subject.play_from(env, script.seed, script.actions[:steps]))
 
 
-def _continued(subject: Subject, env: AnyEnv, script: Script, steps: int) -> list[PlainResult]:
+def _play_rest(subject: Subject, env: AnyEnv, script: Script, steps: int) -> list[PlainResult]:
     """Play the rest of a script, and begin the next episode of the stream."""
     rest = list(subject.play_on(env, script.actions[steps:]))
     return [*rest, *subject.play_from(env, None, ())]
 
 
-def _carried(state: Mapping[str, Any]) -> Mapping[str, Any]:
+def _through_json(state: Mapping[str, Any]) -> Mapping[str, Any]:
     """Send a state through JSON; one that JSON cannot keep is copied, since ``state-json`` names that."""
     return copy.deepcopy(state) if json_loss(state) else cast("Mapping[str, Any]", json.loads(json.dumps(state)))
 
 
-def _spawned(subject: Subject, env: AnyEnv, **options: bool) -> AnyEnv:
+def _spawn(subject: Subject, env: AnyEnv, **options: bool) -> AnyEnv:
     return subject.own(unchecked(subject.called("spawn()", cast("Env", env).spawn, **options)))

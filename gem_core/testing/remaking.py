@@ -1,4 +1,4 @@
-"""Making an environment once more from the arguments that it was made with."""
+"""Make an environment again from the arguments that it was made with."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def guarded(env: AnyEnv) -> AnyEnv:
 
 
 def unchecked(env: AnyEnv) -> AnyEnv:
-    """Let the guard of a stack pass results as they are: it is for the promises to judge them."""
+    """Make the guard of a stack pass results unchecked, since the promises check them."""
     for layer in layers_of(env):
         if isinstance(layer, Guard):
             layer.checks_results = False
@@ -35,7 +35,7 @@ def unchecked(env: AnyEnv) -> AnyEnv:
 
 
 def remaker(env: AnyEnv) -> Callable[[], AnyEnv]:
-    """Return what calls all constructors of a stack again, with the arguments that they were called with.
+    """Return a function that calls all constructors of a stack again, with the original arguments.
 
     ``spawn`` does the same; it is a promise of its own here, which must not decide the others.
     """

@@ -1,4 +1,4 @@
-"""The small task that wrappers, agents and vector backends are tried on."""
+"""``SmallTask``: the environment with which wrappers, agents and vector backends are checked."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SMALL_TASK = "check:Small-v0"
 
 
 def register_small_task() -> None:
-    """Make the small task known by its id."""
+    """Register the small task."""
     register(SMALL_TASK, f"{__name__}:SmallTask", summary="Three turns; made for checks.")
 
 

@@ -37,7 +37,7 @@ CLUMSY_ACTIONS = (
     "```python\nprint(1)\n```",
     "\\boxed{[0 0]}",
 )
-"""What an agent might say that does not know the task: the actions where sampling gives none."""
+"""Actions of an agent that does not know the task, used if the environment cannot sample actions."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Limits:
 
 
 class Subject:
-    """What the promises see of the environment under check."""
+    """The environment under check, as the promises use it."""
 
     def __init__(self, target: object, limits: Limits) -> None:
         self.limits = limits
@@ -89,7 +89,7 @@ class Subject:
         """The module of the task's class."""
         self._scripts: list[Script] | None = None
         self.recorded: list[list[PlainResult]] | None = None
-        """What each script gives, once it is known to repeat."""
+        """Results of each script, once they are known to repeat."""
 
     # Instances.
 
@@ -107,14 +107,14 @@ class Subject:
         return env
 
     def close_all(self) -> None:
-        """Close what the last promise made; what goes wrong is named by ``close-twice``."""
+        """Close the instances of the last promise; ``close-twice`` reports errors."""
         instances, self._instances = self._instances, []
         for env in instances:
             with suppress(Exception, SystemExit):
                 self.close(env)
 
     def forget_all(self) -> None:
-        """Leave the instances of a promise to the thread that hangs in one of them."""
+        """Forget the instances of a promise whose thread hangs, without closing them."""
         self._instances = []
 
     def elsewhere(self) -> AbstractContextManager[EnvElsewhere]:
@@ -168,7 +168,7 @@ class Subject:
         return self._scripts
 
     def need_episodes(self) -> None:
-        """Refuse what needs an episode where none can be played."""
+        """Raise ``NotTriedError`` if no episode can be played."""
         len(self.scripts)
 
     def record_scripts(self) -> None:
@@ -222,20 +222,20 @@ class Subject:
         return play(lambda: self.reset(env, seed), partial(self.step, env), actions)
 
     def play_on(self, env: AnyEnv, actions: Sequence[str]) -> Iterator[PlainResult]:
-        """Play what is left of an episode."""
+        """Continue an episode."""
         return play(None, partial(self.step, env), actions)
 
     # What is known to repeat.
 
     def expect_determinism(self) -> None:
-        """Refuse what the environment's record says cannot be repeated."""
+        """Raise ``NotTriedError`` if the environment's record says that it is not deterministic."""
         made_from = self.new().unwrapped.spec
         if made_from is not None and made_from.nondeterministic:
             raise NotTriedError("its record says deterministic=False")
 
     @property
     def references(self) -> list[tuple[Script, list[PlainResult]]]:
-        """Every script with what it gives, known to be the same each time."""
+        """Every script with its results, known to be the same each time."""
         self.need_episodes()
         self.expect_determinism()
         if self.recorded is None:

@@ -1,4 +1,4 @@
-"""``check_tool``: tries what a tool promises, alone and around a task."""
+"""``check_tool``: tries the promises of a tool, alone and around a task."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``check_wrapper``: puts a wrapper around a small task and tries what the two promise together."""
+"""``check_wrapper``: puts a wrapper around a small task and tries the promises of both together."""
 
 from __future__ import annotations
 

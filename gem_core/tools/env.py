@@ -55,7 +55,7 @@ class ToolEnv(Wrapper):
         instructions: Whether the first observation ends by explaining the tools; or the text to do so.
         thinking_tag: Name of the tag around thinking; with None, calls in it count as any other.
         call_timeout_s: Seconds that a call may take; what takes longer is given up, together with its session, and
-            told to the agent. A coroutine is cancelled; a thread, which cannot be, is left behind. None for no limit.
+            told to the agent. A coroutine is cancelled; a thread, which cannot be, is abandoned. None for no limit.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class ToolEnv(Wrapper):
         self._live = True
         info["tools"] = [tool.schema() for tool in self.tools.values()]
         if info.get("view") is not None:
-            info["view"] = None  # a view inside the tools shows nothing of what they say
+            info["view"] = None  # a view inside the tools does not show their results
         text = self.instructions if isinstance(self.instructions, str) else self._instructions()
         if self.instructions and text:
             if self.instructions is True:
@@ -135,7 +135,7 @@ class ToolEnv(Wrapper):
         return self._sessions.finished(self._answer(action, calls))
 
     def after_step(self, action: str, result: StepResult) -> StepResult:
-        """Remember how things stand, for the tool steps that follow."""
+        """Remember the suffix, for the tool steps that follow."""
         info = result[4]
         self._suffix = info["suffix"] if "feedback" in info and "suffix" in info else None
         self._live = not (result[2] or result[3])
@@ -167,7 +167,7 @@ class ToolEnv(Wrapper):
             reward += self.tool_reward if call.error is None else 0.0
             reward += self.tool_error_reward if result.failed else self.tool_success_reward
             outcomes.append((call, result))
-        return self._answered(action, outcomes, reward)
+        return self._tool_step_result(action, outcomes, reward)
 
     async def _outcome(self, call: ToolCall) -> ToolResult:
         if call.error is not None:
@@ -175,11 +175,11 @@ class ToolEnv(Wrapper):
         tool = self.tools[call.name]
         try:
             arguments = tool.validate(call.arguments)
-        except Exception as error:  # noqa: BLE001 - a validator of the tool's own may fail in any way
+        except Exception as error:  # noqa: BLE001 - a tool's own validator may raise anything
             return ToolResult(_validation_message(error), failed=True)
         return await self._sessions.call(tool, arguments)
 
-    def _answered(self, action: str, outcomes: list[tuple[ToolCall, ToolResult]], reward: float) -> StepResult:
+    def _tool_step_result(self, action: str, outcomes: list[tuple[ToolCall, ToolResult]], reward: float) -> StepResult:
         outputs = [join_observations([_title(call, result), result.content]) for call, result in outcomes]
         feedback = join_observations([*outputs, f"{self._what_is_left()}\n"])
         suffix: Observation = "" if self._suffix is None else self._suffix
@@ -227,7 +227,7 @@ class ToolEnv(Wrapper):
         lines = [
             "You may use tools before you answer. Make one call in a response: the result comes back to you, and "
             f"nothing that you write behind the call is read.{self._limit()}",
-            *(self._explained(tool) for tool in self.tools.values()),
+            *(self._explain(tool) for tool in self.tools.values()),
             f'Any tool can also be called as {CALL_OPEN}{{"name": …, "arguments": {{…}}}}{CALL_CLOSE}.',
         ]
         return "\n".join(lines)
@@ -240,11 +240,11 @@ class ToolEnv(Wrapper):
         most = self.max_tool_uses
         return "" if most is None else f" You have {most} tool call{'' if most == 1 else 's'}."
 
-    def _explained(self, tool: Tool) -> str:
+    def _explain(self, tool: Tool) -> str:
         if tool.name in self._reader.reserved:
             return tool.explained_in_json()
         if self._reader.leaves_fences_of(tool):
-            # Not to be told of a form that would be taken for the answer.
+            # Do not explain a form that would be taken for the answer.
             tool = copy.copy(tool)
             tool.fences = ()  # of this copy alone
         return tool.instructions()

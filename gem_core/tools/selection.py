@@ -1,4 +1,4 @@
-"""Which tools are asked for: by object, class or name, each with its options."""
+"""Resolve tools that are given as objects, classes or names, each with its options."""
 
 from __future__ import annotations
 

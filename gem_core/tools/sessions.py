@@ -22,15 +22,15 @@ T = TypeVar("T")
 logger = logging.getLogger("gem_core")
 
 MOST_LEFT_BEHIND = 64
-"""Calls of one tool, in all of this process, that ran out of time and still run; with so many, no more are begun."""
+"""Number of calls of one tool in this process that timed out and still run, at which no more are begun."""
 
-_left_behind: Counter[tuple[type[Tool], str]] = Counter()
-"""How many there are, by the tool's class and name. Global, since each holds a thread of the process for good."""
+_abandoned_calls: Counter[tuple[type[Tool], str]] = Counter()
+"""Number of such calls, by the tool's class and name. Global, since each holds a thread of the process for good."""
 
 
 @dataclass
 class _Attempt:
-    """One call: its session, which is the episode's unless the call was left behind."""
+    """State of one call: its session, which belongs to the episode unless the call was abandoned."""
 
     session: Any = None
     opened: bool = False
@@ -58,10 +58,10 @@ class ToolSessions:
         self._finalizer = weakref.finalize(self, _close_now, self.holders, self.open, self.on_loop, timeout_s)
 
     async def call(self, tool: Tool, arguments: Any) -> ToolResult:
-        """Call a tool; whatever goes wrong is a result that says so."""
+        """Call a tool; an error becomes a failed result."""
         if self.timeout_s is None:
             return await self._attempt(tool, arguments, _Attempt())
-        if (hanging := _left_behind[type(tool), tool.name]) >= MOST_LEFT_BEHIND:
+        if (hanging := _abandoned_calls[type(tool), tool.name]) >= MOST_LEFT_BEHIND:
             return ToolResult(
                 f"The tool failed: {hanging} earlier calls ran out of time and have not ended, so no more are begun.",
                 failed=True,
@@ -75,7 +75,7 @@ class ToolSessions:
             raise
         if done:
             return running.result()
-        self._leave_behind(tool, attempt, running)
+        self._abandon(tool, attempt, running)
         lost = " What it remembered of this episode is lost." if attempt.opened and attempt.session is not None else ""
         return ToolResult(
             f"The tool did not answer within {self.timeout_s:g} s, and the call was given up.{lost}",
@@ -91,19 +91,19 @@ class ToolSessions:
                 attempt.session, attempt.opened = await self._run(tool, tool.open), True
                 if not attempt.left_behind:
                     self.open[tool.session_key] = attempt.session
-            return _checked(tool, await self._run(tool, tool.call, arguments, attempt.session))
+            return _as_result(tool, await self._run(tool, tool.call, arguments, attempt.session))
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a failing tool is an observation for the agent
             message = f"{type(error).__name__}: {error}".strip()[:2000]
             return ToolResult(f"The tool failed: {message}", failed=True)
 
-    def _leave_behind(self, tool: Tool, attempt: _Attempt, running: asyncio.Task[ToolResult]) -> None:
-        """Give up a call. Its session goes with it, and is closed when the call ends, if it ever does."""
+    def _abandon(self, tool: Tool, attempt: _Attempt, running: asyncio.Task[ToolResult]) -> None:
+        """Abandon a call. Its session leaves the episode, and is closed when the call ends, if it ever does."""
         attempt.left_behind = True
         self.open.pop(tool.session_key, None)
-        _left_behind[type(tool), tool.name] += 1
+        _abandoned_calls[type(tool), tool.name] += 1
 
         def tidy(_: asyncio.Task[ToolResult]) -> None:
-            _left_behind[type(tool), tool.name] -= 1
+            _abandoned_calls[type(tool), tool.name] -= 1
             if attempt.opened:
                 finish_or_start(_close_all({tool.name: tool}, {tool.name: attempt.session}, True, self.timeout_s))
 
@@ -148,7 +148,7 @@ def _has_coroutines(tool: Tool) -> bool:
     return any(map(inspect.iscoroutinefunction, (tool.call, tool.open, tool.close)))
 
 
-def _checked(tool: Tool, outcome: Any) -> ToolResult:
+def _as_result(tool: Tool, outcome: Any) -> ToolResult:
     result = outcome if isinstance(outcome, ToolResult) else ToolResult(outcome)
     content = result.content
     if isinstance(content, str) or (isinstance(content, list) and all(map(is_part, content))):
@@ -160,16 +160,16 @@ async def _run(on_loop: bool, limited: bool, tool: Tool, method: Callable[..., A
     """Run a method of a tool; on the loop, that of a tool that blocks, or that could not be given up, in a thread."""
     blocks = (limited or tool.concurrency != "inline") and not inspect.iscoroutinefunction(tool.call)
     if on_loop and blocks and not inspect.iscoroutinefunction(method):
-        return await _settled(await in_thread(method, *args))
-    return await _settled(method(*args))
+        return await _await_if_needed(await in_thread(method, *args))
+    return await _await_if_needed(method(*args))
 
 
-async def _settled(value: Any) -> Any:
+async def _await_if_needed(value: Any) -> Any:
     return await value if inspect.isawaitable(value) else value
 
 
 def _finish_now(coroutine: Coroutine[Any, Any, T]) -> T:
-    """Run a coroutine in which nothing waits; one that does wait goes on the library's loop instead."""
+    """Run a coroutine that does not wait; one that does is run on the library's event loop instead."""
     try:
         coroutine.send(None)
     except StopIteration as finished:

@@ -1,4 +1,4 @@
-"""Tools: what an agent may call before it answers. ``gem_core.tools.env`` puts them around a task."""
+"""``Tool``: the base class of what an agent may call. ``gem_core.tools.env`` puts tools around a task."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ToolCall:
         name: Name of the tool.
         arguments: By name, not yet validated.
         start: Index in the response where the call begins.
-        end: Index behind its last character.
+        end: Index after its last character.
         error: Why it cannot be read; None for a complete call.
         id: Under which a native call is answered; None for a call in the text.
         cut: Whether it cannot be read only because the text ends before it is closed, as where the server stopped at

@@ -1,4 +1,4 @@
-"""Vector environments: what runs many environments at once, and what a backend of your own is made from.
+"""Vector environments, which run many environments at once, and the classes to build a backend from.
 
 A backend is a function of a ``VectorSetup`` that returns ``VectorEnv(setup, executor)``. An ``Executor`` is where
 environments live; it has an ``EnvRunner`` for each slot, which makes, resets and steps the environment::
@@ -7,12 +7,12 @@ environments live; it has an ``EnvRunner`` for each slot, which makes, resets an
         def __init__(self, setup):
             self.runners = [EnvRunner(slot, factory) for slot, factory in enumerate(setup.factories())]
 
-        def start(self, batch):  # begin to do commands; report the outcome of each, from any thread
+        def start(self, batch):  # start commands; report the outcome of each, from any thread
             for slot, ticket, command in batch:
                 self.scheduler.advance(slot, ticket, self.runners[slot].perform(command))
 
-Where environments live in workers that may be killed, derive from ``RemoteExecutor`` and ``WorkerLink`` instead; the
-worker has a ``Worker``. See ``docs/writing-a-plugin.md`` for the whole.
+If environments live in workers that can be killed, derive from ``RemoteExecutor`` and ``WorkerLink`` instead, and run a
+``Worker`` in each worker. ``docs/writing-a-plugin.md`` has a complete example.
 """
 
 from gem_core.vector.commands import Command, Failure, Outcome, Reset

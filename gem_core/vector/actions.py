@@ -1,4 +1,4 @@
-"""What goes into a vector environment and what comes out of it, checked."""
+"""Actions and results of a vector environment, and the checks of its arguments."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from gem_core.errors import ArgumentError
 from gem_core.types import Info, Observation
 
 Actions = Sequence[str] | Mapping[int, str]
-"""One for each slot in order; or ``{slot: action}`` for some."""
+"""One action for each slot, in order; or ``{slot: action}`` for some slots."""
 
 
 class VectorStep(NamedTuple):
-    """What the slots that were stepped give, in the order asked.
+    """Results of the slots that were stepped, in the order in which the caller named them.
 
     Args:
         observations: One for each slot.
@@ -35,11 +35,11 @@ class VectorStep(NamedTuple):
 
 
 class Received(NamedTuple):
-    """What ``recv`` gives: the slots that are ready, in order of completion, and what came of each.
+    """Result of ``recv``: the slots that are ready, in order of completion, and the result of each.
 
     Args:
-        slots: Which these are.
-        observations: One for each of them, like all that follows.
+        slots: Numbers of the slots.
+        observations: One for each slot, as in all following fields.
         rewards: float64, (slots,).
         terminated: bool, (slots,).
         truncated: bool, (slots,).
@@ -55,16 +55,17 @@ class Received(NamedTuple):
 
 
 def indices_and_actions(actions: Actions, num_envs: int) -> list[tuple[int, str]]:
-    """Return the slots that are stepped, each with its action, in the order asked.
+    """Return the slots to step, each with its action, in the order given.
 
     Raises:
-        ArgumentError: The number of actions is not the number of slots, or one is no text, or a slot does not exist.
+        ArgumentError: The number of actions differs from the number of slots, or an action is not a string, or a slot
+            does not exist.
     """
     if isinstance(actions, Mapping):
         return [(checked_slot(slot, num_envs), _checked_action(slot, action)) for slot, action in actions.items()]
     if isinstance(actions, str) or not hasattr(actions, "__len__") or len(actions) != num_envs:
         raise ArgumentError(
-            f"{_counted(actions)} for {num_envs} slots; give one for each, or a mapping of slot to action"
+            f"{_describe_actions(actions)} for {num_envs} slots; give one for each, or a mapping of slot to action"
         )
     for slot, action in enumerate(actions):
         if not isinstance(action, str):
@@ -73,10 +74,10 @@ def indices_and_actions(actions: Actions, num_envs: int) -> list[tuple[int, str]
 
 
 def masked_slots(mask: Any, num_envs: int) -> list[int]:
-    """Return the slots that a mask of bools chooses.
+    """Return the slots that a mask of bools selects.
 
     Raises:
-        ArgumentError: It is not one bool for each slot.
+        ArgumentError: The mask is not one bool for each slot.
     """
     array = np.asarray(mask)
     if array.shape != (num_envs,) or array.dtype != np.bool_:
@@ -85,13 +86,13 @@ def masked_slots(mask: Any, num_envs: int) -> list[int]:
 
 
 def checked_slot(slot: SupportsIndex, num_envs: int) -> int:
-    """Return the number of a slot.
+    """Return the number of a slot as an ``int``.
 
     Raises:
         ArgumentError: There is no such slot.
     """
     try:
-        index = operator.index(slot)  # whole numbers of NumPy too, as its index functions return them
+        index = operator.index(slot)  # accepts the integers of NumPy, as its index functions return them
     except TypeError:
         index = -1
     if not 0 <= index < num_envs:
@@ -99,7 +100,7 @@ def checked_slot(slot: SupportsIndex, num_envs: int) -> int:
     return index
 
 
-def _counted(actions: object) -> str:
+def _describe_actions(actions: object) -> str:
     if isinstance(actions, str):
         return "one string"
     return f"{len(actions)} actions" if isinstance(actions, Sized) else f"a {type(actions).__name__}"

@@ -1,6 +1,6 @@
-"""``make_vector``, and the backends: where the environments of a vector environment live.
+"""``make_vector``, and the built-in backends, which decide where environments run.
 
-Each takes a ``VectorSetup`` and, by keyword, its own options; plugins add more by the hook
+Each backend takes a ``VectorSetup`` and, by keyword, its own options; plugins add more by the hook
 ``gem_register_vector_backends``.
 """
 
@@ -30,10 +30,10 @@ def make_vector(ids: IdOrIds, num_envs: int | None, *, backend: object = "auto",
 def sync(setup: VectorSetup) -> VectorEnv:
     """Step one environment after another, in the calling thread.
 
-    It contains exceptions of an environment, and nothing worse: a hang holds up the batch.
+    It contains the exceptions of an environment, but not a hang, which blocks the whole batch.
 
     Raises:
-        ArgumentError: There is a ``step_timeout``, which nothing could keep.
+        ArgumentError: There is a ``step_timeout``, which this backend cannot enforce.
     """
     if setup.step_timeout is not None:
         raise ArgumentError(
@@ -47,7 +47,7 @@ def asynchronous(setup: VectorSetup) -> VectorEnv:
     """Step ``inline`` environments in place, ``async`` ones on the library's loop, and all others in threads.
 
     Raises:
-        ArgumentError: There is a ``step_timeout``, and an environment runs in place, where nothing could keep it.
+        ArgumentError: There is a ``step_timeout``, and an environment runs in place, where it cannot be enforced.
     """
     if setup.step_timeout is not None:
         for env_id in setup.all_ids:
@@ -64,18 +64,18 @@ def processes(setup: VectorSetup, *, workers: int | None = None, worker_memory_b
 
     Args:
         setup: See ``make_vec``.
-        workers: Number of processes; by default one for each core, and no more than there are slots.
-        worker_memory_bytes: Address space that a worker may use; beyond it, an environment meets a ``MemoryError``.
-            None for as much as there is.
+        workers: Number of processes; by default one for each core, and at most one for each slot.
+        worker_memory_bytes: Address space that a worker may use; beyond it, an environment gets a ``MemoryError``.
+            None for no limit.
     """
     return VectorEnv(setup, ProcessExecutor(setup, workers=workers, worker_memory_bytes=worker_memory_bytes))
 
 
 def auto(setup: VectorSetup, *, workers: int | None = None, worker_memory_bytes: int | None = None) -> VectorEnv:
-    """Choose by what each environment says of itself.
+    """Choose the backend of each environment by its ``concurrency``.
 
-    Those that compute for long, and with a ``step_timeout`` those that run in place, go to worker processes; all others
-    stay here, as with ``async``.
+    Environments with ``"process"``, and with a ``step_timeout`` those with ``"inline"``, go to worker processes; all
+    others stay in this process, as with ``async``.
     """
     in_workers = {env_id: _needs_worker(setup, setup.concurrency(env_id)) for env_id in setup.all_ids}
     if not any(in_workers.values()):
@@ -86,7 +86,7 @@ def auto(setup: VectorSetup, *, workers: int | None = None, worker_memory_bytes:
 
     def executor_of(env_id: str | None) -> int:
         if env_id not in in_workers:
-            # An id that only the plan names: by its class, without making one.
+            # Only the plan names this id: decide by the class of the environment, without making one.
             return int(_needs_worker(setup, setup.task_concurrency(env_id)))
         return int(in_workers[env_id])
 
@@ -98,7 +98,7 @@ def _needs_worker(setup: VectorSetup, concurrency: Concurrency | None) -> bool:
 
 
 def _local(setup: VectorSetup) -> LocalExecutor:
-    # What runs in place cannot be abandoned.
+    # An environment that runs in place cannot be abandoned.
     return LocalExecutor(setup, in_place=["inline"] if setup.step_timeout is None else [])
 
 
@@ -106,7 +106,7 @@ def _backend_and_options(backend: object) -> tuple[str, Mapping[str, Any]]:
     """Return the name of a backend and its options.
 
     Raises:
-        ArgumentError: It has not the form ``name`` or ``(name, {option: value})``.
+        ArgumentError: The backend is neither ``name`` nor ``(name, {option: value})``.
     """
     if isinstance(backend, str):
         return backend, {}

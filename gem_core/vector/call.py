@@ -1,4 +1,4 @@
-"""``Call``: a call of a vector environment, which Ctrl-C may interrupt at any instruction."""
+"""``InterruptibleCall``: keeps a vector environment usable when Ctrl-C interrupts one of its methods."""
 
 from __future__ import annotations
 
@@ -9,23 +9,24 @@ from gem_core.vector.scheduler import Batch, Scheduler, StepBatch
 from gem_core.vector.waiting import Condition
 
 
-class Call:
-    """A call of a vector environment, as a context; an interrupt at any instruction leaves that usable.
+class InterruptibleCall:
+    """A context around the body of a method of a vector environment, which Ctrl-C may interrupt at any instruction.
 
-    While the call waits, the scheduler is in order: what it waited for goes on, and comes by ``recv``. Anywhere else
-    the scheduler is in the middle of something, perhaps of a step in place, and has to be replaced. To put interrupts
-    off until the call is over would not do: an environment that runs in place may never come back.
+    While the method waits, the scheduler's state is consistent: an interrupted step goes on, and ``recv`` returns its
+    results. At any other instruction the scheduler's state may be half changed, perhaps by a step in place, and the
+    scheduler has to be replaced. Delaying interrupts until the method returns is no alternative: an environment that
+    runs in place may never return.
 
     Args:
-        scheduler: Of the vector environment.
-        start_anew: Replaces the scheduler.
+        scheduler: Scheduler of the vector environment.
+        replace_scheduler: Called to replace the scheduler.
     """
 
-    __slots__ = ("_batch", "_scheduler", "_start_anew", "_waits")
+    __slots__ = ("_batch", "_replace_scheduler", "_scheduler", "_waits")
 
-    def __init__(self, scheduler: Scheduler, start_anew: Callable[[], None]) -> None:
+    def __init__(self, scheduler: Scheduler, replace_scheduler: Callable[[], None]) -> None:
         self._scheduler = scheduler
-        self._start_anew = start_anew
+        self._replace_scheduler = replace_scheduler
         self._waits = False
         self._batch: Batch | None = None
 
@@ -36,7 +37,7 @@ class Call:
         if kind is None:
             return
         if not self._waits and not issubclass(kind, Exception):
-            self._start_anew()
+            self._replace_scheduler()
         elif isinstance(self._batch, StepBatch):
             self._scheduler.leave(self._batch)
 

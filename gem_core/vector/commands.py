@@ -1,4 +1,4 @@
-"""What a slot asks of its environment, and what comes back: plain records that can travel to another process."""
+"""Commands to an environment and their outcomes, as plain records that can be sent to another process."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gem_core.errors import (
 from gem_core.types import Observation, ResetResult, StepResult
 
 _PERMANENT = (UsageError, RegistrationError, MissingRequirementError, EntryPointError, DatasetError)
-"""Errors of making an environment that occur again whenever it is tried again, in any episode."""
+"""Errors of making an environment that would occur again in every episode."""
 
 _LONGEST_MESSAGE = 2000
 
@@ -28,9 +28,9 @@ class Reset(NamedTuple):
 
     Args:
         env_id: Id of the environment; None for the one that was given to ``VectorEnv.around``.
-        kwargs: Keyword arguments over those of the run.
+        kwargs: Keyword arguments that override those of the run.
         seed: Seed of the episode.
-        options: Passed to ``reset``; None for nothing.
+        options: Passed to ``reset``; None for no options.
     """
 
     env_id: str | None
@@ -43,9 +43,9 @@ class Rebuild(NamedTuple):
     """Replay the episode of an environment that was lost with its process, and then step it.
 
     Args:
-        reset: How the episode began.
-        actions: Actions that were stepped since.
-        observation: The last observation; a replay that ends in another one is a failure.
+        reset: Command that began the episode.
+        actions: Actions stepped since then.
+        observation: The last observation; a replay that ends with a different one is a failure.
         action: Action to step now.
     """
 
@@ -57,14 +57,14 @@ class Rebuild(NamedTuple):
 
 @dataclass
 class Failure:
-    """An environment that failed to do what it was asked.
+    """The outcome of a command that failed.
 
     Args:
         kind: ``"exception"``, ``"timeout"``, ``"died"`` or ``"collateral"``.
         message: What happened, as ``info["error"]`` says it.
-        error: The exception, where there is one and it can be pickled.
-        details: Its traceback, where it comes from another process.
-        permanent: Whether trying again, or another episode, would fail the same way.
+        error: The exception, if there is one and it can be pickled.
+        details: Its traceback, if it comes from another process.
+        permanent: Whether another attempt, or another episode, would fail the same way.
     """
 
     kind: str
@@ -75,7 +75,7 @@ class Failure:
 
     @classmethod
     def of(cls, error: BaseException, where: str, *, making: bool = False) -> Failure:
-        """Return the failure that an exception is."""
+        """Return an exception as a failure."""
         try:
             message = f"{where} raised {type(error).__name__}: {error}" if str(error) else f"{where} raised {error!r}"
         except Exception:  # noqa: BLE001 - an exception's own text may raise anything
@@ -87,7 +87,7 @@ class Failure:
         return {"kind": self.kind, "message": self.message}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Errors of GEM are raised again on the other side; any other may need modules, or be impossible to pickle.
+        # Only errors of GEM are raised again in the other process; others may need modules that it cannot import.
         error = self.error if isinstance(self.error, GemError) and _can_be_pickled(self.error) else None
         details = self.details
         if error is None and self.error is not None:
@@ -98,10 +98,10 @@ class Failure:
 
 
 Command = str | Reset | Rebuild
-"""What a slot asks: an action to step, or one of the others."""
+"""An action to step, a ``Reset`` or a ``Rebuild``."""
 
 Outcome = ResetResult | StepResult | Failure
-"""What comes back: of a ``Reset`` two values, of the others five, or a ``Failure``."""
+"""Result of a command: two values of a ``Reset``, five of any other, or a ``Failure``."""
 
 
 def _can_be_pickled(error: BaseException) -> bool:

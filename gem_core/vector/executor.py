@@ -14,46 +14,46 @@ from gem_core.vector.commands import Command, Failure, Outcome
 from gem_core.vector.runner import EnvRunner
 
 Launch = tuple[int, int, Command]
-"""Slot, ticket, command. The ticket tells an outcome that is waited for from one that comes too late."""
+"""Slot, ticket, command. The ticket identifies the command, so that an outcome that comes too late is dropped."""
 
 
 class Listener(Protocol):
-    """Takes what an executor reports; the scheduler of a vector environment is one."""
+    """Receives the outcomes that an executor reports; the scheduler of a vector environment is one."""
 
     def advance(self, slot: int, ticket: int, outcome: Outcome) -> None:
-        """Take the outcome of a command, from any thread; one that nobody waits for any more is dropped."""
+        """Receive the outcome of a command, from any thread; drop it if the command was abandoned."""
         ...
 
 
 class Executor(ABC):
     """Where environments live and run.
 
-    A slot's commands come one at a time. Which faults an executor contains stands in the table of
-    ``docs/vector-environments.md``; one that cannot keep a ``step_timeout`` refuses it.
+    A slot has one command at a time. The table in ``docs/vector-environments.md`` lists which faults each executor
+    contains; an executor that cannot enforce a ``step_timeout`` refuses it.
     """
 
     scheduler: Listener
 
     runners: Sequence[EnvRunner] = ()
-    """The environment of each slot, where they live in this process; else override what uses them."""
+    """The runner of each slot, if environments live in this process; otherwise override the methods that use them."""
 
     @abstractmethod
     def start(self, batch: list[Launch]) -> None:
-        """Begin to do commands; each is answered by ``scheduler.advance``, in any order, from any thread."""
+        """Start commands; report each outcome by ``scheduler.advance``, in any order, from any thread."""
 
     @abstractmethod
     def close(self) -> None:
-        """Close every environment, and end what runs them; calling it again does nothing."""
+        """Close every environment, and end their threads and workers; calling it again does nothing."""
 
     @abstractmethod
     def renewed(self) -> Executor:
-        """Return an executor like this one, without environments, and share no lock with it.
+        """Return an executor with the same settings, without environments, that shares no lock with this one.
 
-        An interrupt may have left this one in the middle of something; it is closed, in another thread.
+        An interrupt may have left this one in an inconsistent state; it is then closed in another thread.
         """
 
     def in_place(self, slot: int, command: Command) -> EnvRunner | None:
-        """Return the slot's runner where the command takes but microseconds and can be done by the caller at once."""
+        """Return the slot's runner if the caller can run the command at once, in microseconds; otherwise None."""
         return None
 
     def release(self, slot: int) -> None:
@@ -61,7 +61,7 @@ class Executor(ABC):
         self.runners[slot].discard()
 
     def sample_random_action(self, slot: int, seed: int | None) -> str:
-        """Return a valid action, from a generator that starts at ``seed`` in each episode."""
+        """Return a valid action, from a generator that is seeded with ``seed`` in each episode."""
         return self.runners[slot].sample_random_action(seed)
 
     def describe(self, slot: int) -> dict[str, Any]:
@@ -69,34 +69,34 @@ class Executor(ABC):
         return self.runners[slot].describe()
 
     def tasks(self, slot: int, env_id: str | None, kwargs: Mapping[str, Any]) -> tuple[int | None, bool]:
-        """Return ``num_tasks`` and ``endless_tasks`` of an environment, which is made if it is not there."""
+        """Return ``num_tasks`` and ``endless_tasks`` of an environment; make it if the slot does not have it."""
         return self.runners[slot].tasks(env_id, kwargs)
 
     # For step_timeout.
 
     def running(self) -> dict[int, float]:
-        """Return the slots whose command runs at this moment, and since when, by ``time.monotonic()``."""
+        """Return the slots whose command is running, and since when, by ``time.monotonic()``."""
         return {}
 
     def abandon(self, slot: int, failure: Failure) -> None:
-        """Abandon the command of a slot, which takes too long, so that the slot can be used again.
+        """Abandon a slot's command that takes too long, so that the slot can be used again.
 
         Args:
-            slot: One of those that ``running`` returns.
-            failure: What is reported of it.
+            slot: A slot that ``running`` returned.
+            failure: The failure that is reported for it.
 
         Raises:
-            FaultBudgetError: Too much has been abandoned.
+            FaultBudgetError: Too many commands have been abandoned.
         """
         raise NotImplementedError(f"{type(self).__name__} says what is running, and does not define abandon")
 
 
 class CommandTimes:
-    """Since when the command of each slot runs, in memory that other processes can see, also when this one is dead.
+    """Start time of each slot's running command, in memory that other processes can read even after this one died.
 
     Args:
         slots: Number of slots.
-        file: Number of an open file, which is given the size that it needs; None for memory of this process.
+        file: Descriptor of an open file, which is resized as needed; None for memory of this process.
     """
 
     def __init__(self, slots: int, file: int | None = None) -> None:
@@ -106,23 +106,23 @@ class CommandTimes:
         self._since = memoryview(bytearray(size) if file is None else mmap.mmap(file, size)).cast("d")
 
     def begin(self, slot: int) -> None:
-        """Note that a command begins."""
+        """Record that a command begins."""
         self._since[slot] = time.monotonic()
 
     def end(self, slot: int) -> None:
-        """Note that none runs."""
+        """Record that no command is running."""
         self._since[slot] = 0.0
 
     def running(self) -> dict[int, float]:
-        """Return the slots whose command runs, and since when; all read at once, since commands end meanwhile."""
+        """Return the slots whose command is running, and since when, from one copy of the memory."""
         return {slot: since for slot, since in enumerate(self._since.tolist()) if since}
 
 
 def free(lock: Any) -> None:
     """Release an ``RLock`` as often as this thread holds it.
 
-    An interrupt may come between the last line of a ``with`` block and the release of its lock.
+    An interrupt may occur between the last line of a ``with`` block and the release of its lock.
     """
-    with suppress(RuntimeError):  # this thread does not hold it, or does no more
+    with suppress(RuntimeError):  # this thread does not hold it, or no longer
         while True:
             lock.release()

@@ -1,4 +1,4 @@
-"""Environments in this process: in place, in a pool of threads, or as tasks on the library's event loop."""
+"""Executors for environments in this process: in place, in a pool of threads, or as tasks on the event loop."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from gem_core.vector.runner import EnvRunner
 from gem_core.vector.setup import VectorSetup
 
 MOST_ABANDONED = 64
-"""Threads that hang at once before a run is stopped."""
+"""Number of hanging threads at which a run is stopped."""
 
 _CLOSING_S = 5.0
-"""How long ``close`` waits for tasks and threads that close environments."""
+"""Seconds that ``close`` waits for tasks and threads that close environments."""
 
 
 class LocalExecutor(Executor):
-    """Runs each environment of this process as its ``concurrency`` asks for.
+    """Runs each environment in this process, as its ``concurrency`` requires.
 
     Args:
         setup: What environments are made from.
-        in_place: Kinds of ``concurrency`` that the caller runs at once, one after another.
-        times: Where it notes since when commands run.
+        in_place: Values of ``concurrency`` whose commands the caller runs at once, one after another.
+        times: Where the start times of commands are recorded.
     """
 
     def __init__(
@@ -45,13 +45,13 @@ class LocalExecutor(Executor):
         self.runners: list[EnvRunner] = [EnvRunner(slot, factory) for slot, factory in enumerate(self._factories)]
         self._times = CommandTimes(len(self.runners)) if times is None else times
         self._pool = DaemonPool("gem-env")
-        # Under the lock: runners that are replaced, so that a thread knows whether to close what it ran.
+        # The lock protects the replacement of runners, so that a thread knows whether to close the one that it ran.
         self._lock = threading.RLock()
         self._tasks: dict[int, asyncio.Task[None]] = {}
         self._hanging: set[EnvRunner] = set()
-        """Runners that were abandoned to threads that have not come back."""
+        """Abandoned runners whose threads still hang."""
         self._closing: set[threading.Event] = set()
-        """Set when an environment that a thread closes is closed."""
+        """Events, each set once a thread has closed an environment."""
         self._closed = False
 
     def in_place(self, slot: int, command: Command) -> EnvRunner | None:
@@ -63,7 +63,7 @@ class LocalExecutor(Executor):
             and not runner.has_env_for(reset.env_id)
             and self._setup.task_concurrency(reset.env_id) in self._in_place
         ):
-            # To make it takes little. A wrapper may need more than the task does, which shows only then.
+            # Making it is cheap. A wrapper may need more than the task does, which is known only afterwards.
             failed = runner.prepare(reset.env_id, reset.kwargs)
             return runner if failed or runner.concurrency in self._in_place else None
         return runner if runner.concurrency in self._in_place else None
@@ -80,9 +80,9 @@ class LocalExecutor(Executor):
                 if runner.concurrency == "async" and (not isinstance(command, Reset) or runner.has_env_for(command[0])):
                     tasks.append((runner, launch))
                 else:
-                    self._pool.submit(functools.partial(self._in_thread, runner, launch))
+                    self._pool.submit(functools.partial(self._run_in_thread, runner, launch))
         if tasks:
-            background_loop().call_soon_threadsafe(self._as_tasks, tasks)
+            background_loop().call_soon_threadsafe(self._run_as_tasks, tasks)
 
     def release(self, slot: int) -> None:
         """Close a slot's environment."""
@@ -97,7 +97,7 @@ class LocalExecutor(Executor):
         return self._times.running()
 
     def abandon(self, slot: int, failure: Failure) -> None:
-        """Cancel the task of a slot, or leave its environment to the thread that hangs in it.
+        """Cancel the task of a slot, or abandon the thread that hangs and replace the slot's runner.
 
         Raises:
             FaultBudgetError: Too many threads hang.
@@ -118,7 +118,7 @@ class LocalExecutor(Executor):
             )
 
     def close(self) -> None:
-        """Close every environment; what hangs is left to its thread."""
+        """Close every environment, except those in which a thread hangs."""
         with self._lock:
             self._closed = True
             tasks, self._tasks = self._tasks, {}
@@ -126,14 +126,14 @@ class LocalExecutor(Executor):
             runners = [self._replace(slot) for slot in range(len(self.runners))]
             self._hanging |= {runners[slot] for slot in busy}
         if tasks:
-            finish_or_start(_cancelled(list(tasks.values())))
+            finish_or_start(_cancel_tasks(list(tasks.values())))
         for slot, runner in enumerate(runners):
             if slot not in busy:
                 runner.discard()
         deadline = time.monotonic() + _CLOSING_S
         for closed in [] if on_background_loop() else list(self._closing):
             closed.wait(max(0.0, deadline - time.monotonic()))
-        # An environment that failed in a task was closed there, and its tools' sessions may still be closing.
+        # An environment that failed in a task was closed there, but its tools' sessions may still be closing.
         wait_for_started(max(0.0, deadline - time.monotonic()))
         self._pool.close()
 
@@ -143,7 +143,7 @@ class LocalExecutor(Executor):
         return LocalExecutor(self._setup, in_place=self._in_place)
 
     def _replace(self, slot: int) -> EnvRunner:
-        """Give a slot another runner, since it may be used again before the one that is returned is closed."""
+        """Give a slot a new runner and return the old one, which may be closed after the slot is used again."""
         with self._lock:
             runner, self.runners[slot] = self.runners[slot], EnvRunner(slot, self._factories[slot])
             self._times.end(slot)
@@ -162,7 +162,7 @@ class LocalExecutor(Executor):
 
         self._pool.submit(discard)
 
-    def _in_thread(self, runner: EnvRunner, launch: Launch) -> None:
+    def _run_in_thread(self, runner: EnvRunner, launch: Launch) -> None:
         slot, ticket, command = launch
         if self.runners[slot] is not runner:
             return
@@ -171,24 +171,24 @@ class LocalExecutor(Executor):
         if isinstance(command, Reset):
             outcome = runner.prepare(command.env_id, command.kwargs)
             if outcome is None and runner.concurrency == "async":
-                # Known only now: it goes on where its coroutines run.
-                background_loop().call_soon_threadsafe(self._as_tasks, [(runner, launch)])
+                # Its concurrency is known only now that it was made: continue on the event loop.
+                background_loop().call_soon_threadsafe(self._run_as_tasks, [(runner, launch)])
                 return
         self._finish(runner, ticket, runner.perform(command) if outcome is None else outcome)
 
-    def _as_tasks(self, launches: list[tuple[EnvRunner, Launch]]) -> None:
+    def _run_as_tasks(self, launches: list[tuple[EnvRunner, Launch]]) -> None:
         loop = asyncio.get_running_loop()
         for runner, launch in launches:
             slot = launch[0]
             with self._lock:
                 if self.runners[slot] is runner:
                     self._times.begin(slot)
-                    self._tasks[slot] = loop.create_task(self._as_task(runner, launch))
+                    self._tasks[slot] = loop.create_task(self._run_as_task(runner, launch))
                 else:
                     self._hanging.discard(runner)
                     self._discard_in_thread(runner)
 
-    async def _as_task(self, runner: EnvRunner, launch: Launch) -> None:
+    async def _run_as_task(self, runner: EnvRunner, launch: Launch) -> None:
         self._finish(runner, launch[1], await runner.perform_async(launch[2]))
 
     def _finish(self, runner: EnvRunner, ticket: int, outcome: Outcome) -> None:
@@ -221,7 +221,7 @@ class SyncExecutor(Executor):
         return self.runners[slot]
 
     def start(self, batch: list[Launch]) -> None:
-        """Never called: everything is done in place."""
+        """Do nothing; never called, since every command runs in place."""
 
     def close(self) -> None:
         """Close every environment."""
@@ -233,8 +233,8 @@ class SyncExecutor(Executor):
         return SyncExecutor(self._setup)
 
 
-async def _cancelled(tasks: list[asyncio.Task[None]]) -> None:
+async def _cancel_tasks(tasks: list[asyncio.Task[None]]) -> None:
     for task in tasks:
         task.cancel()
-    # A coroutine that swallows its cancellation must not hold up the end of the run.
+    # A coroutine that swallows its cancellation must not block the end of the run.
     await asyncio.wait(tasks, timeout=_CLOSING_S)

@@ -1,4 +1,4 @@
-"""``EnvRunner``: makes, resets and steps the environment of one slot, and turns whatever it raises into a failure."""
+"""``EnvRunner``: makes, resets and steps the environment of one slot, and turns its exceptions into failures."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ EnvFactory = Callable[[str | None, Mapping[str, Any]], AnyEnv]
 
 
 class EnvRunner:
-    """The environment of a slot, in whichever process it lives.
+    """Runs the environment of a slot, in this process or in a worker.
 
-    Whatever it raises becomes a ``Failure``, and the environment is then closed: the next reset makes another.
+    An exception becomes a ``Failure``, and the environment is then closed: the next reset makes a new one.
 
     Args:
         slot: Number of the slot.
@@ -38,23 +38,23 @@ class EnvRunner:
         self.slot = slot
         self.env: AnyEnv | None = None
         self.concurrency: Concurrency | None = None
-        """What the environment needs with its wrappers; None while there is no environment."""
+        """Concurrency of the environment with its wrappers; None while there is no environment."""
         self.borrowed: AnyEnv | None = None
-        """An environment that belongs to the caller, who closes it."""
+        """An environment that the caller owns and closes."""
         self.env_step: Callable[[str], Any] = _nothing_to_step
-        """Steps the environment, and checks the result; it may raise anything."""
+        """Steps the environment and checks the result; may raise anything."""
         self._factory = factory
         self._made_for: tuple[str | None, Mapping[str, Any]] | None = None
         self._sampled = False
 
     def perform(self, command: Command) -> Outcome:
-        """Do what a slot asks."""
+        """Run a command."""
         if isinstance(command, Reset):
             return self.reset(command)
         return self.step(command) if isinstance(command, str) else self.rebuild(command)
 
     async def perform_async(self, command: Command) -> Outcome:
-        """Do what a slot asks without blocking the loop."""
+        """Run a command without blocking the event loop."""
         try:
             if isinstance(command, Reset):
                 if failure := self.prepare(command.env_id, command.kwargs):
@@ -68,11 +68,11 @@ class EnvRunner:
         return await in_thread(self.rebuild, command)
 
     def has_env_for(self, env_id: str | None) -> bool:
-        """Tell whether there is an environment of an id, whatever its keyword arguments."""
+        """Tell whether the present environment has an id, with any keyword arguments."""
         return self._made_for is not None and self._made_for[0] == env_id
 
     def fits(self, command: Command) -> bool:
-        """Tell whether a command is for the environment that is here."""
+        """Tell whether a command is for the present environment."""
         if type(command) is not Reset:
             return True
         made_for = self._made_for
@@ -81,7 +81,7 @@ class EnvRunner:
         return made_for[1] is command[1] or _equal(made_for[1], command[1])
 
     def prepare(self, env_id: str | None, kwargs: Mapping[str, Any]) -> Failure | None:
-        """Make the environment for an id and keyword arguments, if it is not there; return what went wrong."""
+        """Make the environment for an id and keyword arguments unless it is present; return the failure, if any."""
         made_for = self._made_for
         if made_for is not None and made_for[0] == env_id and (made_for[1] is kwargs or _equal(made_for[1], kwargs)):
             return None
@@ -122,7 +122,7 @@ class EnvRunner:
         return self.step(command.action) if failure is None else failure
 
     def restore(self, command: Rebuild) -> Failure | None:
-        """Replay an episode up to the step that follows; return what went wrong."""
+        """Replay an episode without the next step; return the failure, if any."""
         outcome: Outcome = self.reset(command.reset)
         for action in command.actions:
             if isinstance(outcome, Failure) or _is_over(outcome):
@@ -140,7 +140,7 @@ class EnvRunner:
         return Failure("collateral", f"its worker was lost, and {why}")
 
     def sample_random_action(self, seed: int | None) -> str:
-        """Return a valid action for the present state, from a generator that starts at ``seed`` in each episode."""
+        """Return a valid action for the present state, from a generator seeded with ``seed`` in each episode."""
         env = self.env
         if env is None:
             return ""
@@ -159,7 +159,7 @@ class EnvRunner:
         return {"id": spec.id, "kwargs": spec.overrides(), "wrappers": [list(wrapper) for wrapper in spec.wrappers]}
 
     def tasks(self, env_id: str | None, kwargs: Mapping[str, Any]) -> tuple[int | None, bool]:
-        """Return ``num_tasks`` and ``endless_tasks`` of an environment, which is made if it is not there."""
+        """Return ``num_tasks`` and ``endless_tasks`` of an environment; make it unless it is present."""
         failure = self.prepare(env_id, kwargs)
         if failure is not None:
             raise cast("BaseException", failure.error)
@@ -174,7 +174,7 @@ class EnvRunner:
         return Failure.of(error, where)
 
     def discard(self) -> None:
-        """Close the environment, if there is one that is not the caller's."""
+        """Close the environment, unless the caller owns it."""
         env, self.env, self.env_step, self._made_for, self.concurrency = self.env, None, _nothing_to_step, None, None
         if env is None or env is self.borrowed:
             return
@@ -192,7 +192,7 @@ def _is_over(outcome: ResetResult | StepResult) -> bool:
 def _equal(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
     try:
         return first == second
-    except ValueError:  # arrays refuse to be compared as a whole
+    except ValueError:  # the truth value of an array is ambiguous
         return False
 
 
@@ -205,10 +205,10 @@ def _nothing_to_step(action: str) -> Any:
 
 
 def _check_contained(error: BaseException) -> None:
-    """Raise again what is not the environment's: Ctrl-C of the user, and the end of a coroutine that is collected.
+    """Raise again what does not come from the environment: Ctrl-C, and the end of a coroutine that is collected.
 
-    All else ends no more than an episode, also what is no ``Exception``, as panics of libraries in Rust are: in a
-    thread or a task it would be lost, and its slot waited for without end.
+    Everything else ends only the episode, including a ``BaseException`` such as the panic of a library in Rust: in a
+    thread or a task it would be lost, and its slot would be waited for without end.
     """
     if isinstance(error, GeneratorExit):
         raise error

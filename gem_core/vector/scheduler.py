@@ -1,4 +1,4 @@
-"""``Scheduler``: drives the slots of a vector environment, in place or by the executors where environments live."""
+"""``Scheduler``: runs the commands of the slots of a vector environment, in place or by executors."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from gem_core.vector.slot import LIVE, NEXT, FaultBudget, Rules, Slot
 from gem_core.vector.waiting import Condition, Signal
 
 First = Callable[[], Command | None]
-"""Gives a slot's first command; see ``Slot.act``."""
+"""Returns a slot's first command; see ``Slot.act``."""
 
 Launches = dict[Executor, list[Launch]]
 """Commands that executors have to start."""
 
 
 class Batch:
-    """Slots that are under way, and those of them with a result that ``recv`` has not collected."""
+    """Slots that are under way, and slots with a result that ``recv`` has not collected."""
 
     def __init__(self) -> None:
         self.waiting: set[int] = set()
         """Slots without a result."""
         self.held: list[int] = []
-        """Those of them whose next episode has to begin."""
+        """Slots among them whose next episode has still to begin."""
         self.done: list[int] = []
         """Slots with a result, in order of completion."""
 
     def is_over(self) -> bool:
-        """Tell whether all slots have a result."""
+        """Tell whether every slot has a result."""
         return not self.waiting
 
     def is_due(self) -> bool:
@@ -49,11 +49,11 @@ class Batch:
 class StepBatch(Batch):
     """Slots that one call steps or resets, and waits for.
 
-    The next episodes of those that end begin once all others are back, in the order of slots: so the order of
-    completion does not decide which slot draws what from the plan.
+    Once every slot has either a result or an ended episode, the next episodes begin in the order of slots: so the order
+    of completion does not decide which slot draws which item from the plan.
 
     Args:
-        order: The slots, as they were asked for.
+        order: The slots, in the order of the caller.
     """
 
     def __init__(self, order: list[int]) -> None:
@@ -66,14 +66,14 @@ class StepBatch(Batch):
 
 
 class Scheduler:
-    """Drives slots: what takes but microseconds at once, the rest by executors, and takes the outcomes.
+    """Runs the commands of slots: those that take microseconds at once, the others by executors.
 
     Args:
         ids: Id of each slot's own environment.
-        kwargs: Keyword arguments of each slot's own environment, over those of the run.
-        rules: What the slots share.
-        executors: Where environments live.
-        executor_of: Tells which of the executors those of an id live in; None where there is but one.
+        kwargs: Keyword arguments of each slot's own environment, which override those of the run.
+        rules: Rules that the slots share.
+        executors: Executors in which environments live.
+        executor_of: Returns the number of the executor for an id; None if there is only one executor.
     """
 
     def __init__(
@@ -89,28 +89,28 @@ class Scheduler:
         self.executors = executors
         self.executor_of = executor_of
         self.at: list[Executor] = [executors[0]] * len(ids)
-        """Where each slot's environment lives."""
+        """Executor of each slot's environment."""
         for executor in executors:
             executor.scheduler = self
         self.signal = Signal()
         self.closed = False
-        # The runners of slots whose steps are done at once, by the caller.
+        # Runners of the slots whose commands run in place, in the caller's thread.
         self._in_place: list[EnvRunner | None] = [None] * len(ids)
-        # Under the lock: which commands are out, and which batch a slot is under way in. While an outcome is taken, and
-        # while a command is done in place, none is out.
+        # The lock protects the ticket of each slot's command that an executor runs, and the batch that each slot under
+        # way belongs to. A slot has no ticket while its outcome is handled, or while its command runs in place.
         self._lock = threading.RLock()
         self._numbers = itertools.count()
         self._tickets: list[int | None] = [None] * len(ids)
         self._batches: dict[int, Batch] = {}
         self.sent = Batch()
-        """What ``recv`` collects."""
+        """The batch that ``recv`` collects."""
         self._check_at = 0.0
-        """When to look again for what takes too long."""
+        """When to look again for commands that take too long."""
 
-    # What is asked of it.
+    # Called by the vector environment.
 
     def refuse_busy(self, indices: Iterable[int]) -> None:
-        """Refuse what is asked of slots that are under way."""
+        """Raise an error if one of some slots is under way."""
         if not self._batches:
             return
         for index in indices:
@@ -118,7 +118,7 @@ class Scheduler:
                 raise ArgumentError(f"slot {index} is under way; call recv() until it has come back")
 
     def step(self, pairs: list[tuple[int, str]], batch: Batch) -> None:
-        """Step slots: those that take but microseconds at once, the others where they live."""
+        """Step slots: those that take microseconds at once, the others by their executors."""
         slots, in_place, sent = self.slots, self._in_place, batch is self.sent
         launches: Launches = {}
         for index, action in pairs:
@@ -126,11 +126,11 @@ class Scheduler:
             if runner is None or slot.phase is not LIVE:
                 first = partial(slot.act, action)
             else:
-                # As _drive would do, in a quarter of the time: one frame beside those of the environment.
+                # The same as _drive, in a quarter of the time: only one stack frame besides those of the environment.
                 try:
                     result = runner.env_step(action)
                 except BaseException as error:  # noqa: BLE001 - raised again if it is the user's
-                    first = partial(slot.took_step, runner.failed(error, "step"))
+                    first = partial(slot.take_step, runner.failed(error, "step"))
                 else:
                     if not (result[2] or result[3]):
                         slot.result = result
@@ -138,19 +138,19 @@ class Scheduler:
                             self._batches[index] = batch
                             batch.done.append(index)
                         continue
-                    first = partial(slot.took_step, result)
+                    first = partial(slot.take_step, result)
             self._batches[index] = batch
             batch.waiting.add(index)
             self._drive(slot, first, launches)
         self._start(launches)
-        self.signal.set()  # another thread or task may wait for those that were sent
+        self.signal.set()  # another thread or task may be waiting in recv
 
     def begin(self, indices: Iterable[int], options: dict[str, Any] | None, batch: Batch) -> None:
-        """Begin an episode in slots."""
+        """Begin an episode in each of some slots."""
         self.run([(index, partial(self.slots[index].begin, options)) for index in indices], batch)
 
     def run(self, firsts: list[tuple[int, First]], batch: Batch) -> None:
-        """Drive slots, each from its first command on."""
+        """Run the commands of slots, each from its first command on."""
         launches: Launches = {}
         for index, first in firsts:
             self._batches[index] = batch
@@ -160,13 +160,13 @@ class Scheduler:
         self.signal.set()
 
     def begin_run(self, source: EpisodeQueue) -> None:
-        """Let the next episodes start from a source, with the whole budget of faults; results left over are dropped."""
+        """Draw the next episodes from a source, with a full budget of faults; drop uncollected results."""
         self.drop_results()
         self.rules.source = source
         self.rules.budget.finished()
 
     def place(self, index: int, env_id: str | None) -> Executor:
-        """Return where a slot's environment of an id lives; one of another id may have lived elsewhere before."""
+        """Return the executor for an id in a slot; release the slot's environment in another executor, if any."""
         present = self.at[index]
         if self.executor_of is None:
             return present
@@ -177,7 +177,7 @@ class Scheduler:
         return executor
 
     def leave(self, batch: StepBatch) -> None:
-        """Leave the slots of a step, which was cancelled or interrupted, to ``recv``; nothing of it is lost."""
+        """Hand the slots of a cancelled or interrupted step over to ``recv``, with their results."""
         with self._lock:
             if self.closed:
                 return
@@ -189,9 +189,9 @@ class Scheduler:
         self.signal.set()
 
     def collect(self) -> list[int]:
-        """Return the slots that were sent something and have a result; those that failed come last, one by one."""
+        """Return the slots with a result that was not collected yet; those that failed come last, one by one."""
         with self._lock:
-            # What failed is raised once all that did not has been received: nothing of that is lost.
+            # A failure is raised only after all other results have been received, so that none of them is lost.
             failed = [index for index in self.sent.done if not isinstance(self.slots[index].result, tuple)]
             order = [index for index in self.sent.done if index not in failed] if failed else self.sent.done
             order = order or failed[:1]
@@ -201,13 +201,13 @@ class Scheduler:
             return order
 
     def close(self) -> None:
-        """Cancel what is under way, and close every executor for good."""
+        """Cancel pending commands, and close every executor for good."""
         self._cancel()
         for executor in self.executors:
             executor.close()
 
     def renewed(self) -> Self:
-        """Cancel what is under way; return a scheduler whose slots wait for a reset and whose plan goes on."""
+        """Cancel pending commands; return a new scheduler whose slots wait for a reset and whose plan goes on."""
         free(self._lock)
         self._cancel()
         budget = FaultBudget(self.rules.budget.limit, self.rules.budget.total)
@@ -223,10 +223,10 @@ class Scheduler:
             self.closed = True
         self.signal.set()
 
-    # Driving slots.
+    # Running commands.
 
     def _drive(self, slot: Slot, first: First, launches: Launches) -> None:
-        """Drive a slot as far as that can be done in place; note in ``launches`` what an executor has to start."""
+        """Run a slot's commands in place as far as possible; add to ``launches`` the one that an executor must run."""
         index = slot.index
         try:
             command = first()
@@ -246,34 +246,34 @@ class Scheduler:
                         ticket = self._tickets[index] = next(self._numbers)
                         launches.setdefault(executor, []).append((index, ticket, command))
                         return
-                command = slot.took(runner.perform(command))
+                command = slot.take_outcome(runner.perform(command))
         except Exception as error:  # noqa: BLE001 - raised again where the result is asked for
             slot.result = error
         if slot.episode is None:
             self._in_place[index] = None
             self.at[index].release(index)
-        self._settle(index)
+        self._mark_done(index)
 
     def _start(self, launches: Launches) -> None:
         for executor, batch in launches.items():
             try:
                 executor.start(batch)
-            except Exception as error:  # noqa: BLE001 - as in _drive: what waits for these slots must get it
+            except Exception as error:  # noqa: BLE001 - as in _drive: raised again where the result is asked for
                 for index, ticket, _ in batch:
                     if self._claim(index, ticket):
                         self.slots[index].result = error
-                        self._settle(index)
+                        self._mark_done(index)
 
     def _claim(self, index: int, ticket: int) -> bool:
-        """Tell whether the outcome of a command is waited for; no other is taken then."""
+        """Tell whether the outcome of a command is expected; accept it only once."""
         with self._lock:
             if self._tickets[index] != ticket:
                 return False
             self._tickets[index] = None
             return True
 
-    def _settle(self, index: int) -> None:
-        """Note that a slot has a result."""
+    def _mark_done(self, index: int) -> None:
+        """Record that a slot has a result."""
         with self._lock:
             batch = self._batches[index]
             batch.waiting.discard(index)
@@ -283,7 +283,7 @@ class Scheduler:
                 batch.done.append(index)
 
     def _hold(self, index: int) -> bool:
-        """Put off the next episode of a slot until all others of its step are back; return whether that is so."""
+        """Delay a slot's next episode until the other slots of its step are done, if it has any; return whether."""
         with self._lock:
             batch = self._batches[index]
             if not isinstance(batch, StepBatch):
@@ -292,7 +292,7 @@ class Scheduler:
             return True
 
     def _begin_held(self, batch: Batch) -> None:
-        """Begin the next episodes that are due, in the order of slots; again for those whose reset fails in place."""
+        """Begin the next episodes that are due, in the order of slots; repeat for those whose reset fails in place."""
         while batch.is_due():
             with self._lock:
                 due, batch.held = sorted(batch.held), []
@@ -306,9 +306,9 @@ class Scheduler:
     def until(
         self, over: Condition, batch: Batch, deadline: float | None = None, *, blocking: bool = True
     ) -> Iterator[tuple[Condition, float | None]]:
-        """Yield what to wait for, and how many seconds at most, until something is over.
+        """Yield a condition to wait for, and for how many seconds at most, until ``over`` is true.
 
-        Meanwhile it begins the next episodes of a batch when they are due, and abandons what takes too long.
+        Between waits, begin the next episodes of a batch when they are due, and abandon commands that take too long.
         """
 
         def due() -> bool:
@@ -334,27 +334,27 @@ class Scheduler:
             yield due, seconds
 
     def wait(self, over: Condition) -> None:
-        """Wait in plain code until something is over."""
+        """Wait in plain code until ``over`` is true."""
         for condition, seconds in self.until(over, Batch(), blocking=False):
             self.signal.wait(condition, seconds)
 
     def is_idle(self) -> bool:
-        """Tell whether nothing is under way, apart from next episodes that have not begun."""
+        """Tell whether no command is running; episodes that have still to begin do not count."""
         batches = list(self._batches.items())
         return all(index not in batch.waiting or index in batch.held for index, batch in batches)
 
     def drop_results(self) -> None:
-        """Forget the results that nobody has collected, and the episodes that have not begun."""
+        """Drop the results that were not collected, and the episodes that have still to begin."""
         with self._lock:
             self._batches = {}
             self.sent = Batch()
 
-    # What executors tell; see ``Listener``.
+    # Called by executors; see ``Listener``.
 
     def advance(self, slot: int, ticket: int, outcome: Outcome) -> None:
-        """Take the outcome of a command; see ``Listener``."""
+        """Receive the outcome of a command; see ``Listener``."""
         if self._claim(slot, ticket):
-            self._take(slot, partial(self.slots[slot].took, outcome))
+            self._take(slot, partial(self.slots[slot].take_outcome, outcome))
 
     def _take(self, index: int, first: First) -> None:
         launches: Launches = {}
@@ -363,7 +363,7 @@ class Scheduler:
         self.signal.set()
 
     def _abandon_overdue(self) -> float | None:
-        """Abandon what takes longer than ``step_timeout``; return in how many seconds to look again."""
+        """Abandon commands that take longer than ``step_timeout``; return in how many seconds to look again."""
         limit = self.rules.step_timeout
         if limit is None:
             return None
@@ -377,21 +377,21 @@ class Scheduler:
                     self._abandon(executor, index, limit)
                 else:
                     oldest = min(oldest, since)
-        # In a worker commands wait for one another, and how long one takes may be known only a look later.
+        # In a worker commands wait for one another, so the start of one may be seen only at the next look.
         self._check_at = now + min(max(0.001, oldest + limit - now), max(0.02, limit / 8))
         return self._check_at - now
 
     def _abandon(self, executor: Executor, index: int, limit: float) -> None:
         with self._lock:
-            # Asked again, since it may have come back, and gone on, in the meantime.
+            # Check again: the command may have finished, and the next one started, in the meantime.
             now, ticket = time.monotonic(), self._tickets[index]
             is_overdue = now - executor.running().get(index, now) >= limit
             if not is_overdue or ticket is None or not self._claim(index, ticket):
                 return
 
-        def took() -> Command | None:
+        def time_out() -> Command | None:
             failure = Failure("timeout", f"a step or reset took longer than step_timeout, {limit:g} s")
             executor.abandon(index, failure)
-            return self.slots[index].took(failure)
+            return self.slots[index].take_outcome(failure)
 
-        self._take(index, took)
+        self._take(index, time_out)

@@ -1,4 +1,4 @@
-"""``VectorSetup``: what a vector environment is made from; a backend adds where its environments live."""
+"""``VectorSetup``: the arguments of a vector environment, checked, from which a backend builds it."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ IdWithKwargs = tuple[str, Mapping[str, Any]]
 """An id, and keyword arguments."""
 
 IdOrIds = str | IdWithKwargs | Sequence[str | IdWithKwargs]
-"""One environment, or several."""
+"""One environment or several, each with or without keyword arguments."""
 
 
 @dataclass
 class VectorSetup:
-    """What a vector environment is made from; see ``make_vec``, which gives it to a backend.
+    """The arguments that a vector environment is made from; ``make_vec`` passes them to a backend.
 
     Args:
-        ids: Id of each slot's own environment; None for one that has no id.
-        slot_kwargs: Keyword arguments of each slot's own environment, over ``kwargs``.
-        entries: Every id that was asked for with its keyword arguments, once.
-        wrappers: Put around each environment.
+        ids: Id of each slot's own environment; None for one without an id.
+        slot_kwargs: Keyword arguments of each slot's own environment, which override ``kwargs``.
+        entries: Every requested id with its keyword arguments, once.
+        wrappers: Wrappers of each environment.
         kwargs: Keyword arguments for every environment.
         seed: Seed of the run; None draws one.
         plan: What episodes start from.
         autoreset: ``"same_step"``, ``"next_step"`` or ``"disabled"``.
-        step_timeout: Seconds that a step or a reset may take; None for as long as it likes.
+        step_timeout: Seconds that a step or a reset may take; None for no limit.
         on_error: ``"truncate"`` or ``"raise"``.
         factory: Makes environments, instead of the registry.
-        records: Records of environments that go before those of the registry, as a worker is sent them.
+        records: Records of environments that take precedence over the registry; a worker receives them.
     """
 
     ids: Sequence[str | None]
@@ -64,11 +64,11 @@ class VectorSetup:
 
     @classmethod
     def of(cls, ids: IdOrIds, num_envs: int | None, **options: Any) -> VectorSetup:
-        """Return the setup for what was asked for: the slots take the ids in turn; see ``make_vec``.
+        """Return the setup for ids, which are assigned to the slots in turn; see ``make_vec``.
 
         Raises:
-            ArgumentError: There is no id, or one has not the form ``id`` or ``(id, {keyword: value})``; or there is no
-                such keyword, or option of a wrapper.
+            ArgumentError: There is no id, or one is neither ``id`` nor ``(id, {keyword: value})``; or a keyword
+                argument or an option of a wrapper does not exist.
             UnknownEnvError: There is no such environment.
         """
         if not isinstance(ids, Iterable):
@@ -76,7 +76,7 @@ class VectorSetup:
                 f"environments are an id, (id, {{keyword: value}}) or a list of these, not {ids!r:.200}"
             )
         given = [ids] if isinstance(ids, str) or _is_pair(ids) else list(ids)
-        entries = [_entry(one) for one in given]
+        entries = [_as_pair(one) for one in given]
         if not entries:
             raise ArgumentError("make_vec needs at least one environment id")
         count = len(entries) if num_envs is None else num_envs
@@ -92,16 +92,16 @@ class VectorSetup:
 
     @property
     def all_ids(self) -> list[str]:
-        """Every id that was asked for, once."""
+        """Every requested id, once."""
         return list(dict.fromkeys(env_id for env_id, _ in self.entries if env_id is not None))
 
     def rules(self) -> Rules:
-        """Return what all slots share."""
+        """Return the rules that all slots share."""
         budget = FaultBudget(limit=max(16, 2 * len(self.ids)))
         return Rules(EpisodeQueue(self.plan, self.seed), budget, self.autoreset, self.on_error, self.step_timeout)
 
     def factories(self) -> list[EnvFactory]:
-        """Return what makes the environment of each slot in this process."""
+        """Return the factory of each slot's environment in this process."""
         return [self.make] * len(self.ids)
 
     def make(self, env_id: str | None, overrides: Mapping[str, Any]) -> AnyEnv:
@@ -119,7 +119,7 @@ class VectorSetup:
         return self.records.get(env_id or "") or registry().env(env_id or "")
 
     def task_concurrency(self, env_id: str | None) -> Concurrency | None:
-        """Return what a task needs by its class, without its wrappers; None where the class does not tell."""
+        """Return the concurrency of a task's class, without wrappers; None if the class does not declare one."""
         if self.factory is not None:
             return None
         task = load_entry_point(self.record(env_id).entry_point, f"environment {env_id!r}")
@@ -127,14 +127,14 @@ class VectorSetup:
         return cast("Concurrency", concurrency) if isinstance(concurrency, str) else None
 
     def concurrency(self, env_id: str) -> Concurrency:
-        """Return what an environment with its wrappers needs, as far as that decides where it lives.
+        """Return the concurrency of an environment with its wrappers, as far as it decides where the environment lives.
 
-        One is made and closed where the classes do not tell.
+        If the classes do not declare it, an environment is made and closed.
         """
         by_class = self.task_concurrency(env_id)
         if by_class == "process" or self._wrappers_need_process():
             return "process"
-        # Wrappers may need a thread, which makes a difference only to what would run in place, with a step_timeout.
+        # Wrappers may need a thread, which matters only for an inline task with a step_timeout.
         decided = by_class != "inline" or not self.wrappers or self.step_timeout is None
         if by_class is not None and decided:
             return by_class
@@ -150,7 +150,7 @@ class VectorSetup:
             if isinstance(target, str):
                 entry_point = target if ":" in target else registry().wrapper(target).entry_point
                 made = load_entry_point(entry_point, f"wrapper {target!r}")
-            # Of a wrapper, and of a tool.
+            # A wrapper class declares ``needs``, a tool ``concurrency``.
             if "process" in (getattr(made, "needs", None), getattr(made, "concurrency", None)):
                 return True
         return False
@@ -160,7 +160,7 @@ def _is_pair(given: object) -> bool:
     return isinstance(given, tuple) and len(given) == 2 and isinstance(given[1], Mapping)
 
 
-def _entry(given: object) -> IdWithKwargs:
+def _as_pair(given: object) -> IdWithKwargs:
     if isinstance(given, str):
         return given, {}
     if isinstance(given, tuple) and _is_pair(given):

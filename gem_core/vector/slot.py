@@ -1,11 +1,11 @@
-"""The rules of one slot, which every backend shares: what an episode starts from, autoreset, and faults.
+"""The state of one slot, in every backend: what an episode starts from, autoreset, and faults.
 
-A slot touches no environment. It returns the next command for its environment, takes the outcome, and in the end holds
-a result. The scheduler drives it::
+A slot does not touch its environment. It returns the next command for the environment, takes the outcome, and in the
+end holds a result. The scheduler runs it::
 
     command = slot.act("an action")
     while command is not None:
-        command = slot.next_episode() if command is NEXT else slot.took(runner.perform(command))
+        command = slot.next_episode() if command is NEXT else slot.take_outcome(runner.perform(command))
     slot.result
 """
 
@@ -22,23 +22,23 @@ from gem_core.types import TERMINAL_STATE, Info, Observation, StepResult
 from gem_core.vector.commands import Command, Failure, Reset
 
 Autoreset = Literal["same_step", "next_step", "disabled"]
-"""When the episode that follows a finished one begins; see ``make_vec``."""
+"""When the next episode begins after one has ended; see ``make_vec``."""
 
 OnError = Literal["truncate", "raise"]
 
 NEW, LIVE, ENDED, IDLE, BROKEN = "new", "live", "ended", "idle", "broken"
-"""Phases of a slot: before the first episode; in one; behind one that nothing followed yet; without any, since the plan
-is exhausted; left without an environment by an error that was raised."""
+"""Phases of a slot: before the first episode; in an episode; after one, before the next begins; without an episode,
+since the plan is exhausted; without an environment, since an error was raised."""
 
 NEXT: Any = object()
-"""Instead of a command: call ``next_episode``, as soon as it is this slot's turn."""
+"""Returned instead of a command: call ``next_episode`` when it is this slot's turn."""
 
 
 class FaultBudget:
     """Counts faults in a row, with no finished episode between them; shared by all slots.
 
     Args:
-        limit: Number of faults in a row that is still borne.
+        limit: Number of faults in a row that is allowed.
         total: Number of faults so far.
     """
 
@@ -49,14 +49,14 @@ class FaultBudget:
         self._lock = threading.Lock()
 
     def finished(self) -> None:
-        """Note an episode that ended by itself."""
+        """Record an episode that ended without a fault."""
         self._in_a_row = 0
 
     def spend(self, error: dict[str, Any], what: str) -> None:
-        """Note a fault.
+        """Count a fault.
 
         Raises:
-            FaultBudgetError: It was one too many.
+            FaultBudgetError: The limit is exceeded.
         """
         with self._lock:
             self.total += 1
@@ -73,14 +73,14 @@ class FaultBudget:
 
 @dataclass
 class Rules:
-    """What all slots of a vector environment share.
+    """Rules and counters that all slots of a vector environment share.
 
     Args:
-        source: What episodes start from.
+        source: Queue from which slots draw their episodes.
         budget: Count of faults.
         autoreset: See ``make_vec``.
         on_error: ``"truncate"`` or ``"raise"``.
-        step_timeout: Seconds that a command may take; None for as long as it likes.
+        step_timeout: Seconds that a command may take; None for no limit.
     """
 
     source: EpisodeQueue
@@ -97,18 +97,18 @@ class Rules:
 
 
 class Slot:
-    """One place of a vector environment, and the episode it is in.
+    """One slot of a vector environment, and its present episode.
 
     Args:
         index: Number of the slot.
-        own_id: Id of the environment where the plan names none; None for one that has no id.
-        own_kwargs: Keyword arguments of that environment, over those of the run.
-        rules: Shared by all slots.
+        own_id: Id of the environment if the plan names none; None for an environment without an id.
+        own_kwargs: Keyword arguments of that environment, which override those of the run.
+        rules: Rules that all slots share.
     """
 
     __slots__ = (
-        "_ended",
-        "_failed",
+        "_failed_resets",
+        "_last_step",
         "_options",
         "_reset",
         "episode",
@@ -131,26 +131,24 @@ class Slot:
         self.result: Any = None
         """The five values of a step, or an exception, once there is no next command."""
         self._reset: Reset | None = None
-        """The reset that is under way."""
+        """The reset whose outcome is awaited."""
         self._options: dict[str, Any] | None = None
-        self._failed: list[dict[str, Any]] = []
+        self._failed_resets: list[dict[str, Any]] = []
         """The resets that failed since the last episode."""
-        self._ended: StepResult | None = None
-        """The last step of the episode that was followed by the present reset."""
-
-    # What is asked of it.
+        self._last_step: StepResult | None = None
+        """The last step of the previous episode, while the reset after it is under way."""
 
     def begin(self, options: dict[str, Any] | None = None) -> Command:
         """Begin the next episode, also in the middle of one.
 
-        A reset that fails uses its plan item up, and the next is tried: ``info["failed_resets"]`` then lists what
-        failed. When the plan is exhausted, the observation is ``TERMINAL_STATE`` and ``info["idle"]`` is true.
+        A failed reset consumes its plan item, and the next item is tried; ``info["failed_resets"]`` lists the failures.
+        When the plan is exhausted, the observation is ``TERMINAL_STATE`` and ``info["idle"]`` is true.
         """
-        self._options, self._ended, self._failed = options, None, []
+        self._options, self._last_step, self._failed_resets = options, None, []
         return cast("Command", NEXT)
 
     def act(self, action: str) -> Command | None:
-        """Step; what follows the end of an episode is decided by autoreset.
+        """Step; ``autoreset`` decides what happens when the episode is over.
 
         Raises:
             ResetNeededError: There is no episode, and none begins by itself.
@@ -164,7 +162,7 @@ class Slot:
         return self.begin()  # next_step: this call begins the next episode, and its action is ignored
 
     def give_up(self, error: dict[str, Any] | None) -> Command:
-        """Begin the next episode in the middle of one; an error spends the budget of faults, None does not."""
+        """Begin the next episode in the middle of one; an error counts as a fault, None does not."""
         if error is None:
             self.rules.budget.finished()
         else:
@@ -188,11 +186,11 @@ class Slot:
             )
 
     def next_episode(self) -> Command | None:
-        """Return the reset of the next episode of the plan; None where there is none, and the slot is idle."""
+        """Return the reset of the plan's next episode; None if there is none, and the slot becomes idle."""
         start = self.episode = self.rules.source.draw(self.index)
         if start is None:
             self.phase = IDLE
-            self._began(TERMINAL_STATE, {"idle": True})
+            self._set_first_result(TERMINAL_STATE, {"idle": True})
             return None
         item, options = start.item, self._options
         if item.options or options:
@@ -203,20 +201,20 @@ class Slot:
         self._reset = Reset(item.id or self.own_id, kwargs, start.seed, options)
         return self._reset
 
-    def took(self, outcome: Any) -> Command | None:
+    def take_outcome(self, outcome: Any) -> Command | None:
         """Take the ``Outcome`` of a command; return the next command, or None once there is a result.
 
         Raises:
-            FaultBudgetError: It failed once too often.
-            EnvFaultError: It failed, and ``on_error`` is ``"raise"``.
+            FaultBudgetError: The command failed, and the budget of faults is spent.
+            EnvFaultError: The command failed, and ``on_error`` is ``"raise"``.
         """
-        return self.took_step(outcome) if self._reset is None else self._took_reset(self._reset, outcome)
+        return self.take_step(outcome) if self._reset is None else self._take_reset(self._reset, outcome)
 
-    def took_step(self, outcome: Any) -> Command | None:
-        """Take the outcome of a step, a ``StepResult`` or a ``Failure``; see ``took``."""
+    def take_step(self, outcome: Any) -> Command | None:
+        """Take the outcome of a step, a ``StepResult`` or a ``Failure``; see ``take_outcome``."""
         rules = self.rules
         if type(outcome) is Failure:
-            outcome = TERMINAL_STATE, 0.0, False, True, {"error": self._fault(outcome)}
+            outcome = TERMINAL_STATE, 0.0, False, True, {"error": self._count_fault(outcome)}
         elif not (outcome[2] or outcome[3]):
             self.result = outcome
             return None
@@ -226,24 +224,24 @@ class Slot:
             rules.budget.finished()
         if rules.autoreset == "same_step":
             self.begin()
-            # The environment may use its dictionary again in reset.
-            self._ended = outcome[0], outcome[1], outcome[2], outcome[3], outcome[4].copy()
+            # The environment may reuse its info dictionary in reset.
+            self._last_step = outcome[0], outcome[1], outcome[2], outcome[3], outcome[4].copy()
             return cast("Command", NEXT)
         self.phase = ENDED
         self.result = outcome
         return None
 
     def name(self) -> str:
-        """Return what an error calls it."""
+        """Return the name that errors use for this slot's environment."""
         return str((self.episode.item.id if self.episode is not None else None) or self.own_id or f"slot {self.index}")
 
-    def _took_reset(self, reset: Reset, outcome: Any) -> Command | None:
+    def _take_reset(self, reset: Reset, outcome: Any) -> Command | None:
         self._reset = None
         if type(outcome) is Failure:
             if outcome.permanent and outcome.error is not None:
                 self.phase = BROKEN
                 raise outcome.error
-            self._failed.append(self._as_failed(reset, self._fault(outcome)))
+            self._failed_resets.append(self._describe_failed_reset(reset, self._count_fault(outcome)))
             return cast("Command", NEXT)
         observation, info = outcome
         info["seed"] = reset.seed
@@ -251,21 +249,21 @@ class Slot:
         if group is not None:
             info["group"] = group
         self.phase = LIVE
-        self._began(observation, info)
+        self._set_first_result(observation, info)
         return None
 
-    def _began(self, observation: Observation, info: Info) -> None:
-        if self._failed:
-            info["failed_resets"], self._failed = self._failed, []
-        ended = self._ended
+    def _set_first_result(self, observation: Observation, info: Info) -> None:
+        if self._failed_resets:
+            info["failed_resets"], self._failed_resets = self._failed_resets, []
+        ended = self._last_step
         if ended is None:
             self.result = (observation, 0.0, False, False, info)
         else:
-            self._ended = None
+            self._last_step = None
             info["final_obs"], info["final_info"] = ended[0], ended[4]
             self.result = observation, ended[1], ended[2], ended[3], info
 
-    def _as_failed(self, reset: Reset, error: dict[str, Any]) -> dict[str, Any]:
+    def _describe_failed_reset(self, reset: Reset, error: dict[str, Any]) -> dict[str, Any]:
         start = cast("EpisodeStart", self.episode)
         return {
             "id": reset.env_id,
@@ -285,8 +283,8 @@ class Slot:
         else:
             self.rules.budget.spend(error if isinstance(error, dict) else {"message": str(error)}, self.name())
 
-    def _fault(self, failure: Failure) -> dict[str, Any]:
-        """Return what ``info["error"]`` says of a failure, and count it."""
+    def _count_fault(self, failure: Failure) -> dict[str, Any]:
+        """Count a failure as a fault and return its ``info["error"]``; raise it if ``on_error`` says so."""
         if self.rules.on_error == "raise":
             self.phase = BROKEN
             raised = EnvFaultError(f"{self.name()}: {failure.message}")

@@ -1,4 +1,4 @@
-"""``VectorEnv``: many environments that are reset and stepped together, wherever they live."""
+"""``VectorEnv``: many environments that are reset and stepped together, in any backend."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gem_core.errors import ArgumentError, BridgeError, ClosedError, EnvFaultErr
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
 from gem_core.types import Info, Observation
 from gem_core.vector.actions import Actions, Received, VectorStep, checked_slot, indices_and_actions, masked_slots
-from gem_core.vector.call import Call
+from gem_core.vector.call import InterruptibleCall
 from gem_core.vector.commands import Failure
 from gem_core.vector.executor import Executor
 from gem_core.vector.local import LocalExecutor, SyncExecutor
@@ -27,29 +27,31 @@ from gem_core.vector.waiting import Condition, Signal
 
 
 class VectorEnv:
-    """Many environments that are reset and stepped together, each in a slot of its own; ``make_vec`` makes one.
+    """Many environments that are reset and stepped together, each in its own slot; ``make_vec`` makes one.
 
-    It is not a ``gymnasium.vector.VectorEnv``: texts and infos come as lists.
+    It is not a ``gymnasium.vector.VectorEnv``: texts and infos are lists.
 
-    An episode that ends is followed by the next in the same call (autoreset ``same_step``): the observation is the new
-    episode's first, and ``info["final_obs"]`` and ``info["final_info"]`` hold the last of the old. An environment that
-    fails ends its episode as truncated, with ``info["final_info"]["error"]``, and is replaced. When a plan is exhausted
-    a slot is idle: ``TERMINAL_STATE``, flags false, ``info["idle"]``, and its actions are ignored.
+    When an episode ends, the next begins in the same call (autoreset ``same_step``): the observation is the first of
+    the new episode, and ``info["final_obs"]`` and ``info["final_info"]`` hold the last of the old one. If an
+    environment fails, its episode ends as truncated, with ``info["final_info"]["error"]``, and the environment is
+    replaced. When a plan is exhausted, a slot is idle: its observation is ``TERMINAL_STATE``, its flags are false,
+    ``info["idle"]`` is true, and its actions are ignored.
 
-    ``step`` waits for all that it stepped; ``send`` and ``recv`` wait for nobody. Both have a form to await, which
-    blocks no event loop, and all work from plain code, in notebooks and in servers.
+    ``step`` waits for all slots that it stepped; ``send`` does not wait, and ``recv`` returns results as they come.
+    Each method that waits has an ``_async`` form, which does not block the event loop; all work in plain code,
+    notebooks and servers.
 
     Args:
-        setup: What it is made from; see ``make_vec``.
-        executors: Where environments live.
-        executor_of: Tells which of several executors the environments of an id live in, by its number.
+        setup: Arguments that it is made from; see ``make_vec``.
+        executors: Executors in which environments live.
+        executor_of: Returns the number of the executor for an id, if there are several.
     """
 
     ids: list[str | None]
     """The id of each slot's own environment."""
 
     entries: list[tuple[str | None, Mapping[str, Any]]]
-    """The ids that were asked for, with their keyword arguments, each once; there may be more of them than slots."""
+    """The requested ids with their keyword arguments, each once; there may be more of them than slots."""
 
     def __init__(
         self, setup: VectorSetup, *executors: Executor, executor_of: Callable[[str | None], int] | None = None
@@ -70,19 +72,19 @@ class VectorEnv:
         keep_open: bool = False,
         plain: bool = True,
     ) -> VectorEnv:
-        """Return a vector environment of one slot, which begins with a given environment and does not make its own.
+        """Return a vector environment of one slot that uses a given environment.
 
-        A replacement, when it is needed, is the environment's own ``spawn``.
+        If the environment fails, its ``spawn`` makes the replacement.
 
         Args:
-            env: What the slot begins with.
+            env: Environment that the slot begins with.
             seed: Seed of the run; None draws one.
             on_error: ``"truncate"`` or ``"raise"``.
-            keep_open: Leave closing ``env`` to the caller; replacements are closed in any case.
-            plain: Run it in the calling thread, whatever its ``concurrency``.
+            keep_open: Leave it to the caller to close ``env``; replacements are closed in any case.
+            plain: Run it in the calling thread, regardless of its ``concurrency``.
         """
         spares = [env]
-        own_id = getattr(env.unwrapped, "env_id", None)  # any environment of Gymnasium's may be given
+        own_id = getattr(env.unwrapped, "env_id", None)  # an environment of Gymnasium has none
 
         def factory(env_id: str | None, overrides: Mapping[str, Any]) -> AnyEnv:
             if env_id is not None and env_id != own_id:
@@ -100,11 +102,11 @@ class VectorEnv:
     def _slots(self) -> list[Slot]:
         return self._scheduler.slots
 
-    # What it is.
+    # Properties.
 
     @property
     def signal(self) -> Signal:
-        """What is set when there is something for ``recv``; set it to let ``wait`` look at its ``other`` again."""
+        """Signal that is set when there is a result for ``recv``; set it to make ``wait`` check ``other`` again."""
         return self._scheduler.signal
 
     @property
@@ -114,7 +116,7 @@ class VectorEnv:
 
     @property
     def seed(self) -> int:
-        """Seed of the run, from which each episode's own is made."""
+        """Seed of the run, from which the seed of each episode is derived."""
         return self._scheduler.rules.source.seed
 
     @property
@@ -134,7 +136,7 @@ class VectorEnv:
 
     @property
     def own_source(self) -> EpisodeQueue:
-        """What its own episodes start from, by the plan and seed that it was made with; see ``rollout``."""
+        """Queue of its own episodes, from the plan and seed that it was made with; see ``rollout``."""
         return self._own_source
 
     def start_of(self, slot: int) -> EpisodeStart | None:
@@ -153,12 +155,12 @@ class VectorEnv:
     def num_tasks(self, env_id: str | None, kwargs: Mapping[str, Any] = MappingProxyType({})) -> int | None:
         """Return the number of tasks of an environment that has a data set; None for any other.
 
-        Ask before the first ``reset``: the environment may be made in a slot, in the place of the one that is there.
+        Call it before the first ``reset``: the environment may be made in a slot, and replace the one that is there.
         """
         return self._tasks(env_id, kwargs)[0]
 
     def endless_tasks(self, env_id: str | None, kwargs: Mapping[str, Any] = MappingProxyType({})) -> bool:
-        """Return whether an environment makes fresh tasks for every epoch, and takes any index; see ``num_tasks``."""
+        """Return whether an environment generates new tasks for every epoch, at any index; see ``num_tasks``."""
         return self._tasks(env_id, kwargs)[1]
 
     def _tasks(self, env_id: str | None, kwargs: Mapping[str, Any]) -> tuple[int | None, bool]:
@@ -172,8 +174,8 @@ class VectorEnv:
 
         Raises:
             ArgumentError: There is no such slot.
-            SamplingNotSupported: The environment does not say what is valid.
-            EnvFaultError: It failed.
+            SamplingNotSupported: The environment cannot sample actions.
+            EnvFaultError: The environment failed.
         """
         slot = checked_slot(slot, self.num_envs)
         current = self._slots[slot]
@@ -187,7 +189,7 @@ class VectorEnv:
             what = error if isinstance(error, EnvFaultError) else Failure.of(error, "sample_random_action").message
             raise EnvFaultError(f"{current.name()}: {what}") from error
 
-    # Waiting for all.
+    # Methods that wait for all slots.
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -195,56 +197,56 @@ class VectorEnv:
         """Begin an episode in every slot.
 
         Args:
-            seed: Start the run of this seed over; None goes on with the present one, as with a plan half done.
-            options: Passed to the first episode of every slot. ``"reset_mask"``, a bool for each slot, resets some
-                only, as in Gymnasium; of the others comes what was observed last, with an empty info.
+            seed: Start the run over with this seed; None continues the present run.
+            options: Passed to the first episode of every slot. ``"reset_mask"``, a bool for each slot, resets only
+                some slots, as in Gymnasium; the others return their last observation, with an empty info.
 
         Returns:
             The observations and the infos, one of each for every slot.
 
         Raises:
-            ArgumentError: The run cannot start over, because its plan is an iterator that has been drawn from; or a
-                mask does not fit.
+            ArgumentError: The run cannot start over, because its plan is an iterator that has been drawn from; or the
+                mask has the wrong form.
             EnvFaultError: An environment failed, and ``on_error`` is ``"raise"``.
-            FaultBudgetError: Environments fail again and again.
+            FaultBudgetError: Too many faults in a row.
         """
         with self._call() as call:
-            batch, options = self._chosen(seed, options)
+            batch, options = self._batch_and_options(seed, options)
             if len(batch.order) == self.num_envs:
                 call.wait(self._scheduler.is_idle, Batch())
             self._begin(batch, options)
             call.wait(batch.is_over, batch)
-            return self._observed(batch.order)
+            return self._reset_results(batch.order)
 
     async def reset_async(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[list[Observation], list[Info]]:
         """``reset`` for code that runs in an event loop, without blocking it."""
         with self._call() as call:
-            batch, options = self._chosen(seed, options)
+            batch, options = self._batch_and_options(seed, options)
             if len(batch.order) == self.num_envs:
                 await call.wait_async(self._scheduler.is_idle, Batch())
             self._begin(batch, options)
             await call.wait_async(batch.is_over, batch)
-            return self._observed(batch.order)
+            return self._reset_results(batch.order)
 
     def step(self, actions: Actions) -> VectorStep:
         """Step all slots, or those that a mapping names, and wait for them.
 
-        Episodes that begin in the same call draw from the plan in the order of the slots: the order in which
-        environments finish decides nothing.
+        Episodes that begin in the same call draw from the plan in the order of the slots, not in the order in which
+        environments finish.
 
         Args:
             actions: One for each slot in order; or ``{slot: action}``.
 
         Returns:
-            What came of it, in the order asked.
+            The results, in the order of the actions.
 
         Raises:
             ArgumentError: The number of actions is not the number of slots, or a slot does not exist or is under way.
             ResetNeededError: A slot has no episode, and none begins by itself.
             EnvFaultError: An environment failed, and ``on_error`` is ``"raise"``.
-            FaultBudgetError: Environments fail again and again.
+            FaultBudgetError: Too many faults in a row.
         """
         with self._call() as call:
             batch = self._start_step(actions)
@@ -255,24 +257,24 @@ class VectorEnv:
     async def step_async(self, actions: Actions) -> VectorStep:
         """``step`` for code that runs in an event loop, without blocking it.
 
-        Where it is cancelled, as by a time limit, the slots go on, and ``recv`` returns what comes of it.
+        If it is cancelled, as by a time limit, the slots go on, and ``recv`` returns their results.
         """
         with self._call() as call:
             batch = self._start_step(actions)
             await call.wait_async(batch.is_over, batch)
             return self._results(batch.order)
 
-    # Waiting for nobody.
+    # Methods that do not wait for all slots.
 
     def send(self, actions: Actions) -> None:
-        """Begin to step all slots, or those that a mapping names; ``recv`` returns what comes of it.
+        """Begin to step all slots, or those that a mapping names; ``recv`` returns the results.
 
         Raises:
             ArgumentError: The number of actions is not the number of slots, or a slot does not exist or is under way.
             ResetNeededError: A slot has no episode, and none begins by itself.
         """
         with self._call():
-            self._scheduler.step(self._checked(actions), self._scheduler.sent)
+            self._scheduler.step(self._checked_pairs(actions), self._scheduler.sent)
 
     def send_reset(self, source: EpisodeQueue | None = None, options: dict[str, Any] | None = None) -> None:
         """Begin an episode in every slot; ``recv`` returns their observations, with reward 0 and flags false."""
@@ -290,8 +292,8 @@ class VectorEnv:
 
         Args:
             slot: Number of the slot.
-            error: What failed outside of its steps, as ``info["error"]`` says it, counted as a fault; None where
-                nothing failed, as when the history is longer than the model takes.
+            error: What failed outside the environment, in the form of ``info["error"]``, counted as a fault; None if
+                nothing failed, as when the history is longer than the model's context.
         """
         self._begin_one(slot, partial(self._slots[slot].give_up, error))
 
@@ -301,31 +303,31 @@ class VectorEnv:
             self._scheduler.run([(slot, first)], self._scheduler.sent)
 
     def recv(self, min_envs: int = 1, timeout: float | None = None) -> Received:
-        """Return what came of ``send``: all that is there, in order of completion.
+        """Return the results of ``send`` that are ready, in order of completion.
 
         Args:
-            min_envs: Wait for so many; for all that are under way, where these are fewer.
-            timeout: Seconds to wait at most; then come those that are there, maybe none.
+            min_envs: Wait for this many results, or for all slots under way if these are fewer.
+            timeout: Seconds to wait at most; afterwards the ready results are returned, perhaps none.
 
         Raises:
             ArgumentError: Nothing is under way.
             EnvFaultError: An environment failed, and ``on_error`` is ``"raise"``.
-            FaultBudgetError: Environments fail again and again.
+            FaultBudgetError: Too many faults in a row.
         """
         with self._call() as call:
-            enough, deadline = self._awaited(min_envs, timeout)
+            enough, deadline = self._condition_and_deadline(min_envs, timeout)
             call.wait(enough, self._scheduler.sent, deadline)
             return self._received()
 
     async def recv_async(self, min_envs: int = 1, timeout: float | None = None) -> Received:
         """``recv`` for code that runs in an event loop, without blocking it."""
         with self._call() as call:
-            enough, deadline = self._awaited(min_envs, timeout)
+            enough, deadline = self._condition_and_deadline(min_envs, timeout)
             await call.wait_async(enough, self._scheduler.sent, deadline)
             return self._received()
 
     def wait(self, other: Condition = lambda: False) -> None:
-        """Wait until ``recv`` would return something, or until something else is so; see ``signal``."""
+        """Wait until ``recv`` has a result, or ``other`` returns True; see ``signal``."""
         sent = self._scheduler.sent
         with self._call() as call:
             call.wait(lambda: bool(sent.done) or other(), sent)
@@ -337,20 +339,20 @@ class VectorEnv:
             await call.wait_async(lambda: bool(sent.done) or other(), sent)
 
     async def drain_async(self) -> None:
-        """Wait for what is under way, and drop it, without blocking the event loop."""
+        """Wait for slots under way and drop their results, without blocking the event loop."""
         with self._call() as call:
             await call.wait_async(self._scheduler.is_idle, Batch())
             self._scheduler.drop_results()
 
     @property
     def under_way(self) -> int:
-        """Number of slots that were sent something and have not been received."""
+        """Number of slots that were sent an action or a reset and have not been received."""
         return len(self._scheduler.sent.waiting) + len(self._scheduler.sent.done)
 
     def close(self) -> None:
-        """Close every environment for good: what is asked afterwards raises ``ClosedError``."""
+        """Close every environment for good; later calls raise ``ClosedError``."""
         self._closed = True
-        with Call(self._scheduler, self._start_anew):
+        with InterruptibleCall(self._scheduler, self._replace_scheduler):
             self._scheduler.close()
 
     def __enter__(self) -> Self:
@@ -368,7 +370,9 @@ class VectorEnv:
             f"VectorEnv({names if len(names) < 200 else names[:200] + '…'}, num_envs={self.num_envs}, seed={self.seed})"
         )
 
-    def _chosen(self, seed: int | None, options: dict[str, Any] | None) -> tuple[StepBatch, dict[str, Any] | None]:
+    def _batch_and_options(
+        self, seed: int | None, options: dict[str, Any] | None
+    ) -> tuple[StepBatch, dict[str, Any] | None]:
         if options is not None and not isinstance(options, Mapping):
             raise ArgumentError(f"options must be a mapping of names to values, not {options!r:.200}")
         chosen = list(range(self.num_envs))
@@ -391,12 +395,12 @@ class VectorEnv:
         self._scheduler.begin(batch.order, options, batch)
 
     def _start_step(self, actions: Actions) -> StepBatch:
-        pairs = self._checked(actions)
+        pairs = self._checked_pairs(actions)
         batch = StepBatch([index for index, _ in pairs])
         self._scheduler.step(pairs, batch)
         return batch
 
-    def _checked(self, actions: Actions) -> list[tuple[int, str]]:
+    def _checked_pairs(self, actions: Actions) -> list[tuple[int, str]]:
         pairs = indices_and_actions(actions, self.num_envs)
         self._scheduler.refuse_busy(index for index, _ in pairs)
         slots = self._slots
@@ -405,7 +409,7 @@ class VectorEnv:
                 slots[index].check_steppable()
         return pairs
 
-    def _awaited(self, min_envs: int, timeout: float | None) -> tuple[Condition, float | None]:
+    def _condition_and_deadline(self, min_envs: int, timeout: float | None) -> tuple[Condition, float | None]:
         sent = self._scheduler.sent
         if not self.under_way:
             raise ArgumentError("nothing is under way; call send() before recv()")
@@ -414,18 +418,18 @@ class VectorEnv:
         wanted = min(min_envs, self.under_way)
         return lambda: len(sent.done) >= wanted, None if timeout is None else time.monotonic() + timeout
 
-    def _call(self) -> Call:
+    def _call(self) -> InterruptibleCall:
         if self._closed:
             raise ClosedError("the vector environment is closed; make another with make_vec")
-        return Call(self._scheduler, self._start_anew)
+        return InterruptibleCall(self._scheduler, self._replace_scheduler)
 
-    def _start_anew(self) -> None:
-        """Replace the scheduler, which an interrupt has left in the middle of something."""
+    def _replace_scheduler(self) -> None:
+        """Replace the scheduler after an interrupt has left it in an inconsistent state."""
         old = self._scheduler
         self._scheduler = old.renewed()
         if self._own_source is old.rules.source:
             self._own_source = self._scheduler.rules.source
-        # It may hold its own locks for ever.
+        # In a thread, since the old scheduler may hold its own locks for ever.
         threading.Thread(target=old.close, name="gem-close", daemon=True).start()
 
     def _received(self) -> Received:
@@ -441,16 +445,16 @@ class VectorEnv:
         if error := next((result for result in results if not isinstance(result, tuple)), None):
             raise error
         observations, rewards, terminated, truncated, infos = zip(*results, strict=True)
-        # A byte for each flag, read as bools: a third of the time that NumPy takes to look at each.
+        # One byte for each flag, read as bools: a third of the time of np.array.
         return VectorStep(
             list(observations),
             np.fromiter(rewards, np.float64, len(rewards)),
             np.frombuffer(bytearray(terminated), np.bool_),
             np.frombuffer(bytearray(truncated), np.bool_),
-            list(map(dict.copy, infos)),  # some environments use a dictionary again
+            list(map(dict.copy, infos)),  # some environments reuse their info dictionary
         )
 
-    def _observed(self, chosen: list[int]) -> tuple[list[Observation], list[Info]]:
+    def _reset_results(self, chosen: list[int]) -> tuple[list[Observation], list[Info]]:
         self._results(chosen)
         began = set(chosen)
         observations = [slot.result[0] if isinstance(slot.result, tuple) else "" for slot in self._slots]

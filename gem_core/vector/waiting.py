@@ -1,4 +1,4 @@
-"""``Signal``: wakes those who wait for a vector environment, in plain code or in a coroutine."""
+"""``Signal``: wakes threads and coroutines that wait for a vector environment."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from collections.abc import Callable
 from contextlib import suppress
 
 Condition = Callable[[], bool]
-"""Tells whether there is something to go on with; called from any thread, so it changes nothing."""
+"""Tells whether to stop waiting; called from any thread, so it must not change anything."""
 
 
 class Signal:
-    """Wakes those who wait, each once its condition is met.
+    """Wakes waiting threads and coroutines, each when its condition is met.
 
-    It has no lock: an interrupt may come at any instruction, and would leave that of a ``threading.Event`` held.
+    It has no lock: an interrupt at any instruction could leave the lock of a ``threading.Event`` held.
     """
 
     def __init__(self) -> None:
         self._waiting: dict[object, tuple[Condition, Callable[[], None]]] = {}
 
     def set(self) -> None:
-        """Wake those whose condition is met; it may be called from any thread."""
+        """Wake the waiting whose condition is met; may be called from any thread."""
         for condition, wake in list(self._waiting.values()):
-            # Asked here: of 512 slots that come back one by one, each would wake the thread that waits for all.
+            # Checked here: otherwise each of 512 slots that finish one by one would wake the thread that waits for all.
             if condition():
                 wake()
 
@@ -43,7 +43,7 @@ class Signal:
         loop, flag = asyncio.get_running_loop(), asyncio.Event()
 
         def wake() -> None:
-            with suppress(RuntimeError):  # that loop is closed: nobody waits there any more
+            with suppress(RuntimeError):  # the event loop is closed, so nobody waits there
                 loop.call_soon_threadsafe(flag.set)
 
         self._waiting[flag] = condition, wake

@@ -15,7 +15,7 @@ from gem_core.types import Observation, ResetResult
 from gem_core.wrappers.views import ObservationView
 
 _MARK = "GEM-BRIDGE-MARK"
-"""Stands for a response in the dummy chat that shows what a template writes behind one."""
+"""Placeholder for a response in a dummy chat, which shows what a template writes after one."""
 
 
 class MessagesView(ObservationView):
@@ -108,7 +108,7 @@ class ConcatChat(MessagesView):
     def __init__(
         self, env: AnyEnv, tokenizer: Any, *, template_options: dict[str, Any] | None = None, **options: Any
     ) -> None:
-        self.tokenizer = _loaded(tokenizer)
+        self.tokenizer = _load_tokenizer(tokenizer)
         self.template_options = dict(template_options or {})
         super().__init__(env, **options)
         self.observation_space = env.observation_space
@@ -132,7 +132,7 @@ class ConcatChat(MessagesView):
         return self._text
 
     def _bridge(self, turn: Turn) -> str:
-        """Return what the template writes behind a response, up to the place of the next."""
+        """Return what the template writes between a response and the next."""
         dummy = [{"role": "user", "content": "…"}, {"role": "assistant", "content": _MARK}]
         rendered = self._render([*dummy, *answer_messages(turn)])
         _, found, bridge = rendered.partition(_MARK)  # the first: what the task says may hold another
@@ -158,7 +158,7 @@ class ConcatChat(MessagesView):
         self._text, self._bridged = str(state["text"]), int(state["bridged"])
 
 
-def _loaded(tokenizer: Any) -> Any:
+def _load_tokenizer(tokenizer: Any) -> Any:
     if isinstance(tokenizer, str):
         try:
             transformers = importlib.import_module("transformers")

@@ -25,7 +25,7 @@ class EpisodeStats(Wrapper):
         self._started = time.perf_counter()
 
     def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> None:
-        """Count from nothing again."""
+        """Reset the counters."""
         self._return, self._length = 0.0, 0
         self._started = time.perf_counter()
 

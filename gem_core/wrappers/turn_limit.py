@@ -26,7 +26,7 @@ class TurnLimit(Wrapper):
         self.turn = 0
 
     def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> None:
-        """Count from nothing again."""
+        """Reset the counter."""
         self.turn = 0
 
     def before_step(self, action: str) -> str:

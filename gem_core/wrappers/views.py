@@ -17,11 +17,11 @@ from gem_core.records.turns import Turn, with_actions, without_thinking
 from gem_core.types import Info, Observation, ResetResult, StepResult
 
 Summarizer = Callable[[str, list[Turn]], str]
-"""Called with the summary so far and the turns that are to be dropped next, returns the new summary."""
+"""Called with the summary so far and the turns to be dropped next; returns the new summary."""
 
 
 class ObservationView(Wrapper):
-    """Base of the views: remembers what was shown and answered, and says what to show next.
+    """Base class of views: remembers the turns, and decides what the agent is shown next.
 
     A subclass overrides ``show``.
 
@@ -34,7 +34,7 @@ class ObservationView(Wrapper):
             turn alone have more, the context overflows: the episode is truncated, with ``info["context_overflow"]``.
         count_tokens: How tokens are counted: a tokenizer with ``encode``, or a function of a text. Images are not.
         summarize: Called with the summary so far and the turns that are dropped next; what it returns is shown after
-            the task in their stead.
+            the task instead of them.
     """
 
     can_append_only: ClassVar[bool] = False
@@ -104,7 +104,7 @@ class ObservationView(Wrapper):
         if self.drop_thinking:
             turn = replace(turn, action=without_thinking(turn.action, self.thinking_tag), reasoning=None)
         self._turns.append(turn)
-        shown = self._fitted()
+        shown = self._fit_turns()
         if self._is_too_long(shown):
             info["context_overflow"] = True
             truncated = truncated or not terminated
@@ -116,7 +116,7 @@ class ObservationView(Wrapper):
         self._dropped = 0
         self._summary = ""
 
-    def _fitted(self) -> Observation:
+    def _fit_turns(self) -> Observation:
         """Drop turns until the rest fits, and return what is shown."""
         count = len(self._turns)
         wanted = 0 if self.max_turns is None else count - self.max_turns

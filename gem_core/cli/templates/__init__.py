@@ -1,1 +1,1 @@
-"""What ``gem new-plugin`` writes: files with words such as ``@package@``, which are replaced."""
+"""Templates of ``gem new-plugin``: files with placeholders such as ``@package@``."""

@@ -1,6 +1,6 @@
 """Calls without any mark, as Llama 3, xLAM and Gemma write them: JSON, a list in Python, or a name on its own line.
 
-They may as well be an answer. So they count only where they name a tool, begin a line, and nothing is said behind them.
+Such text may also be an answer, so it counts as a call only if it names a tool, begins a line, and nothing follows it.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from itertools import islice
 
-from gem_core.tools.calls.found import Call, Tools, tool_call
+from gem_core.tools.calls.found import ParsedCall, Tools, tool_call
 from gem_core.tools.calls.json_calls import ARGUMENTS, NAMES, object_call
 from gem_core.tools.calls.marked import functionary_v3
 from gem_core.tools.calls.pythonic import pythonic
@@ -25,7 +25,7 @@ _MOST_OBJECTS = 20
 
 
 def bare_call(text: str, tools: Tools) -> ToolCall | None:
-    """Return the call of a response that has no mark of one; an ``error`` where it stands in the midst of words."""
+    """Return the call of a response that has no mark; with an ``error`` if it stands within a sentence."""
     if not any(name in text for name in tools) and '"function"' not in text:
         return None
     return _json(text, tools) or _pythonic(text, tools) or _headed(text, tools)
@@ -48,7 +48,7 @@ def _json(text: str, tools: Tools) -> ToolCall | None:
     return None
 
 
-def _is_call(value: object, call: Call, tools: Tools) -> bool:
+def _is_call(value: object, call: ParsedCall, tools: Tools) -> bool:
     if value is None:
         return True  # broken, and of a tool
     inner = value.get("function") if isinstance(value, dict) else None
@@ -59,7 +59,7 @@ def _is_call(value: object, call: Call, tools: Tools) -> bool:
     return (given and call.name in tools) or (given and value.get("type") == "function")
 
 
-def _broken(text: str, start: int, tools: Tools) -> Call | None:
+def _broken(text: str, start: int, tools: Tools) -> ParsedCall | None:
     """Return the problem of JSON that cannot be read and begins as a call of a tool."""
     names = "|".join(map(re.escape, tools))
     keys, given = "|".join(NAMES), "|".join(ARGUMENTS)
@@ -69,7 +69,7 @@ def _broken(text: str, start: int, tools: Tools) -> Call | None:
     )
     if not tools or known.match(text, start) is None:
         return None
-    return Call("", None, len(text), problem="the call is no valid JSON, or is not complete")
+    return ParsedCall("", None, len(text), problem="the call is no valid JSON, or is not complete")
 
 
 def _pythonic(text: str, tools: Tools) -> ToolCall | None:

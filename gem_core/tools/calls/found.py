@@ -1,4 +1,4 @@
-"""``Call``: what a reader found in a response; and the call of a tool that is made from it."""
+"""``ParsedCall``: a call as a reader of one format found it, and its conversion to a ``ToolCall``."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ Tools = Mapping[str, Tool]
 _DECORATED = re.compile(r"(?:functions\.)?(.*?)(?::\d+)?", re.DOTALL)
 
 
-class Call(NamedTuple):
-    """What a reader found.
+class ParsedCall(NamedTuple):
+    """A call that a reader found in a response.
 
     Args:
         name: Of the tool; empty where the form names none.
@@ -37,7 +37,7 @@ class Call(NamedTuple):
     cut: bool = False
 
 
-def tool_call(call: Call, start: int, tools: Tools) -> ToolCall:
+def tool_call(call: ParsedCall, start: int, tools: Tools) -> ToolCall:
     """Return the call of a tool, with an error where there is no such tool or its arguments cannot be read."""
     name = call.name
     if call.problem is not None:
@@ -48,7 +48,7 @@ def tool_call(call: Call, start: int, tools: Tools) -> ToolCall:
             there_are = ", ".join(tools) or "none"
             return ToolCall("", {}, start, call.end, f"no tool takes {call.takes} alone. There are: {there_are}")
         name = tool.name
-    arguments, error, name = called(name, call.arguments, tools)
+    arguments, error, name = resolve_arguments(name, call.arguments, tools)
     if error is None and call.cut:
         error = "it is never closed"
     return ToolCall(name[:100], arguments, start, call.end, error, cut=call.cut)
@@ -67,8 +67,8 @@ def tool_taking(parameter: str, tools: Tools) -> Tool | None:
     return None
 
 
-def called(name: str, given: Any, tools: Tools) -> tuple[dict[str, Any], str | None, str]:
-    """Return the arguments for a tool, what is wrong with them, and the tool's name, which may have been decorated."""
+def resolve_arguments(name: str, given: Any, tools: Tools) -> tuple[dict[str, Any], str | None, str]:
+    """Return the arguments for a tool, the error in them, and the tool's name without decoration."""
     tool = tools.get(name)
     if tool is None:
         plain = _DECORATED.fullmatch(name)

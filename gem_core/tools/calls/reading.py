@@ -1,4 +1,4 @@
-"""How calls of tools are read: in the text of a response as tags, fenced blocks or JSON, and as native calls."""
+"""``CallReader``: finds calls of tools in a response, as tags, fenced blocks or JSON; and native calls."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _THINKING_MARKS = (
 )
 """Around the thinking of Mistral, Seed-OSS, Cohere and gpt-oss."""
 
-# A tag in quotation marks is spoken of, and is none; nor is another mark.
+# A tag or another mark in quotation marks is only mentioned, and is no call.
 _QUOTED_TAG = re.compile(r"""([`'"])(?:</?[^\s<>`'"]{1,64}+>|\[[A-Z_]{1,20}+\])\1""")
 _BACKTICKS = re.compile(r"`++")
 _END_OF_SENTENCE = re.compile(r"[.!?](?=\s|\Z)")
@@ -77,7 +77,7 @@ class CallReader:
         cut_off = getattr(action, "finish_reason", None) == "length"
         action = without_end_tokens(str.__str__(action))
         thinking, opened_before = _thinking(action, self._thinking_tag)
-        spoken = _blanked(action, thinking)
+        spoken = _blank_out(action, thinking)
         answers = self._answers(spoken)
         quiet = [*thinking, *answers]
         call = self._visible(action, quiet, spoken)
@@ -108,7 +108,7 @@ class CallReader:
 
     def _visible(self, action: str, quiet: Sequence[tuple[int, int]], spoken: str) -> ToolCall | None:
         """Return the first call that does not begin in a quiet part."""
-        seen = _blanked(action, quiet)
+        seen = _blank_out(action, quiet)
         call = self._first(seen, spoken)
         if call is None or not any(call.start < start and (call.error or start < call.end) for start, _ in quiet):
             return call
@@ -145,7 +145,7 @@ class CallReader:
         return any(True for tag in self._answer_tags for _ in _elements(text, tag))
 
     def _is_quoted(self, text: str, call: ToolCall) -> bool:
-        """Tell whether a call is only spoken of: in backticks, or in a sentence that holds the final answer already."""
+        """Tell whether a call is only mentioned: in backticks, or in a sentence that holds the final answer already."""
         end = max(call.end, call.start + 1)
         line = text[text.rfind("\n", 0, call.start) + 1 : call.start]
         mark = _open_backticks(line)
@@ -183,7 +183,7 @@ class CallReader:
         return found
 
     def _with_attributes(self, text: str) -> ToolCall | None:
-        """Return a tag that was surely meant for a tool, and has attributes or is closed in itself."""
+        """Return a tag with a tool's name that has attributes or closes itself, as a call with an error."""
         tag = self._other_tag.search(text) if self._other_tag else None
         if tag is None:
             return None
@@ -192,7 +192,7 @@ class CallReader:
         return ToolCall(name, {}, tag.start(), tag.end(), error)
 
     def _misspelt(self, text: str) -> ToolCall | None:
-        """Return an element whose tag was surely meant for a tool, and is none."""
+        """Return an element whose tag is a misspelt name of a tool, as a call with an error."""
         if not self._tools:
             return None
         names = [tool.name for tool in self._tagged]
@@ -332,7 +332,7 @@ def _elements(text: str, tag: str) -> Iterator[tuple[int, int]]:
             yield start, behind
 
 
-def _blanked(action: str, spans: Collection[tuple[int, int]]) -> str:
+def _blank_out(action: str, spans: Collection[tuple[int, int]]) -> str:
     """Return the text with line breaks in place of some parts, so that all else stays where it is."""
     if not spans:
         return action
@@ -345,7 +345,7 @@ def _blanked(action: str, spans: Collection[tuple[int, int]]) -> str:
 
 
 def _one_slip(written: str, name: str) -> bool:
-    """Tell whether a name was meant: the case apart, one letter too many, missing or wrong, or two exchanged."""
+    """Tell whether two names differ, except in case, by one extra, missing or wrong letter or two exchanged."""
     written, name = written.casefold(), name.casefold()
     if written == name:
         return True

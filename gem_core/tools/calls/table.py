@@ -6,7 +6,7 @@ import re
 from typing import NamedTuple
 
 from gem_core.tools.calls import marked
-from gem_core.tools.calls.found import Call, Tools, tool_call
+from gem_core.tools.calls.found import ParsedCall, Tools, tool_call
 from gem_core.tools.calls.json_calls import NO_JSON
 from gem_core.tools.calls.marked import Reader, between, body
 from gem_core.tools.calls.tagged import function
@@ -76,7 +76,7 @@ FORMATS = (
     Format("CodeAct", "<execute>", between("</execute>", "code")),
     Format("smolagents", "<code>", between("</code>", "code", whole_lines=True), clear=False),
 )
-"""One row for each mark. What stands behind a mark tells which of several forms it is: see ``marked.body``. Tags and
+"""One row for each mark. What stands after a mark tells which of several forms it is: see ``marked.body``. Tags and
 fenced blocks of the tools themselves are read by ``Tool.parse``; what has no mark at all, by ``bare_call``."""
 
 # What may close a call, and belongs to it: spare brackets, closing tags, and tokens at the end of a turn.
@@ -92,7 +92,7 @@ _END_TOKENS = (
 """What may stand at the end of a response whose server leaves such tokens in, and is no part of it."""
 _MOST_END_TOKENS = 5
 _MOST_TRIES = 20
-"""Marks of one kind that are looked at where they turn out to be none."""
+"""Marks of one kind that are tried if they turn out not to begin a call."""
 
 
 def format_calls(text: str, tools: Tools) -> list[ToolCall]:
@@ -111,21 +111,21 @@ def format_call(form: Format, text: str, tools: Tools) -> ToolCall | None:
         at = start + len(form.opening)
         call = form.read(text, start, at, tools)
         if call is None and form.clear:
-            call = Call("", None, 0, problem=f"behind {form.opening} stands no call")
+            call = ParsedCall("", None, 0, problem=f"behind {form.opening} stands no call")
         if call is not None and not call.cut:
-            call = _checked(form, text, at, call)
+            call = _with_closing(form, text, at, call)
         if call is not None and (call.problem is None or form.clear):
             return tool_call(call, start, tools)
     return None
 
 
 def closed(text: str, end: int) -> int:
-    """Return the index behind all that closes a call which ends at a place."""
+    """Return the index after everything that closes a call which ends at a place."""
     found = _CLOSINGS.match(text, end)
     return found.end() if found else end
 
 
-def _checked(form: Format, text: str, at: int, call: Call) -> Call:
+def _with_closing(form: Format, text: str, at: int, call: ParsedCall) -> ParsedCall:
     """Return a call with what closes it, or with the problem in words that name the marks."""
     if call.problem is None:
         end = closed(text, call.end)

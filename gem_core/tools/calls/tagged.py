@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from gem_core.tools.calls.found import Call, Tools
+from gem_core.tools.calls.found import ParsedCall, Tools
 from gem_core.tools.calls.json_calls import NO_JSON
 from gem_core.tools.calls.values import Raw, loaded, skip_blanks, value_at
 
@@ -39,7 +39,7 @@ _ELEMENT = re.compile(r"\s*+<(\w{1,100})>")
 _ELEMENTS_END = re.compile(r"\s*+</(?:arguments|parameters)>")
 
 
-def function(text: str, start: int, at: int, tools: Tools) -> Call | None:
+def function(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
     """``<function=NAME>`` or ``<invoke name="NAME">``, around JSON, elements ``<parameter…>``, or the text alone."""
     opening = _FUNCTION.match(text, start)
     if opening is None:
@@ -49,25 +49,25 @@ def function(text: str, start: int, at: int, tools: Tools) -> Call | None:
         try:
             given, end = value_at(text, at)
         except ValueError as error:
-            return Call(opening[1], None, 0, problem=f"its arguments are no valid JSON: {error}"[:250])
-        return Call(opening[1], given, _behind(_FUNCTION_END, text, end))
+            return ParsedCall(opening[1], None, 0, problem=f"its arguments are no valid JSON: {error}"[:250])
+        return ParsedCall(opening[1], given, _behind(_FUNCTION_END, text, end))
     if _PARAMETER.match(text, at) is None and not _FUNCTION_END.match(text, at):
         ending = _TEXT_END.search(text, at)
         content = Raw(text[opening.end() : ending.start() if ending else len(text)])
-        return Call(opening[1], content, ending.end() if ending else len(text), cut=ending is None)
+        return ParsedCall(opening[1], content, ending.end() if ending else len(text), cut=ending is None)
     return _parameters(opening[1], text, at)
 
 
-def _parameters(name: str, text: str, at: int) -> Call:
+def _parameters(name: str, text: str, at: int) -> ParsedCall:
     given: dict[str, Any] = {}
     while parameter := _PARAMETER.match(text, at):
         ending = _VALUE_END.search(text, parameter.end())
         if ending is None:
             given[parameter[1]] = _value(text[parameter.end() :], parameter[2])
-            return Call(name, given, len(text), cut=True)
+            return ParsedCall(name, given, len(text), cut=True)
         given[parameter[1]] = _value(text[parameter.end() : ending.start()], parameter[2])
         at = ending.end()
-    return Call(name, given, _behind(_FUNCTION_END, text, at))
+    return ParsedCall(name, given, _behind(_FUNCTION_END, text, at))
 
 
 def _value(content: str, is_text: str | None) -> Any:
@@ -78,20 +78,20 @@ def _value(content: str, is_text: str | None) -> Any:
     return Raw(content) if read is None or read.problem else read.value
 
 
-def keyed(name: str, text: str, at: int) -> Call | None:
-    """GLM and Hunyuan 3: behind the name, ``<arg_key>…</arg_key><arg_value>…</arg_value>`` for each argument."""
+def keyed(name: str, text: str, at: int) -> ParsedCall | None:
+    """GLM and Hunyuan 3: after the name, ``<arg_key>…</arg_key><arg_value>…</arg_value>`` for each argument."""
     given: dict[str, Any] = {}
     while key := _KEY.match(text, at):
         ending = _KEYED_END.search(text, key.end())
         if ending is None:
             given[key[1]] = Raw(_without_line_breaks(text[key.end() :]))
-            return Call(name, given, len(text), cut=True)
+            return ParsedCall(name, given, len(text), cut=True)
         given[key[1]] = Raw(_without_line_breaks(text[key.end() : ending.start()]))
         at = ending.end()
-    return Call(name, given, at) if given else None
+    return ParsedCall(name, given, at) if given else None
 
 
-def elements(text: str, at: int) -> Call | None:
+def elements(text: str, at: int) -> ParsedCall | None:
     """``<tool_name>`` and ``<arguments>``, around JSON (gem-llm) or an element for each (an older kind of invoke)."""
     opening = _TOOL_NAME.match(text, at)
     if opening is None:
@@ -100,22 +100,22 @@ def elements(text: str, at: int) -> Call | None:
     if opening[2] is None:
         behind = re.compile(r"</|\Z").match(text, at)
         problem = None if behind else "behind <tool_name> must stand <arguments>{…}</arguments>"
-        return Call(name if behind else "", {}, at, problem=problem)
+        return ParsedCall(name if behind else "", {}, at, problem=problem)
     if text.startswith("{", at):
         try:
             given, end = value_at(text, at)
         except ValueError as error:
-            return Call("", None, 0, problem=f"{NO_JSON}: {error}"[:220])
-        return Call(name, given, _behind(_ELEMENTS_END, text, end))
+            return ParsedCall("", None, 0, problem=f"{NO_JSON}: {error}"[:220])
+        return ParsedCall(name, given, _behind(_ELEMENTS_END, text, end))
     given = {}
     while element := _ELEMENT.match(text, at):
         closing = f"</{element[1]}>"
         structural = re.compile(rf"{closing}(?=\s*+(?:<\w|</(?:arguments|parameters)>))").search(text, element.end())
         if structural is None:
-            return Call(name, None, 0, problem=f"<{element[1]}> is never closed by {closing}")
+            return ParsedCall(name, None, 0, problem=f"<{element[1]}> is never closed by {closing}")
         given[element[1]] = Raw(_without_line_breaks(text[element.end() : structural.start()]))
         at = structural.end()
-    return Call(name, given, _behind(_ELEMENTS_END, text, at))
+    return ParsedCall(name, given, _behind(_ELEMENTS_END, text, at))
 
 
 def _behind(pattern: re.Pattern[str], text: str, at: int) -> int:

@@ -15,13 +15,13 @@ _MOST_DEPTH = 100
 
 
 class Raw(str):
-    """Text as it stands in the response: no JSON; what it means is said by the schema of the tool."""
+    """Raw text of the response, not JSON; the schema of the tool decides its type."""
 
     __slots__ = ()
 
 
 class Read(NamedTuple):
-    """What was read of a text: a value, or what is wrong with it."""
+    """The result of reading a text: a value, or an error."""
 
     value: Any
     problem: str | None = None
@@ -39,7 +39,7 @@ def loaded(text: str) -> Read:
 
 
 def value_at(text: str, at: int) -> tuple[Any, int]:
-    """Return the value that begins at a place, and the index behind it: JSON, or what Python and Gemma write for it.
+    """Return the value that begins at a place, and the index after it: JSON, or what Python and Gemma write for it.
 
     Args:
         text: The response.
@@ -70,7 +70,7 @@ def skip_blanks(text: str, at: int) -> int:
 
 
 def arguments_at(text: str, at: int) -> tuple[Any, int]:
-    """Return the arguments behind the ``(`` of a call in Python, by name, and the index behind its ``)``.
+    """Return the arguments after the ``(`` of a call in Python, by name, and the index after its ``)``.
 
     A single argument without a name is returned as text.
 
@@ -173,7 +173,7 @@ def _literal(text: str, at: int, depth: int) -> tuple[Any, int]:
     if token == "{":
         return _mapping(text, end, depth)
     if token[-1] in "\"'":
-        return _unquoted(token), end
+        return _unquote(token), end
     return _number(token), end
 
 
@@ -215,7 +215,7 @@ def _behind_comma(text: str, at: int, closing: str) -> int:
     return end
 
 
-def _unquoted(token: str) -> str:
+def _unquote(token: str) -> str:
     if token[0] == '"' and token[:3] != '"""':
         try:
             return str(_DECODER.decode(token))
@@ -225,10 +225,10 @@ def _unquoted(token: str) -> str:
     body = token.lstrip("rRuU")
     quote = 3 if body[:3] in ('"""', "'''") and len(body) >= 6 else 1
     body = body[quote:-quote]
-    return body if raw else _ESCAPE.sub(_unescaped, body)
+    return body if raw else _ESCAPE.sub(_unescape, body)
 
 
-def _unescaped(found: re.Match[str]) -> str:
+def _unescape(found: re.Match[str]) -> str:
     escape = found[1]
     if escape[0] in "xuU" and len(escape) > 1:
         return chr(int(escape[1:], 16))

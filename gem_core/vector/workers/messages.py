@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 WorkerMessage = tuple[Any, ...]
 
-_THINGS = {"do": "what it is made from", "call": "a question"}
-"""What errors call the last part of a message, by the kind of that."""
+_CONTENT_NAMES = {"do": "what it is made from", "call": "a question"}
+"""Name of the last part of a message in errors, by the kind of message."""
 
 _LONGEST_MESSAGE = 2000
 
 
 def batches(messages: SimpleQueue[WorkerMessage | None]) -> Iterator[bytes]:
-    """Yield messages as bytes, each time all that have come together, until one of them is None."""
+    """Yield messages as bytes, each time all that are in the queue, until one of them is None."""
     over = False
     while not over:
         together = [messages.get()]
@@ -44,39 +44,39 @@ def batches(messages: SimpleQueue[WorkerMessage | None]) -> Iterator[bytes]:
 
 def to_bytes(messages: list[WorkerMessage]) -> bytes:
     """Return messages as bytes."""
-    return pickle.dumps([(message[:-1], _packed(message)) for message in messages], protocol=5)
+    return pickle.dumps([(message[:-1], _pack(message)) for message in messages], protocol=5)
 
 
 def from_bytes(data: bytes) -> list[WorkerMessage]:
     """Return the messages that ``to_bytes`` was given."""
-    return [_unpacked(head, content) for head, content in pickle.loads(data)]
+    return [_unpack(head, content) for head, content in pickle.loads(data)]
 
 
-def _packed(message: WorkerMessage) -> bytes:
+def _pack(message: WorkerMessage) -> bytes:
     kind, content = message[0], message[-1]
     try:
         return pickle.dumps(content, protocol=5)
     except Exception as error:  # noqa: BLE001 - an object's own pickling may raise anything
         problem = error
     if kind == "made":
-        return pickle.dumps(to_plain(content), protocol=5)  # as it would stand in a file of episodes
+        return pickle.dumps(to_plain(content), protocol=5)  # in the form that an episode file has
     if kind == "do":
         try:
-            return bytes(cloudpickle.dumps(content))  # lambdas, and what a script defines itself
+            return bytes(cloudpickle.dumps(content))  # lambdas, and classes defined in a script
         except Exception as error:  # noqa: BLE001 - as above
             problem = error
-    thing = "its action" if kind == "do" and isinstance(content, str) else _THINGS.get(kind, "its result")
+    thing = "its action" if kind == "do" and isinstance(content, str) else _CONTENT_NAMES.get(kind, "its result")
     return pickle.dumps(_failure(kind, f"{thing} cannot be sent to", problem), protocol=5)
 
 
-def _unpacked(head: WorkerMessage, content: bytes) -> WorkerMessage:
+def _unpack(head: WorkerMessage, content: bytes) -> WorkerMessage:
     try:
         return (*head, pickle.loads(content))
     except Exception as error:  # noqa: BLE001 - as above
-        return (*head, _failure(head[0], f"{_THINGS.get(head[0], 'its result')} cannot be read in", error))
+        return (*head, _failure(head[0], f"{_CONTENT_NAMES.get(head[0], 'its result')} cannot be read in", error))
 
 
 def _failure(kind: str, what: str, error: Exception) -> Failure:
     text = f"{what} another process:{Failure.of(error, '').message.removeprefix(' raised')}"[:_LONGEST_MESSAGE]
-    # Keyword arguments or options of a plan that cannot be sent are not mended by trying the next.
+    # Trying the next item would not help if the keyword arguments or options of a plan cannot be sent.
     return Failure("exception", text, ArgumentError(text) if kind == "do" else None, permanent=kind == "do")

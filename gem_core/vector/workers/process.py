@@ -30,10 +30,10 @@ _START = (
 )
 
 _CLOSING_S = 6.0
-"""How long a worker may take to end by itself; a little longer than it gives its environments."""
+"""Seconds that a worker may take to end by itself; a little longer than it gives its environments."""
 
 _COMMAND_S = 1.0
-"""How long it may take to finish the command that it is in, before that."""
+"""Seconds that it may take before that to finish its present command."""
 
 
 class ProcessExecutor(RemoteExecutor):
@@ -41,11 +41,11 @@ class ProcessExecutor(RemoteExecutor):
 
     Args:
         setup: What environments are made from.
-        workers: Number of processes; None for one each core.
-        worker_memory_bytes: Address space that each may use.
+        workers: Number of processes; None for one for each core.
+        worker_memory_bytes: Address space that each may use; None for no limit.
 
     Raises:
-        ArgumentError: A number that cannot be.
+        ArgumentError: A number is out of range.
     """
 
     def __init__(self, setup: VectorSetup, *, workers: int | None, worker_memory_bytes: int | None) -> None:
@@ -63,15 +63,15 @@ class ProcessExecutor(RemoteExecutor):
 class ProcessLink(WorkerLink):
     """A worker process.
 
-    It is started as a program of its own, never forked: it inherits no threads and locks, and a script needs no
-    ``if __name__ == "__main__"``. It leads a session, so that Ctrl-C in a terminal does not reach it, and what it has
-    started can be killed with it.
+    It is started as a separate program, never forked: it inherits no threads and locks, and a script needs no
+    ``if __name__ == "__main__"``. It leads a session, so that Ctrl-C in a terminal does not reach it, and the processes
+    that it started can be killed with it.
 
-    Three threads belong to it. One reads; one writes, since a worker that computes does not read and nobody is to wait
-    for it; one waits for the end of the process, since children that it left behind may hold the connection open.
+    It has three threads in this process. One reads; one writes, since a busy worker does not read and the caller must
+    not wait for it; one waits for the end of the process, since its children may keep the connection open.
 
     Args:
-        executor: Whose worker it is.
+        executor: Executor that the worker belongs to.
     """
 
     def __init__(self, executor: ProcessExecutor) -> None:
@@ -93,7 +93,7 @@ class ProcessLink(WorkerLink):
             finally:
                 os.close(lifeline)
         self._connection = Connection(ours.detach())
-        # A vector environment that nobody uses any more lets go of its workers, which then end by themselves.
+        # When a vector environment is garbage-collected, the connections close, and its workers end by themselves.
         self._ended = weakref.finalize(self, _let_go, self._connection, held, os.getpid())
         self._ended.atexit = False  # see _close_all
         self._outbox: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
@@ -105,11 +105,11 @@ class ProcessLink(WorkerLink):
         _links.add(self)
 
     def send(self, data: bytes) -> None:
-        """Hand bytes to the worker without waiting for it."""
+        """Send bytes to the worker without waiting for it."""
         self._outbox.put(data)
 
     def running(self) -> Running:
-        """Return what runs, or ran when it died."""
+        """Return the commands that are running, or were running when it died."""
         return Running(time.monotonic(), self._times.running())
 
     def wait(self) -> None:
@@ -117,7 +117,7 @@ class ProcessLink(WorkerLink):
         self._process.wait()
 
     def death(self) -> str:
-        """Say how it died."""
+        """Return how it died, as part of a sentence."""
         code = self._process.poll()
         if code is not None and code < 0:
             try:
@@ -127,14 +127,14 @@ class ProcessLink(WorkerLink):
         return f"ended with exit code {code}"
 
     def kill(self) -> None:
-        """End the worker at once, and all that it has started."""
+        """Kill the worker, and all processes that it has started."""
         if self._process.poll() is None:
             _kill_group(self._process.pid)
             self._process.wait()
         self._ended()
 
     def close(self) -> None:
-        """Let the worker close its environments, and end it."""
+        """Let the worker close its environments, then end it."""
         self.hang_up()
         self.finish(time.monotonic())
 
@@ -143,11 +143,11 @@ class ProcessLink(WorkerLink):
         shut(self._connection)
 
     def finish(self, since: float) -> None:
-        """Wait for the end of a worker that was hung up on at a time, and kill it if that takes too long."""
+        """Wait for the end of a worker whose connection was closed at ``since``; kill it if that takes too long."""
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(since + _COMMAND_S - time.monotonic())
         if not self._times.running():
-            # It has taken note, and closes what it has; one that still computes would not come to it.
+            # It has noticed, and is closing its environments; a worker that still computes would not get there.
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(since + _CLOSING_S - time.monotonic())
         self.kill()
@@ -158,7 +158,7 @@ _links: weakref.WeakSet[ProcessLink] = weakref.WeakSet()
 
 @atexit.register
 def _close_all() -> None:
-    """Let the workers of a program that ends close what they have; none of them is left behind."""
+    """At the end of the program, let all workers close their environments, and wait for their end."""
     links = [link for link in _links if link.started_by == os.getpid()]
     since = time.monotonic()
     try:
@@ -172,12 +172,12 @@ def _close_all() -> None:
 
 
 def shut(connection: Connection) -> None:
-    """Hang up, so that both sides read the end of it."""
+    """Shut a connection down, so that both sides read its end."""
     try:
         with socket.socket(fileno=os.dup(connection.fileno())) as plug:
             plug.shutdown(socket.SHUT_RDWR)
     except OSError:
-        return  # it is closed already
+        return  # already closed
 
 
 def _thread(name: str, target: Callable[..., None], *args: Any) -> threading.Thread:
@@ -204,7 +204,7 @@ def _read(link_of: weakref.ref[ProcessLink], connection: Connection) -> None:
 
 
 def _write(outbox: queue.SimpleQueue[bytes | None], connection: Connection) -> None:
-    with suppress(OSError):  # whoever reads finds out that it is gone
+    with suppress(OSError):  # the reading thread notices that the worker is gone
         while (data := outbox.get()) is not None:
             connection.send_bytes(data)
 
@@ -215,7 +215,7 @@ def _reap(
     reading: threading.Thread,
     outbox: queue.SimpleQueue[bytes | None],
 ) -> None:
-    """Wait for the end of a worker; kill what it left behind, which may hold its connection open."""
+    """Wait for the end of a worker; kill its remaining children, which may keep its connection open."""
     process.wait()
     _kill_group(process.pid)
     reading.join(1.0)
@@ -226,7 +226,7 @@ def _reap(
 
 
 def _let_go(connection: Connection, lifeline: int, started_by: int) -> None:
-    if os.getpid() == started_by:  # and not a fork of it, which has but a copy
+    if os.getpid() == started_by:  # not in a fork, which has only copies
         shut(connection)
     os.close(lifeline)
 
@@ -235,7 +235,7 @@ def _kill_group(leader: int) -> None:
     try:
         os.killpg(leader, signal.SIGKILL)
     except (ProcessLookupError, PermissionError):
-        return  # nobody is left
+        return  # all processes of the group have ended
 
 
 def _cores() -> int:

@@ -1,4 +1,4 @@
-"""``RemoteExecutor``: environments in workers that can be killed and replaced, whatever a worker is made of."""
+"""``RemoteExecutor``: runs environments in workers of any kind, which can be killed and replaced."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from gem_core.vector.setup import VectorSetup
 from gem_core.vector.workers.messages import WorkerMessage, from_bytes, to_bytes
 
 _ATTEMPTS = 3
-"""Workers that may die while they are asked something, before this is given up."""
+"""Number of workers that may die during a call before it is given up."""
 
 _Failed = tuple[int, int, Failure]
-"""Slot, ticket, and what happened."""
+"""Slot, ticket and failure of a command."""
 
 _NOT_REPLAYED = "its worker was lost with another environment, and this episode cannot be replayed"
 
 
 class Running(NamedTuple):
-    """What ran in a worker at a moment; times are those of ``time.monotonic()`` in this process.
+    """Commands that were running in a worker at a given time, by ``time.monotonic()`` in this process.
 
     Args:
-        at: The moment.
-        since: The slots whose command ran, and since when.
+        at: The time of the observation.
+        since: The slots whose command was running, and since when.
     """
 
     at: float
@@ -46,13 +46,14 @@ class Running(NamedTuple):
 
 
 class WorkerLink(ABC):
-    """A worker, seen from the program that uses it; the worker itself has a ``Worker``.
+    """The connection to a worker, in the program that uses it; the worker runs a ``Worker``.
 
-    It calls ``received`` with what ``Worker.given`` yields, and ``died`` once, when there will be no more of it; both
-    from a thread that holds no reference to the link while it waits, so that nobody keeps a vector environment alive.
+    It calls ``received`` with the bytes that ``Worker.given`` yields, and ``died`` once, when no more will come; both
+    from a thread that holds no reference to the link while it waits, so that it does not keep a vector environment
+    alive.
 
     Args:
-        executor: Whose worker it is.
+        executor: Executor that the worker belongs to.
     """
 
     def __init__(self, executor: RemoteExecutor) -> None:
@@ -60,66 +61,66 @@ class WorkerLink(ABC):
 
     @abstractmethod
     def send(self, data: bytes) -> None:
-        """Hand ``Worker.take`` bytes, in order, without waiting for it; a worker that is dead takes no notice."""
+        """Pass bytes to ``Worker.take``, in order, without waiting; do nothing if the worker is dead."""
 
     @abstractmethod
     def running(self) -> Running | None:
-        """Return what runs, or ran when it died, as ``CommandTimes`` of the worker says; None if that is unknown."""
+        """Return the commands that run, or ran when it died, from the worker's ``CommandTimes``; None if unknown."""
 
     @abstractmethod
     def death(self) -> str:
-        """Say how it died."""
+        """Return how it died, as part of a sentence."""
 
     @abstractmethod
     def kill(self) -> None:
-        """End the worker at once, and all that it has started."""
+        """Kill the worker, and all processes that it has started."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let the worker close its environments, and end it."""
+        """Let the worker close its environments, then end it."""
 
     def received(self, data: bytes) -> None:
-        """Take what the worker gives."""
+        """Handle bytes from the worker."""
         executor = self._executor()
         if executor is not None:
             executor.on_messages(self, from_bytes(data))
 
     def died(self, permanent: EnvFaultError | None = None) -> None:
-        """Note the end of the worker.
+        """Handle the end of the worker.
 
         Args:
             permanent: Why another worker could not be started either.
         """
         executor = self._executor()
         if executor is not None:
-            executor.on_death(self, None if permanent is None else _permanent(permanent))
+            executor.on_death(self, None if permanent is None else _permanent_failure(permanent))
 
 
 @dataclass
 class _SlotState:
-    """What is known of a slot whose environment lives in a worker."""
+    """State of a slot whose environment lives in a worker."""
 
     ticket: int = -1
     command: Command | None = None
-    """What is under way."""
+    """The command under way."""
     sent_at: float = 0.0
     reset: Reset | None = None
-    """How the present episode began."""
+    """Command that began the present episode."""
     actions: list[str] | None = None
-    """What was stepped since; None for an episode that cannot be replayed."""
+    """Actions stepped since then; None for an episode that cannot be replayed."""
     observation: Observation = ""
     is_lost: bool = False
-    """Whether the environment went down with its worker."""
+    """Whether the environment was lost with its worker."""
     description: dict[str, Any] | None = None
 
     def rebuild(self, action: str) -> Rebuild | None:
-        """Return how to bring back an environment that was lost, and to step it; None if that cannot be done."""
+        """Return the command that rebuilds a lost environment and steps it; None if it cannot be replayed."""
         if self.reset is None or self.actions is None:
             return None
         return Rebuild(self.reset, self.actions, self.observation, action)
 
     def prepare(self) -> bool:
-        """Make the command fit for a new worker, if the environment is lost; return whether it can be done."""
+        """Adapt the command to a new worker if the environment is lost; return whether it can be run there."""
         command: Command | None = self.command.action if isinstance(self.command, Rebuild) else self.command
         if isinstance(command, str) and self.is_lost:
             command = self.rebuild(command)
@@ -127,7 +128,7 @@ class _SlotState:
         return command is not None
 
     def finish(self, outcome: Outcome) -> None:
-        """Note the outcome of the command that is under way, for a replay."""
+        """Record the outcome of the command under way, for a replay."""
         command, self.command = self.command, None
         if isinstance(outcome, Failure):
             return
@@ -139,25 +140,25 @@ class _SlotState:
 class RemoteExecutor(Executor, ABC):
     """Runs environments in workers, many in each, and replaces a worker that dies or has to be killed.
 
-    A worker takes the blame for what one of its environments did. The others are rebuilt in the next worker:
-    deterministic ones by replaying seed and actions, the rest fail with ``kind="collateral"``.
+    The environments that ran when a worker died fail with ``kind="died"``. The others are rebuilt in the next worker:
+    deterministic ones by replaying seed and actions; the rest fail with ``kind="collateral"``.
 
-    A subclass says how a worker is started.
+    A subclass implements how a worker is started.
 
     Args:
         setup: What environments are made from.
-        workers: Number of them; the slots take them in turn.
+        workers: Number of workers; slots are assigned to them in turn.
 
     Raises:
-        ArgumentError: The setup holds what cannot be pickled.
+        ArgumentError: The setup cannot be pickled.
     """
 
     scheduler: Scheduler
 
     def __init__(self, setup: VectorSetup, workers: int) -> None:
         self.setup = setup
-        self.packed = _packed_setup(setup)
-        """What a ``Worker`` is made from."""
+        self.packed = _pack_setup(setup)
+        """Pickled setup from which a ``Worker`` is made."""
         self._begin(workers)
 
     def _begin(self, workers: int) -> None:
@@ -167,18 +168,18 @@ class RemoteExecutor(Executor, ABC):
         self._closed = False
         self._slots = [_SlotState() for _ in range(slots)]
         self.links: list[WorkerLink | None] = [None] * workers
-        """The worker of each number; None for one that has not been started, or is gone."""
-        self._known: list[set[str]] = [set() for _ in range(workers)]
+        """The workers by number; None for one that has not been started, or is gone."""
+        self._known_ids: list[set[str]] = [set() for _ in range(workers)]
         self._numbers = itertools.count()
         self._calls: dict[int, tuple[WorkerLink, list[Any]]] = {}
-        """Calls without an answer, and where that goes."""
+        """Calls without an answer yet: the worker, and the list that will hold the answer."""
 
     @abstractmethod
     def start_worker(self) -> WorkerLink:
         """Start a worker."""
 
     def start(self, batch: list[Launch]) -> None:
-        """Send each command to its worker, all of one worker's at once."""
+        """Send the commands to their workers, all commands of a worker together."""
         with self._lock:
             for slot, ticket, command in batch:
                 state = self._slots[slot]
@@ -195,14 +196,14 @@ class RemoteExecutor(Executor, ABC):
 
     def tasks(self, slot: int, env_id: str | None, kwargs: Mapping[str, Any]) -> tuple[int | None, bool]:
         """Return ``num_tasks`` and ``endless_tasks``; see ``Executor.tasks``."""
-        return cast("tuple[int | None, bool]", self._call(slot, "tasks", env_id, kwargs, introduce=env_id))
+        return cast("tuple[int | None, bool]", self._call(slot, "tasks", env_id, kwargs, record_of=env_id))
 
     def describe(self, slot: int) -> dict[str, Any]:
-        """Return what a slot's environment is, as its worker said when it was made."""
+        """Return the description of a slot's environment that its worker sent when it was made."""
         return dict(self._slots[slot].description or {"id": None, "kwargs": {}, "wrappers": []})
 
     def release(self, slot: int) -> None:
-        """Close a slot's environment, if its worker is there."""
+        """Close a slot's environment, if its worker is running."""
         with self._lock:
             self._slots[slot] = _SlotState()
             link = self.links[self._worker_of[slot]]
@@ -227,11 +228,11 @@ class RemoteExecutor(Executor, ABC):
             self._forget(worker, link)
             link.kill()
             failures = self._mark_lost([slot], [other for other in self._slots_of(worker) if other != slot], failure)
-        # The scheduler itself reports that of the slot.
+        # The scheduler itself reports the failure of the slot.
         self._fail([each for each in failures if each[0] != slot])
 
     def close(self) -> None:
-        """End every worker; their environments are closed first."""
+        """Close every environment, and end every worker."""
         with self._lock:
             self._closed = True
             links = [(worker, link) for worker, link in enumerate(self.links) if link is not None]
@@ -250,10 +251,10 @@ class RemoteExecutor(Executor, ABC):
         other._begin(len(self.links))
         return other
 
-    # What links tell, from threads of their own.
+    # Called by links, from their threads.
 
     def on_messages(self, link: WorkerLink, messages: list[WorkerMessage]) -> None:
-        """Take what a worker gives."""
+        """Handle messages from a worker."""
         for message in messages:
             kind, *rest = message
             if kind == "done":
@@ -268,10 +269,10 @@ class RemoteExecutor(Executor, ABC):
                 self.on_death(link, rest[0])
 
     def on_death(self, link: WorkerLink, permanent: Failure | None = None) -> None:
-        """Give the slots of a worker that is gone another one, and blame those that ran in it."""
+        """Fail the commands that ran in a worker that died, and continue its other slots in a new worker."""
         with self._lock:
             if link not in self.links:
-                return  # it was closed or killed on purpose
+                return  # closed or killed on purpose
             worker = self.links.index(link)
             slots = self._slots_of(worker)
             under_way = [slot for slot in slots if self._slots[slot].command is not None]
@@ -290,14 +291,14 @@ class RemoteExecutor(Executor, ABC):
         with self._lock:
             state = self._slots[slot]
             if state.ticket != ticket or state.command is None:
-                return  # its worker has been killed since
+                return  # its worker has been killed in the meantime
             state.finish(outcome)
         self.scheduler.advance(slot, ticket, outcome)
 
-    # Under the lock.
+    # Called with the lock held.
 
     def _mark_lost(self, failed: Collection[int], bystanders: Collection[int], failure: Failure) -> list[_Failed]:
-        """Note that environments are gone; send the commands of the bystanders again, and return all that fail."""
+        """Mark environments as lost; send the commands of the bystanders again, and return all failures."""
         for slot in (*failed, *bystanders):
             self._slots[slot].is_lost = True
         failures = [(slot, self._slots[slot].ticket, failure) for slot in failed]
@@ -306,7 +307,7 @@ class RemoteExecutor(Executor, ABC):
         return failures + self._send([slot for slot in bystanders if self._slots[slot].command is not None])
 
     def _send(self, slots: list[int]) -> list[_Failed]:
-        """Send the commands of slots, all of one worker's at once; return those that cannot be done."""
+        """Send the commands of slots, all commands of a worker together; return those that cannot be run."""
         failures: list[_Failed] = []
         by_worker: dict[int, list[int]] = {}
         for slot in [] if self._closed else slots:
@@ -321,21 +322,21 @@ class RemoteExecutor(Executor, ABC):
                         failures.append((slot, state.ticket, Failure("collateral", _NOT_REPLAYED)))
                         continue
                     if isinstance(state.command, Reset):
-                        messages += self._introduced(worker, state.command.env_id)
+                        messages += self._record_message(worker, state.command.env_id)
                     messages.append(("do", slot, state.ticket, state.command))
                 link.send(to_bytes(messages))
-            except Exception as error:  # noqa: BLE001 - whatever it is, those that wait for the slots must get it
-                failures += [(slot, self._slots[slot].ticket, _permanent(error)) for slot in group]
+            except Exception as error:  # noqa: BLE001 - reported to those that wait for the slots
+                failures += [(slot, self._slots[slot].ticket, _permanent_failure(error)) for slot in group]
         return failures
 
     def _running_in(self, link: WorkerLink, slots: Collection[int]) -> dict[int, float]:
-        """Return which of a worker's commands run."""
+        """Return the slots of a worker whose command is running, and since when."""
         running = link.running()
         under_way = {slot: state.sent_at for slot in slots if (state := self._slots[slot]).command is not None}
         if running is None:
-            # The first that has no outcome is the one that runs, or waits behind it.
+            # Unknown: assume that the oldest command without an outcome is running.
             return dict(sorted(under_way.items(), key=lambda each: each[1])[:1])
-        # What was seen may be the command before the present one.
+        # Skip slots whose present command was sent after the observation: it saw the command before.
         return {slot: since for slot, since in running.since.items() if under_way.get(slot, running.at) < running.at}
 
     def _link(self, worker: int) -> WorkerLink:
@@ -344,14 +345,14 @@ class RemoteExecutor(Executor, ABC):
             if self._closed:
                 raise EnvFaultError("the vector environment was closed before it answered")
             link = self.links[worker] = self.start_worker()
-            self._known[worker] = set(self.setup.all_ids)
+            self._known_ids[worker] = set(self.setup.all_ids)
         return link
 
-    def _introduced(self, worker: int, env_id: str | None) -> list[WorkerMessage]:
-        """Return what makes an id known to a worker: the program may have registered it by itself."""
-        if env_id is None or env_id in self._known[worker]:
+    def _record_message(self, worker: int, env_id: str | None) -> list[WorkerMessage]:
+        """Return a message with the record of an id that a worker does not know, as one that a script registered."""
+        if env_id is None or env_id in self._known_ids[worker]:
             return []
-        self._known[worker].add(env_id)
+        self._known_ids[worker].add(env_id)
         record = self.setup.record(env_id)
         return [("know", pack_by_value([record], [record.entry_point]))]
 
@@ -363,7 +364,7 @@ class RemoteExecutor(Executor, ABC):
                 answer.append(why or WorkerLostError("the worker died before it answered"))
         self.scheduler.signal.set()
 
-    # Without the lock.
+    # Called without the lock.
 
     def _fail(self, failures: list[_Failed]) -> None:
         for slot, ticket, failure in failures:
@@ -373,8 +374,8 @@ class RemoteExecutor(Executor, ABC):
     def _slots_of(self, worker: int) -> list[int]:
         return [slot for slot, own in enumerate(self._worker_of) if own == worker]
 
-    def _call(self, slot: int, method: str, *args: Any, introduce: str | None = None) -> Any:
-        """Call a method of the ``LocalExecutor`` in a slot's worker; the next worker, where that one dies."""
+    def _call(self, slot: int, method: str, *args: Any, record_of: str | None = None) -> Any:
+        """Call a method of the ``LocalExecutor`` in a slot's worker; if the worker dies, try again in the next."""
         for _ in range(_ATTEMPTS):
             answer: list[Any] = []
             with self._lock:
@@ -382,16 +383,16 @@ class RemoteExecutor(Executor, ABC):
                 link = self._link(worker)
                 number = next(self._numbers)
                 self._calls[number] = link, answer
-                # Whether the environment has to be rebuilt first changes with the worker.
+                # Computed for each attempt: in a new worker the environment has to be rebuilt first.
                 lost = state.rebuild("") if state.is_lost else None
-                messages = self._introduced(worker, introduce)
+                messages = self._record_message(worker, record_of)
                 link.send(to_bytes([*messages, ("call", number, slot, (method, args, lost))]))
             self.scheduler.wait(lambda answer=answer: bool(answer))  # type: ignore[misc]  # bound early
             (value,) = answer
             if isinstance(value, Failure):
                 raise value.error or EnvFaultError(value.message)
             if isinstance(value, WorkerLostError):
-                continue  # whoever asked did nothing wrong: the next worker may answer
+                continue  # the call was not the cause: the next worker may answer
             if isinstance(value, Exception):
                 raise value
             return value
@@ -399,14 +400,15 @@ class RemoteExecutor(Executor, ABC):
 
 
 def pack_by_value(thing: object, targets: list[Any]) -> bytes:
-    """Pickle something so that a worker, which does not run the caller's script, can read it.
+    """Pickle an object so that a worker, which does not run the caller's script, can read it.
 
     Args:
-        thing: What is pickled.
-        targets: What it refers to; modules of these that a worker could not import go along by value.
+        thing: The object.
+        targets: Classes and functions that it refers to; those in modules that a worker could not import are pickled
+            by value.
 
     Raises:
-        ArgumentError: It holds what cannot be pickled, such as a lock or an open connection.
+        ArgumentError: It contains an object that cannot be pickled, such as a lock or an open connection.
     """
     import importlib.util
     import sys
@@ -430,7 +432,7 @@ def pack_by_value(thing: object, targets: list[Any]) -> bytes:
         ) from error
 
 
-def _packed_setup(setup: VectorSetup) -> bytes:
+def _pack_setup(setup: VectorSetup) -> bytes:
     records = {env_id: registry().env(env_id) for env_id in setup.all_ids}
     wrappers = setup.wrappers if isinstance(setup.wrappers, str) else list(setup.wrappers)
     sent = replace(setup, plan=None, wrappers=wrappers, kwargs=dict(setup.kwargs), records=records)
@@ -438,5 +440,5 @@ def _packed_setup(setup: VectorSetup) -> bytes:
     return pack_by_value(sent, [*entry_points, *wrapper_targets(wrappers)])
 
 
-def _permanent(error: Exception) -> Failure:
+def _permanent_failure(error: Exception) -> Failure:
     return Failure("exception", str(error), error, permanent=True)

@@ -1,4 +1,4 @@
-"""``Worker``: the environments of some slots, in a process of their own, and the messages that it takes and gives."""
+"""``Worker``: runs the environments of some slots in another process, as messages tell it to."""
 
 from __future__ import annotations
 
@@ -22,40 +22,40 @@ from gem_core.vector.setup import VectorSetup
 from gem_core.vector.workers.messages import WorkerMessage, batches, from_bytes
 
 _CLOSING_S = 5.0
-"""How long the environments of a worker may take to close once nobody needs them any more."""
+"""Seconds that the environments of a worker may take to close when the program hangs up."""
 
 
 class Worker:
-    """Environments of some slots, each run as its ``concurrency`` asks for.
+    """Runs the environments of some slots, each as its ``concurrency`` requires.
 
-    What it takes and gives is bytes of ``RemoteExecutor``. Where the environments cannot be made from the setup, all
-    that it gives is the reason.
+    It exchanges messages with a ``RemoteExecutor``, as bytes. If the setup cannot be used, the only message that it
+    sends is the reason.
 
     Args:
         setup: ``RemoteExecutor.packed``.
-        times: Number of an open file for ``CommandTimes``, which ``WorkerLink.running`` reads.
+        times: Descriptor of an open file for ``CommandTimes``, which ``WorkerLink.running`` reads.
     """
 
     def __init__(self, setup: bytes, times: int) -> None:
-        self._given: queue.SimpleQueue[WorkerMessage | None] = queue.SimpleQueue()
-        self._described: dict[int, Any] = {}
+        self._outbox: queue.SimpleQueue[WorkerMessage | None] = queue.SimpleQueue()
+        self._reported_envs: dict[int, Any] = {}
         self._executor: LocalExecutor | None = None
         try:
             self._setup: VectorSetup = pickle.loads(setup)
             self._times = CommandTimes(len(self._setup.ids), times)
-            # What computes for long runs in place here, as workers are for that.
+            # Long computations run in place here: that is what workers are for.
             self._executor = LocalExecutor(self._setup, in_place=["inline", "process"], times=self._times)
             self._executor.scheduler = self
-        except BaseException as error:  # noqa: BLE001 - whatever it is, the program has to know
+        except BaseException as error:  # noqa: BLE001 - any failure is reported to the program
             self.fail(error, "starting a worker")
 
     @property
     def is_broken(self) -> bool:
-        """Whether there are no environments."""
+        """Whether the setup could not be used."""
         return self._executor is None
 
     def take(self, data: bytes) -> None:
-        """Do what messages say."""
+        """Handle messages from the program."""
         if self._executor is None:
             return
         for message in from_bytes(data):
@@ -70,42 +70,42 @@ class Worker:
                 self._setup.records |= {record.id: record for record in pickle.loads(message[1])}
 
     def given(self) -> Iterator[bytes]:
-        """Yield the messages that it gives, as soon as there are some, until it is closed."""
-        return batches(self._given)
+        """Yield the messages to the program, as soon as there are some, until it is closed."""
+        return batches(self._outbox)
 
     def fail(self, error: BaseException, where: str) -> None:
-        """Say why it cannot go on, which another worker could not either; it is the last that it gives."""
+        """Send the reason why neither this worker nor another can continue, as the last message."""
         failure = Failure.of(error, where)
-        failure.error, failure.permanent = _as_ours(failure), True
-        self._given.put(("broken", failure))
-        self._given.put(None)
+        failure.error, failure.permanent = _as_gem_error(failure), True
+        self._outbox.put(("broken", failure))
+        self._outbox.put(None)
 
     def close(self) -> None:
         """Close every environment."""
         if self._executor is not None:
             self._executor.close()
-        self._given.put(None)
+        self._outbox.put(None)
 
     def advance(self, slot: int, ticket: int, outcome: Outcome) -> None:
-        """Give the outcome of a command; see ``Listener``."""
+        """Send the outcome of a command; see ``Listener``."""
         runner = self._executor.runners[slot] if self._executor is not None else None
-        if runner is not None and runner.env is not None and self._described.get(slot) is not runner.env:
-            self._described[slot] = runner.env
-            self._given.put(("made", slot, runner.describe()))
-        self._given.put(("done", slot, ticket, outcome))
+        if runner is not None and runner.env is not None and self._reported_envs.get(slot) is not runner.env:
+            self._reported_envs[slot] = runner.env
+            self._outbox.put(("made", slot, runner.describe()))
+        self._outbox.put(("done", slot, ticket, outcome))
 
     def _do(self, executor: LocalExecutor, slot: int, ticket: int, command: Command | Failure) -> None:
         if isinstance(command, Failure):
-            self.advance(slot, ticket, command)  # it could not be sent here
+            self.advance(slot, ticket, command)  # the command could not be sent here
             return
         begins = command.reset if isinstance(command, Rebuild) else command
         if isinstance(begins, Reset):
             try:
-                self._setup.task_concurrency(begins.env_id)  # what it imports does not count as its time
+                self._setup.task_concurrency(begins.env_id)  # imports do not count as time of the command
             except Exception as error:  # noqa: BLE001 - a module may raise anything while it is imported
                 self.advance(slot, ticket, Failure.of(error, "reset", making=True))
                 return
-        # To make the environment may take long, and end the worker, as well.
+        # Making the environment may take long, too, or end the worker.
         self._times.begin(slot)
         runner = executor.in_place(slot, command)
         if runner is None:
@@ -125,12 +125,12 @@ class Worker:
             if lost is not None and executor.runners[slot].env is None:
                 executor.runners[slot].restore(lost)
             value = getattr(executor, method)(slot, *args)
-        except Exception as error:  # noqa: BLE001 - it is raised where it was called
+        except Exception as error:  # noqa: BLE001 - raised again in the program that made the call
             value = Failure.of(error, method)
-        self._given.put(("answer", number, value))
+        self._outbox.put(("answer", number, value))
 
 
-def _as_ours(failure: Failure) -> GemError:
+def _as_gem_error(failure: Failure) -> GemError:
     error = failure.error
     if isinstance(error, GemError):
         return error
@@ -146,21 +146,21 @@ def _as_ours(failure: Failure) -> GemError:
 
 
 def main(socket: int, lifeline: int, times: int, memory_bytes: int) -> None:
-    """Serve the program at the other end of a socket, until it hangs up.
+    """Serve the program at the other end of a socket until it closes the socket.
 
     Args:
-        socket: Number of the open socket.
-        lifeline: Number of a pipe that the program holds open while it lives.
-        times: Number of the open file for ``CommandTimes``.
-        memory_bytes: Address space that may be used; 0 for as much as there is.
+        socket: Descriptor of the open socket.
+        lifeline: Descriptor of a pipe that the program holds open while it lives.
+        times: Descriptor of the open file for ``CommandTimes``.
+        memory_bytes: Address space that may be used; 0 for no limit.
     """
     connection = Connection(socket)
     _be_killed_first()
     threading.Thread(target=_end_with, args=(lifeline,), name="gem-lifeline", daemon=True).start()
-    # Results are sent from a thread of their own, so that environments go on while the program does not read. It is
+    # Results are sent from another thread, so that environments go on while the program does not read. The thread is
     # started before memory is limited.
     made: queue.SimpleQueue[Worker] = queue.SimpleQueue()
-    giving = threading.Thread(target=_give, args=(made, connection), name="gem-outbox", daemon=True)
+    giving = threading.Thread(target=_write_messages, args=(made, connection), name="gem-outbox", daemon=True)
     giving.start()
     code = 1
     try:
@@ -180,36 +180,36 @@ def main(socket: int, lifeline: int, times: int, memory_bytes: int) -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         if not code:
-            os.killpg(0, signal.SIGKILL)  # what its environments started, also when the program is gone
-        os._exit(code)  # a thread that hangs does not hold it up
+            os.killpg(0, signal.SIGKILL)  # also all processes that its environments started
+        os._exit(code)  # without waiting for threads that hang
 
 
 def _serve(worker: Worker, connection: Connection) -> int:
-    """Do what the program says until it hangs up; return an exit code."""
+    """Handle messages until the program closes the connection; return an exit code."""
     try:
-        while not worker.is_broken and (data := _received(connection)) is not None:
+        while not worker.is_broken and (data := _receive(connection)) is not None:
             worker.take(data)
         worker.close()
     except KeyboardInterrupt:
         return 130  # an environment raised it: this process has no terminal
-    except BaseException as error:  # noqa: BLE001 - whatever it is, the program has to know
+    except BaseException as error:  # noqa: BLE001 - any failure is reported to the program
         worker.fail(error, "a worker")
     else:
         return int(worker.is_broken)
     return 1
 
 
-def _give(made: queue.SimpleQueue[Worker], connection: Connection) -> None:
+def _write_messages(made: queue.SimpleQueue[Worker], connection: Connection) -> None:
     try:
         for data in made.get().given():
             connection.send_bytes(data)
     except OSError:
-        return  # the program is gone, which main finds out
+        return  # the program is gone, which main notices, too
     except MemoryError:
         os._exit(1)
 
 
-def _received(connection: Connection) -> bytes | None:
+def _receive(connection: Connection) -> bytes | None:
     try:
         return connection.recv_bytes()
     except (EOFError, OSError):
@@ -217,14 +217,14 @@ def _received(connection: Connection) -> bytes | None:
 
 
 def _end_with(lifeline: int) -> None:
-    """End this process, and what it started, when the program is gone and closing takes too long."""
+    """End this process and its children when the program is gone and closing takes too long."""
     os.read(lifeline, 1)
     time.sleep(_CLOSING_S)
     os.killpg(0, signal.SIGKILL)
 
 
 def _be_killed_first() -> None:
-    """Let a machine that runs out of memory kill this process rather than the one that trains."""
+    """Let a machine that runs out of memory kill this process before the one that trains."""
     try:
         with open("/proc/self/oom_score_adj", "w") as file:
             file.write("1000")

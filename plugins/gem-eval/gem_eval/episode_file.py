@@ -1,4 +1,4 @@
-"""Where each episode of a file stands, and what a list says of it, without reading the whole file each time.
+"""``EpisodeFile``: an index of the episodes in a file, so that a list need not read the whole file each time.
 
 The index of a large file is kept beside it (``run.jsonl.index``) and used only while the file is what it was: of the
 same size and time of change, or longer with the old part unchanged. It is a cache and may be deleted.
@@ -31,7 +31,7 @@ _LONGEST_TEXT = 300
 
 
 class Entry(NamedTuple):
-    """What a list says of an episode.
+    """The row of an episode in a list.
 
     Args:
         number: The line where it stands, from 1: it stays when a line above is damaged or the file grows.
@@ -60,7 +60,7 @@ class Entry(NamedTuple):
     damage: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what a program wants to know, as plain JSON."""
+        """Return the entry as plain JSON, for programs."""
         record = self._asdict()
         del record["damage"], record["offset"], record["length"]
         record["return"] = record.pop("episode_return")

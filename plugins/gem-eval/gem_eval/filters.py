@@ -1,4 +1,4 @@
-"""Which episodes of a file are shown, and in which order."""
+"""Filter and sort the episodes of a file."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from gem_core.env import is_messages
 _PNG_MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I;16")
 
 _data_urls: dict[bytes, str] = {}
-"""Images as addresses, by the hash of what they show, for as long as they live.
+"""Cache of images as data URLs, by the hash of their content, for as long as they live.
 
 A conversation shows an image in each of its later requests. To encode it takes 20 to 80 times as long as to hash it:
 33 ms in place of 1.6 for a plot of 640 by 480, 390 ms in place of 5 for a photo of 1024 by 1024.
@@ -62,7 +62,7 @@ def has_images(observation: Any) -> bool:
 
 
 def _with_images_behind(messages: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Move the images of tools into a message of the user behind them: the API takes only text in those of tools."""
+    """Move the images of tools into a user message after them: the API takes only text in those of tools."""
     moved: list[dict[str, Any]] = []
     images: list[dict[str, Any]] = []
     for message in [*messages, {}]:

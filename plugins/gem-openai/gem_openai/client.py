@@ -66,7 +66,7 @@ class ServerFault(Exception):
 
 
 class _Link(NamedTuple):
-    """What belongs to one event loop."""
+    """State that belongs to one event loop."""
 
     loop: asyncio.AbstractEventLoop
     session: aiohttp.ClientSession
@@ -171,7 +171,7 @@ class ChatClient:
         return key
 
     def shown(self, text: str) -> str:
-        """Return what a server or a library said, fit to be shown: one line, not long, and without the key."""
+        """Return a message of a server or library in one short line, without the key."""
         text = _MASKED_KEY.sub("***", self._without_key(text, _SHORTEST_SECRET))
         text = " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())
         return text if len(text) <= _SHOWN_CHARS else f"{text[:_SHOWN_CHARS]}…"
@@ -321,7 +321,7 @@ class ChatClient:
 
 
 def _joined(text: str) -> Any:
-    """Return the completion, or the error, that server-sent events bring.
+    """Return the completion, or the error, from server-sent events.
 
     Raises:
         ServerFault: The stream ends before the model did.

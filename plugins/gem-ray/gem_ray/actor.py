@@ -1,4 +1,4 @@
-"""What runs on Ray: an actor with the environments of some slots, and one that watches others from beside them."""
+"""Ray actors: ``EnvActor`` with the environments of some slots, and ``NodeWatch``, which reads their command times."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Place(NamedTuple):
 
 
 class EnvActor:
-    """A worker on Ray: many environments, and one long answer that yields their results.
+    """A worker on Ray: many environments, and a streaming call that yields their results.
 
     Its two concurrency groups have one thread each, so that commands are done in the order in which they were sent.
 
@@ -45,25 +45,25 @@ class EnvActor:
 
     @ray.method(concurrency_group="commands", num_returns=0)
     def take(self, data: bytes) -> None:
-        """Do what the program says."""
+        """Handle messages from the program."""
         self._worker.take(data)
 
     @ray.method(concurrency_group="results", num_returns="streaming")
     def give(self) -> Iterator[Place | bytes]:
-        """Yield where this is, then what the worker gives, until it is closed."""
+        """Yield the place of this actor, then the worker's messages, until it is closed."""
         yield Place(ray.get_runtime_context().get_node_id(), self._times)
         yield from self._worker.given()
 
     @ray.method(concurrency_group="commands", num_returns=0)
     def close(self) -> None:
-        """Close the environments, and end the long answer."""
+        """Close the environments, and end the streaming call."""
         self._worker.close()
-        with suppress(OSError):  # most often it was opened, and has no name any more
+        with suppress(OSError):  # usually it was opened, and its name removed
             os.unlink(self._times)
 
 
-class Watch:
-    """Tells since when commands run in the workers of its node, whatever state these are in."""
+class NodeWatch:
+    """Reports since when commands run in the workers of its node, even if these hang or are dead."""
 
     def __init__(self) -> None:
         self._times: dict[str, CommandTimes] = {}
@@ -71,19 +71,19 @@ class Watch:
     def running(self, path: str, slots: int) -> dict[int, float]:
         """Return the slots whose command runs, or ran when the worker died, and for how many seconds."""
         if path not in self._times:
-            self._times[path] = opened(path, slots)
+            self._times[path] = open_times(path, slots)
         now = time.monotonic()
         return {slot: now - since for slot, since in self._times[path].running().items()}
 
     @ray.method(num_returns=0)
     def forget(self, path: str) -> None:
-        """Let go of a worker that is gone."""
+        """Forget a worker that is gone."""
         if self._times.pop(path, None) is None:
             with suppress(OSError):
                 os.unlink(path)
 
 
-def opened(path: str, slots: int) -> CommandTimes:
+def open_times(path: str, slots: int) -> CommandTimes:
     """Return what a worker of this machine notes; its file has no name any more then, so that nothing is left behind.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The connection to a Ray cluster: one that is there, or one of our own, which ends with its last user."""
+"""``Lease``: the connection to a running Ray cluster, or to one started here, which ends with its last user."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from gem_core.errors import ArgumentError, EnvFaultError
 _lock = threading.RLock()
 _users: set[Lease] = set()
 _connected_here = False
-"""Whether it was us who connected this process to Ray."""
+"""Whether this module connected the process to Ray."""
 
 
 class Closable(Protocol):
-    """What has to end before the connection does."""
+    """Something that has to end before the connection does."""
 
     def end(self) -> None:
         """End it at once."""
@@ -76,7 +76,7 @@ class Lease:
                 ray.shutdown()
 
     def drop(self) -> None:
-        """Give it back without cutting anything: the garbage collector calls from anywhere."""
+        """Give it back without closing the connection: the garbage collector may call this anywhere."""
         _users.discard(self)
 
 

@@ -16,7 +16,7 @@ from ray.exceptions import ActorDiedError, ActorUnavailableError, RayError
 
 from gem_core.errors import EnvFaultError
 from gem_core.vector import CommandTimes, RemoteExecutor, Running, WorkerLink
-from gem_ray.actor import Place, Watch, actor_class, opened
+from gem_ray.actor import NodeWatch, Place, actor_class, open_times
 from gem_ray.cluster import cluster_resources, connection, end_at_exit
 
 logger = logging.getLogger("gem_ray")
@@ -25,10 +25,10 @@ _CLOSING_S = 6.0
 """How long an actor may take to close its environments."""
 
 _ENDING_S = 5.0
-"""How long Ray may take to tell that an actor that was killed is gone."""
+"""Seconds that Ray may take to report the end of a killed actor."""
 
 _STARTING_S = 15.0
-"""After so long without an actor, it is said what it may be waiting for."""
+"""Seconds without an actor after which a warning says what it may be waiting for."""
 
 _LOOKING_S = 1.0
 """How often a thread that waits for an actor looks whether the program is still connected to Ray."""
@@ -41,7 +41,7 @@ _REACHING_S = 3.0
 
 
 class Watches:
-    """One ``Watch`` for each node other than ours, started when it is first needed.
+    """One ``NodeWatch`` for each node other than ours, started when it is first needed.
 
     Args:
         runtime_env: As that of the actors.
@@ -59,12 +59,12 @@ class Watches:
         with self._lock:
             if node not in self._by_node:
                 there = NodeAffinitySchedulingStrategy(node, soft=False)
-                made = ray.remote(num_cpus=0, max_restarts=0)(Watch)
+                made = ray.remote(num_cpus=0, max_restarts=0)(NodeWatch)
                 self._by_node[node] = made.options(scheduling_strategy=there, **self._options).remote()
             return self._by_node[node]
 
     def forget(self, place: Place) -> None:
-        """Let the watch of a node, if there is one, let go of a worker."""
+        """Make the watch of a node, if there is one, forget a worker."""
         with self._lock:
             watch = self._by_node.get(place.node)
         if watch is not None:
@@ -82,7 +82,7 @@ class RayLink(WorkerLink):
     """An actor with environments.
 
     Since when its commands run is read from a file that it shares: here, where it lives on the node of this process,
-    else by a ``Watch`` on its own. Either can be read when the actor hangs, and when it is dead.
+    else by a ``NodeWatch`` on its own. Either can be read when the actor hangs, and when it is dead.
 
     Args:
         executor: Whose worker it is.
@@ -115,7 +115,7 @@ class RayLink(WorkerLink):
         end_at_exit(self)
 
     def send(self, data: bytes) -> None:
-        """Hand bytes to the actor without waiting for it.
+        """Send bytes to the actor without waiting for it.
 
         Raises:
             EnvFaultError: The program has called ``ray.shutdown``.
@@ -135,7 +135,7 @@ class RayLink(WorkerLink):
         return None if self._there is None else self._seen
 
     def death(self) -> str:
-        """Say how it died."""
+        """Return how it died, as part of a sentence."""
         if self._reason is None:
             return "ended on Ray"
         lines = str(self._reason).splitlines()
@@ -170,10 +170,10 @@ class RayLink(WorkerLink):
     # What the thread that reads tells.
 
     def started(self, place: Place) -> None:
-        """Note where the actor lives."""
+        """Record where the actor lives."""
         if place.node == ray.get_runtime_context().get_node_id():
             with suppress(OSError):  # it may have a file system of its own
-                self._here = opened(place.times, self._slots)
+                self._here = open_times(place.times, self._slots)
         else:
             self._there = self._watches.on(place.node)
         self.place = place
@@ -181,7 +181,7 @@ class RayLink(WorkerLink):
             self._ask(place)
 
     def bury(self, reason: BaseException | None) -> None:
-        """Tell, once, that there will be no more of it."""
+        """Report, once, the end of the actor."""
         with self._lock:
             if self._buried:
                 return
@@ -195,10 +195,10 @@ class RayLink(WorkerLink):
         else:
             self.died()
 
-    # Its own matters.
+    # Command times.
 
     def _ask(self, place: Place) -> None:
-        """Take what the watch has said, and ask it anew."""
+        """Read the answer of the watch, and send the next request."""
         with self._lock:
             if self._reason is not None or not ray.is_initialized():
                 return
@@ -245,18 +245,18 @@ def kill(actor: Any) -> None:
 
 
 def _read(link_of: weakref.ref[RayLink], stream: Any) -> None:
-    reason = _read_on(link_of, stream)
+    reason = _pass_on(link_of, stream)
     if (link := link_of()) is not None:
         link.bury(reason)
 
 
-def _read_on(link_of: weakref.ref[RayLink], stream: Any) -> BaseException | None:
-    """Hand on what an actor gives until it ends; return what ended it, None if it was asked to."""
+def _pass_on(link_of: weakref.ref[RayLink], stream: Any) -> BaseException | None:
+    """Pass on the actor's messages until it ends; return the exception that ended it, None if it was closed."""
     try:
         ours = connection()
         if not ray.wait([stream], timeout=_STARTING_S)[0] and connection() == ours:
             logger.warning("gem-ray: an actor has not started yet; %s", _resources())
-        # Never to wait for long: Ray would start anew for who waits while the program disconnects.
+        # Wait only briefly: Ray would start again for a thread that waits while the program disconnects.
         while connection() == ours:
             if not ray.wait([stream], timeout=_LOOKING_S)[0]:
                 continue

@@ -1,7 +1,7 @@
 """What runs inside the sandbox, as text that is sent there: the standard library alone, and nothing of GEM.
 
 ``solution`` runs the program under test and calls its functions; ``checks`` runs the tests. The two never share a
-process: see ``gem_code.assertion_form``.
+process: see ``gem_code.function_form``.
 """
 
 from __future__ import annotations

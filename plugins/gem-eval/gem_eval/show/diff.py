@@ -1,4 +1,4 @@
-"""Two episodes beside each other: whether they share a start, and turn by turn where they part."""
+"""Compare two episodes: whether they have the same start, and turn by turn where they differ."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MOST_LINES = 2000
 
 
 def diff_lines(numbers: tuple[int, int], episodes: tuple[Episode, Episode]) -> Iterator[str]:
-    """Yield the lines that tell two episodes apart: ``-`` stands before the first's, ``+`` before the second's.
+    """Yield the lines of a comparison: ``-`` marks those of the first episode, ``+`` those of the second.
 
     Args:
         numbers: Their numbers in the file.
@@ -37,7 +37,7 @@ def diff_lines(numbers: tuple[int, int], episodes: tuple[Episode, Episode]) -> I
         outcome = outcome_of(episode.success, failed=episode.error is not None)
         figures = f"{outcome}, return {episode.episode_return:g}, {episode.turns} turns, seed {episode.seed}"
         yield _marked(mark, f"episode {number} · {one_line(episode.id)} · {one_line(figures)}")
-    yield _said_of_start(*episodes)
+    yield _start_line(*episodes)
     parted = False
     alike = 0
     turns = (turn_views(episode, fold=False) for episode in episodes)
@@ -50,13 +50,13 @@ def diff_lines(numbers: tuple[int, int], episodes: tuple[Episode, Episode]) -> I
             parted = True
             yield ""
             yield heading(f"They part at turn {number}, with {difference}.")
-        yield from _said_alike(alike)
+        yield from _equal_turns_lines(alike)
         alike = 0
         yield rule(f"turn {number}")
         yield from _turn_lines(one, other)
     first, second = (text_of(parts_of(episode.final_observation)) for episode in episodes)
     if parted:
-        yield from _said_alike(alike)
+        yield from _equal_turns_lines(alike)
     else:
         yield heading(f"All {alike} turns are alike{'' if first == second else ', but not what came last'}.")
     if first != second:
@@ -65,7 +65,7 @@ def diff_lines(numbers: tuple[int, int], episodes: tuple[Episode, Episode]) -> I
         yield from _text_diff(first, second)
 
 
-def _said_of_start(first: Episode, second: Episode) -> str:
+def _start_line(first: Episode, second: Episode) -> str:
     pairs = [
         f"{label} {one_line(str(one), 100)} and {one_line(str(other), 100)}"
         for name, label in _STARTS.items()
@@ -76,7 +76,7 @@ def _said_of_start(first: Episode, second: Episode) -> str:
     return f"They do not share a start: {'; '.join(pairs)}."
 
 
-def _said_alike(turns: int) -> list[str]:
+def _equal_turns_lines(turns: int) -> list[str]:
     return [dim(f"… {count(turns, 'turn')} alike")] if turns else []
 
 

@@ -38,7 +38,7 @@ def heading(text: str) -> str:
 
 
 def dim(text: str) -> str:
-    """Return text that matters less."""
+    """Return text in a dim style."""
     return style(text, dim=True)
 
 
