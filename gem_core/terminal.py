@@ -83,9 +83,13 @@ class Terminal:
     def _echo(self, text: str, **style: Any) -> None:
         click.echo(click.style(text, **style) if style else text, err=self._err, color=self.colours)
 
-    def show_plainly(self, text: str, **style: Any) -> None:
-        """Write text of an environment and a line break, with control characters made visible."""
-        self._echo(printable(text), **style)
+    def show_plainly(self, text: str) -> None:
+        """Write text of an environment with control characters made visible; long lines are broken between words."""
+        columns = self.columns
+        for line in text.split("\n"):
+            fits = columns is None or len(line) <= columns or line[:1].isspace()
+            for piece in [line] if fits else textwrap.wrap(line, columns or 0, break_on_hyphens=False):
+                self._echo(printable(piece))
 
     def show_drawing(self, text: str) -> None:
         """Write what an environment drew, its colours included where there are colours."""

@@ -286,7 +286,7 @@ def test_an_agent_at_the_end_of_its_input_is_no_interruption(run_gem) -> None:
     """EOFError is the agent's, and not Ctrl-C."""
     Path("asking.py").write_text("def act(observation): raise EOFError('no more lines')\n")
     outcome = run_gem("run", COUNTDOWN, "-a", "asking:act")
-    assert (outcome.code, outcome.err) == (1, "gem: there is nothing more to read: EOFError: no more lines\n")
+    assert (outcome.code, outcome.err) == (1, "gem: EOFError: no more lines. Run 'gem --traceback …' for the whole\n")
 
 
 def test_no_color_is_heeded_in_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

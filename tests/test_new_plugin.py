@@ -145,7 +145,7 @@ def test_command_prints_three_commands_to_go_on_with(
     monkeypatch.chdir(tmp_path)
     assert call("mine") == 0
     assert capsys.readouterr().out.splitlines() == [
-        "Wrote 9 files to gem-mine. Go on with:",
+        "Wrote 10 files to gem-mine. Go on with:",
         "  python -m pip install -e './gem-mine[test]'",
         "  gem run mine:Letters-v0 --episodes 5 --seed 1",
         "  python -m pytest gem-mine",

@@ -36,22 +36,8 @@ Examples:
 INTERRUPTED = 130
 
 
-class _ReaderGoneError(Exception):
-    """The reader of standard output has closed it."""
-
-
 class _Commands(click.Group):
     """Finds subcommands by name: the core's, which load no plugin, then those of plugins."""
-
-    def invoke(self, ctx: click.Context) -> Any:
-        # click's own answers would be exit code 1 for a closed pipe, and "aborted" for an agent at the end of its
-        # input.
-        try:
-            return super().invoke(ctx)
-        except BrokenPipeError as error:
-            raise _ReaderGoneError from error
-        except EOFError as error:
-            raise GemError(f"there is nothing more to read: EOFError: {error}") from error
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return [record.name for record in _all_commands()]
@@ -109,12 +95,19 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     arguments = sys.argv[1:] if arguments is None else arguments
     with_traceback = "--traceback" in arguments
     arguments = [argument for argument in arguments if argument != "--traceback"]
-    if "_GEM_COMPLETE" in os.environ:
+    if os.environ.get("_GEM_COMPLETE"):
         from gem_core.cli import completion  # noqa: F401 - it registers completers of our own
+
+        cli.main(prog_name="gem")  # answers the shell, and exits
+    code: Any = 0
     try:
-        with said_once(next((word for word in arguments if not word.startswith("-")), "")):
-            code = cli.main(list(arguments), prog_name="gem", standalone_mode=False)
+        # Without cli.main, which would exit with 1 for a closed pipe, and take an agent's EOFError for Ctrl-D.
+        command = next((word for word in arguments if not word.startswith("-")), "")
+        with said_once(command), cli.make_context("gem", list(arguments)) as ctx:
+            code = cli.invoke(ctx)
         sys.stdout.flush()
+    except click.exceptions.Exit as error:
+        code = error.exit_code
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)
         code = error.exit_code
@@ -122,27 +115,29 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         _complain(_click_message(error, arguments))
         code = error.exit_code
     except (KeyboardInterrupt, click.Abort):
+        click.echo(err=True)  # what follows does not stand behind ^C
         _complain("interrupted")
         code = INTERRUPTED
-    except (_ReaderGoneError, BrokenPipeError):
-        # The reader has closed the pipe, as with `gem list | head`; buffered output must not be written at exit.
+    except BrokenPipeError:
+        # The reader has seen enough, as with `gem list | head`; what is buffered must not be written at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
-    except GemError as error:
-        if with_traceback:
-            raise
-        _complain(str(error))
-        code = error.exit_code
     except Exception as error:
         if with_traceback:
             raise
-        _complain(f"{type(error).__name__}: {error}. Run 'gem --traceback …' for the whole")
-        code = 1
+        _complain(_line_of(error))
+        code = error.exit_code if isinstance(error, GemError) else 1
     sys.exit(code if isinstance(code, int) else 0)
 
 
 def _complain(message: str) -> None:
     echo_line(f"gem: {' '.join(message.split())}", err=True)
+
+
+def _line_of(error: Exception) -> str:
+    if isinstance(error, GemError):
+        return str(error)
+    return f"{type(error).__name__}: {error}. Run 'gem --traceback …' for the whole"
 
 
 def _click_message(error: click.ClickException, arguments: Sequence[str]) -> str:

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from functools import wraps
 from typing import TYPE_CHECKING
 
-from click.shell_completion import BashComplete, CompletionItem, FishComplete, add_completion_class, split_arg_string
+from click.shell_completion import (
+    BashComplete,
+    CompletionItem,
+    FishComplete,
+    ShellComplete,
+    ZshComplete,
+    add_completion_class,
+    split_arg_string,
+)
 
 from gem_core.errors import GemError
 from gem_core.registry.lookup import registry
@@ -21,7 +29,22 @@ if TYPE_CHECKING:
     Items = list[CompletionItem[str]]
     Completer = Callable[[click.Context, click.Parameter, str], Items]
 
-SHELLS = ("bash", "zsh", "fish")
+
+def _quiet(complete: Completer) -> Completer:
+    """Return a completer without errors and warnings while the user is typing; the command itself will report them."""
+
+    @wraps(complete)
+    def quiet(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
+        logger = logging.getLogger("gem_core")
+        was, logger.disabled = logger.disabled, True
+        try:
+            return complete(ctx, param, incomplete)
+        except GemError:
+            return []
+        finally:
+            logger.disabled = was
+
+    return quiet
 
 
 def _names(*kinds: type[NamedSpec]) -> Completer:
@@ -29,16 +52,13 @@ def _names(*kinds: type[NamedSpec]) -> Completer:
 
     def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
         before, comma, begun = incomplete.rpartition(",")
-        items: Items = []
-        with _quietly():
-            for record in sorted(
-                (each for kind in kinds for each in registry().named(kind)), key=lambda each: each.name
-            ):
-                if record.name.startswith(begun):
-                    items.append(CompletionItem(f"{before}{comma}{record.name}", help=record.summary or None))
-        return items
+        records = [record for kind in kinds for record in registry().named(kind) if record.name.startswith(begun)]
+        return [
+            CompletionItem(f"{before}{comma}{record.name}", help=record.summary or None)
+            for record in sorted(records, key=lambda record: record.name)
+        ]
 
-    return complete
+    return _quiet(complete)
 
 
 complete_agents = _names(AgentSpec)
@@ -48,16 +68,14 @@ complete_wrappers = _names(WrapperSpec, ToolSpec)
 _complete_names = _names(ToolSpec, WrapperSpec, AgentSpec, VectorBackendSpec)
 
 
+@_quiet
 def complete_env_ids(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
     """Return the ids that begin with the text; only namespaces while several of them match."""
-    items: Items = []
-    with _quietly():
-        records = [record for record in registry().envs() if record.id.startswith(incomplete)]
-        namespaces = list(dict.fromkeys(f"{record.namespace}:" for record in records))
-        if len(namespaces) > 1:
-            return [CompletionItem(namespace) for namespace in namespaces]
-        items = [CompletionItem(record.id, help=record.summary or None) for record in records]
-    return items
+    records = [record for record in registry().envs() if record.id.startswith(incomplete)]
+    namespaces = list(dict.fromkeys(f"{record.namespace}:" for record in records))
+    if len(namespaces) > 1:
+        return [CompletionItem(namespace) for namespace in namespaces]
+    return [CompletionItem(record.id, help=record.summary or None) for record in records]
 
 
 def complete_ids_and_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
@@ -66,26 +84,11 @@ def complete_ids_and_names(ctx: click.Context, param: click.Parameter, incomplet
     return ids + _complete_names(ctx, param, incomplete) if incomplete else ids
 
 
+@_quiet
 def complete_plugins(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
     """Return the installed plugins whose names begin with the text."""
-    items: Items = []
-    with _quietly():
-        plugins = [plugin for plugin in registry().plugins() if plugin.name.startswith(incomplete)]
-        items = [CompletionItem(plugin.name, help=str(plugin)) for plugin in plugins]
-    return items
-
-
-@contextmanager
-def _quietly() -> Iterator[None]:
-    """Suppress errors and warnings while the user is typing; the command itself will report them."""
-    logger = logging.getLogger("gem_core")
-    was = logger.disabled
-    logger.disabled = True
-    try:
-        with suppress(GemError):
-            yield
-    finally:
-        logger.disabled = was
+    plugins = [plugin for plugin in registry().plugins() if plugin.name.startswith(incomplete)]
+    return [CompletionItem(plugin.name, help=str(plugin)) for plugin in plugins]
 
 
 class ColonBash(BashComplete):
@@ -131,5 +134,7 @@ class CommaFish(FishComplete):
     source_template = FishComplete.source_template.replace('string split ","', 'string split --max 1 ","')
 
 
-add_completion_class(ColonBash)
-add_completion_class(CommaFish)
+SHELLS: dict[str, type[ShellComplete]] = {"bash": ColonBash, "zsh": ZshComplete, "fish": CommaFish}
+
+for shell in SHELLS.values():
+    add_completion_class(shell)

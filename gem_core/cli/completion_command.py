@@ -6,7 +6,6 @@ import os
 import sys
 
 import click
-from click.shell_completion import get_completion_class
 
 from gem_core.cli.completion import SHELLS
 
@@ -29,7 +28,7 @@ Where another program is called gem, complete gem-core instead:
   eval "$(gem-core completion bash --program gem-core)"
 """,
 )
-@click.argument("shell", type=click.Choice(SHELLS), required=False)
+@click.argument("shell", type=click.Choice(list(SHELLS)), required=False)
 @click.option("--program", type=click.Choice(PROGRAMS), help="Which command to complete.  [default: as it was called]")
 def command(shell: str | None, program: str | None) -> None:
     """Print the script that completes words in bash, zsh or fish.
@@ -43,7 +42,4 @@ def command(shell: str | None, program: str | None) -> None:
     called = os.path.basename(sys.argv[0])
     program = program or (called if called in PROGRAMS else PROGRAMS[0])
     root = click.get_current_context().find_root().command
-    completion = get_completion_class(shell)
-    if completion is None:
-        raise click.UsageError(f"this version of click cannot complete in {shell}; try a newer one")
-    click.echo(completion(root, {}, program, "_GEM_COMPLETE").source(), nl=False)
+    click.echo(SHELLS[shell](root, {}, program, "_GEM_COMPLETE").source(), nl=False)

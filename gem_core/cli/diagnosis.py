@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.metadata
 import json
 import logging
 import os
 import platform
-import re
 import shutil
 import sys
 import threading
@@ -20,17 +18,16 @@ from typing import Any
 
 from gem_core import __version__
 from gem_core.background import in_thread, run_sync
+from gem_core.cli.layout import counted
 from gem_core.progress import Progress
 from gem_core.registry.lookup import Registry, registry
 from gem_core.registry.plugins import Plugin, Record, one_line
-from gem_core.registry.requirements import RequirementStatus, find, installed_version
+from gem_core.registry.requirements import RequirementStatus, extras_of, find, installed_version
 from gem_core.registry.specs import EnvSpec, RequirementSpec, ToolSpec
 from gem_core.testing.importing import TIMEOUT_S, imported
 
 PACKAGES = ("gymnasium", "numpy", "pydantic", "pluggy", "click", "rich")
 """Dependencies of the core, whose versions belong in every bug report."""
-
-_OF_EXTRA = re.compile(r"""([\w.-]+).*;.*\bextra\s*==\s*["']([\w.-]+)["']""")
 
 
 def diagnose(*, quick: bool = False) -> dict[str, Any]:
@@ -93,8 +90,8 @@ def _kind_of(record: Record) -> str:
 
 def offers_in_words(described_plugin: Mapping[str, Any]) -> str:
     """Return what a plugin offers as text: "2 environments, 1 tool"."""
-    counts = described_plugin["offers"].items()
-    return ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in counts) or "offers nothing"
+    offers = described_plugin["offers"].items()
+    return ", ".join(counted(number, kind) for kind, number in offers) or "offers nothing"
 
 
 def requirements(found: Registry) -> list[dict[str, Any]]:
@@ -233,15 +230,9 @@ def _load_quietly() -> list[str]:
 
 def _extras() -> list[dict[str, Any]]:
     """Return the optional extras of gem-core, each with its packages and their versions."""
-    try:
-        lines = importlib.metadata.requires("gem-core") or []
-    except importlib.metadata.PackageNotFoundError:  # run from a folder, without an installation
-        lines = []
-    extras: dict[str, dict[str, str | None]] = {}
-    for match in filter(None, map(_OF_EXTRA.match, lines)):
-        extras.setdefault(match[2], {})[match[1]] = installed_version(match[1])
+    found = {extra: {name: installed_version(name) for name in names} for extra, names in extras_of("gem-core").items()}
     return [
-        {"extra": extra, "packages": packages, "present": all(packages.values())} for extra, packages in extras.items()
+        {"extra": extra, "packages": packages, "present": all(packages.values())} for extra, packages in found.items()
     ]
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from gem_core.cli.diagnosis import diagnose, offers_in_words, status_line
-from gem_core.cli.layout import output_width
+from gem_core.cli.layout import counted, output_width
 
 _WIDTH = 80  # at most
 _INDENT = 4
@@ -123,7 +123,7 @@ def _print_verdict(found: dict[str, Any]) -> None:
         _row(line, "broken")
     unmet = [row for row in found["requirements"] if row["status"] == "unmet" and row["environments"]]
     if unmet:
-        _row(f"{len(unmet)} unmet requirement{'s' if len(unmet) > 1 else ''}, see the arrows above", "note")
+        _row(f"{counted(len(unmet), 'unmet requirement')}, see the arrows above", "note")
     if not found["broken"]:
         _row("nothing that is installed is broken", "ok")
 

@@ -29,6 +29,11 @@ def echo_line(text: str, *, err: bool = False) -> None:
     click.echo(text, err=err)
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number of things in words, as "1 episode" or "2 episodes"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def cut_at_word(text: str, width: int) -> str:
     """Return text in at most ``width`` characters, cut after a whole word, with a mark where it was cut."""
     if len(text) <= width:

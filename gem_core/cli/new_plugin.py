@@ -9,46 +9,40 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from gem_core.errors import ArgumentError
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
-KINDS = ("env", "tool", "wrapper", "dataset", "agent", "command", "backend")
+
+class Kind(NamedTuple):
+    """What is written of one thing that a plugin offers, in its README.
+
+    Args:
+        noun: What it is.
+        offer: What the one that is written does.
+    """
+
+    noun: str
+    offer: str
+
+
+KINDS = {
+    "env": Kind("an environment", "`@name@:Letters-v0`, a game: find a hidden word, letter by letter."),
+    "tool": Kind("a tool", "the tool `@slug@_note`, which keeps notes during an episode."),
+    "wrapper": Kind("a wrapper", "the wrapper `@slug@_length`: long responses cost a part of the reward."),
+    "dataset": Kind("a data set", "`@name@:Capitals-v0`, a data set: the questions of `capitals.jsonl`."),
+    "agent": Kind("an agent", "the agent `@slug@_last`, which answers with the last word that it reads."),
+    "command": Kind("a command", "the command `gem @name@-returns`: what the episodes of a file came to."),
+    "backend": Kind("a vector backend", "the vector backend `@slug@_threads`, a fixed number of threads."),
+}
 LICENSES = ("Apache-2.0", "none")
 
 _NAME = re.compile(r"[a-z][a-z0-9]*([-_.]?[a-z0-9]+)*", re.ASCII)
 _MAX_NAME = 30
 _TAKEN = {"core", "new"}
-_OFFERS = {
-    "env": ("`@name@:Letters-v0`, a game: find a hidden word, letter by letter.", "env.py", "the game"),
-    "tool": ("the tool `@slug@_note`, which keeps notes during an episode.", "tool.py", "the tool"),
-    "wrapper": ("the wrapper `@slug@_length`: long responses cost a part of the reward.", "wrapper.py", "the wrapper"),
-    "dataset": ("`@name@:Capitals-v0`, a data set of questions.", "dataset.py", "the data set, with `capitals.jsonl`"),
-    "agent": ("the agent `@slug@_last`, which answers with the last word that it reads.", "agent.py", "the agent"),
-    "command": ("the command `gem @name@-returns`: what the episodes of a file came to.", "command.py", "the command"),
-    "backend": ("the vector backend `@slug@_threads`, a fixed number of threads.", "backend.py", "the vector backend"),
-}
-_NOUNS = {
-    "env": "an environment",
-    "tool": "a tool",
-    "wrapper": "a wrapper",
-    "dataset": "a data set",
-    "agent": "an agent",
-    "command": "a command",
-    "backend": "a vector backend",
-}
-_SPECS = {
-    "env": "EnvSpec",
-    "dataset": "EnvSpec",
-    "tool": "ToolSpec",
-    "wrapper": "WrapperSpec",
-    "agent": "AgentSpec",
-    "command": "CommandSpec",
-    "backend": "VectorBackendSpec",
-}
 _ENV_SPECS = {
     "env": ("Letters", "env:LettersEnv", "Find a hidden word, letter by letter."),
     "dataset": ("Capitals", "dataset:CapitalsEnv", "Name the capital of a country."),
@@ -114,10 +108,13 @@ def render(names: Names, kinds: Sequence[str], license_name: str = "Apache-2.0")
         f"{package}/__init__.py": filled("package", "__init__.py.tmpl"),
         f"{package}/_plugin.py": filled("package", "_plugin.py.tmpl"),
         f"{package}/py.typed": "",
-        f"tests/test_{package}.py": filled("tests", "test_plugin.py.tmpl")
-        + "".join(filled("tests", f"{kind}.tmpl") for kind in chosen),
+        f"tests/test_{package}.py": filled("tests", "test_plugin.py.tmpl"),
     }
     for kind in chosen:
+        test = filled("tests", f"{kind}.tmpl")
+        # Where the package stands among the imports depends on its name.
+        test = re.sub(r"(?m)(^from gem_.*\n)+", lambda block: "".join(sorted(block[0].splitlines(True))), test)
+        written[f"tests/test_{package}_{kind}.py"] = test
         written[f"{package}/{kind}.py"] = filled("package", f"{kind}.py.tmpl")
     if "dataset" in chosen:
         written[f"{package}/capitals.jsonl"] = filled("package", "capitals.jsonl.tmpl")
@@ -156,45 +153,26 @@ def _wrappers(names: Names, kinds: Sequence[str]) -> list[str]:
 
 
 def _words(names: Names, folder: Traversable, kinds: Sequence[str], license_name: str) -> dict[str, str]:
-    specs = sorted({_SPECS[kind] for kind in kinds})
     envs = [
         f'EnvSpec(\n    id="@name@:{env}-v0",\n    entry_point="@package@.{entry_point}",\n    summary="{summary}",\n),'
         for env, entry_point, summary in (_ENV_SPECS[kind] for kind in kinds if kind in _ENV_SPECS)
     ]
-    hooks = [kind for kind in KINDS if kind != "dataset" and (kind in kinds or (kind == "env" and envs))]
+    with_hooks = [kind for kind in KINDS if kind in kinds or (kind == "env" and envs)]
+    hooks = "".join(
+        (folder / f"hooks_{kind}.tmpl").read_text(encoding="utf-8") for kind in with_hooks if kind != "dataset"
+    )
     dependencies = ['"gem-core>=0.1"', *(['"click>=8.1"'] if "command" in kinds else [])]
     dependencies += ['"pydantic>=2.8"'] if "tool" in kinds else []
-    nouns = [_NOUNS[kind] for kind in kinds]
+    nouns = [KINDS[kind].noun for kind in kinds]
     described = nouns[0] if len(nouns) == 1 else f"{', '.join(nouns[:-1])} and {nouns[-1]}"
     return {
         "description": f"A plugin of GEM with {described}.",
         "license": "" if license_name == "none" else f'license = "{license_name}"\n',
         "dependencies": ", ".join(dependencies),
-        "specs": ", ".join(specs),
-        "hooks": "".join((folder / f"hooks_{kind}.tmpl").read_text(encoding="utf-8") for kind in hooks).rstrip("\n"),
+        "specs": ", ".join(sorted(set(re.findall(r"\w+Spec", "".join([*envs, hooks]))))),
+        "hooks": hooks.rstrip("\n"),
         "envs": "\n".join(envs).replace("\n", "\n        "),
-        "imports": _test_imports(names, kinds),
-        "offers": "It offers:\n\n" + "\n".join(f"- {_OFFERS[kind][0]}" for kind in kinds),
-        "files": "".join(f"- `@package@/{_OFFERS[kind][1]}` is {_OFFERS[kind][2]}.\n" for kind in kinds),
+        "offers": "It offers:\n\n" + "\n".join(f"- {KINDS[kind].offer}" for kind in kinds),
+        "files": "".join(f"- `@package@/{kind}.py` holds {KINDS[kind].noun}.\n" for kind in kinds),
         "try": first_steps(names, kinds),
     }
-
-
-def _test_imports(names: Names, kinds: Sequence[str]) -> str:
-    checks = {"check_plugin"}
-    checks |= {{"dataset": "check_env"}.get(kind, f"check_{kind}") for kind in kinds}
-    listed = ", ".join(sorted(checks))
-    wrapped = "(\n    " + listed.replace(", ", ",\n    ") + ",\n)"
-    froms = [f"from gem_core.testing import {listed if len(listed) < 90 else wrapped}"]
-    if "wrapper" in kinds:
-        froms.append(f"from {names.package}.wrapper import LengthPenalty")
-    if "agent" in kinds:
-        froms.append("from gem_core.rollouts import load_agent")
-    if "command" in kinds:
-        froms.append(f"from {names.package}.command import command")
-    others = ["import pytest"] if {"env", "backend"} & set(kinds) else []
-    others += ["from click.testing import CliRunner"] if "command" in kinds else []
-    lines = ["\n".join(others) + "\n"] if others else []
-    if {"env", "tool", "wrapper", "dataset", "command", "backend"} & set(kinds):
-        lines.append("import gem_core as gem")
-    return "\n".join([*lines, *sorted(froms)])

@@ -9,9 +9,9 @@ import click
 
 from gem_core.api import make
 from gem_core.cli import INTERRUPTED
-from gem_core.cli.completion import complete_env_ids, complete_wrappers
+from gem_core.cli.completion import complete_env_ids
 from gem_core.cli.run_command import free_path
-from gem_core.cli.tool_options import call_again, tool_options, wrapper_stack
+from gem_core.cli.tool_options import AtLeast, call_again, stack_options, wrapper_stack
 from gem_core.registry.lookup import registry
 
 if TYPE_CHECKING:
@@ -54,24 +54,14 @@ Exit code: 0 at the end or at the end of input, 2 for a wrong argument, 130 afte
 """,
 )
 @click.argument("env_id", metavar="ID", shell_complete=complete_env_ids)
-@click.option("-s", "--seed", type=click.IntRange(min=0), help="The same episodes as 'gem run' with this seed.")
+@click.option("-s", "--seed", type=AtLeast(min=0), help="The same episodes as 'gem run' with this seed.")
 @click.option(
     "-n",
     "--episodes",
-    type=click.IntRange(min=1),
+    type=AtLeast(min=1),
     help="Play so many without asking.  [default: ask after each; 1 when piped]",
 )
-@click.option("-t", "--max-turns", type=click.IntRange(min=1), help="Truncate an episode after so many turns.")
-@click.option(
-    "-w",
-    "--wrappers",
-    multiple=True,
-    metavar="NAMES",
-    shell_complete=complete_wrappers,
-    help="Wrappers and tools, innermost first, as in 'concat:max_turns=2'; each observation is then shown exactly as a "
-    "model gets it. With '' it is that of the bare environment.",
-)
-@tool_options
+@stack_options("Each observation is then shown exactly as a model gets it; with '' it is that of the bare environment.")
 @click.option("-r", "--raw", is_flag=True, help="Send answers as they are typed, without the expected form.")
 @click.option("-o", "--out", type=click.Path(dir_okay=False), help="Record the finished episodes in this file.")
 @click.option("--overwrite", is_flag=True, help="Write the file anew if it is there.")

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from gem_core.agents.answer_form import AnswerForm
+from gem_core.cli.layout import counted
 from gem_core.env.base import Env
 from gem_core.env.observations import split_observation
 from gem_core.env.wrapper import AnyEnv
@@ -127,9 +128,7 @@ class PlayView:
         """Say what was played, what was left unfinished, where the rest was written, and how to play it again."""
         show = self._terminal.show
         if not self._over:
-            left = (
-                f"after {_count_noun(self._context.turn, 'turn')}, return {_number(_return(self._context.transitions))}"
-            )
+            left = f"after {counted(self._context.turn, 'turn')}, return {_number(_return(self._context.transitions))}"
             show(f"Left unfinished {left}{'; it is not recorded' if path else ''}.", fg="yellow")
         if len(episodes) > 1:
             verdicts = [episode.success for episode in episodes if episode.success is not None]
@@ -137,7 +136,7 @@ class PlayView:
             mean = sum(episode.episode_return for episode in episodes) / len(episodes)
             show(f"{len(episodes)} episodes{solved}, mean return {_number(mean)}.")
         if path and episodes:
-            show(f"{_count_noun(len(episodes), 'episode')} written to {path}.")
+            show(f"{counted(len(episodes), 'episode')} written to {path}.")
         elif path:
             show("No episode was finished, and no file written.")
         show(f"The same again: {again}", dim=True)
@@ -150,7 +149,7 @@ class PlayView:
             show(f"  Tools: {', '.join(self.tools)}. A call is sent as you type it.")
         show(f"  {self._example()}")
         show()
-        self._running(self._text(self._rules))
+        self._terminal.show_plainly(self._text(self._rules))
 
     def _example(self) -> str:
         # An answer drawn from a data set may be the right one.
@@ -195,13 +194,13 @@ class PlayView:
         show = self._terminal.show
         if feedback and feedback != TERMINAL_STATE:
             show()
-            self._running(self._text(feedback).strip("\n"))
+            self._terminal.show_plainly(self._text(feedback).strip("\n"))
         if board:
             show()
             self._terminal.show_drawing(textwrap.indent(board.strip("\n"), "  "))
         elif suffix:
             show()
-            self._running(self._text(suffix).strip("\n"))
+            self._terminal.show_plainly(self._text(suffix).strip("\n"))
         show()
 
     def _board(self) -> str:
@@ -211,18 +210,10 @@ class PlayView:
         drawn: Any = env.render()
         return drawn if isinstance(drawn, str) else drawn.getvalue() if hasattr(drawn, "getvalue") else ""
 
-    def _running(self, text: str, **style: Any) -> None:
-        """Show text, its long lines broken between words."""
-        columns = self._terminal.columns
-        for line in text.split("\n"):
-            fits = columns is None or len(line) <= columns or line[:1].isspace()
-            for piece in [line] if fits else textwrap.wrap(line, columns or 0, break_on_hyphens=False):
-                self._terminal.show_plainly(piece, **style)
-
 
 def ending_of(episode: Episode) -> str:
     """Return one line on how an episode ended."""
-    turns = _count_noun(episode.turns, "turn")
+    turns = counted(episode.turns, "turn")
     if episode.error is not None:
         cause = printable(str(episode.error.get("message", episode.error)))
         return f"Ended after {turns} by an error that was not yours: {cause}"
@@ -234,10 +225,6 @@ def ending_of(episode: Episode) -> str:
 
 def _return(transitions: list[Transition]) -> float:
     return sum(turn.reward for turn in transitions)
-
-
-def _count_noun(number: int, noun: str) -> str:
-    return f"{number} {noun}{'s' if number != 1 else ''}"
 
 
 def _number(value: float) -> str:

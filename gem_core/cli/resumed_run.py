@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from gem_core.cli.layout import counted
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records.files import EpisodeLine, episode_lines
 from gem_core.records.plans import EpisodeQueue
@@ -64,8 +65,7 @@ class ResumedRun:
         summary.begin_session()
         if self._again:
             self._rewrite()
-            episodes = "1 episode" if self._again == 1 else f"{self._again} episodes"
-            click.echo(f"gem: {episodes} with an error or cut off: run again", err=True)
+            click.echo(f"gem: {counted(self._again, 'episode')} with an error or cut off: run again", err=True)
 
     def _rewrite(self) -> None:
         """Replace the file atomically by one without the episodes that are run again; images stay."""

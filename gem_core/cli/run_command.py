@@ -6,10 +6,9 @@ import itertools
 import json
 import shlex
 import signal
-import threading
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Sequence
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -19,10 +18,10 @@ import click
 from gem_core.api import make_vec
 from gem_core.cli import INTERRUPTED
 from gem_core.cli.agent_options import agent_options, given
-from gem_core.cli.completion import complete_agents, complete_backends, complete_env_ids, complete_wrappers
-from gem_core.cli.layout import echo_line
+from gem_core.cli.completion import complete_agents, complete_backends, complete_env_ids
+from gem_core.cli.layout import counted, echo_line
 from gem_core.cli.list_command import matching
-from gem_core.cli.tool_options import call_again, tool_options, wrapper_stack
+from gem_core.cli.tool_options import AtLeast, call_again, stack_options, wrapper_stack
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.registry.lookup import registry
 from gem_core.registry.requirements import unmet
@@ -33,12 +32,6 @@ if TYPE_CHECKING:
     from gem_core.rollouts.agent import Agent
 
 _DEFAULT_SLOTS = 8
-
-
-class _AtLeast(click.IntRange):
-    """A whole number from ``min`` up; click would call it an integer range."""
-
-    name = "integer"
 
 
 @click.command(
@@ -81,27 +74,17 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
 @click.option(
     "-n",
     "--episodes",
-    type=_AtLeast(min=1),
+    type=AtLeast(min=1),
     help="Episodes of each environment.  [default: each row of a data set once, else 10]",
 )
 @click.option(
     "-k",
     "--num-envs",
-    type=_AtLeast(min=1),
+    type=AtLeast(min=1),
     help="Environments at once.  [default: 8, or one for each ID, or --max-concurrency; 1 for 'human']",
 )
-@click.option("-s", "--seed", type=_AtLeast(min=0), help="Seed of the run: the same seed, the same episodes.")
-@click.option("-t", "--max-turns", type=_AtLeast(min=1), help="Truncate an episode after so many turns.")
-@click.option(
-    "-w",
-    "--wrappers",
-    multiple=True,
-    metavar="NAMES",
-    shell_complete=complete_wrappers,
-    help="Wrappers and tools, innermost first, with options behind a colon: 'concat:max_turns=2,episode_stats'. "
-    "Can be repeated; 'gem info NAME' shows the options. A view says what the agent is sent.",
-)
-@tool_options
+@click.option("-s", "--seed", type=AtLeast(min=0), help="Seed of the run: the same seed, the same episodes.")
+@stack_options("A view says what the agent is sent.")
 @click.option(
     "--backend",
     default="auto",
@@ -159,7 +142,7 @@ def command(
     from gem_core.records.files import EpisodeWriter
     from gem_core.records.plans import EpisodeQueue
     from gem_core.records.summary import RunSummary
-    from gem_core.rollouts.agent import current_folder_importable, load_agent
+    from gem_core.rollouts.agent import close_agent, current_folder_importable, load_agent, prepare_agent
     from gem_core.rollouts.drivers import default_plan, rollout
 
     if resume is not None:
@@ -174,8 +157,11 @@ def command(
     slots = num_envs or (1 if interactive else _slots(acting, len(env_ids), episodes))
     resumed = None if resume is None else ResumedRun(Path(resume))
     run_seed = seed if resumed is None else resumed.seed
-    made = partial(make_vec, env_ids, slots, backend=backend, wrappers=stack, step_timeout=step_timeout)
-    with _prepared_agent(acting), closing(made(seed=run_seed)) as vector:
+    prepare_agent(acting)  # it says at the start what would fail later
+    ctx.call_on_close(partial(close_agent, acting))
+    with closing(
+        make_vec(env_ids, slots, seed=run_seed, backend=backend, wrappers=stack, step_timeout=step_timeout)
+    ) as vector:
         plan = default_plan(vector, episodes)
         summary = RunSummary(env_ids)
         if resumed is not None:
@@ -197,7 +183,9 @@ def command(
             except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - raised again below, after the table
                 stopped_by = error
                 if isinstance(error, KeyboardInterrupt):
-                    ctx.with_resource(_interrupts_ignored())
+                    # A second Ctrl-C would cut off what is said after the first.
+                    before_it = signal.signal(signal.SIGINT, signal.SIG_IGN)
+                    ctx.call_on_close(lambda: signal.signal(signal.SIGINT, before_it))
             finally:
                 if not writer.count:
                     writer.discard()
@@ -207,25 +195,12 @@ def command(
         click.echo(json.dumps({**summary.to_dict(seconds), "seed": vector.seed, "out": written}, indent=1))
     else:
         print_table(summary, seconds)
-        ran = f"{_count_episodes(writer.count)} in {seconds:.1f} s (seed {vector.seed})"
+        ran = f"{counted(writer.count, 'episode')} in {seconds:.1f} s (seed {vector.seed})"
         echo_line(f"{ran}, {_where(path, None if resumed is None else before)}")
     _tell_errors(summary)
     if stopped_by is not None:
         _stop(ctx, stopped_by, before + writer.count, len(plan), path)
     ctx.exit(1 if summary.first_error is not None else 0)
-
-
-@contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Ignore a second Ctrl-C, which would cut off the messages after the first."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _stop(ctx: click.Context, stopped_by: BaseException, count: int, total: int, path: Path) -> NoReturn:
@@ -250,7 +225,7 @@ def _refuse_beside_resume(given: dict[str, bool]) -> None:
 def _tell_errors(summary: RunSummary) -> None:
     if summary.first_error is not None:
         echo_line(
-            f"gem: {_count_episodes(summary.total.errors)} had an error; the first: {summary.first_error}", err=True
+            f"gem: {counted(summary.total.errors, 'episode')} had an error; the first: {summary.first_error}", err=True
         )
 
 
@@ -259,22 +234,6 @@ def _where(path: Path, already: int | None) -> str:
     if already is not None:
         return f"added to the {already} in {path}"
     return f"written to {path}" if path.exists() else "no file written"
-
-
-def _count_episodes(episodes: int) -> str:
-    return "1 episode" if episodes == 1 else f"{episodes} episodes"
-
-
-@contextmanager
-def _prepared_agent(agent: Agent) -> Iterator[None]:
-    """Prepare an agent, so that it fails before environments are made, and close it at the end."""
-    from gem_core.rollouts.agent import close_agent, prepare_agent
-
-    prepare_agent(agent)
-    try:
-        yield
-    finally:
-        close_agent(agent)
 
 
 def _slots(agent: Agent, ids: int, episodes: int | None) -> int:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.core import ParameterSource
 
-from gem_core.cli.completion import complete_tools
+from gem_core.cli.completion import complete_tools, complete_wrappers
 from gem_core.errors import ArgumentError
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import ToolSpec, WrapperSpec
@@ -44,28 +44,54 @@ def _uses(ctx: click.Context, param: click.Parameter, value: str | None) -> int 
     raise click.BadParameter(f"{value!r} is neither a whole number from 0 up nor {NO_LIMIT!r}", ctx, param)
 
 
-_OPTIONS = [
-    click.option(
-        "--tools",
-        multiple=True,
-        metavar="NAMES",
-        shell_complete=complete_tools,
-        help="Tools that the agent may call, with options behind a colon: 'python,search:top_k=2'. Can be repeated.",
-    ),
-    click.option(
-        "--max-tool-uses",
-        callback=_uses,
-        metavar="INTEGER",
-        help=f"Tool calls in an episode, or '{NO_LIMIT}' for no limit.  [default: 5]",
-    ),
-]
+class AtLeast(click.IntRange):
+    """A whole number from ``min`` up; click would call it an integer range."""
+
+    name = "integer"
 
 
-def tool_options(command: Command) -> Command:
-    """Add the options to a command, which gets them as ``tools`` and ``max_tool_uses``."""
-    for option in reversed(_OPTIONS):
-        command = option(command)
-    return command
+def stack_options(view: str) -> Callable[[Command], Command]:
+    """Return what adds the options of ``wrapper_stack`` to a command.
+
+    Args:
+        view: What a view among the wrappers means to the command, for its help.
+    """
+    wrappers_help = (
+        "Wrappers and tools, innermost first, with options behind a colon: 'concat:max_turns=2,episode_stats'. "
+        f"Can be repeated; 'gem info NAME' shows the options. {view}"
+    )
+    options = [
+        click.option("-t", "--max-turns", type=AtLeast(min=1), help="Truncate an episode after so many turns."),
+        click.option(
+            "-w",
+            "--wrappers",
+            multiple=True,
+            metavar="NAMES",
+            shell_complete=complete_wrappers,
+            help=wrappers_help,
+        ),
+        click.option(
+            "--tools",
+            multiple=True,
+            metavar="NAMES",
+            shell_complete=complete_tools,
+            help="Tools that the agent may call, with options behind a colon: 'python,search:top_k=2'. "
+            "Can be repeated.",
+        ),
+        click.option(
+            "--max-tool-uses",
+            callback=_uses,
+            metavar="INTEGER",
+            help=f"Tool calls in an episode, or '{NO_LIMIT}' for no limit.  [default: 5]",
+        ),
+    ]
+
+    def add(command: Command) -> Command:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return add
 
 
 def wrapper_stack(

@@ -87,6 +87,18 @@ def installed_version(name: str) -> str | None:
         return None
 
 
+def extras_of(distribution: str) -> dict[str, list[str]]:
+    """Return the extras of a distribution, each with the packages that it adds; none where it is not installed."""
+    try:
+        lines = importlib.metadata.requires(distribution) or []
+    except (importlib.metadata.PackageNotFoundError, ValueError):
+        lines = []
+    extras: dict[str, list[str]] = {}
+    for match in filter(None, map(_OF_EXTRA.match, lines)):
+        extras.setdefault(match[2], []).append(match[1])
+    return extras
+
+
 def _key(name: str) -> RequirementStatus:
     if os.environ.get(name):
         return RequirementStatus("met", "is set")
@@ -111,11 +123,7 @@ def _package(name: str) -> RequirementStatus:
 
 def _extra(distribution: str, extra: str) -> RequirementStatus:
     """Tell whether the packages are installed that an extra adds, as in ``gem-games[textarena]``."""
-    try:
-        lines = importlib.metadata.requires(distribution) or []
-    except (importlib.metadata.PackageNotFoundError, ValueError):
-        lines = []
-    added = [match[1] for line in lines if (match := _OF_EXTRA.match(line)) and match[2] == extra]
+    added = extras_of(distribution).get(extra, [])
     missing = [name for name in added if installed_version(name) is None]
     if added and not missing:
         return RequirementStatus("met", f"has {', '.join(added)}")
