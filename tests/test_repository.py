@@ -40,8 +40,7 @@ PRIVATE_IN_TESTS = {
     "plugins/gem-games/tests/test_wiki_servers.py": {"_server"},
     "plugins/gem-math/tests/test_reasoning.py": {"_all", "_pool", "_process", "_rows"},
     "plugins/gem-qa/tests/test_qa_judging.py": {"_judge"},
-    "plugins/gem-ray/tests/test_ray_backend.py": {"_actor_id", "_engine", "_links", "_reading"},
-    "plugins/gem-ray/tests/test_ray_cluster.py": {"_engine", "_links"},
+    "plugins/gem-ray/tests/test_ray_backend.py": {"_actor_id", "_reading"},
     "plugins/gem-terminal/tests/test_docker_leftovers.py": {"_lock"},
     "plugins/gem-terminal/tests/test_local_judge.py": {"_release"},
     "plugins/gem-tools/tests/test_mcp_reading.py": {"_end", "_parts"},
@@ -56,18 +55,11 @@ PRIVATE_IN_TESTS = {
     "tests/conftest.py": {"_find", "_named", "_registry"},
     "tests/test_cli.py": {"_named"},
     "tests/test_completion.py": {"_named", "_registry"},
-    "tests/test_doctor.py": {"_named", "_runs_folder"},
+    "tests/test_doctor.py": {"_named"},
     "tests/test_lazy_generator.py": {"_np_random"},
     "tests/test_tool_limits.py": {"_sessions"},
-    "tests/test_vector.py": {"_engine"},
-    "tests/test_vector_chaos.py": {"_engine", "_links", "_rules"},
-    "tests/test_vector_faults.py": {"_engine", "_pool", "_rules", "_tasks"},
     "tests/test_vector_interrupts.py": {"_lock"},
-    "tests/test_vector_modes.py": {"_engine"},
-    "tests/test_vector_process.py": {"_engine", "_links"},
     "tests/testing/reference_envs.py": {"_get_state", "_np_random", "_set_state"},
-    "tests/testing/test_checks.py": {"_find"},
-    "tests/testing/test_other_process.py": {"_process"},
 }
 
 
@@ -211,5 +203,5 @@ def test_tests_use_no_private_names():
         if path.suffix == ".py" and "tests" in path.parts and not any(part in path.as_posix() for part in written)
         if path.parts[0] == "tests" or path.match("plugins/*/tests/**/*.py") or path.match("plugins/*/tests/*.py")
     ]
-    found = {path.as_posix(): private_names(path) - PRIVATE_IN_TESTS.get(path.as_posix(), set()) for path in tests}
-    assert {path: names for path, names in found.items() if names} == {}
+    found = {path.as_posix(): private_names(path) for path in tests}
+    assert {path: names for path, names in found.items() if names} == PRIVATE_IN_TESTS  # none that is used no more
