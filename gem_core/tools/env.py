@@ -79,11 +79,10 @@ class ToolEnv(Wrapper):
         self.tool_error_reward = tool_error_reward
         self.max_tool_uses = max_tool_uses
         self.instructions = instructions
-        task = env.unwrapped
         self._reader = CallReader(
             self.tools,
-            answer_fences=getattr(task, "answer_fences", ()),
-            answer_tags=getattr(task, "answer_tags", ()),
+            answer_fences=self.unwrapped.answer_fences,
+            answer_tags=self.unwrapped.answer_tags,
             thinking_tag=thinking_tag,
         )
         self._sessions = ToolSessions(self.tools, call_timeout_s)
