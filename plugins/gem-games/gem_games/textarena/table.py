@@ -153,11 +153,7 @@ class Table:
     def _ask_judge(self, question: str) -> str:
         if self._judge is None:
             raise JudgeError(f"{self.name} has no judge")
-        if self._known_verdicts:
-            verdict = self._known_verdicts.pop(0)
-        else:
-            with self._fence.outside():
-                verdict = self._judge(question)
+        verdict = self._known_verdicts.pop(0) if self._known_verdicts else self._judge(question)
         self.verdicts.append(verdict)
         return verdict
 
