@@ -176,7 +176,7 @@ class TextArenaEnv(Env):
         """Return the agent's turns after which the episode is cut off."""
         if self.max_turns is not None:
             return self.max_turns
-        return max(_MOST_TURNS, getattr(self.table.game, "target_tile", 0)) if self.table.unlimited else math.inf
+        return max(_MOST_TURNS, getattr(self.table.game, "target_tile", 0)) if self.table.limit is None else math.inf
 
     def _failed(self, error: Exception) -> StepResult:
         """End an episode in which the library raised: by the agent's fault if a valid action was to be had."""

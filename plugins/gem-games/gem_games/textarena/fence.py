@@ -5,8 +5,6 @@ from __future__ import annotations
 import copy
 import random
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cached_property
 from typing import Any
 
@@ -17,10 +15,11 @@ LOCK = threading.RLock()
 
 
 class Fence:
-    """The generators of one game, from which the library draws inside of ``inside``."""
+    """The generators of one game, from which the library draws inside of it; the lock is held there."""
 
     def __init__(self, seed: int) -> None:
         self._seed = seed
+        self._outer: list[Fence | None] = []
         self.python = random.Random(seed)
 
     @cached_property
@@ -32,16 +31,16 @@ class Fence:
         """Return a fence in the same state, to try something out."""
         return copy.deepcopy(self)
 
-    @contextmanager
-    def inside(self) -> Iterator[None]:
-        """Hold the lock, and let the library draw from this game's generators."""
+    def __enter__(self) -> None:
         global _current
-        with LOCK:
-            outer, _current = _current, self
-            try:
-                yield
-            finally:
-                _current = outer
+        LOCK.acquire()
+        self._outer.append(_current)
+        _current = self
+
+    def __exit__(self, *_: object) -> None:
+        global _current
+        _current = self._outer.pop()
+        LOCK.release()
 
 
 _current: Fence | None = None

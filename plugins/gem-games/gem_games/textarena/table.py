@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import sys
 from collections.abc import Callable, Sequence
+from types import NoneType
 from typing import Any, NamedTuple
 
+from gem_core.errors import ArgumentError
 from gem_core.records import without_thinking
+from gem_core.suggestions import did_you_mean
 from gem_games.textarena.fence import Fence
+from gem_games.textarena.games import GAMES
 from gem_games.textarena.judging import JudgeError, judges_of
 from gem_games.textarena.library import copied, load
 
@@ -37,6 +42,7 @@ _MOVE = re.compile(r"\[[^\[\]]*\]")
 _ASKED = re.compile(r"\s*Player (\d+), (?:do )?you\b.*", re.DOTALL)
 _UPDATED_BOARD = " Your updated board:\n"  # Battleship
 _SHORTEST_ECHO = 20  # characters
+_PLAIN = str, int, float, bool, NoneType
 _PROGRESS = "_get_percentage_completion", "_progress", "_calculate_progress"
 
 
@@ -45,6 +51,11 @@ class View(NamedTuple):
 
     feedback: str
     board: str
+
+    @property
+    def suffix(self) -> str:
+        """The board, on a line of its own."""
+        return f"\n{self.board}" if self.board and self.feedback else self.board
 
 
 class Table:
@@ -63,32 +74,50 @@ class Table:
         self.name, self.players, self._max_turns, self._judge = name, players, max_turns, judge
         self._family = name.partition("-")[0]
         self._fence = Fence(0)
-        with self._fence.inside():
+        with self._fence:
             self._game, self._brackets, self._clip = load(name, max_turns)
+        self._kinds: Any = importlib.import_module("textarena.core").ObservationType
         self.seed = 0
         self.actions: list[str] = []
         self.verdicts: list[str] = []
         """What the judge has answered."""
         self._known_verdicts: list[str] = []
-        self.done = self.unlimited = False
+        self.done = False
+        self.invalid = False
+        """Whether the last action was an invalid move."""
+        self.turns: list[int] = []
+        """How many actions each seat has taken."""
+        self.limit: int | None = None
+        """TextArena's own limit of turns."""
         self._boards: dict[int, str] = {}
+        self._unseen: list[list[str]] = []
 
     def reset(self, seed: int, verdicts: Sequence[str] = ()) -> None:
         """Deal a game; the judge is asked for nothing that these verdicts answer."""
-        self.seed, self.actions, self.done = seed, [], False
+        self.seed, self.actions, self.turns, self.done, self.invalid = seed, [], [0] * self.players, False, False
         self.verdicts, self._known_verdicts = [], list(verdicts)
-        self._boards = {}
+        self._boards, self._unseen = {}, [[] for _ in range(self.players)]
         self._fence = Fence(seed)
-        with self._fence.inside():
+        with self._fence:
             # Made anew, since some constructors draw too.
             self._game, self._brackets, self._clip = load(self.name, self._max_turns)
             for judge in judges_of(self._game):
                 judge.ask = self._ask_judge
             self._game.reset(num_players=self.players, seed=seed % 2**32)
-        self.unlimited = self._game.state.max_turns is None
-        if self.unlimited:
+        self.limit = self._game.state.max_turns
+        if self.limit is None:
             # DontSayIt-v0-unlimited compares it with the turn, in textarena 0.7.4.
             self._game.state.max_turns = sys.maxsize
+        self._tell()
+
+    def replay(self, seed: int, actions: Sequence[str], verdicts: Sequence[str]) -> None:
+        """Bring the game to where these actions of all seats lead, and each seat to have seen what it saw."""
+        self.reset(seed, verdicts)
+        for action in actions:
+            self.look(self.seat)
+            self.act(action)
+        for seat in range(self.players) if self.done else [self.seat]:
+            self.look(seat)
 
     @property
     def seat(self) -> int:
@@ -102,22 +131,7 @@ class Table:
 
     def look(self, seat: int) -> View:
         """Return what is new for a seat; what was seen once is not shown again, but for the board."""
-        state = self._game.state
-        messages, state.observations[seat] = state.observations.get(seat, []), []
-        texts = []
-        for sender, text, kind in messages:
-            if kind.name == "GAME_BOARD" and self._family not in _NO_BOARDS:
-                self._boards[seat] = text
-                continue
-            if kind.name != "PLAYER_ACTION":
-                text, updated, board = text.partition(_UPDATED_BOARD)
-                if updated:
-                    self._boards[seat] = board
-                # What another seat is asked.
-                text = _ASKED.sub(lambda asked: asked[0] if int(asked[1]) == seat else "", text)
-            if text:
-                who = state.role_mapping.get(sender, f"Player {sender}")
-                texts.append(text if kind.name == "PROMPT" else f"[{who}] {text}")
+        texts, self._unseen[seat] = self._unseen[seat], []
         return View("\n".join(texts), self._boards.get(seat, ""))
 
     def act(self, action: str) -> str:
@@ -126,20 +140,57 @@ class Table:
         Thinking blocks are no part of it. What TextArena raises comes through, and is not noted.
         """
         action = without_thinking(action)[-LONGEST_ACTION:]
-        state, mover, talk = self._game.state, self.seat, self._is_talk()
-        known = {seat: len(messages) for seat, messages in state.observations.items()}
-        errors, formed = self.errors(), self._formed(action)
-        with self._fence.inside():
-            self.done = bool(self._game.step(action=formed)[0])
+        mover, talk, errors = self.seat, self._is_talk(), self.errors()
+        with self._fence:
+            self.done = bool(self._game.step(action=self._formed(action))[0])
         self.actions.append(action)
-        invalid = self.errors() > errors or bool(state.game_info.get(mover, {}).get("invalid_move"))
+        self.turns[mover] += 1
+        told = self._game.state.game_info.get(mover, {})
+        self.invalid = self.errors() > errors or bool(told.get("invalid_move"))
+        self._tell(mover, action, talk=talk)
+        return action
+
+    def _tell(self, mover: int = -1, action: str = "", *, talk: bool = False) -> None:
+        """Let each seat know what the game has sent it, as far as it may."""
+        state, kinds = self._game.state, self._kinds
         said = [part for part in map(str.strip, _MOVE.split(action)) if len(part) >= _SHORTEST_ECHO]
         for seat, messages in state.observations.items():
-            fresh = [(sender, str(text), kind) for sender, text, kind in messages[known[seat] :]]
-            for part in said if seat == mover else ():
-                fresh = [(sender, text.replace(part, "…"), kind) for sender, text, kind in fresh]
-            messages[known[seat] :] = _heard(fresh, seat, mover, talk=talk, invalid=invalid)
-        return action
+            state.observations[seat] = []
+            for sender, message, kind in messages:
+                text = str(message)
+                for part in said if seat == mover else ():
+                    text = text.replace(part, "…")
+                if kind is kinds.PLAYER_ACTION:
+                    own = sender == seat or (seat == mover and sender < 0)
+                    text = "" if own else text if talk else self._move(text, messages)
+                elif kind is kinds.GAME_BOARD and self._family not in _NO_BOARDS:
+                    self._boards[seat] = text
+                    continue
+                else:
+                    text = self._without_board(seat, text)
+                if text:
+                    who = state.role_mapping.get(sender, f"Player {sender}")
+                    self._unseen[seat].append(text if kind is kinds.PROMPT else f"[{who}] {text}")
+
+    def _move(self, action: str, messages: list[tuple[int, str, Any]]) -> str:
+        """Return what another seat hears of an action where the game is not to talk: the move alone.
+
+        Where the game describes the move, its description is enough. Of an action with several pairs of brackets only
+        the game knows which is the move, and its board shows it.
+        """
+        moves = set(_MOVE.findall(action))
+        if self.invalid or len(moves) != 1 or any(kind is self._kinds.GAME_ACTION_DESCRIPTION for *_, kind in messages):
+            return ""
+        return str(moves.pop())
+
+    def _without_board(self, seat: int, text: str) -> str:
+        """Return what a message says besides the board, and to no other seat."""
+        text, updated, board = text.partition(_UPDATED_BOARD)
+        if updated:
+            self._boards[seat] = board
+        if ", you" in text or ", do you" in text:
+            text = _ASKED.sub(lambda asked: asked[0] if int(asked[1]) == seat else "", text)
+        return text
 
     def _is_talk(self) -> bool:
         """Whether what is said now is meant for the ears of others; else only the move is."""
@@ -173,7 +224,7 @@ class Table:
             return False
 
         fence = self._fence.copy()
-        with fence.inside():
+        with fence:
             try:
                 game = copied(self._game)
                 for judge in judges_of(game):
@@ -191,37 +242,43 @@ class Table:
     def progress(self) -> float:
         """Return the reward that TextArena gives for what is done of a game for one; 0 where it knows none."""
         found = (getattr(self._game, name, None) for name in _PROGRESS)
-        with self._fence.inside():
+        with self._fence:
             return next((float(progress()) for progress in found if progress is not None), 0.0)
 
     def report(self, seat: int) -> dict[str, Any]:
         """Return what TextArena says about a seat, as plain data."""
         found = self._game.state.game_info.get(seat, {})
-        return {str(key): value for key, value in found.items() if isinstance(value, str | int | float | bool | None)}
+        return {str(key): value for key, value in found.items() if isinstance(value, _PLAIN)}
 
     def errors(self) -> int:
         """Return the number of invalid moves in a row by the seat whose turn it is."""
         return int(getattr(self._game.state, "error_count", 0))
 
 
-def _heard(
-    messages: list[tuple[int, str, Any]], seat: int, mover: int, *, talk: bool, invalid: bool
-) -> list[tuple[int, str, Any]]:
-    """Return what a seat is told of an action: nothing of its own, and of another seat's the move alone.
+def open_table(
+    game: str, players: int, max_turns: int | None = None, judge: Callable[[str], str] | None = None
+) -> Table:
+    """Return the table of a game, if the game can be played so.
 
-    Where the game describes the move, its description is enough. Of an action with several pairs of brackets only the
-    game knows which is the move, and its board shows it.
+    Raises:
+        ArgumentError: There is no such game, or not for so many players or with such a limit.
     """
-    described = any(kind.name == "GAME_ACTION_DESCRIPTION" for _, _, kind in messages)
-    heard = []
-    for sender, text, kind in messages:
-        if kind.name == "PLAYER_ACTION":
-            if sender == seat or (seat == mover and sender < 0):
-                continue
-            if not talk:
-                moves = set(_MOVE.findall(text))
-                if invalid or described or len(moves) != 1:
-                    continue
-                text = moves.pop()
-        heard.append((sender, text, kind))
-    return heard
+    if game not in GAMES:
+        raise ArgumentError(f"textarena has no game {game!r}.{did_you_mean(str(game), GAMES)} Run 'gem list ta'")
+    if type(players) is not int or not 1 <= players <= 15:
+        raise ArgumentError(f"players must be a whole number from 1 to 15, not {players!r}")
+    if max_turns is not None and (type(max_turns) is not int or max_turns < 1):
+        raise ArgumentError(f"max_turns must be a positive whole number, not {max_turns!r}")
+    try:
+        table = Table(game, players, max_turns, judge)
+    except AssertionError as error:
+        raise ArgumentError(f"max_turns={max_turns} is not for {game}: {error}") from error
+    usual = max(GAMES[game], 1)
+    if players != usual:
+        try:
+            table.reset(0)
+        except Exception as error:
+            raise ArgumentError(
+                f"players={players} is not for {game}, which can be played by {usual}: {error}"
+            ) from error
+    return table

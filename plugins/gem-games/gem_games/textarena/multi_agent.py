@@ -1,0 +1,175 @@
+"""``TextArenaMultiAgentEnv``: a game of TextArena with all its seats open."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable, Mapping
+from typing import Any, ClassVar
+
+from gem_core.env import MultiAgentEnv, Verdict
+from gem_core.errors import ArgumentError, EnvFaultError
+from gem_core.types import Concurrency, Info
+from gem_games.textarena.judging import JudgeError
+from gem_games.textarena.moves import random_move
+from gem_games.textarena.opponents import Player
+from gem_games.textarena.table import open_table
+
+_MOST_TURNS = 1_000
+
+
+class TextArenaMultiAgentEnv(MultiAgentEnv):
+    """A game of TextArena; each seat, ``"player_0"``, ``"player_1"`` and so on, is an agent.
+
+    The game says whose turn it is. Where a move is invalid, the same seat tries again, or is out of the game or has
+    lost it, as TextArena has it; one that is out stays among ``agents``, and is paid when the game ends for all.
+
+    The rewards are TextArena's own, at the end, and 0 before. An agent's info has ``textarena``, what TextArena says
+    about the seat, and with its next observation ``invalid_move`` and ``parsed_action`` of its last response.
+    ``correct`` at the end says whether the seat won: by a reward above 0 that no other seat exceeds.
+
+    A seat sees nothing of its own responses, and of another seat's the move alone, as the game describes it or in its
+    brackets. Where the game is to talk, all that is said is heard; thinking blocks never are.
+
+    A response that makes the library raise loses with -1, if another one would not have done so; a single opponent then
+    gets 1, as after an invalid move. Else all are truncated with ``info["error"]``.
+
+    Args:
+        game: The game's id in TextArena.
+        players: How many seats it has.
+        max_turns: All are truncated with a reward of 0 when it is the turn of a seat that has had so many. A game that
+            takes a limit itself is made with this one; it counts the turns of all seats. None: 1,000, or the game's
+            own limit if that is more.
+        judge: An agent, or the name of one, that answers as the jury of Debate and ScenarioPlanning.
+
+    Source: the games and rewards of textarena 0.7.4, https://github.com/LeonGuertler/TextArena.
+    """
+
+    concurrency: ClassVar[Concurrency] = "process"
+
+    def __init__(self, game: str, players: int = 2, max_turns: int | None = None, judge: Any = None) -> None:
+        super().__init__()
+        self._judge = None if judge is None else Player(judge)
+        self.table = open_table(game, players, max_turns, self._verdict)
+        self.game, self.max_turns = game, max_turns
+        self.possible_agents = tuple(f"player_{seat}" for seat in range(players))
+        self._seen: dict[str, str] = {}
+
+    def begin_episode(self, options: dict[str, Any] | None) -> Mapping[str, Info]:
+        """Deal a game.
+
+        Raises:
+            EnvFaultError: The judge failed.
+        """
+        try:
+            self.table.reset(self.np_random_seed)
+        except JudgeError as error:
+            raise EnvFaultError(f"{self.env_id or self.game}: the judge: {error}") from error
+        self._seen = {}
+        return self._next_turn()
+
+    def observe(self, agent: str) -> str:
+        """Return what an agent saw when its turn came last, or when the game ended."""
+        return self._seen.get(agent, "")
+
+    def process_actions(self, actions: dict[str, str]) -> Verdict:
+        """Play for the seat whose turn it is."""
+        ((agent, action),) = actions.items()
+        table = self.table
+        try:
+            played = table.act(str(action))
+        except Exception as error:  # noqa: BLE001 - the library may raise anything; blame is told apart below
+            return self._failed(agent, error)
+        over = table.done or table.turns[table.seat] >= self._most_turns()
+        infos = self._look(self.agents) if over else self._next_turn()
+        told = infos.setdefault(agent, {})
+        told["invalid_move"], told["parsed_action"] = table.invalid, None if table.invalid else played
+        if not over:
+            return {}, {}, {}, infos
+        ends = dict.fromkeys(self.agents, True)
+        if not table.done:
+            for info in infos.values():
+                info["correct"] = False
+            return {}, {}, ends, infos
+        rewards = {self.possible_agents[seat]: reward for seat, reward in table.rewards().items()}
+        best = max(rewards.values(), default=0.0)
+        for other, reward in rewards.items():
+            infos[other]["correct"] = 0 < reward == best
+        return rewards, ends, {}, infos
+
+    def _most_turns(self) -> int:
+        """Return the turns of a seat after which the episode is cut off."""
+        return self.max_turns or max(_MOST_TURNS, self.table.limit or 0)
+
+    def _next_turn(self) -> dict[str, Info]:
+        agent = self.possible_agents[self.table.seat]
+        self.agent_selector.override(agent)
+        return self._look([agent])
+
+    def _look(self, agents: Iterable[str]) -> dict[str, Info]:
+        """Let agents see what is new for them; return their infos."""
+        infos = {}
+        for agent in agents:
+            seat = self.possible_agents.index(agent)
+            view = self.table.look(seat)
+            self._seen[agent] = view.feedback + view.suffix
+            infos[agent] = {
+                "feedback": view.feedback,
+                "suffix": view.suffix,
+                "textarena": self.table.report(seat),
+            }
+        return infos
+
+    def _failed(self, agent: str, error: Exception) -> Verdict:
+        """End an episode in which the library raised: by the agent's fault if a valid action was to be had."""
+        table = self.table
+        table.replay(table.seed, table.actions, table.verdicts)
+        agents_fault = not isinstance(error, JudgeError) and table.tries(random_move(table, random.Random(table.seed)))
+        infos, ends = self._look(self.agents), dict.fromkeys(self.agents, True)
+        if not agents_fault:
+            kind = "judge" if isinstance(error, JudgeError) else "textarena"
+            for info in infos.values():
+                info["error"] = {"kind": kind, "message": f"{type(error).__name__}: {error}"[:300]}
+            return {}, {}, ends, infos
+        told = infos[agent]
+        told["feedback"] = f"The game could not read your response ({type(error).__name__}), and is lost."
+        self._seen[agent] = told["feedback"] + told["suffix"]
+        told |= {"invalid_move": True, "parsed_action": None}
+        rewards = dict.fromkeys(self.agents, 1.0 if len(self.agents) == 2 else 0.0) | {agent: -1.0}
+        for other, reward in rewards.items():
+            infos[other]["correct"] = reward > 0
+        return rewards, ends, {}, infos
+
+    def _verdict(self, question: str) -> str:
+        """Answer as the judge."""
+        if self._judge is None:
+            raise JudgeError(f"{self.game} has a judge: make it with judge=, an agent or the name of one")
+        try:
+            return self._judge.ask(
+                question, episode=str(self.table.seed), env_id=self.env_id or self.game, sample=lambda: ""
+            )
+        except Exception as error:
+            raise JudgeError(f"{type(error).__name__}: {error}"[:300]) from error
+
+    def sample_random_action(self, agent: str) -> str:  # type: ignore[override]  # an agent has to be named
+        """Return a move that TextArena takes as a valid one; where there is none, ``"[no move]"``.
+
+        Raises:
+            ArgumentError: It is not the turn of this agent.
+        """
+        if agent not in self.acting:
+            raise ArgumentError(f"{self.env_id or self.game}: it is not the turn of {agent!r}")
+        return random_move(self.table, random.Random(int(self.action_random.integers(2**53))))
+
+    def _get_state(self) -> dict[str, Any]:
+        table = self.table
+        return {
+            "seed": table.seed,
+            "actions": list(table.actions),
+            "verdicts": list(table.verdicts),
+            "seen": dict(self._seen),
+        }
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self._seen = {str(agent): str(text) for agent, text in state["seen"].items()}
+        if self._seen:  # else no game has been dealt
+            self.table.replay(int(state["seed"]), list(map(str, state["actions"])), list(map(str, state["verdicts"])))
