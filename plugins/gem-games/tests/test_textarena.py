@@ -18,7 +18,7 @@ from gem_games.textarena.env import TextArenaEnv
 from gem_games.textarena.games import GAMES
 from gem_games.textarena.listing import EXTRA, textarena_specs
 
-RUNNABLE = [spec for spec in textarena_specs() if spec.requires == (EXTRA,)]
+RUNNABLE = [spec for spec in textarena_specs() if spec.requires == (EXTRA,) and not spec.seats]
 _EPISODES = """
 import json, sys
 from gem_games.textarena.env import TextArenaEnv

@@ -21,7 +21,7 @@ from gem_games.textarena.listing import EXTRA, textarena_specs
 pytestmark = pytest.mark.thorough
 
 EVERY = bool(os.environ.get("GEM_EVERY_TEXTARENA_GAME"))
-RUNNABLE = {spec.id: spec for spec in textarena_specs() if spec.requires == (EXTRA,)}
+RUNNABLE = {spec.id: spec for spec in textarena_specs() if spec.requires == (EXTRA,) and not spec.seats}
 FAMILIES = list({env_id.partition("-")[0]: env_id for env_id in reversed(RUNNABLE)}.values())[::-1]
 TRIED_ELSEWHERE = {
     "process-determinism": "test_textarena.py tries it for all games in one other process",

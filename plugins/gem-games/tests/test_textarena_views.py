@@ -22,9 +22,11 @@ def family(spec: Any) -> str:
     return str(spec.kwargs["game"]).partition("-")[0]
 
 
-FIRST = list({family(spec): spec for spec in reversed(list(textarena_specs())) if spec.requires == (EXTRA,)}.values())[
-    ::-1
-]
+FIRST = list(
+    {
+        family(spec): spec for spec in reversed(list(textarena_specs())) if spec.requires == (EXTRA,) and not spec.seats
+    }.values()
+)[::-1]
 
 
 def seen(env_id: str, players: int, turns: int) -> tuple[list[str], list[str]]:
