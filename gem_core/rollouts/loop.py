@@ -97,7 +97,7 @@ class EpisodeLoop:
         over = bool(terminated or truncated)
         next_began = over and self._vector.autoreset == "same_step"
         last = (info.pop("final_obs"), info.pop("final_info")) if next_began else (observation, info)
-        running.add(reward, bool(terminated), bool(truncated), *last)
+        running.add(reward if isinstance(reward, dict) else float(reward), bool(terminated), bool(truncated), *last)
         if not over:
             self._unasked.append(slot)
             return

@@ -50,12 +50,12 @@ class SoloEpisode:
     def __init__(self, slot: int, agent: Agent, seat: RunningSeat) -> None:
         self.slot = slot
         self.record: Record = seat.episode
-        self._agent = agent
         self._seat = seat
+        self._questions: list[Question] = [("", agent, seat)]
 
     def questions(self) -> list[Question]:
         """Return the agent."""
-        return [("", self._agent, self._seat)]
+        return self._questions
 
     def answer(self, seat: str, response: Response) -> Action:
         """Return the response."""
@@ -64,7 +64,7 @@ class SoloEpisode:
 
     def add(self, reward: Any, terminated: bool, truncated: bool, observation: Any, info: Info) -> None:
         """Add a turn."""
-        self._seat.add(float(reward), terminated, truncated, observation, info)
+        self._seat.add(reward, terminated, truncated, observation, info)
 
     def cut_off(self, seat: str, reported: Info) -> None:
         """End the episode with the reason in its last info."""
