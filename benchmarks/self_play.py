@@ -1,9 +1,10 @@
 """What self-play costs beside a bare loop over TextArena: the same games with the same moves, in one process.
 
 Ours is the loop over ``ta:…-multi``, with a view for each seat, rewards and infos. The bare loop is TextArena's own:
-``ta.make``, ``reset``, then ``get_observation`` and ``step`` until the game is done. The moves were drawn by random players beforehand. The two play each game in turn; a figure is the median over
-all games, steps and resets apart, and a reset of the bare loop is a new ``ta.make``, since an environment that is used
-again shows what earlier games have said. The rewards of both are compared.
+``ta.make``, ``reset``, then ``get_observation`` and ``step`` until the game is done. The moves were drawn by random
+players beforehand. The two play each game in turn; a figure is the median over all games, steps and resets apart, and a
+reset of the bare loop is a new ``ta.make``, since an environment that is used again shows what earlier games have said.
+The rewards of both are compared.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ def measured(games: int) -> dict[str, float]:
     """Return the medians of both sides for each game, taken in this process."""
     import gem_core
 
-    figures = {}
+    figures: dict[str, float] = {}
     for game in GAMES:
         env = gem_core.make(f"ta:{game}-multi")
         moves = [drawn(env, seed) for seed in range(games)]

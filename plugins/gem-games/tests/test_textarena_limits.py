@@ -10,6 +10,7 @@ import pytest
 import gem_core as gem
 from gem_core.errors import ArgumentError, EnvFaultError, MissingRequirementError
 from gem_games.textarena import env as textarena_env
+from gem_games.textarena import table
 from gem_games.textarena.env import TextArenaEnv
 
 
@@ -70,7 +71,7 @@ def test_long_games_come_to_their_own_end(env_id: str) -> None:
 
 
 def test_a_game_without_any_limit_is_cut_off_in_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(textarena_env, "_MOST_TURNS", 12)
+    monkeypatch.setattr(table, "_MOST_TURNS", 12)
     env = gem.make("ta:DontSayIt-v0-unlimited")
     reward, terminated, truncated, info, turns = played(env, at_random)
     assert (reward, terminated, truncated, info["correct"], turns) == (0.0, False, True, False, 12)

@@ -9,7 +9,7 @@ import pytest
 
 import gem_core as gem
 from gem_core.errors import ArgumentError, EnvFaultError
-from gem_games.textarena import multi_agent
+from gem_games.textarena import table
 from gem_games.textarena.library import load
 from gem_games.textarena.listing import EXTRA, textarena_specs
 from gem_games.textarena.multi_agent import TextArenaMultiAgentEnv
@@ -176,7 +176,7 @@ def test_episode_is_cut_off_when_a_seat_has_had_its_turns(
     game: str, kwargs: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nobody gets anything, and nobody has won."""
-    monkeypatch.setattr(multi_agent, "_MOST_TURNS", 3)
+    monkeypatch.setattr(table, "_MOST_TURNS", 3)
     env = TextArenaMultiAgentEnv(game, **kwargs)
     moves = iter(["[4]", "[0]", "[1]", "[7]", "[2]", "[6]"])
     assert played(env, 1, lambda agent: next(moves)) == {"player_0": 0.0, "player_1": 0.0}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import random
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -20,8 +19,6 @@ from gem_games.textarena.table import Table
 _MOST_OPPONENT_TURNS = 300
 _STALLED = f"the agent's turn did not come in {_MOST_OPPONENT_TURNS} turns of the opponents"
 
-_MOST_TURNS = 1_000
-"""Of the agent, in a game that has no limit of its own; in 2048 as many as the tile that is wanted, if that is more."""
 _MOST_DEALS = 10
 _SCORES = "Blackjack", "Set"
 """Games of one player that pay a score, and have no aim that is reached or missed."""
@@ -158,7 +155,7 @@ class TextArenaEnv(Env):
         rewards = table.rewards() if table.done else {}
         reward = rewards.get(self.seat, 0.0)
         family = self.game.partition("-")[0]
-        cut_off = not table.done and not self._stalled and self._turns >= self._most_turns()
+        cut_off = not table.done and not self._stalled and self._turns >= self.table.most_turns
         if table.done:
             self._over = True
             if self.seat in rewards and "correct" not in info:
@@ -171,12 +168,6 @@ class TextArenaEnv(Env):
         if self._stalled:
             info["error"] = {"kind": "opponent", "message": _STALLED}
         return observation, reward, table.done, self._stalled or cut_off, info
-
-    def _most_turns(self) -> float:
-        """Return the agent's turns after which the episode is cut off."""
-        if self.max_turns is not None:
-            return self.max_turns
-        return max(_MOST_TURNS, getattr(self.table.game, "target_tile", 0)) if self.table.limit is None else math.inf
 
     def _failed(self, error: Exception) -> StepResult:
         """End an episode in which the library raised: by the agent's fault if a valid action was to be had."""
@@ -214,7 +205,7 @@ class TextArenaEnv(Env):
         """Play for another seat: an action, or else what its player answers."""
         table, player = self.table, self._opponents.get(seat)
         view = table.look(seat)
-        question = view.feedback + _below(view.feedback, view.board)
+        question = view.feedback + view.suffix
         if action is None:
             draws = random.Random(stable_hash(table.seed, "opponent", len(table.actions)))
             action = self._ask(player, question, draws) if player else random_move(table, draws)
@@ -241,11 +232,10 @@ class TextArenaEnv(Env):
 
     def _see(self) -> tuple[str, Info]:
         view = self.table.look(self.seat)
-        suffix = _below(view.feedback, view.board)
-        info: Info = {"feedback": view.feedback, "suffix": suffix, "textarena": self.table.report(self.seat)}
+        info: Info = {"feedback": view.feedback, "suffix": view.suffix, "textarena": self.table.report(self.seat)}
         if self.game.partition("-")[0] in _SCORES:
             info["correct"] = None  # said from the beginning: an episode that is cut off has not failed
-        return view.feedback + suffix, info
+        return view.feedback + view.suffix, info
 
     def sample_random_action(self) -> str:
         """Return a move that TextArena takes as a valid one; where there is none, ``"[no move]"``."""
@@ -285,7 +275,3 @@ class TextArenaEnv(Env):
             if player:
                 player.begin()
         self.table.reset(seed, verdicts)
-
-
-def _below(feedback: str, board: str) -> str:
-    return f"\n{board}" if board and feedback else board

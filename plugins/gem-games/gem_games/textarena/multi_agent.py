@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from gem_core.env import MultiAgentEnv, Verdict
@@ -13,8 +13,6 @@ from gem_games.textarena.judging import JudgeError
 from gem_games.textarena.moves import random_move
 from gem_games.textarena.opponents import Player
 from gem_games.textarena.table import open_table
-
-_MOST_TURNS = 1_000
 
 
 class TextArenaMultiAgentEnv(MultiAgentEnv):
@@ -50,7 +48,7 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
         super().__init__()
         self._judge = None if judge is None else Player(judge)
         self.table = open_table(game, players, max_turns, self._verdict)
-        self.game, self.max_turns = game, max_turns
+        self.game = game
         self.possible_agents = tuple(f"player_{seat}" for seat in range(players))
         self._seen: dict[str, str] = {}
 
@@ -79,8 +77,8 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
             played = table.act(str(action))
         except Exception as error:  # noqa: BLE001 - the library may raise anything; blame is told apart below
             return self._failed(agent, error)
-        over = table.done or table.turns[table.seat] >= self._most_turns()
-        infos = self._look(self.agents) if over else self._next_turn()
+        over = table.done or table.turns[table.seat] >= table.most_turns
+        infos = {each: self._look(each) for each in self.agents} if over else self._next_turn()
         told = infos.setdefault(agent, {})
         told["invalid_move"], told["parsed_action"] = table.invalid, None if table.invalid else played
         if not over:
@@ -96,35 +94,24 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
             infos[other]["correct"] = 0 < reward == best
         return rewards, ends, {}, infos
 
-    def _most_turns(self) -> int:
-        """Return the turns of a seat after which the episode is cut off."""
-        return self.max_turns or max(_MOST_TURNS, self.table.limit or 0)
-
     def _next_turn(self) -> dict[str, Info]:
         agent = self.possible_agents[self.table.seat]
         self.agent_selector.override(agent)
-        return self._look([agent])
+        return {agent: self._look(agent)}
 
-    def _look(self, agents: Iterable[str]) -> dict[str, Info]:
-        """Let agents see what is new for them; return their infos."""
-        infos = {}
-        for agent in agents:
-            seat = self.possible_agents.index(agent)
-            view = self.table.look(seat)
-            self._seen[agent] = view.feedback + view.suffix
-            infos[agent] = {
-                "feedback": view.feedback,
-                "suffix": view.suffix,
-                "textarena": self.table.report(seat),
-            }
-        return infos
+    def _look(self, agent: str) -> Info:
+        """Let an agent see what is new for it; return its info."""
+        seat = self.possible_agents.index(agent)
+        feedback, suffix = self.table.look(seat)
+        self._seen[agent] = feedback + suffix
+        return {"feedback": feedback, "suffix": suffix, "textarena": self.table.report(seat)}
 
     def _failed(self, agent: str, error: Exception) -> Verdict:
         """End an episode in which the library raised: by the agent's fault if a valid action was to be had."""
         table = self.table
         table.replay(table.seed, table.actions, table.verdicts)
         agents_fault = not isinstance(error, JudgeError) and table.tries(random_move(table, random.Random(table.seed)))
-        infos, ends = self._look(self.agents), dict.fromkeys(self.agents, True)
+        infos, ends = {each: self._look(each) for each in self.agents}, dict.fromkeys(self.agents, True)
         if not agents_fault:
             kind = "judge" if isinstance(error, JudgeError) else "textarena"
             for info in infos.values():

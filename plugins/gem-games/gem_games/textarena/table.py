@@ -19,7 +19,8 @@ from gem_games.textarena.library import copied, load
 
 LONGEST_ACTION = 4_000
 """Characters; of a longer action the end is read, since some patterns of the library take quadratic time."""
-
+_MOST_TURNS = 1_000
+"""Of a seat, where neither the game nor the caller sets a higher limit."""
 
 TALK = {
     "CharacterConclave",
@@ -47,15 +48,10 @@ _PROGRESS = "_get_percentage_completion", "_progress", "_calculate_progress"
 
 
 class View(NamedTuple):
-    """What a seat sees: what happened since it was last asked, and the board as it stands, ``""`` if there is none."""
+    """What a seat sees: what happened since it was last asked, and below it the board as it stands, if there is one."""
 
     feedback: str
-    board: str
-
-    @property
-    def suffix(self) -> str:
-        """The board, on a line of its own."""
-        return f"\n{self.board}" if self.board and self.feedback else self.board
+    suffix: str
 
 
 class Table:
@@ -73,10 +69,14 @@ class Table:
     ) -> None:
         self.name, self.players, self._max_turns, self._judge = name, players, max_turns, judge
         self._family = name.partition("-")[0]
+        self._has_board = self._family not in _NO_BOARDS
         self._fence = Fence(0)
         with self._fence:
             self._game, self._brackets, self._clip = load(name, max_turns)
-        self._kinds: Any = importlib.import_module("textarena.core").ObservationType
+        kinds = importlib.import_module("textarena.core").ObservationType
+        # Read once: Python 3.11 takes its time over a member of an enumeration.
+        self._prompt, self._board, self._action = kinds.PROMPT, kinds.GAME_BOARD, kinds.PLAYER_ACTION
+        self._description = kinds.GAME_ACTION_DESCRIPTION
         self.seed = 0
         self.actions: list[str] = []
         self.verdicts: list[str] = []
@@ -87,8 +87,8 @@ class Table:
         """Whether the last action was an invalid move."""
         self.turns: list[int] = []
         """How many actions each seat has taken."""
-        self.limit: int | None = None
-        """TextArena's own limit of turns."""
+        self.most_turns = _MOST_TURNS
+        """How many actions of a seat there are at most; in 2048 as many as the tile that is wanted."""
         self._boards: dict[int, str] = {}
         self._unseen: list[list[str]] = []
 
@@ -104,8 +104,9 @@ class Table:
             for judge in judges_of(self._game):
                 judge.ask = self._ask_judge
             self._game.reset(num_players=self.players, seed=seed % 2**32)
-        self.limit = self._game.state.max_turns
-        if self.limit is None:
+        limit, tile = self._game.state.max_turns, getattr(self._game, "target_tile", 0)
+        self.most_turns = self._max_turns or max(_MOST_TURNS, limit or 0, tile)
+        if limit is None:
             # DontSayIt-v0-unlimited compares it with the turn, in textarena 0.7.4.
             self._game.state.max_turns = sys.maxsize
         self._tell()
@@ -132,7 +133,8 @@ class Table:
     def look(self, seat: int) -> View:
         """Return what is new for a seat; what was seen once is not shown again, but for the board."""
         texts, self._unseen[seat] = self._unseen[seat], []
-        return View("\n".join(texts), self._boards.get(seat, ""))
+        board = self._boards.get(seat, "")
+        return View("\n".join(texts), f"\n{board}" if board and texts else board)
 
     def act(self, action: str) -> str:
         """Play a text for the seat whose turn it is; return what of it was played.
@@ -152,25 +154,26 @@ class Table:
 
     def _tell(self, mover: int = -1, action: str = "", *, talk: bool = False) -> None:
         """Let each seat know what the game has sent it, as far as it may."""
-        state, kinds = self._game.state, self._kinds
+        state = self._game.state
         said = [part for part in map(str.strip, _MOVE.split(action)) if len(part) >= _SHORTEST_ECHO]
         for seat, messages in state.observations.items():
             state.observations[seat] = []
             for sender, message, kind in messages:
                 text = str(message)
-                for part in said if seat == mover else ():
-                    text = text.replace(part, "…")
-                if kind is kinds.PLAYER_ACTION:
+                if said and seat == mover:
+                    for part in said:
+                        text = text.replace(part, "…")
+                if kind is self._action:
                     own = sender == seat or (seat == mover and sender < 0)
                     text = "" if own else text if talk else self._move(text, messages)
-                elif kind is kinds.GAME_BOARD and self._family not in _NO_BOARDS:
+                elif kind is self._board and self._has_board:
                     self._boards[seat] = text
                     continue
                 else:
                     text = self._without_board(seat, text)
                 if text:
-                    who = state.role_mapping.get(sender, f"Player {sender}")
-                    self._unseen[seat].append(text if kind is kinds.PROMPT else f"[{who}] {text}")
+                    who = state.role_mapping.get(sender) or f"Player {sender}"
+                    self._unseen[seat].append(text if kind is self._prompt else f"[{who}] {text}")
 
     def _move(self, action: str, messages: list[tuple[int, str, Any]]) -> str:
         """Return what another seat hears of an action where the game is not to talk: the move alone.
@@ -178,10 +181,10 @@ class Table:
         Where the game describes the move, its description is enough. Of an action with several pairs of brackets only
         the game knows which is the move, and its board shows it.
         """
-        moves = set(_MOVE.findall(action))
-        if self.invalid or len(moves) != 1 or any(kind is self._kinds.GAME_ACTION_DESCRIPTION for *_, kind in messages):
+        if self.invalid or any(kind is self._description for *_, kind in messages):
             return ""
-        return str(moves.pop())
+        moves = set(_MOVE.findall(action))
+        return str(moves.pop()) if len(moves) == 1 else ""
 
     def _without_board(self, seat: int, text: str) -> str:
         """Return what a message says besides the board, and to no other seat."""
