@@ -12,7 +12,7 @@ from gem_core.rollouts.agent import (
     prepare_agent,
 )
 from gem_core.rollouts.drivers import arollout, default_plan, rollout
-from gem_core.rollouts.one_seat import single_agent
+from gem_core.rollouts.one_seat import SingleAgentEnv, single_agent
 from gem_core.rollouts.resume import FinishedEpisodes
 from gem_core.rollouts.seat import RunningSeat, new_episode
 from gem_core.rollouts.seating import League, Seated, Seating, as_seating
@@ -27,6 +27,7 @@ __all__ = [
     "RunningSeat",
     "Seated",
     "Seating",
+    "SingleAgentEnv",
     "arollout",
     "as_agent",
     "as_seating",

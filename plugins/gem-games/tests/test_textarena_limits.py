@@ -9,9 +9,9 @@ import pytest
 
 import gem_core as gem
 from gem_core.errors import ArgumentError, EnvFaultError, MissingRequirementError
-from gem_games.textarena import env as textarena_env
 from gem_games.textarena import table
 from gem_games.textarena.env import TextArenaEnv
+from gem_games.textarena.moves import SAMPLERS
 
 
 def played(env: Any, agent: Any, seed: int = 1) -> tuple[float, bool, bool, dict[str, Any], int]:
@@ -31,7 +31,7 @@ def at_random(env: Any, _: str) -> str:
 
 def sorting(env: Any, _: str) -> str:
     """In 2048: to the left or down while that changes the board."""
-    ways = textarena_env.random_move.__globals__["SAMPLERS"]["2048"](env.unwrapped.table.game, None)
+    ways = SAMPLERS["2048"](env.unwrapped.table.game, None)
     return next(way for way in ("[Left]", "[Down]", "[Right]", "[Up]") if way in ways)
 
 
@@ -183,7 +183,7 @@ def test_a_judge_that_fails_is_nobodys_fault() -> None:
     _, reward, terminated, truncated, info = env.step("Is it alive?")
     assert (reward, terminated, truncated) == (0.0, False, True)
     assert info["error"] == {"kind": "judge", "message": "JudgeError: OSError: no answer"}
-    with pytest.raises(EnvFaultError, match="ta:Debate-v0: the judge: OSError: no answer"):
+    with pytest.raises(EnvFaultError, match="Debate-v0: the judge: OSError: no answer"):
         gem.make("ta:Debate-v0", judge=judge).reset(seed=1)
 
 

@@ -152,7 +152,7 @@ def test_an_opponent_reaches_the_conversation_of_its_seat() -> None:
     assert [message["role"] for message in second] == ["system", "user", "assistant", "user"]
     assert second[:2] == first
     assert second[1]["content"] != observation
-    assert re.fullmatch(r"\[\d\]", second[2]["content"])
+    assert re.fullmatch(r"<think>Hm.</think>\[\d\]", second[2]["content"])
     restored = TextArenaEnv("TicTacToe-v0", players=2, opponents=other)
     restored.set_state(env.get_state())
     for each in (env, restored):

@@ -9,10 +9,14 @@ from typing import Any, ClassVar
 from gem_core.env import MultiAgentEnv, Verdict
 from gem_core.errors import ArgumentError, EnvFaultError
 from gem_core.types import Concurrency, Info
-from gem_games.textarena.judging import JudgeError
+from gem_games.textarena.judging import AgentJudge, JudgeError
 from gem_games.textarena.moves import random_move
-from gem_games.textarena.opponents import Player
 from gem_games.textarena.table import open_table
+
+_SCORES = "Blackjack", "Set"
+"""Games of one player that pay a score, and have no aim that is reached or missed."""
+_FULL_REWARDS = {"Klondike": 52}
+"""What solving a game of one player pays, where that is not 1."""
 
 
 class TextArenaMultiAgentEnv(MultiAgentEnv):
@@ -23,7 +27,9 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
 
     The rewards are TextArena's own, at the end, and 0 before. An agent's info has ``textarena``, what TextArena says
     about the seat, and with its next observation ``invalid_move`` and ``parsed_action`` of its last response.
-    ``correct`` at the end says whether the seat won: by a reward above 0 that no other seat exceeds.
+    ``correct`` at the end says whether the seat won: alone, by the full reward of 1 (in Klondike of 52, the number of
+    cards); among others, by one above 0 that no other seat exceeds. Blackjack and Set, which only keep a score, have
+    none.
 
     A seat sees nothing of its own responses, and of another seat's the move alone, as the game describes it or in its
     brackets. Where the game is to talk, all that is said is heard; thinking blocks never are.
@@ -34,10 +40,11 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
     Args:
         game: The game's id in TextArena.
         players: How many seats it has.
-        max_turns: All are truncated with a reward of 0 when it is the turn of a seat that has had so many. A game that
-            takes a limit itself is made with this one; it counts the turns of all seats. None: 1,000, or the game's
-            own limit if that is more.
-        judge: An agent, or the name of one, that answers as the jury of Debate and ScenarioPlanning.
+        max_turns: All are truncated when it is the turn of a seat that has had so many, with a reward of 0, or for one
+            player with TextArena's for what is done. A game that takes a limit itself is made with this one; it counts
+            the turns of all seats. None: 1,000, or the game's own limit if that is more.
+        judge: An agent, or the name of one, that answers as the game master and the jury of GuessWho, TwentyQuestions,
+            Debate and ScenarioPlanning.
 
     Source: the games and rewards of textarena 0.7.4, https://github.com/LeonGuertler/TextArena.
     """
@@ -46,9 +53,9 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
 
     def __init__(self, game: str, players: int = 2, max_turns: int | None = None, judge: Any = None) -> None:
         super().__init__()
-        self._judge = None if judge is None else Player(judge)
+        self._judge = None if judge is None else AgentJudge(judge)
         self.table = open_table(game, players, max_turns, self._verdict)
-        self.game = game
+        self.game, self._family = game, game.partition("-")[0]
         self.possible_agents = tuple(f"player_{seat}" for seat in range(players))
         self._seen: dict[str, str] = {}
 
@@ -77,22 +84,26 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
             played = table.act(str(action))
         except Exception as error:  # noqa: BLE001 - the library may raise anything; blame is told apart below
             return self._failed(agent, error)
-        over = table.done or table.turns[table.seat] >= table.most_turns
-        infos = {each: self._look(each) for each in self.agents} if over else self._next_turn()
-        told = infos.setdefault(agent, {})
-        told["invalid_move"], told["parsed_action"] = table.invalid, None if table.invalid else played
-        if not over:
+        told = {"invalid_move": table.invalid, "parsed_action": None if table.invalid else played}
+        if not table.done and table.turns[table.seat] < table.most_turns:
+            infos = self._next_turn()
+            infos.setdefault(agent, {}).update(told)
             return {}, {}, {}, infos
+        infos = {each: self._look(each) for each in self.agents}
+        infos[agent] |= told
         ends = dict.fromkeys(self.agents, True)
-        if not table.done:
-            for info in infos.values():
-                info["correct"] = False
-            return {}, {}, ends, infos
-        rewards = {self.possible_agents[seat]: reward for seat, reward in table.rewards().items()}
-        best = max(rewards.values(), default=0.0)
-        for other, reward in rewards.items():
-            infos[other]["correct"] = 0 < reward == best
-        return rewards, ends, {}, infos
+        if table.done:
+            rewards = {self.possible_agents[seat]: reward for seat, reward in table.rewards().items()}
+        else:
+            rewards = {agent: table.progress()} if len(self.agents) == 1 else {}
+        for each, info in infos.items():
+            info.setdefault("correct", table.done and self._has_won(rewards.get(each, 0.0), rewards))
+        return rewards, ends if table.done else {}, {} if table.done else ends, infos
+
+    def _has_won(self, reward: float, rewards: Mapping[str, float]) -> bool:
+        if len(self.agents) == 1:
+            return reward >= _FULL_REWARDS.get(self._family, 1)
+        return 0 < reward == max(rewards.values())
 
     def _next_turn(self) -> dict[str, Info]:
         agent = self.possible_agents[self.table.seat]
@@ -104,7 +115,9 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
         seat = self.possible_agents.index(agent)
         feedback, suffix = self.table.look(seat)
         self._seen[agent] = feedback + suffix
-        return {"feedback": feedback, "suffix": suffix, "textarena": self.table.report(seat)}
+        info = {"feedback": feedback, "suffix": suffix, "textarena": self.table.report(seat)}
+        # Said from the beginning, since an episode of such a game that is cut off has not failed.
+        return info | {"correct": None} if self._family in _SCORES else info
 
     def _failed(self, agent: str, error: Exception) -> Verdict:
         """End an episode in which the library raised: by the agent's fault if a valid action was to be had."""
@@ -130,12 +143,7 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
         """Answer as the judge."""
         if self._judge is None:
             raise JudgeError(f"{self.game} has a judge: make it with judge=, an agent or the name of one")
-        try:
-            return self._judge.ask(
-                question, episode=str(self.table.seed), env_id=self.env_id or self.game, sample=lambda: ""
-            )
-        except Exception as error:
-            raise JudgeError(f"{type(error).__name__}: {error}"[:300]) from error
+        return self._judge.ask(question, str(self.table.seed), self.env_id or self.game)
 
     def sample_random_action(self, agent: str) -> str:  # type: ignore[override]  # an agent has to be named
         """Return a move that TextArena takes as a valid one; where there is none, ``"[no move]"``.
@@ -143,7 +151,7 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
         Raises:
             ArgumentError: It is not the turn of this agent.
         """
-        if agent not in self.acting:
+        if agent not in self.acting and not self.table.done:
             raise ArgumentError(f"{self.env_id or self.game}: it is not the turn of {agent!r}")
         return random_move(self.table, random.Random(int(self.action_random.integers(2**53))))
 
