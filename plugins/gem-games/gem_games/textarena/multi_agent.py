@@ -57,7 +57,6 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
         self.table = open_table(game, players, max_turns, self._verdict)
         self.game, self._family = game, game.partition("-")[0]
         self.possible_agents = tuple(f"player_{seat}" for seat in range(players))
-        self._seen: dict[str, str] = {}
 
     def begin_episode(self, options: dict[str, Any] | None) -> Mapping[str, Info]:
         """Deal a game.
@@ -69,12 +68,11 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
             self.table.reset(self.np_random_seed)
         except JudgeError as error:
             raise EnvFaultError(f"{self.env_id or self.game}: the judge: {error}") from error
-        self._seen = {}
         return self._next_turn()
 
     def observe(self, agent: str) -> str:
-        """Return what an agent saw when its turn came last, or when the game ended."""
-        return self._seen.get(agent, "")
+        """Return what happened since an agent acted last, and the board."""
+        return "".join(self.table.look(self.possible_agents.index(agent)))
 
     def process_actions(self, actions: dict[str, str]) -> Verdict:
         """Play for the seat whose turn it is."""
@@ -89,7 +87,7 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
             infos = self._next_turn()
             infos.setdefault(agent, {}).update(told)
             return {}, {}, {}, infos
-        infos = {each: self._look(each) for each in self.agents}
+        infos = {each: self._info(each) for each in self.agents}
         infos[agent] |= told
         ends = dict.fromkeys(self.agents, True)
         if table.done:
@@ -108,13 +106,12 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
     def _next_turn(self) -> dict[str, Info]:
         agent = self.possible_agents[self.table.seat]
         self.agent_selector.override(agent)
-        return {agent: self._look(agent)}
+        return {agent: self._info(agent)}
 
-    def _look(self, agent: str) -> Info:
-        """Let an agent see what is new for it; return its info."""
+    def _info(self, agent: str) -> Info:
+        """Return an agent's info."""
         seat = self.possible_agents.index(agent)
         feedback, suffix = self.table.look(seat)
-        self._seen[agent] = feedback + suffix
         info = {"feedback": feedback, "suffix": suffix, "textarena": self.table.report(seat)}
         # Said from the beginning, since an episode of such a game that is cut off has not failed.
         return info | {"correct": None} if self._family in _SCORES else info
@@ -124,16 +121,16 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
         table = self.table
         table.replay(table.seed, table.actions, table.verdicts)
         agents_fault = not isinstance(error, JudgeError) and table.tries(random_move(table, random.Random(table.seed)))
-        infos, ends = {each: self._look(each) for each in self.agents}, dict.fromkeys(self.agents, True)
+        if agents_fault:
+            text = f"The game could not read your response ({type(error).__name__}), and is lost."
+            table.tell(self.possible_agents.index(agent), text)
+        infos, ends = {each: self._info(each) for each in self.agents}, dict.fromkeys(self.agents, True)
         if not agents_fault:
             kind = "judge" if isinstance(error, JudgeError) else "textarena"
             for info in infos.values():
                 info["error"] = {"kind": kind, "message": f"{type(error).__name__}: {error}"[:300]}
             return {}, {}, ends, infos
-        told = infos[agent]
-        told["feedback"] = f"The game could not read your response ({type(error).__name__}), and is lost."
-        self._seen[agent] = told["feedback"] + told["suffix"]
-        told |= {"invalid_move": True, "parsed_action": None}
+        infos[agent] |= {"invalid_move": True, "parsed_action": None}
         rewards = dict.fromkeys(self.agents, 1.0 if len(self.agents) == 2 else 0.0) | {agent: -1.0}
         for other, reward in rewards.items():
             infos[other]["correct"] = reward > 0
@@ -158,13 +155,12 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
     def _get_state(self) -> dict[str, Any]:
         table = self.table
         return {
+            "dealt": bool(table.turns),
             "seed": table.seed,
             "actions": list(table.actions),
             "verdicts": list(table.verdicts),
-            "seen": dict(self._seen),
         }
 
     def _set_state(self, state: dict[str, Any]) -> None:
-        self._seen = {str(agent): str(text) for agent, text in state["seen"].items()}
-        if self._seen:  # else no game has been dealt
+        if state["dealt"]:
             self.table.replay(int(state["seed"]), list(map(str, state["actions"])), list(map(str, state["verdicts"])))

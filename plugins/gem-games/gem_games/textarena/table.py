@@ -48,7 +48,7 @@ _PROGRESS = "_get_percentage_completion", "_progress", "_calculate_progress"
 
 
 class View(NamedTuple):
-    """What a seat sees: what happened since it was last asked, and below it the board as it stands, if there is one."""
+    """What a seat sees: what happened since it acted last, and below it the board as it stands, if there is one."""
 
     feedback: str
     suffix: str
@@ -90,13 +90,13 @@ class Table:
         self.most_turns = _MOST_TURNS
         """How many actions of a seat there are at most; in 2048 as many as the tile that is wanted."""
         self._boards: dict[int, str] = {}
-        self._unseen: list[list[str]] = []
+        self._news: list[list[str]] = []
 
     def reset(self, seed: int, verdicts: Sequence[str] = ()) -> None:
         """Deal a game; the judge is asked for nothing that these verdicts answer."""
         self.seed, self.actions, self.turns, self.done, self.invalid = seed, [], [0] * self.players, False, False
         self.verdicts, self._known_verdicts = [], list(verdicts)
-        self._boards, self._unseen = {}, [[] for _ in range(self.players)]
+        self._boards, self._news = {}, [[] for _ in range(self.players)]
         self._fence = Fence(seed)
         with self._fence:
             # Made anew, since some constructors draw too.
@@ -109,16 +109,17 @@ class Table:
         if limit is None:
             # DontSayIt-v0-unlimited compares it with the turn, in textarena 0.7.4.
             self._game.state.max_turns = sys.maxsize
-        self._tell()
+        self._spread()
 
     def replay(self, seed: int, actions: Sequence[str], verdicts: Sequence[str]) -> None:
-        """Bring the game to where these actions of all seats lead, and each seat to have seen what it saw."""
+        """Bring the game to where these actions of all seats lead."""
         self.reset(seed, verdicts)
         for action in actions:
-            self.look(self.seat)
             self.act(action)
-        for seat in range(self.players) if self.done else [self.seat]:
-            self.look(seat)
+
+    def tell(self, seat: int, text: str) -> None:
+        """Let a text be all that is new for a seat."""
+        self._news[seat] = [text]
 
     @property
     def seat(self) -> int:
@@ -131,8 +132,8 @@ class Table:
         return self._game
 
     def look(self, seat: int) -> View:
-        """Return what is new for a seat; what was seen once is not shown again, but for the board."""
-        texts, self._unseen[seat] = self._unseen[seat], []
+        """Return what a seat sees; what it knew when it acted last is not shown again, but for the board."""
+        texts = self._news[seat]
         board = self._boards.get(seat, "")
         return View("\n".join(texts), f"\n{board}" if board and texts else board)
 
@@ -149,10 +150,11 @@ class Table:
         self.turns[mover] += 1
         told = self._game.state.game_info.get(mover, {})
         self.invalid = self.errors() > errors or bool(told.get("invalid_move"))
-        self._tell(mover, action, talk=talk)
+        self._news[mover] = []
+        self._spread(mover, action, talk=talk)
         return action
 
-    def _tell(self, mover: int = -1, action: str = "", *, talk: bool = False) -> None:
+    def _spread(self, mover: int = -1, action: str = "", *, talk: bool = False) -> None:
         """Let each seat know what the game has sent it, as far as it may."""
         state = self._game.state
         said = [part for part in map(str.strip, _MOVE.split(action)) if len(part) >= _SHORTEST_ECHO]
@@ -173,7 +175,7 @@ class Table:
                     text = self._without_board(seat, text)
                 if text:
                     who = state.role_mapping.get(sender) or f"Player {sender}"
-                    self._unseen[seat].append(text if kind is self._prompt else f"[{who}] {text}")
+                    self._news[seat].append(text if kind is self._prompt else f"[{who}] {text}")
 
     def _move(self, action: str, messages: list[tuple[int, str, Any]]) -> str:
         """Return what another seat hears of an action where the game is not to talk: the move alone.
