@@ -103,7 +103,7 @@ def test_it_is_registered_as_any_environment() -> None:
 
 
 def test_sampling_for_the_seat_changes_nothing_for_the_others() -> None:
-    """Random opponents draw from generators of their own."""
+    """Random opponents draw from generators of their own, anew in each turn; the seat's own can be seeded."""
     env = single_agent(AuctionEnv(["a", "b", "c"], "sequential", 30), "b")
 
     def watch(samples: int) -> list[Any]:
@@ -115,6 +115,13 @@ def test_sampling_for_the_seat_changes_nothing_for_the_others() -> None:
         return seen
 
     assert watch(0) == watch(3)
+    assert len(set(env.unwrapped.env.bids[::3])) > 2  # type: ignore[attr-defined]  # those of the seat 'a'
+    sampled = []
+    for seed in (1, 2, 1):
+        env.reset(seed=5)
+        env.seed_actions(seed)
+        sampled.append([env.sample_random_action() for _ in range(9)])
+    assert sampled[0] == sampled[2] != sampled[1]
 
 
 def test_each_other_seat_has_a_conversation_of_its_own() -> None:
