@@ -177,7 +177,7 @@ def as_seating(agents: Any) -> Seating:
 
 
 def seated(agent: Any) -> Seated:
-    """Return an agent with a name: its own ``name``, that of its function or class, or the name that it is loaded by."""
+    """Return an agent with a name: the one that it is loaded by, its own ``name``, or that of its function or class."""
     if isinstance(agent, str):
         return Seated(agent, load_agent(agent))
     if isinstance(agent, Seated):
