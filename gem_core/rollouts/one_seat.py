@@ -22,9 +22,9 @@ from gem_core.making.environment import make_from
 from gem_core.records.episode import Episode
 from gem_core.records.plans import EpisodeStart, PlanItem
 from gem_core.registry.lookup import registry
-from gem_core.rollouts.agent import Agent, Reading, as_agent, is_asynchronous, load_agent
+from gem_core.rollouts.agent import Agent, Reading, is_asynchronous, load_agent
 from gem_core.rollouts.seat import RunningSeat, new_episode
-from gem_core.rollouts.seating import Seated
+from gem_core.rollouts.seating import Seated, seated
 from gem_core.types import Concurrency, Info, ResetResult, Response, StepResult
 
 MOST_OTHER_TURNS = 300
@@ -307,7 +307,7 @@ class SingleAgentEnv(Env):
 
     def _as_agent(self, given: Any) -> Agent:
         if not isinstance(given, str):
-            return as_agent(given.agent if isinstance(given, Seated) else given)
+            return seated(given).agent
         if given not in self._loaded:
             self._loaded[given] = load_agent(given)
         return self._loaded[given]
