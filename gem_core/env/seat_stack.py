@@ -99,7 +99,7 @@ class SeatStack:
     async def hear(self, result: StepResult, calls: PlainCalls) -> StepResult:
         """Return the result of a step of the environment, as the wrappers pass it on.
 
-        That of a seat which ended before it acted, or when it was to act, is no answer to a response: it stays as it is.
+        That of a seat which ended before it acted, or when it was to act, answers no response: it stays as it is.
         """
         observation, reward, terminated, truncated, info = result
         if self._sent is not None:

@@ -22,13 +22,14 @@ from gem_core.making.environment import make_from
 from gem_core.records.episode import Episode
 from gem_core.records.plans import EpisodeStart, PlanItem
 from gem_core.registry.lookup import registry
-from gem_core.rollouts.agent import Agent, Reading, as_agent, is_asynchronous, load_agent
+from gem_core.rollouts.agent import Agent, Reading, is_asynchronous, load_agent
 from gem_core.rollouts.seat import RunningSeat, new_episode
-from gem_core.rollouts.seating import Seated
+from gem_core.rollouts.seating import Seated, seated
 from gem_core.types import Concurrency, Info, ResetResult, Response, StepResult
 
 MOST_OTHER_TURNS = 300
 _MOST_DEALS = 10
+_OWN_ARGUMENTS = ("env", "seat", "others", "max_other_turns")
 
 
 def single_agent(
@@ -65,14 +66,7 @@ def single_agent(
         UnknownEnvError: There is no such environment.
         UnknownAgentError: There is no agent of that name.
     """
-    if isinstance(env, str):
-        made = make_from(registry().env(env), kwargs, ())
-        return SingleAgentEnv(cast("MultiAgentEnv", made), seat, others, max_other_turns=max_other_turns)
-    if kwargs:
-        raise ArgumentError(
-            f"{', '.join(kwargs)}: keyword arguments go with the id of an environment, and this one is made already"
-        )
-    return SingleAgentEnv(env, seat, others, max_other_turns=max_other_turns)
+    return SingleAgentEnv(env, seat, others, max_other_turns=max_other_turns, **kwargs)
 
 
 class _OpponentError(Exception):
@@ -83,21 +77,37 @@ class SingleAgentEnv(Env):
     """One seat of an environment of several agents; see ``single_agent``, which makes it."""
 
     def __init__(
-        self, env: MultiAgentEnv, seat: str, others: Any = "random", *, max_other_turns: int = MOST_OTHER_TURNS
+        self,
+        env: MultiAgentEnv | str,
+        seat: str,
+        others: Any = "random",
+        *,
+        max_other_turns: int = MOST_OTHER_TURNS,
+        **kwargs: Any,
     ) -> None:
         super().__init__()
-        if not isinstance(env, MultiAgentEnv):
-            raise ArgumentError(f"single_agent takes an environment of several agents, or its id, not {env!r:.100}")
+        if isinstance(env, MultiAgentEnv) and kwargs:
+            raise ArgumentError(
+                f"{', '.join(kwargs)}: keyword arguments go with the id of an environment, and this one is made already"
+            )
         if type(max_other_turns) is not int or max_other_turns < 1:
             raise ArgumentError(f"max_other_turns must be a positive whole number, not {max_other_turns!r}")
-        check_seats([seat], env.possible_agents)
-        self.env, self.seat, self.max_other_turns = env, seat, max_other_turns
-        self.observation_space = env.observation_space(seat)
-        self.action_space = env.action_space(seat)
-        self._given = others
+        self._made_here = isinstance(env, str)
+        made: Any = make_from(registry().env(env), kwargs, ()) if isinstance(env, str) else env
         self._loaded: dict[str, Agent] = {}
-        self._players = self._players_of(others)
+        try:
+            if not isinstance(made, MultiAgentEnv):
+                raise ArgumentError(f"single_agent takes an environment of several agents, or its id, not {env!r:.100}")
+            check_seats([seat], made.possible_agents)
+            self.env, self.seat, self.max_other_turns = made, seat, max_other_turns
+            self._players = self._players_of(others)
+        except BaseException:
+            if self._made_here:
+                made.close()
+            raise
         self._asynchronous = any(is_asynchronous(player) for players in self._players.values() for player in players)
+        self.observation_space = made.observation_space(seat)
+        self.action_space = made.action_space(seat)
         self._prepared = False
         self._live = False
         self._acting: list[str] = []
@@ -193,7 +203,7 @@ class SingleAgentEnv(Env):
         Raises:
             _OpponentError: One of the others failed, or they never come to an end.
         """
-        for _ in range(self.max_other_turns + 1):
+        for turn in range(self.max_other_turns + 1):
             observations, rewards, terminations, truncations, infos = joint
             self._acting = list(observations)
             for agent in rewards:
@@ -208,7 +218,8 @@ class SingleAgentEnv(Env):
                 return observation, reward, terminated, truncated, info
             if not observations:
                 return None
-            joint = await self._joint_step({}, calls)
+            if turn < self.max_other_turns:
+                joint = await self._joint_step({}, calls)
         raise _OpponentError(f"the turn of {self.seat!r} did not come in {self.max_other_turns} turns of the others")
 
     async def _joint_step(self, own: Mapping[str, str], calls: PlainCalls) -> JointStepResult:
@@ -256,8 +267,8 @@ class SingleAgentEnv(Env):
             answers |= await calls.wait(_all_of(waited))
         for agent, answer in answers.items():
             if not isinstance(answer, str):
-                problem = AgentError(f"an agent returns a str or a Response, and this one {type(answer).__name__}")
-                raise _OpponentError(_described(agent, problem))
+                problem = f"an agent returns a str or a Response, and this one returned {type(answer).__name__}"
+                raise _OpponentError(_described(agent, AgentError(problem)))
             self._running[agent].response = Response.of(answer)
         return {agent: self._running[agent].response for agent in answers}
 
@@ -296,7 +307,7 @@ class SingleAgentEnv(Env):
 
     def _as_agent(self, given: Any) -> Agent:
         if not isinstance(given, str):
-            return as_agent(given.agent if isinstance(given, Seated) else given)
+            return seated(given).agent
         if given not in self._loaded:
             self._loaded[given] = load_agent(given)
         return self._loaded[given]
@@ -350,16 +361,11 @@ class SingleAgentEnv(Env):
             self._running[agent] = running
 
     def spawn(self, same_state: bool = False, **overrides: Any) -> Env:
-        """Return a sibling; overrides that are not of ``single_agent`` go to the environment inside."""
-        own = {"seat": self.seat, "others": self._given, "max_other_turns": self.max_other_turns}
-        inner = self.env.spawn(**{name: value for name, value in overrides.items() if name not in own})
-        chosen = {name: overrides.get(name, value) for name, value in own.items()}
-        sibling = SingleAgentEnv(cast("MultiAgentEnv", inner), **cast("Any", chosen))
-        if self.spec is not None:
-            sibling.spec = self.spec.with_kwargs(overrides)
-        if same_state:
-            sibling.set_state(self.get_state())
-        return sibling
+        """Return a sibling; overrides that ``single_agent`` does not know go to the environment inside."""
+        if not self._made_here:
+            inner = {name: overrides.pop(name) for name in list(overrides) if name not in _OWN_ARGUMENTS}
+            overrides["env"] = self.env.spawn(**inner)
+        return super().spawn(same_state, **overrides)
 
     def close(self) -> None:
         """Close the environment, and the agents that were given by name."""
