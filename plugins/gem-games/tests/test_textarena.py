@@ -148,7 +148,8 @@ import gem_core as gem
 for env_id in gem.list_envs("game:*"):
     env = gem.make(env_id)
     env.reset(seed=1)
-    env.step(env.sample_random_action())
+    seats = gem.spec(env_id).seats
+    env.step({agent: env.sample_random_action(agent) for agent in env.acting} if seats else env.sample_random_action())
 assert gem.list_envs("ta:*")
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
