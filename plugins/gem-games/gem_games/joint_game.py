@@ -48,6 +48,8 @@ class JointGame(MultiAgentEnv):
     """What a seat that forfeits loses over the whole game, and the other wins: the most that can be lost."""
     forfeiting: str = "loses the game"
     """Says, behind "the third in a row", what the last of the wrong answers does."""
+    nothing_read: str = "Your response has no complete \\boxed{}."
+    """Says what a response lacks."""
     unreadable: str = "cannot be read."
     """Says, behind the content of a box, why ``_read`` made nothing of it."""
 
@@ -153,7 +155,7 @@ class JointGame(MultiAgentEnv):
         """Return the move in a response without its thinking, and what is wrong with it: ``""`` if nothing is."""
         boxes = extract_boxed_answers(text)
         if not boxes:
-            return "", "Your response has no complete \\boxed{}."
+            return "", self.nothing_read
         move = next((move for move in map(self._read, reversed(boxes)) if move is not None), None)
         return ("", f"{quote(boxes[-1])} {self.unreadable}") if move is None else (move, self._fault(seat, move))
 
