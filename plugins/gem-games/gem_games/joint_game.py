@@ -72,7 +72,7 @@ class JointGame(MultiAgentEnv):
         raise NotImplementedError
 
     def _situation(self, seat: str) -> str:
-        """Show all that a seat must know which sees nothing else, on lines of their own; ``_ending`` or what to do."""
+        """Show how things stand for a seat: a line break, all that it must know, then how to answer or ``_ending``."""
         raise NotImplementedError
 
     def _read(self, answer: str) -> str | None:

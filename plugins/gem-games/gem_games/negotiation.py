@@ -166,7 +166,11 @@ class NegotiationEnv(JointGame):
         if move == "leave":
             self._tell(seat, "You leave.")
             self._tell(other, "The other player leaves.")
-        return {}, move == "leave" or self.turn == self.max_turns
+            return {}, True
+        if self.turn == self.max_turns:
+            for each in self.possible_agents:
+                self._tell(each, "That was the last turn.")
+        return {}, self.turn == self.max_turns
 
     def _random_answer(self, seat: str) -> str:
         """Draw a move: most often a proposal, each as likely as the others."""

@@ -89,7 +89,9 @@ def test_no_deal_pays_nothing(ending: str) -> None:
         act(env, "\\boxed{propose 2 1 3}")
     _, (_, rewards, _, _, infos) = act(env, "\\boxed{leave}" if ending == "leave" else "<say>Never.</say>")
     assert rewards == {"first": 0.0, "second": 0.0}
-    assert infos["first"]["final_obs"].endswith("The negotiation is over without a deal.")
+    told = {"leave": "The other player leaves.", "turns": 'The other player says: "Never." That was the last turn.'}
+    assert infos["first"]["feedback"] == told[ending]
+    assert infos["first"]["suffix"].endswith("The negotiation is over without a deal.")
     assert infos["first"]["correct"] is infos["second"]["correct"] is False
 
 
