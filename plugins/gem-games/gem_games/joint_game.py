@@ -44,7 +44,7 @@ class JointGame(MultiAgentEnv):
 
     metadata: dict[str, Any] = {"render_modes": ["ansi"]}  # noqa: RUF012 - Gymnasium declares it without ClassVar
 
-    stake: float = 1.0
+    stake: int = 1
     """What a seat that forfeits loses over the whole game, and the other wins: the most that can be lost."""
     forfeiting: str = "loses the game"
     """Says, behind "the third in a row", what the last of the wrong answers does."""
@@ -173,10 +173,8 @@ class JointGame(MultiAgentEnv):
             for loser in losers:
                 who = "You" if seat == loser else f"The player {loser!r}"
                 self._tell(seat, f"{who} gave no valid answer in {TRIES} tries.")
-        stakes = {
-            seat: 0.0 if len(losers) > 1 else -self.stake if seat in losers else self.stake for seat in self.agents
-        }
-        return {seat: stake - self.cumulative[seat] for seat, stake in stakes.items()}, True
+        signs = {seat: 0 if len(losers) > 1 else -1 if seat in losers else 1 for seat in self.agents}
+        return {seat: sign * self.stake - self.cumulative[seat] for seat, sign in signs.items()}, True
 
     def _tell(self, seat: str, text: str) -> None:
         """Add a sentence to what a seat hears before it acts next."""

@@ -58,7 +58,7 @@ class NegotiationEnv(JointGame):
     """
 
     possible_agents = ("first", "second")
-    stake = 0.0
+    stake = 0
     forfeiting = "ends the negotiation without a deal"
     nothing_read = "Your response has neither <say></say> nor a complete \\boxed{}."
     unreadable = "is not a proposal such as 'propose 1 2 0', nor 'accept' or 'leave'."

@@ -43,7 +43,7 @@ class RockPaperScissorsEnv(JointGame):
         if type(rounds) is not int or not 1 <= rounds <= _MOST_ROUNDS:
             raise ArgumentError(f"rounds must be a whole number from 1 to {_MOST_ROUNDS}, not {rounds!r}")
         self.rounds = rounds
-        self.stake = float(rounds)
+        self.stake = rounds
         self.agent_selector = AgentSelector(mode="parallel")
         self.history: list[tuple[str, str]] = []
         """What left and right chose in each round so far."""
@@ -82,7 +82,7 @@ class RockPaperScissorsEnv(JointGame):
         for seat, mine, its, score in (("left", left, right, won), ("right", right, left, -won)):
             verdict = ("is drawn", "is yours", "is lost")[score]
             self._tell(seat, f"You chose {mine}, the other player {its}: the round {verdict}.")
-        return {"left": float(won), "right": -float(won)}, len(self.history) == self.rounds
+        return {"left": float(won), "right": float(-won)}, len(self.history) == self.rounds
 
     def _random_answer(self, seat: str) -> str:
         """Draw one of the three."""

@@ -67,6 +67,7 @@ def test_any_game_ends_and_adds_up(env_id: str, seed: int, hostile: dict[int, st
             assert observation.encode()
             assert ("correct" in info) == ("final_obs" in info)
         for seat, reward in (record[1] if len(record) == 5 else {}).items():
+            assert str(reward) != "-0.0"
             given_to[seat] += reward
     assert given_to == env.cumulative
     assert all(info["correct"] == (given_to[seat] > 0) for seat, info in records[-1][4].items())
@@ -162,7 +163,7 @@ def test_third_refused_answer_in_a_row_forfeits(env_id: str) -> None:
         assert env.acting == (loser,)
     _, rewards, terminations, _, infos = env.step({loser: "rubbish"})
     (winner,) = set(env.possible_agents) - {loser}
-    assert rewards == {loser: -env.stake or 0.0, winner: env.stake}
+    assert rewards == {loser: -env.stake, winner: env.stake}
     assert terminations == {loser: True, winner: True}
     assert f"You gave no valid answer in {TRIES} tries." in infos[loser]["final_obs"]
     assert f"The player {loser!r} gave no valid answer in {TRIES} tries." in infos[winner]["final_obs"]
