@@ -13,6 +13,8 @@ from gem_games.textarena.judging import AgentJudge, JudgeError
 from gem_games.textarena.moves import random_move
 from gem_games.textarena.table import open_table
 
+_MOST_REFUSED = 10
+"""Invalid moves in a row with which a seat among several loses."""
 _SCORES = "Blackjack", "Set"
 """Games of one player that pay a score, and have no aim that is reached or missed."""
 _FULL_REWARDS = {"Klondike": 52}
@@ -35,7 +37,8 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
     brackets. Where the game is to talk, all that is said is heard; thinking blocks never are.
 
     A response that makes the library raise loses with -1, if another one would not have done so; a single opponent then
-    gets 1, as after an invalid move. Else all are truncated with ``info["error"]``.
+    gets 1, as after an invalid move, and others get 0. Else all are truncated with ``info["error"]``. Ten invalid moves
+    in a row lose in the same way where TextArena would ask that seat for ever, as in Poker.
 
     Args:
         game: The game's id in TextArena.
@@ -82,6 +85,8 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
             played = table.act(str(action))
         except Exception as error:  # noqa: BLE001 - the library may raise anything; blame is told apart below
             return self._failed(agent, error)
+        if not table.done and len(self.agents) > 1 and table.refused >= _MOST_REFUSED:
+            return self._lost(agent, f"That was the {_MOST_REFUSED}th invalid move in a row: the game is lost.")
         told = {"invalid_move": table.invalid, "parsed_action": None if table.invalid else played}
         if not table.done and table.turns[table.seat] < table.most_turns:
             infos = self._next_turn()
@@ -122,19 +127,21 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
         table.replay(table.seed, table.actions, table.verdicts)
         agents_fault = not isinstance(error, JudgeError) and table.tries(random_move(table, random.Random(table.seed)))
         if agents_fault:
-            text = f"The game could not read your response ({type(error).__name__}), and is lost."
-            table.tell(self.possible_agents.index(agent), text)
-        infos, ends = {each: self._info(each) for each in self.agents}, dict.fromkeys(self.agents, True)
-        if not agents_fault:
-            kind = "judge" if isinstance(error, JudgeError) else "textarena"
-            for info in infos.values():
-                info["error"] = {"kind": kind, "message": f"{type(error).__name__}: {error}"[:300]}
-            return {}, {}, ends, infos
-        infos[agent] |= {"invalid_move": True, "parsed_action": None}
+            return self._lost(agent, f"The game could not read your response ({type(error).__name__}), and is lost.")
+        told = {
+            "kind": "judge" if isinstance(error, JudgeError) else "textarena",
+            "message": f"{type(error).__name__}: {error}"[:300],
+        }
+        infos = {each: {**self._info(each), "error": told} for each in self.agents}
+        return {}, {}, dict.fromkeys(self.agents, True), infos
+
+    def _lost(self, agent: str, text: str) -> Verdict:
+        """End the episode by the fault of an agent, which is told so."""
+        self.table.tell(self.possible_agents.index(agent), text)
         rewards = dict.fromkeys(self.agents, 1.0 if len(self.agents) == 2 else 0.0) | {agent: -1.0}
-        for other, reward in rewards.items():
-            infos[other]["correct"] = reward > 0
-        return rewards, ends, {}, infos
+        infos = {each: {**self._info(each), "correct": reward > 0} for each, reward in rewards.items()}
+        infos[agent] |= {"invalid_move": True, "parsed_action": None}
+        return rewards, dict.fromkeys(self.agents, True), {}, infos
 
     def _verdict(self, question: str) -> str:
         """Answer as the judge."""

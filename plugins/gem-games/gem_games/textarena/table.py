@@ -87,6 +87,8 @@ class Table:
         """Whether the last action was an invalid move."""
         self.turns: list[int] = []
         """How many actions each seat has taken."""
+        self.refused = 0
+        """How many invalid moves in a row the seat has made whose turn it still is."""
         self.most_turns = _MOST_TURNS
         """How many actions of a seat there are at most; in 2048 as many as the tile that is wanted."""
         self._boards: dict[int, str] = {}
@@ -94,7 +96,8 @@ class Table:
 
     def reset(self, seed: int, verdicts: Sequence[str] = ()) -> None:
         """Deal a game; the judge is asked for nothing that these verdicts answer."""
-        self.seed, self.actions, self.turns, self.done, self.invalid = seed, [], [0] * self.players, False, False
+        self.seed, self.actions, self.done, self.invalid = seed, [], False, False
+        self.turns, self.refused = [0] * self.players, 0
         self.verdicts, self._known_verdicts = [], list(verdicts)
         self._boards, self._news = {}, [[] for _ in range(self.players)]
         self._fence = Fence(seed)
@@ -109,7 +112,19 @@ class Table:
         if limit is None:
             # DontSayIt-v0-unlimited compares it with the turn, in textarena 0.7.4.
             self._game.state.max_turns = sys.maxsize
+        self._note_invalid_moves()
         self._spread()
+
+    def _note_invalid_moves(self) -> None:
+        """Let the game's state tell of each invalid move."""
+        state = self._game.state
+        handle = state.set_invalid_move
+
+        def set_invalid_move(*args: Any, **kwargs: Any) -> Any:
+            self.invalid = True
+            return handle(*args, **kwargs)
+
+        state.set_invalid_move = set_invalid_move
 
     def replay(self, seed: int, actions: Sequence[str], verdicts: Sequence[str]) -> None:
         """Bring the game to where these actions of all seats lead."""
@@ -143,13 +158,12 @@ class Table:
         Thinking blocks are no part of it. What TextArena raises comes through, and is not noted.
         """
         action = without_thinking(action)[-LONGEST_ACTION:]
-        mover, talk, errors = self.seat, self._is_talk(), self.errors()
+        mover, talk, self.invalid = self.seat, self._is_talk(), False
         with self._fence:
             self.done = bool(self._game.step(action=self._formed(action))[0])
         self.actions.append(action)
         self.turns[mover] += 1
-        told = self._game.state.game_info.get(mover, {})
-        self.invalid = self.errors() > errors or bool(told.get("invalid_move"))
+        self.refused = self.refused + 1 if self.invalid and self.seat == mover else 0
         self._news[mover] = []
         self._spread(mover, action, talk=talk)
         return action
@@ -254,10 +268,6 @@ class Table:
         """Return what TextArena says about a seat, as plain data."""
         found = self._game.state.game_info.get(seat, {})
         return {str(key): value for key, value in found.items() if isinstance(value, _PLAIN)}
-
-    def errors(self) -> int:
-        """Return the number of invalid moves in a row by the seat whose turn it is."""
-        return int(getattr(self._game.state, "error_count", 0))
 
 
 def open_table(
