@@ -185,12 +185,12 @@ def test_episode_is_cut_off_when_a_seat_has_had_its_turns(
 
 
 def test_seat_that_holds_up_the_game_loses() -> None:
-    """By ten invalid moves in a row, where TextArena asks it again for ever, though it is out."""
+    """By twenty invalid moves in a row, where TextArena asks it again for ever, though it is out."""
     env = TextArenaMultiAgentEnv("Poker-v0")
     given = played(env, 1, lambda agent: "nonsense" if agent == "player_0" else env.sample_random_action(agent))
     assert given == {"player_0": -1.0, "player_1": 1.0}
-    assert env.table.turns[0] == 10
-    assert env.observe("player_0").startswith("That was the 10th invalid move in a row: the game is lost.")
+    assert env.table.turns[0] == 20
+    assert env.observe("player_0").startswith("That was the 20th invalid move in a row: the game is lost.")
 
 
 def test_judge_is_asked_and_its_failure_is_nobodys() -> None:

@@ -13,7 +13,7 @@ from gem_games.textarena.judging import AgentJudge, JudgeError
 from gem_games.textarena.moves import random_move
 from gem_games.textarena.table import open_table
 
-_MOST_REFUSED = 10
+_MOST_REFUSED = 20
 """Invalid moves in a row with which a seat among several loses."""
 _SCORES = "Blackjack", "Set"
 """Games of one player that pay a score, and have no aim that is reached or missed."""
@@ -37,8 +37,8 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
     brackets. Where the game is to talk, all that is said is heard; thinking blocks never are.
 
     A response that makes the library raise loses with -1, if another one would not have done so; a single opponent then
-    gets 1, as after an invalid move, and others get 0. Else all are truncated with ``info["error"]``. Ten invalid moves
-    in a row lose in the same way where TextArena would ask that seat for ever, as in Poker.
+    gets 1, as after an invalid move, and others get 0. Else all are truncated with ``info["error"]``. Twenty invalid
+    moves in a row lose in the same way where TextArena would ask that seat for ever, as in Poker.
 
     Args:
         game: The game's id in TextArena.
