@@ -29,8 +29,8 @@ class _ClassicEnv(PettingZooEnv):
         return agent in self.agents and not any(agent in moves for moves in self.moves)
 
     def _outcome(self, agent: str) -> str:
-        """Return how the game ended for an agent; nothing while it goes on, and after a forfeit, which is told."""
-        if self.agents or self._forfeited:
+        """Return how the game ended for an agent; nothing while it goes on, if it was cut off, and after a forfeit."""
+        if self._forfeited or not self.terminations.get(agent):
             return ""
         total = self.cumulative[agent]
         return "You won." if total > 0 else "You lost." if total < 0 else "It is a draw."

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import numpy as np
 from pettingzoo import AECEnv  # type: ignore[import-untyped]
 
 from gem_core.types import Info
@@ -33,7 +34,8 @@ def reset_env(env: Any, seed: int, options: dict[str, Any] | None) -> Position:
     if isinstance(env, AECEnv):
         return _next_turn(env, {})
     observations, infos = result
-    return Position(list(env.agents), {agent: (observations[agent], infos[agent]) for agent in env.agents}, {}, {}, {})
+    seen = {agent: (observations[agent], infos.get(agent, {})) for agent in env.agents}
+    return Position(list(env.agents), seen, {}, {}, {})
 
 
 def step_env(env: Any, actions: dict[str, Any]) -> Position:
@@ -47,10 +49,16 @@ def step_env(env: Any, actions: dict[str, Any]) -> Position:
     return Position(
         list(env.agents),
         {agent: (observations[agent], infos.get(agent, {})) for agent in taking_part if agent in observations},
-        {agent: float(rewards[agent]) for agent in taking_part if agent in rewards},
+        {agent: _number(rewards[agent]) for agent in taking_part if agent in rewards},
         {agent: bool(terminations.get(agent)) for agent in ended},
-        {agent: bool(truncations.get(agent)) for agent in ended},
+        # One that is gone without either flag was cut off.
+        {agent: bool(truncations.get(agent) or not terminations.get(agent)) for agent in ended},
     )
+
+
+def look(env: Any, agent: str) -> dict[str, tuple[Any, Info]]:
+    """Return what an agent sees now, if it is one of an ``AECEnv`` that has not ended, whose turn it may not be."""
+    return {agent: (env.observe(agent), env.infos[agent])} if isinstance(env, AECEnv) and agent in env.agents else {}
 
 
 def _next_turn(env: Any, rewards: dict[str, Any]) -> Position:
@@ -58,7 +66,7 @@ def _next_turn(env: Any, rewards: dict[str, Any]) -> Position:
 
     The rewards are those of the step before: PettingZoo's ``last()`` gives their sum when the agent's turn comes.
     """
-    position = Position([], {}, {agent: float(reward) for agent, reward in rewards.items()}, {}, {})
+    position = Position([], {}, {agent: _number(reward) for agent, reward in rewards.items()}, {}, {})
     while env.agents and not position.acting:
         agent = env.agent_selection
         observation, _, terminated, truncated, info = env.last()
@@ -69,3 +77,8 @@ def _next_turn(env: Any, rewards: dict[str, Any]) -> Position:
         else:
             position.acting.append(agent)
     return position
+
+
+def _number(reward: Any) -> float:
+    """Return a reward as a number; PettingZoo also takes an array of one."""
+    return float(np.asarray(reward).item())

@@ -12,7 +12,7 @@ from gem_core.env import Env, MultiAgentEnv, join_observations
 from gem_core.errors import ArgumentError, SamplingNotSupported
 from gem_core.records import from_plain, to_plain
 from gem_core.types import Info, Observation
-from gem_pettingzoo.driving import Position, reset_env, step_env
+from gem_pettingzoo.driving import Position, look, reset_env, step_env
 from gem_pettingzoo.texts import ActionText, describe_observation, legal_numbers, mask_of
 
 Describe = Callable[[str, Any, Info], Observation]
@@ -23,26 +23,6 @@ Read = Callable[[str, str], Any]
 
 Verdict = tuple[dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]
 """What ``process_actions`` returns: ``(rewards, terminations, truncations, infos)``."""
-
-
-def from_pettingzoo(
-    env: Any,
-    *,
-    describe: Describe | None = None,
-    read: Read | None = None,
-    action_names: Sequence[str] = (),
-    retries: int = 2,
-    illegal_reward: float = -1.0,
-) -> PettingZooEnv:
-    """Return an environment of PettingZoo as a ``MultiAgentEnv``; see ``PettingZooEnv`` for the arguments."""
-    return PettingZooEnv(
-        env,
-        describe=describe,
-        read=read,
-        action_names=action_names,
-        retries=retries,
-        illegal_reward=illegal_reward,
-    )
 
 
 class PettingZooEnv(MultiAgentEnv):
@@ -95,7 +75,7 @@ class PettingZooEnv(MultiAgentEnv):
         illegal_reward: float = -1.0,
     ) -> None:
         super().__init__()
-        self._shared = not callable(env)
+        self._can_spawn = callable(env)
         self.pettingzoo_env = env() if callable(env) else env
         if not isinstance(self.pettingzoo_env, AECEnv | ParallelEnv):
             raise ArgumentError(
@@ -140,6 +120,7 @@ class PettingZooEnv(MultiAgentEnv):
             f"{'You forfeit' if each == agent else f'{each} forfeits'} for want of a legal action; the episode is over."
             for each in self._forfeited
         ]
+        self._seen.update(look(self.pettingzoo_env, agent))
         if agent in self._seen:
             pieces.append(self.describe(agent, *self._seen[agent]))
         if playing and agent in self._texts:
@@ -184,10 +165,10 @@ class PettingZooEnv(MultiAgentEnv):
         Raises:
             ArgumentError: This was made of an environment, which two cannot share, and not of a function.
         """
-        if self._shared and "env" not in overrides:
+        if not self._can_spawn and "env" not in overrides:
             raise ArgumentError(
                 "a sibling needs a PettingZoo environment of its own: give from_pettingzoo a function that makes it, "
-                "as in from_pettingzoo(lambda: chess_v6.env())"
+                'as in from_pettingzoo(lambda: pettingzoo.make("aec", "classic/chess_v6"))'
             )
         return super().spawn(same_state, **overrides)
 
@@ -238,20 +219,14 @@ class PettingZooEnv(MultiAgentEnv):
         """Step PettingZoo's environment with the actions that are ready, and return what came of it for each agent."""
         position = self._advance({agent: self._ready[agent] for agent in self.agents if agent in self._ready})
         self._ready = {}
-        playing = self.pettingzoo_env.agents
-        for agent in playing:
+        for agent in self.pettingzoo_env.agents:
             if agent not in self.terminations:
                 self.add_agent(agent)
         self.agent_selector.override(*position.acting)
         for agent, (_, info) in position.seen.items():
             infos[agent] = {**infos.get(agent, {}), **to_plain(info)}
-        truncations = {  # one that is gone without either flag was cut off
-            agent: position.truncations.get(agent, False) or not position.terminations.get(agent, False)
-            for agent in self.agents
-            if agent not in playing
-        }
         rewards = {agent: reward for agent, reward in position.rewards.items() if agent in self.agents}
-        return rewards, position.terminations, truncations, infos
+        return rewards, position.terminations, position.truncations, infos
 
     def _mask(self, agent: str) -> Any:
         return mask_of(self._action_spaces[agent], *self._seen[agent])
@@ -264,3 +239,7 @@ class PettingZooEnv(MultiAgentEnv):
 
     def _written(self, agent: str, action: Any) -> Any:
         return self._texts[agent].write(action) if action is not None and self._texts else to_plain(action)
+
+
+from_pettingzoo = PettingZooEnv
+"""The way to make one, named as ``to_aec`` and ``to_parallel`` are."""

@@ -121,15 +121,32 @@ def test_gestures_are_those_of_the_rules() -> None:
 
 
 def test_forfeit_shows_no_winner() -> None:
-    """Three responses without a legal move in a row end the game, at -1 for that player alone."""
+    """Three responses without a legal move end the game, at -1 for that player alone; both see how it stands."""
     env: Any = gem.make("pz:connect_four-v3")
     env.reset(seed=0)
+    env.step({"player_0": "\\boxed{5}"})
+    env.step({"player_1": "\\boxed{6}"})
     for _ in range(3):
         _, rewards, _, _, infos = env.step({"player_0": "left"})
     assert rewards == {"player_0": -1.0, "player_1": 0.0}
     assert infos["player_0"]["final_obs"].startswith("You forfeit for want of a legal action; the episode is over.\n")
-    assert "draw" not in infos["player_0"]["final_obs"].splitlines()
+    assert "draw" not in infos["player_0"]["final_obs"]
     assert infos["player_1"]["correct"] is False
+    assert infos["player_1"]["final_obs"].startswith(
+        "player_0 forfeits for want of a legal action; the episode is over.\nYou chose column 6.\n"
+    )
+    assert infos["player_1"]["final_obs"].endswith(". . . . . X O")
+
+
+def test_game_that_is_cut_off_is_no_draw() -> None:
+    """A limit from outside truncates, and shows how the game stands."""
+    spec = gem.spec("pz:tictactoe-v3")
+    env: Any = gem.make(gem.EnvSpec(id="pz:Short-v0", entry_point=spec.entry_point, max_turns=1))
+    env.reset(seed=0)
+    _, _, _, truncations, infos = env.step({"player_1": "\\boxed{0}"})
+    assert all(truncations.values())
+    assert infos["player_1"]["final_obs"].startswith("You took square 0.\n\nX | 3 | 6\n")
+    assert "correct" not in infos["player_1"]
 
 
 @pytest.mark.parametrize("name", ["pz:rps-v2", "pz:tictactoe-v3", "pz:connect_four-v3"])

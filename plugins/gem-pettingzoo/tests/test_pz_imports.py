@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from joint_toys import AuctionEnv, CountdownEnv
 from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]
 
+import gem_core as gem
 from gem_core import MultiAgentEnv
 from gem_core.errors import ArgumentError, SamplingNotSupported
 from gem_pettingzoo import from_pettingzoo, to_aec, to_parallel
@@ -22,7 +23,7 @@ from gem_pettingzoo import from_pettingzoo, to_aec, to_parallel
 class FadingEnv(AECEnv):  # type: ignore[misc]  # PettingZoo has no types
     """Agents that die one by one in the middle, each earning in the turns of the others.
 
-    An action of 0 to 2 is given to all others as a reward; who gives 0 dies, and the last one standing is cut off.
+    An action of 0 to 2 is given to all others as a reward; who gives 0 dies. With one left both are cut off.
     Observations say how often the agent has acted; infos allow 1 and 2 only in an agent's first turn.
     """
 
@@ -66,9 +67,9 @@ class FadingEnv(AECEnv):  # type: ignore[misc]  # PettingZoo has no types
         self._accumulate_rewards()
         order = self.agents[self.agents.index(agent) + 1 :] + self.agents[: self.agents.index(agent)]
         self.terminations[agent] = action == 0
-        if len(order) == int(action == 0):
-            self.truncations[order[0] if order else agent] = True
-        self.agent_selection = (order or [agent])[0]
+        if action == 0 and len(order) == 1:
+            self.truncations = dict.fromkeys(self.agents, True)
+        self.agent_selection = order[0]
         self._deads_step_first()
 
 
@@ -142,15 +143,17 @@ def test_round_trip_at_once_is_the_same_episode(seed: int, responses: list[str])
 
 @given(st.lists(st.integers(0, 2), max_size=40), st.integers(0, 2))
 def test_agents_that_die_have_all_their_rewards(gifts: list[int], seed: int) -> None:
-    """Rewards are those of PettingZoo's own loop, for each turn and in sum, until the last agent is cut off."""
+    """Rewards and ends are those of PettingZoo's own loop, for each turn and in sum, until the last are cut off."""
     bare, ours = FadingEnv(), from_pettingzoo(FadingEnv)
     numbers = iter(gifts + [0] * 9)
     chosen: list[int] = []
     wanted: dict[str, list[float]] = {agent: [] for agent in bare.possible_agents}
+    ends: dict[str, tuple[bool, bool]] = {}
     bare.reset(seed=seed)
     for agent in bare.agent_iter():
         _, reward, terminated, truncated, info = bare.last()
         wanted[agent].append(reward)
+        ends[agent] = (terminated, truncated)
         if not (terminated or truncated):
             chosen.append(max(next(numbers), int("action_mask" in info)))
         bare.step(None if terminated or truncated else chosen[-1])
@@ -162,7 +165,7 @@ def test_agents_that_die_have_all_their_rewards(gifts: list[int], seed: int) -> 
             got[agent].append(reward)
     assert got == wanted
     assert ours.agents == []
-    assert sum(ours.truncations.values()) == 1
+    assert {agent: (ours.terminations[agent], ours.truncations[agent]) for agent in ends} == ends
     assert ours.cumulative == {agent: sum(rewards) for agent, rewards in wanted.items()}
 
 
@@ -204,7 +207,7 @@ def test_agent_that_gives_no_legal_action_forfeits() -> None:
     assert rewards == {"p_0": 0.0, "p_1": -3.0, "p_2": 2.0}
     assert all(terminations.values())
     assert infos["p_1"]["final_obs"] == "You forfeit for want of a legal action; the episode is over.\n0"
-    assert infos["p_2"]["final_obs"] == "p_1 forfeits for want of a legal action; the episode is over."
+    assert infos["p_2"]["final_obs"] == "p_1 forfeits for want of a legal action; the episode is over.\n0"
 
 
 def test_others_wait_for_who_tries_again() -> None:
@@ -222,6 +225,15 @@ def test_others_wait_for_who_tries_again() -> None:
     assert rewards == {"g_0": 3.5, "g_1": -1.0}
     assert terminations == {"g_0": False, "g_1": True}
     assert observations["g_0"].startswith("last: [1.5 2. ]\nround: 1\n")
+
+
+def test_agent_that_is_gone_without_a_flag_was_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An environment that takes an agent out of its list and says no more has ended for it, too."""
+    step = GuessesEnv.step
+    monkeypatch.setattr(GuessesEnv, "step", lambda self, actions: (*step(self, actions)[:2], {}, {}, {}))
+    env = from_pettingzoo(GuessesEnv)
+    env.reset(seed=0)
+    assert env.step({"g_0": "\\boxed{-1 0}", "g_1": "\\boxed{0 0}"})[3] == {"g_0": True, "g_1": False}
 
 
 @pytest.mark.parametrize(
@@ -291,6 +303,13 @@ def test_state_is_played_again() -> None:
     other.set_state(json.loads(json.dumps(env.get_state())))
     assert other.get_state() == env.get_state()
     assert other.step({"g_1": "\\boxed{1 -2}"}) == env.step({"g_1": "\\boxed{1 -2}"})
+
+
+def test_registered_function_makes_each_its_own() -> None:
+    """An id of one's own points to ``from_pettingzoo``, with a function that makes the environment."""
+    gem.register("my:Fading-v0", "gem_pettingzoo:from_pettingzoo", env=FadingEnv, retries=0)
+    one, other = gem.make("my:Fading-v0"), gem.make("my:Fading-v0", retries=1)
+    assert one.unwrapped.pettingzoo_env is not other.unwrapped.pettingzoo_env
 
 
 def test_environment_is_not_shared() -> None:
