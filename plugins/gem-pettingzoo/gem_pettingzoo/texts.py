@@ -13,6 +13,7 @@ from gymnasium import spaces
 from gem_core.env import Text
 from gem_core.errors import ArgumentError
 from gem_core.parsing import extract_last_boxed_answer
+from gem_core.records import without_thinking
 from gem_core.types import Observation
 
 _ARRAYS = (spaces.Box, spaces.MultiDiscrete, spaces.MultiBinary)
@@ -49,10 +50,10 @@ class ActionText:
         return str(action) if isinstance(self.space, _TEXTS) else " ".join(map(str, np.ravel(action).tolist()))
 
     def read(self, text: str) -> Any:
-        """Return the action in a response; None if there is none. Whether it is legal now is not asked."""
+        """Return the action in a response without its thinking; None if there is none. It need not be legal now."""
         if isinstance(self.space, _TEXTS):
             return text
-        answer = extract_last_boxed_answer(text)
+        answer = extract_last_boxed_answer(without_thinking(text))
         if answer is None:
             return None
         if not isinstance(self.space, spaces.Discrete):

@@ -180,7 +180,9 @@ def test_default_view_tells_the_legal_actions() -> None:
     assert env.moves == [{"p_1": 2}]
 
 
-@pytest.mark.parametrize("response", ["", "2", "\\boxed{}", "\\boxed{0}", "\\boxed{3}", "\\boxed{-1}", "\\boxed{9e9}"])
+@pytest.mark.parametrize(
+    "response", ["", "2", "\\boxed{}", "\\boxed{0}", "\\boxed{3}", "\\boxed{-1}", "\\boxed{9e9}", "<think>\\boxed{1}"]
+)
 def test_response_without_a_legal_action_is_told_to_its_agent_alone(response: str) -> None:
     """It acts again, twice; the game is as it was."""
     env = from_pettingzoo(FadingEnv)
