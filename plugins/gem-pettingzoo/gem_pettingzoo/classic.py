@@ -47,18 +47,16 @@ class _BoardEnv(_ClassicEnv):
         super().__init__(partial(pettingzoo.make, "aec", self.game), retries=retries)
 
     def describe(self, agent: str, observation: Any, info: Info) -> str:
-        """Return the rules at first, the result at the end, the last move, and the board."""
+        """Return the rules at first, the result at the end, the last move, the own mark, and the board."""
         own, other = ("X", "O") if agent == self.possible_agents[0] else ("O", "X")
-        pieces = [self._outcome(agent)]
-        if self._is_first(agent):
-            pieces.append(f"{self.rules} You play {own} against {other}, and X begins.")
+        pieces = [self._outcome(agent), self.rules if self._is_first(agent) else ""]
         for mover, action in self.moves[-1].items() if self.moves else ():
             pieces.append(self.move.format(who="You" if mover == agent else other, action=action))
         marks = [
             [own if mine else other if theirs else "" for mine, theirs in row] for row in observation["observation"]
         ]
         before_answer = ["", ""] if agent in self.agents else []
-        return "\n".join([*filter(None, pieces), "", self._board(marks), *before_answer])
+        return "\n".join([*filter(None, pieces), f"You are {own}.", "", self._board(marks), *before_answer])
 
     def _board(self, marks: list[list[str]]) -> str:
         raise NotImplementedError
@@ -74,7 +72,7 @@ class TicTacToeEnv(_BoardEnv):
     game = "classic/tictactoe_v3"
     rules = (
         "This is tic-tac-toe: the players mark a free square in turn. Three own marks in a row, a column or a diagonal "
-        "win; a full board without that is a draw. A free square shows its number."
+        "win; a full board without that is a draw. X begins. A free square shows its number."
     )
     move = "{who} took square {action}."
 
@@ -94,8 +92,8 @@ class ConnectFourEnv(_BoardEnv):
     game = "classic/connect_four_v3"
     rules = (
         "This is connect four: the players drop a disc into a column in turn, where it falls to the lowest free place. "
-        "Four own discs in a row, a column or a diagonal win; a full board without that is a draw. The numbers of the "
-        "columns stand above them, and a dot is a free place."
+        "Four own discs in a row, a column or a diagonal win; a full board without that is a draw. X begins. The "
+        "numbers of the columns stand above them, and a dot is a free place."
     )
     move = "{who} chose column {action}."
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
 
-from gem_core.env import Text
+from gem_core.env import Content, Messages, Text
 from gem_core.errors import ArgumentError
 from gem_core.parsing import extract_last_boxed_answer
 from gem_core.records import without_thinking
@@ -18,6 +18,9 @@ from gem_core.types import Observation
 
 _ARRAYS = (spaces.Box, spaces.MultiDiscrete, spaces.MultiBinary)
 _TEXTS = (Text, spaces.Text)
+_MANY = 20
+"""More numbers in a row than this are told by the first and the last."""
+
 _NUMBER = re.compile(r"[+-]?\d{1,18}", re.ASCII)
 
 
@@ -81,7 +84,10 @@ class ActionText:
         if isinstance(self.space, _TEXTS):
             return ""
         if isinstance(self.space, spaces.Discrete):
-            legal = [self.write(number) for number in legal_numbers(self.space, mask)]
+            numbers = legal_numbers(self.space, mask)
+            if not self.names and len(numbers) == numbers[-1] - numbers[0] + 1 > _MANY:
+                return f"Answer with a number from {numbers[0]} to {numbers[-1]} in a box, as \\boxed{{{numbers[0]}}}."
+            legal = list(map(self.write, numbers))
             return f"Answer with one of {', '.join(legal)} in a box, as \\boxed{{{legal[0]}}}."
         count = np.prod(self.space.shape or (), dtype=int)
         return (
@@ -119,9 +125,9 @@ def mask_of(space: spaces.Space[Any], observation: Any, info: Mapping[str, Any])
 
 
 def describe_observation(observation: Any) -> Observation:
-    """Return an observation as compact text, without its action mask; text and lists of parts stay as they are."""
-    if isinstance(observation, str | list):
-        return observation
+    """Return an observation as compact text, without its action mask; text, parts and messages stay as they are."""
+    if Content().contains(observation) or Messages().contains(observation):
+        return cast("Observation", observation)
     if not isinstance(observation, Mapping):
         return _compact(observation)
     parts = {key: value for key, value in observation.items() if key != "action_mask"}

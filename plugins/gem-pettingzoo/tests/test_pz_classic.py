@@ -77,8 +77,9 @@ def test_first_observation_has_rules_board_and_legal_moves() -> None:
     observations, *_ = env.step({"player_1": "I take the middle, ha! \\boxed{4}"})
     assert observations["player_2"] == (
         "This is tic-tac-toe: the players mark a free square in turn. Three own marks in a row, a column or a diagonal "
-        "win; a full board without that is a draw. A free square shows its number. You play O against X, and X begins."
-        "\nX took square 4.\n"
+        "win; a full board without that is a draw. X begins. A free square shows its number.\n"
+        "X took square 4.\n"
+        "You are O.\n"
         "\n"
         "0 | 3 | 6\n"
         "--+---+--\n"
@@ -92,7 +93,7 @@ def test_first_observation_has_rules_board_and_legal_moves() -> None:
         (agent,) = observations
         observations, _, _, _, infos = env.step({agent: f"\\boxed{{{move}}}"})
     assert infos["player_1"]["final_obs"] == (
-        "You won.\nYou took square 5.\n\nO | X | 6\n--+---+--\n1 | X | 7\n--+---+--\nO | X | 8"
+        "You won.\nYou took square 5.\nYou are X.\n\nO | X | 6\n--+---+--\n1 | X | 7\n--+---+--\nO | X | 8"
     )
     assert infos["player_2"]["final_obs"].startswith("You lost.\nX took square 5.\n")
 
@@ -103,7 +104,7 @@ def test_connect_four_shows_the_board_upright() -> None:
     env.reset(seed=0)
     env.step({"player_0": "\\boxed{3}"})
     observations, *_ = env.step({"player_1": "\\boxed{3}"})
-    assert observations["player_0"].startswith("O chose column 3.\n\n0 1 2 3 4 5 6\n. . . . . . .\n")
+    assert observations["player_0"].startswith("O chose column 3.\nYou are X.\n\n0 1 2 3 4 5 6\n. . . . . . .\n")
     assert ". . . O . . .\n. . . X . . .\n\nAnswer with one of 0, 1, 2, " in observations["player_0"]
 
 
@@ -145,7 +146,7 @@ def test_game_that_is_cut_off_is_no_draw() -> None:
     env.reset(seed=0)
     _, _, _, truncations, infos = env.step({"player_1": "\\boxed{0}"})
     assert all(truncations.values())
-    assert infos["player_1"]["final_obs"].startswith("You took square 0.\n\nX | 3 | 6\n")
+    assert infos["player_1"]["final_obs"].startswith("You took square 0.\nYou are X.\n\nX | 3 | 6\n")
     assert "correct" not in infos["player_1"]
 
 

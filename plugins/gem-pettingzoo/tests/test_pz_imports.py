@@ -281,6 +281,14 @@ def _reset_without_mask(reset: Any) -> Any:
     return patched
 
 
+def test_many_numbers_are_told_by_the_first_and_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thousand actions do not fill the view."""
+    monkeypatch.setattr(FadingEnv, "action_space", lambda self, agent: spaces.Discrete(1000, start=1))
+    monkeypatch.setattr(FadingEnv, "reset", _reset_without_mask(FadingEnv.reset))
+    observations, _ = from_pettingzoo(FadingEnv).reset(seed=0)
+    assert observations == {"p_0": "0\nAnswer with a number from 1 to 1000 in a box, as \\boxed{1}."}
+
+
 def test_functions_of_the_caller_describe_and_read() -> None:
     """They take the place of the default view; random actions then cannot be made up."""
     env = from_pettingzoo(
