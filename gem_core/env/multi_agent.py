@@ -261,14 +261,11 @@ class MultiAgentEnv(Env):
         self._in_episode = bool(self.agents)
         for agent in ended:
             self._news[agent]["final_obs"] = self._observation(agent)
-        heard = [*acting, *ended]
-        return (
-            self._observations(acting),
-            {agent: self._pay(agent) for agent in heard},
-            dict(self.terminations),
-            dict(self.truncations),
-            {agent: self._infos_of(agent) for agent in heard},
-        )
+        rewards, infos = {}, {}
+        for agent in (*acting, *ended):
+            rewards[agent], self._unpaid[agent] = self._unpaid[agent], 0.0
+            infos[agent] = self._infos_of(agent)
+        return self._observations(acting), rewards, dict(self.terminations), dict(self.truncations), infos
 
     def _check_in_episode(self) -> None:
         if not self.acting:
@@ -367,10 +364,6 @@ class MultiAgentEnv(Env):
         if not isinstance(observation, str | list):
             self._refuse(f"an observation must be text or a list, and that of {agent!r} is {observation!r:.100}")
         return observation
-
-    def _pay(self, agent: str) -> float:
-        reward, self._unpaid[agent] = self._unpaid[agent], 0.0
-        return reward
 
     def _infos_of(self, agent: str) -> Info:
         news, self._news[agent] = self._news[agent], {}
