@@ -11,6 +11,7 @@ import gymnasium
 from gem_core.env.base import Env
 from gem_core.env.guard import Guard
 from gem_core.env.wrapper import AnyEnv, Wrapper
+from gem_core.testing.joint import JointView, is_joint
 
 
 def layers_of(env: AnyEnv) -> list[AnyEnv]:
@@ -22,7 +23,9 @@ def layers_of(env: AnyEnv) -> list[AnyEnv]:
 
 
 def guarded(env: AnyEnv) -> AnyEnv:
-    """Put a ``Guard`` around a stack that has none; ``make`` gives every environment one."""
+    """Put a ``Guard`` around a stack that has none, as ``make`` does; around one of several agents, a ``JointView``."""
+    if is_joint(env):
+        return JointView(env)
     return unchecked(env if any(isinstance(layer, Guard) for layer in layers_of(env)) else Guard(env))
 
 
