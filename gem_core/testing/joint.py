@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.wrapper import AnyEnv, Wrapper, step_async
 from gem_core.testing.findings import shown
+from gem_core.types import ResetResult, StepResult
+from gem_core.vector.joint import joint_reset, joint_step
 
 Action = str | Mapping[str, str]
 """What ``step`` takes: a response, or in an environment of several agents the response of each who acts."""
@@ -17,37 +19,28 @@ _PATIENCE = 200
 
 
 class JointView(Wrapper):
-    """Gives the results of a ``MultiAgentEnv`` the form of an ordinary environment's, so that one check plays both.
-
-    Observations and rewards stay dictionaries by agent, the first flag says whether everyone has ended, and
-    ``info["agents"]``, ``info["terminations"]`` and ``info["truncations"]`` are what the environment returned.
-    """
+    """Gives the results of a ``MultiAgentEnv`` the form that a slot has, so that one check plays all environments."""
 
     implicit = True
 
-    def after_reset(self, result: Any) -> Any:
-        """Put the infos of all into one."""
-        observations, infos = result
-        return observations, {"agents": infos, "seed": next((info.get("seed") for info in infos.values()), None)}
+    def after_reset(self, result: Any) -> ResetResult:
+        """Join the infos."""
+        observations, info = joint_reset(cast("MultiAgentEnv", self.env), result)
+        seeds = [told.get("seed") for told in info["agents"].values()]
+        return observations, {**info, "seed": seeds[0] if seeds else None}
 
-    def step(self, action: Any) -> Any:
+    def step(self, action: Any) -> StepResult:
         """Step, with the responses of those who act."""
-        return self._joined(self.env.step(action))
+        return joint_step(cast("Any", self.env.step(action)))
 
-    async def step_async(self, action: Any) -> Any:
+    async def step_async(self, action: Any) -> StepResult:
         """``step`` for code that runs in an event loop."""
-        return self._joined(await step_async(self.env, action))
+        return joint_step(cast("Any", await step_async(self.env, action)))
 
     def sample_random_action(self) -> Any:
         """Return a random action of each who acts."""
         sample = self.env.get_wrapper_attr("sample_random_action")
         return {agent: sample(agent) for agent in acting(self)}
-
-    def _joined(self, result: Any) -> Any:
-        observations, rewards, terminations, truncations, infos = result
-        over = all(terminations[agent] or truncations.get(agent) for agent in terminations)
-        info = {"agents": infos, "terminations": terminations, "truncations": truncations}
-        return observations, rewards, over, False, info
 
 
 class SeenByOne(NamedTuple):

@@ -81,7 +81,7 @@ def accounting(subject: Subject) -> Iterator[str]:
             continue
         for agent, reward in moment.rewards.items():
             given[agent] = given.get(agent, 0.0) + reward
-            if agent in moment.ended_before:
+            if reward and agent in moment.ended_before:
                 yield f"{moment.where} rewarded {agent!r}, which had ended"
         if moment.part - moment.ended:
             continue
@@ -106,12 +106,13 @@ def refused_actions(subject: Subject) -> Iterator[str]:
         env = subject.new()
         found: list[PlainResult] = [record_of(subject.reset(env, script.seed))]
         for action in script.actions:
+            expected = _listed(acting(env))
             for what, wrong in _wrong_actions(env, cast("Mapping[str, str]", action)):
                 try:
                     subject.step(env, wrong)
                 except ArgumentError:
                     continue
-                yield f"step took {what}, while {_listed(acting(env))} acted"
+                yield f"step took {what}, where it needs those of {expected}"
                 return
             found.append(record_of(subject.step(env, action)))
         if subject.recorded is not None:
@@ -125,6 +126,7 @@ def refused_actions(subject: Subject) -> Iterator[str]:
 )
 def reasoning(subject: Subject) -> Iterator[str]:
     """What an agent thinks reaches nobody else: no observation and no info of another shows it."""
+    subject.need_episodes()
     env = subject.new()
     names = seats_of(env)
     marks = {agent: f"thought{stable_hash(subject.limits.seed, agent)}" for agent in names}
@@ -139,7 +141,7 @@ def reasoning(subject: Subject) -> Iterator[str]:
                 for reader, author in _leaks(result, marks):
                     yield f"{reader!r} was shown what {author!r} thought, in the form {form}"
                     return
-                if result[2]:
+                if result[2] or result[3]:
                     break
 
 

@@ -74,6 +74,8 @@ def _shape_problem(subject: Subject, what: str, expected: int, result: Any) -> s
         return f"{what} returned {shown(result)}, not {expected} dictionaries by agent"
     if subject.several and not all(isinstance(info, dict) for info in result[-1].values()):
         return f"{what} returned the infos {shown(result[-1])}, not a dictionary for each agent"
+    if subject.several and len(result) == 5 and result[2].keys() != result[3].keys():
+        return f"{what} returned the terminations {shown(result[2])} and the truncations {shown(result[3])}"
     return ""
 
 

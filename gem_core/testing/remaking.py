@@ -10,6 +10,7 @@ import gymnasium
 
 from gem_core.env.base import Env
 from gem_core.env.guard import Guard
+from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.testing.joint import JointView, is_joint
 
@@ -49,7 +50,10 @@ def remaker(env: AnyEnv) -> Callable[[], AnyEnv]:
         args, kwargs, set_by_make = (None,), getattr(env, "_saved_kwargs", {}), {}
     else:
         args, kwargs = env._init_args if isinstance(env, Env) else ((), {})
-        return partial(_remade, type(env), None, args, kwargs, {"spec": env.spec, "render_mode": env.render_mode})
+        set_by_task: dict[str, Any] = {"spec": env.spec, "render_mode": env.render_mode}
+        if isinstance(env, MultiAgentEnv):
+            set_by_task["max_steps"] = env.max_steps
+        return partial(_remade, type(env), None, args, kwargs, set_by_task)
     args, kwargs = (None, *args[1:]) if args else (), {name: kwargs[name] for name in kwargs if name != "env"}
     return partial(_remade, type(env), remaker(env.env), args, kwargs, set_by_make)
 
