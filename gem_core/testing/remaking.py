@@ -11,6 +11,7 @@ import gymnasium
 from gem_core.env.base import Env
 from gem_core.env.guard import Guard
 from gem_core.env.multi_agent import MultiAgentEnv
+from gem_core.env.seat_wrappers import SeatWrappers
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.testing.joint import JointView, is_joint
 
@@ -43,17 +44,19 @@ def remaker(env: AnyEnv) -> Callable[[], AnyEnv]:
 
     ``spawn`` does the same; it is a promise of its own here, which must not decide the others.
     """
-    if isinstance(env, Wrapper):
+    set_by_make: dict[str, Any] = {}
+    if isinstance(env, Wrapper | SeatWrappers):
         args, kwargs = env._init_args
-        set_by_make = {"made_as": env.made_as, "implicit": env.implicit}
+        if isinstance(env, Wrapper):
+            set_by_make = {"made_as": env.made_as, "implicit": env.implicit}
     elif isinstance(env, gymnasium.Wrapper):
-        args, kwargs, set_by_make = (None,), getattr(env, "_saved_kwargs", {}), {}
+        args, kwargs = (None,), getattr(env, "_saved_kwargs", {})
     else:
         args, kwargs = env._init_args if isinstance(env, Env) else ((), {})
-        set_by_task: dict[str, Any] = {"spec": env.spec, "render_mode": env.render_mode}
+        set_by_make = {"spec": env.spec, "render_mode": env.render_mode}
         if isinstance(env, MultiAgentEnv):
-            set_by_task["max_steps"] = env.max_steps
-        return partial(_remade, type(env), None, args, kwargs, set_by_task)
+            set_by_make["max_steps"] = env.max_steps
+        return partial(_remade, type(env), None, args, kwargs, set_by_make)
     args, kwargs = (None, *args[1:]) if args else (), {name: kwargs[name] for name in kwargs if name != "env"}
     return partial(_remade, type(env), remaker(env.env), args, kwargs, set_by_make)
 

@@ -34,11 +34,12 @@ def broken_by(target: Any, **options: Any) -> dict[str, str]:
         AuctionEnv(["a", "b"], mode="parallel", rounds=7),
         SHORT,
         make(SHORT),
+        make(SHORT, wrappers={"second": "concat,episode_stats"}),
     ],
-    ids=["class", "parallel", "two", "three", "rounds", "record", "made"],
+    ids=["class", "parallel", "two", "three", "rounds", "record", "made", "wrapped"],
 )
 def test_good_environment_keeps_every_promise(target: Any) -> None:
-    """By turns and all at once, with agents that leave, and by its record: nothing is broken and nothing left out."""
+    """By turns and all at once, with agents that leave, by its record, wrapped: nothing is broken or left out."""
     report = check_env(target)
     assert set(report.kept) == OF_SEVERAL
     assert report.skipped == {}
