@@ -37,10 +37,10 @@ class JointView(Wrapper):
         """``step`` for code that runs in an event loop."""
         return joint_step(cast("Any", await step_async(self.env, action)))
 
-    def sample_random_action(self) -> Any:
-        """Return a random action of each who acts."""
+    def sample_random_action(self, agent: str | None = None) -> Any:
+        """Return a random response of an agent, or by default the action in which each who acts gives one."""
         sample = self.env.get_wrapper_attr("sample_random_action")
-        return {agent: sample(agent) for agent in acting(self)}
+        return {each: sample(each) for each in acting(self)} if agent is None else sample(agent)
 
 
 class SeenByOne(NamedTuple):

@@ -364,6 +364,17 @@ class ClassStateEnv(GoodJointEnv):
         self.shared[0] = value
 
 
+@breaks("interleaving", "spawn", may=("state-instance",))
+class SharedSelectorEnv(GoodJointEnv):
+    """All instances have one selector, as one has who makes it in the body of the class."""
+
+    shared_selector = AgentSelector()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.agent_selector = self.shared_selector
+
+
 @breaks("coroutines")
 class OtherCoroutineEnv(GoodJointEnv):
     """Its step_async rewards every answer."""
@@ -439,13 +450,14 @@ class ExactTypeEnv(GoodJointEnv):
 
 @breaks("hostile-actions")
 class BlueDigitsEnv(GoodJointEnv):
-    """It believes, of one agent alone, that what isdigit() is a number."""
+    """It believes, of the last agent alone, that what isdigit() is a number; who cannot be read ends it for all."""
 
     def process_actions(self, actions: dict[str, str]) -> Any:
         answer = actions.get("blue", "").removeprefix("\\boxed{").removesuffix("}")
         if answer.isdigit():
             int(answer)
-        return super().process_actions(actions)
+        rewards, terminations, *rest = super().process_actions(actions)
+        return rewards, dict.fromkeys(terminations, True) if self.unread else terminations, *rest
 
 
 @breaks("state-json")

@@ -16,11 +16,17 @@ from gem_core.testing.conformance import promises_for
 SHORT = EnvSpec(id="check:Countdown-v0", entry_point=CountdownEnv, seats=("first", "second"), max_turns=3)
 OF_SEVERAL = {promise.slug for promise in promises_for(several=True)}
 OF_AGENTS = {promise.slug for promise in promises_for(several=True) if promise.of == "several"}
+HOSTILE = "hostile-actions"
+
+ABOUT_AGENTS = [target for target, (slugs, _) in BROKEN.items() if slugs & OF_AGENTS]
+ABOUT_ALL = [target for target in BROKEN if target not in ABOUT_AGENTS]
 
 
-def broken_by(target: Any, **options: Any) -> dict[str, str]:
+def broken_by(target: Any) -> dict[str, str]:
+    """Return what is broken; hostile actions take longest, and are tried where they should be broken."""
+    tried = HOSTILE in BROKEN[target][0]
     with pytest.raises(ContractError) as caught:
-        check_env(target, **options)
+        check_env(target, skip={} if tried else {HOSTILE: "it takes longest"})
     return dict(caught.value.report.broken)
 
 
@@ -46,22 +52,18 @@ def test_good_environment_keeps_every_promise(target: Any) -> None:
     assert report.notes == ()
 
 
-OF_AGENTS_FIRST = sorted(BROKEN, key=lambda target: not BROKEN[target][0] & OF_AGENTS)
-NUMBER_OF_AGENTS = sum(bool(slugs & OF_AGENTS) for slugs, _ in BROKEN.values())
-
-
 def name_of(target: Any) -> str:
     return str(getattr(target, "__name__", "record"))
 
 
-@pytest.mark.parametrize("target", OF_AGENTS_FIRST[:NUMBER_OF_AGENTS], ids=name_of)
+@pytest.mark.parametrize("target", ABOUT_AGENTS, ids=name_of)
 def test_broken_promise_about_agents_is_named(target: Any) -> None:
     """Exactly the promises that an environment breaks are named."""
     assert set(broken_by(target)) == BROKEN[target][0]
 
 
 @pytest.mark.few(8)
-@pytest.mark.parametrize("target", OF_AGENTS_FIRST[NUMBER_OF_AGENTS:], ids=name_of)
+@pytest.mark.parametrize("target", ABOUT_ALL, ids=name_of)
 def test_promise_of_all_broken_for_one_agent_is_named(target: Any) -> None:
     """Exactly the promises that an environment breaks are named, as with one agent."""
     breaks, may_break = BROKEN[target]
