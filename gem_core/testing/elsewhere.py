@@ -19,7 +19,7 @@ from gem_core.testing.comparing import record_of
 from gem_core.testing.findings import NotTriedError
 from gem_core.testing.hostile import hostile_actions
 from gem_core.testing.interpreter import CallError, Interpreter
-from gem_core.testing.joint import Action, approach, say_as
+from gem_core.testing.joint import Action, approach, fitted, say_as
 from gem_core.testing.remaking import guarded
 
 
@@ -172,7 +172,8 @@ def _reset(kept: dict[str, Any], seed: int) -> dict[str, Any]:
 
 
 def _step(kept: dict[str, Any], action: Action) -> tuple[dict[str, Any], bool]:
-    result = kept["env"].step(action)
+    env = kept["env"]
+    result = env.step(fitted(env, action))
     return record_of(result), bool(result[2] or result[3])
 
 

@@ -92,6 +92,13 @@ def say_as(env: AnyEnv, seat: str, text: str) -> Action:
     return {agent: text if agent == seat else _any_response(env, agent) for agent in acting(env)}
 
 
+def fitted(env: AnyEnv, action: Action) -> Action:
+    """Return an action of another episode for those who act now; who did not act there says hello."""
+    if not isinstance(action, Mapping) or action.keys() == set(acting(env)):
+        return action
+    return {agent: action.get(agent, "hello") for agent in acting(env)}
+
+
 def changed(action: Action, change: Callable[[str], str]) -> Action:
     """Return an action with every response changed."""
     return change(action) if isinstance(action, str) else {agent: change(text) for agent, text in action.items()}

@@ -14,7 +14,7 @@ from gem_core.errors import ArgumentError
 from gem_core.testing.comparing import differences, plain, record_of
 from gem_core.testing.contract import promise
 from gem_core.testing.findings import shown
-from gem_core.testing.joint import Action, acting, say, seats_of
+from gem_core.testing.joint import Action, acting, fitted, say, seats_of
 from gem_core.testing.subject import CLUMSY_ACTIONS, PlainResult, Subject
 from gem_core.types import Response
 
@@ -105,16 +105,19 @@ def refused_actions(subject: Subject) -> Iterator[str]:
     for number, script in enumerate(subject.scripts):
         env = subject.new()
         found: list[PlainResult] = [record_of(subject.reset(env, script.seed))]
-        for action in script.actions:
-            expected = _listed(acting(env))
-            for what, wrong in _wrong_actions(env, cast("Mapping[str, str]", action)):
+        for planned in script.actions:
+            action = cast("Mapping[str, str]", fitted(env, planned))
+            for what, wrong in _wrong_actions(env, action):
                 try:
                     subject.step(env, wrong)
                 except ArgumentError:
                     continue
-                yield f"step took {what}, where it needs those of {expected}"
+                yield f"step took {what}, where it needs those of {_listed(action)}"
                 return
-            found.append(record_of(subject.step(env, action)))
+            result = subject.step(env, action)
+            found.append(record_of(result))
+            if result[2] or result[3]:
+                break
         if subject.recorded is not None:
             what = f"with seed {script.seed}, the episode in which wrong actions were refused differs"
             yield from differences(what, subject.recorded[number], found)

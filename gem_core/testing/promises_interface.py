@@ -190,7 +190,9 @@ def fresh_objects(subject: Subject) -> Iterator[str]:
             yield f"what {where} returned was changed by later calls: {shown(before)}, then {shown(plain(given))}"
 
 
-@promise("let gem_core.make put its guard around the task, and no wrapper catch ResetNeededError.")
+@promise(
+    "let the guard that gem_core.make puts around the task, or MultiAgentEnv, refuse it, and no wrapper catch that."
+)
 def step_after_end(subject: Subject) -> Iterator[str]:
     """A step before the first reset or after the end raises ResetNeededError, and reset begins anew."""
     env = subject.new()
@@ -204,7 +206,7 @@ def step_after_end(subject: Subject) -> Iterator[str]:
     yield from _stepping(subject, env, "after the end")
     yield from _stepping(subject, env, "once more after the end")
     subject.reset(env, script.seed)
-    subject.step(env, script.actions[0])
+    subject.step_fitted(env, script.actions[0])
 
 
 @promise("make close() do nothing when there is nothing left to free.")
@@ -215,7 +217,7 @@ def close_twice(subject: Subject) -> Iterator[str]:
     subject.close(env)
     env = subject.new()
     subject.reset(env, subject.scripts[0].seed)
-    subject.step(env, subject.scripts[0].actions[0])
+    subject.step_fitted(env, subject.scripts[0].actions[0])
     subject.close(env)
     subject.close(env)
     yield from ()

@@ -22,7 +22,7 @@ from gem_core.testing.comparing import play
 from gem_core.testing.elsewhere import OTHER_PROCESS, EnvElsewhere
 from gem_core.testing.findings import NotTriedError, place_of, shown
 from gem_core.testing.isolation import Watch
-from gem_core.testing.joint import Action, SeenByOne, is_joint, responses, say, split, step_label
+from gem_core.testing.joint import Action, SeenByOne, fitted, is_joint, responses, say, split, step_label
 from gem_core.testing.remaking import guarded, layers_of, remaker
 
 PlainResult = dict[str, Any]
@@ -141,6 +141,10 @@ class Subject:
             lambda: step_label(action), self.limits.step_timeout_s, cast("Callable[[Action], Any]", env.step), action
         )
 
+    def step_fitted(self, env: AnyEnv, action: Action) -> Any:
+        """Step with an action of a script, also where others act in this episode than in that of the script."""
+        return self.step(env, fitted(env, action))
+
     def sample(self, env: AnyEnv) -> Action:
         """Sample an action under the time limit."""
         return cast("Action", self.called("sample_random_action()", env.get_wrapper_attr("sample_random_action")))
@@ -219,7 +223,7 @@ class Subject:
         for script in self.scripts:
             yield f"reset(seed={script.seed})", self.reset(env, script.seed)
             for action in script.actions:
-                result = self.step(env, action)
+                result = self.step_fitted(env, action)
                 yield step_label(action), result
                 if result[2] or result[3]:
                     break
@@ -230,11 +234,11 @@ class Subject:
 
     def play_from(self, env: AnyEnv, seed: int | None, actions: Sequence[Action]) -> Iterator[PlainResult]:
         """Reset and play some actions; without a seed, the next episode of the stream."""
-        return play(lambda: self.reset(env, seed), partial(self.step, env), actions)
+        return play(lambda: self.reset(env, seed), partial(self.step_fitted, env), actions)
 
     def play_on(self, env: AnyEnv, actions: Sequence[Action]) -> Iterator[PlainResult]:
         """Continue an episode."""
-        return play(None, partial(self.step, env), actions)
+        return play(None, partial(self.step_fitted, env), actions)
 
     # What is known to repeat.
 

@@ -42,6 +42,7 @@ class GoodJointEnv(MultiAgentEnv):
     def begin_episode(self, options: dict[str, Any] | None) -> Any:
         self.secret = int(self.np_random.integers(1, self.limit + 1))
         self.guesses, self.unread = [], []
+        self.agent_selector.reorder([str(name) for name in self.np_random.permutation(self.possible_agents)])
         self.feedback = f"Guess from 1 to {self.limit}, as \\boxed{{7}}; \\boxed{{0}} leaves.\n"
         return self.told()
 
@@ -276,8 +277,9 @@ class BothFlagsEnv(GoodJointEnv):
 class TupleInfoEnv(GoodJointEnv):
     """Its first info holds a tuple."""
 
-    def begin_episode(self, options: Any) -> Any:
-        return {**super().begin_episode(options), "red": {"range": (1, self.limit)}}
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        observations, infos = super().reset(seed, options)
+        return observations, {agent: {**info, "range": (1, self.limit)} for agent, info in infos.items()}
 
 
 @breaks("info-keys")

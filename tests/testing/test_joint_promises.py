@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import secrets
 from typing import Any
 
 import pytest
@@ -116,3 +117,16 @@ def test_state_that_is_not_supported_is_skipped() -> None:
         check_env(Bare)
     assert set(caught.value.report.broken) == {"valid-sample"}
     assert "cannot save its state" in caught.value.report.skipped["state-instance"]
+
+
+def test_who_acts_may_differ_where_the_record_says_so() -> None:
+    """Actions of one episode are given to whoever acts in another."""
+
+    class Shuffled(GoodJointEnv):
+        def process_actions(self, actions: dict[str, str]) -> Any:
+            self.agent_selector.override(secrets.choice(self.agents))
+            return super().process_actions(actions)
+
+    record = EnvSpec(id="check:Shuffled-v0", entry_point=Shuffled, seats=Shuffled.possible_agents, deterministic=False)
+    report = check_env(record, skip={HOSTILE: "it takes longest"})
+    assert report.skipped["determinism"] == "its record says deterministic=False"
