@@ -45,8 +45,8 @@ def check_env(
     """Try everything that the environment contract promises.
 
     New instances are made for it, from the id, the class, or the arguments of the given instance, which itself is not
-    used. They are used in threads other than the caller's, as vector environments do. A ``MultiAgentEnv`` is tried with
-    actions of all who act, and makes promises about its agents beside.
+    used. They are used in threads other than the caller's, as vector environments do. A ``MultiAgentEnv`` makes
+    most of the same promises, each for every agent, and those of ``promises_agents.py``.
 
     Args:
         env_or_id: An id, a record, an environment with or without wrappers, or a class that needs no arguments.
