@@ -43,11 +43,14 @@ def turns(subject: Subject) -> Iterator[str]:
     """Observations are of those who act, rewards and infos also of those who ended, and flags of all who took part."""
     for moment in _moments(subject):
         hearers = moment.acting | moment.ended_now
-        expected = {"observations": moment.acting, "infos": hearers}
+        parts = [("observations", moment.observations, moment.acting), ("infos", moment.infos, hearers)]
         if moment.rewards is not None:
-            expected |= {"rewards": hearers, "terminations": moment.part, "truncations": moment.part}
-        for name, agents in expected.items():
-            given = getattr(moment, name)
+            parts += [
+                ("rewards", moment.rewards, hearers),
+                ("terminations", moment.terminations, moment.part),
+                ("truncations", moment.truncations, moment.part),
+            ]
+        for name, given, agents in parts:
             if set(given) != agents:
                 yield f"{moment.where} gave {name} of {_listed(given)}, not of {_listed(agents)}"
 

@@ -7,7 +7,8 @@ import secrets
 from typing import Any
 
 import pytest
-from joint_envs import BROKEN, BlueDigitsEnv, GoodJointEnv, LenientEnv, RewardsForAllEnv
+from broken_joint_envs import BlueDigitsEnv
+from joint_envs import BROKEN, GoodJointEnv, LenientEnv, RewardsForAllEnv
 from joint_toys import AuctionEnv, CountdownEnv
 
 from gem_core import EnvSpec, MultiAgentEnv, make
