@@ -9,6 +9,7 @@ import pytest
 
 import gem_core as gem
 from gem_core.errors import ArgumentError, EnvFaultError
+from gem_core.testing import check_env
 from gem_games.textarena import table
 from gem_games.textarena.library import load
 from gem_games.textarena.listing import EXTRA, textarena_specs
@@ -66,6 +67,11 @@ def test_every_game_of_several_players_is_listed_with_its_seats() -> None:
     env = gem.make("ta:Taboo-v0-city-country-multi")
     assert gem.spec("ta:Taboo-v0-city-country-multi").seats == env.possible_agents
     assert gem.make("ta:Poker-v0-multi", players=4).possible_agents == ("player_0", "player_1", "player_2", "player_3")
+
+
+def test_contract_is_kept() -> None:
+    """In another process too; ``test_textarena_contract.py`` tries the other games."""
+    check_env("ta:KuhnPoker-v0-multi")
 
 
 def test_seats_act_in_the_order_of_the_game() -> None:
