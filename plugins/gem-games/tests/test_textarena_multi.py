@@ -84,6 +84,7 @@ def test_seats_act_in_the_order_of_the_game() -> None:
     for agent, other, move in [("player_0", "player_1", "[4]"), ("player_1", "player_0", "[0]")]:
         observations, rewards, *_ = env.step({agent: move})
         assert observations.keys() == rewards.keys() == {other}
+    assert "You are Player 0" not in observations["player_0"]
     env.step({"player_0": "[1]"})
     env.step({"player_1": "[2]"})
     observations, rewards, terminations, truncations, infos = env.step({"player_0": "[7]"})
@@ -102,6 +103,7 @@ def test_invalid_move_is_tried_again_by_the_same_seat() -> None:
     observations, _, _, _, infos = env.step({"player_0": "I take the middle."})
     assert observations.keys() == {"player_0"}
     assert "attempted an invalid move" in observations["player_0"]
+    assert "the middle" not in observations["player_0"]
     assert (infos["player_0"]["invalid_move"], infos["player_0"]["parsed_action"]) == (True, None)
     observations, *_ = env.step({"player_0": "The middle: [4]"})
     assert "invalid" not in observations["player_1"]
