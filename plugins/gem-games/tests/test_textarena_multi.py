@@ -143,6 +143,16 @@ def test_no_seat_sees_the_thinking_of_any_or_its_own_response(spec: Any) -> None
         assert heard or "and reason at some length" not in everything
 
 
+def test_what_is_said_is_heard_by_the_others_where_the_game_is_to_talk() -> None:
+    env = TextArenaMultiAgentEnv("DontSayIt-v0")
+    env.reset(seed=1)
+    observations, *_ = env.step({"player_0": "<think>Now!</think>Fine weather."})
+    assert "Fine weather." in observations["player_1"]
+    assert "Now!" not in observations["player_1"]
+    observations, *_ = env.step({"player_1": "Indeed."})
+    assert observations == {"player_0": "[Player 1] Indeed."}
+
+
 @pytest.mark.parametrize("game", ["TicTacToe-v0", "SimpleNegotiation-v0", "SecretMafia-v0", "LiarsDice-v0", "Chess-v0"])
 def test_hostile_text_of_any_seat_is_answered(game: str) -> None:
     """Every seat says such a thing in its turn; the game goes on or is lost, and nothing is an error."""
