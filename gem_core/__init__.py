@@ -19,7 +19,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from gem_core.api import list_envs, make, make_vec, print_envs, register, spec
     from gem_core.data.dataset import DatasetEnv, Grade
+    from gem_core.env.agent_selector import AgentSelector
     from gem_core.env.base import AsyncEnv, Env
+    from gem_core.env.multi_agent import MultiAgentEnv
     from gem_core.env.wrapper import Wrapper
     from gem_core.errors import GemError
     from gem_core.parsing import extract_code_blocks, extract_last_boxed_answer, extract_last_tagged_answer
@@ -47,7 +49,9 @@ __version__ = "0.1.0"
 
 _HOME = {
     "data.dataset": ("DatasetEnv", "Grade"),
+    "env.agent_selector": ("AgentSelector",),
     "env.base": ("AsyncEnv", "Env"),
+    "env.multi_agent": ("MultiAgentEnv",),
     "records.episode": ("Episode", "Transition"),
     "records.files": ("read_episodes", "write_episodes"),
     "errors": ("GemError",),
@@ -76,6 +80,7 @@ _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
     "TERMINAL_STATE",
+    "AgentSelector",
     "AgentSpec",
     "AsyncEnv",
     "CommandSpec",
@@ -85,6 +90,7 @@ __all__ = [
     "Episode",
     "GemError",
     "Grade",
+    "MultiAgentEnv",
     "Observation",
     "PlanItem",
     "RequirementSpec",

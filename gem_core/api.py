@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from gem_core.vector.slot import Autoreset, OnError
     from gem_core.vector.vector_env import VectorEnv
 
-_SPEC_KEYWORDS = ("summary", "tags", "requires", "deterministic")
+_SPEC_KEYWORDS = ("summary", "tags", "requires", "deterministic", "seats")
 
 
 def register(id: str, entry_point: EntryPoint, **kwargs: Any) -> None:
@@ -27,8 +27,8 @@ def register(id: str, entry_point: EntryPoint, **kwargs: Any) -> None:
     Args:
         id: ``namespace:Name[-vN][-variant]``.
         entry_point: ``"package.module:Class"``, or a callable that returns an environment.
-        **kwargs: ``summary``, ``tags``, ``requires`` and ``deterministic`` describe it (see ``EnvSpec``); every other
-            keyword goes to the environment when it is made.
+        **kwargs: ``summary``, ``tags``, ``requires``, ``deterministic`` and ``seats`` describe it (see ``EnvSpec``);
+            every other keyword goes to the environment when it is made.
 
     Raises:
         RegistrationError: The id is malformed or taken.

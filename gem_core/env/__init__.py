@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from gem_core.env.agent_selector import AgentSelector
 from gem_core.env.base import AsyncEnv, Env
 from gem_core.env.guard import Guard
+from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.observations import is_messages, join_observations, observation_from, split_observation, texts_of
 from gem_core.env.seeding import stable_hash
 from gem_core.env.spaces import Content, Messages, Text
 from gem_core.env.wrapper import AnyEnv, Wrapper, concurrency_of
 
 __all__ = [
+    "AgentSelector",
     "AnyEnv",
     "AsyncEnv",
     "Content",
     "Env",
     "Guard",
     "Messages",
+    "MultiAgentEnv",
     "Text",
     "Wrapper",
     "concurrency_of",

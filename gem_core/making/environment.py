@@ -11,6 +11,7 @@ import gymnasium
 
 from gem_core.arguments import check_arguments
 from gem_core.env.guard import Guard
+from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.spec import EnvRecipe
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, RegistrationError
@@ -77,7 +78,7 @@ def make_from(record: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers) ->
 
 
 def _finish_env(env: AnyEnv, record: EnvSpec, arguments: dict[str, Any], render_mode: str | None) -> AnyEnv:
-    """Give a task its render mode, record and guard."""
+    """Give a task its render mode, record and guard; one of several agents guards itself."""
     task = env.unwrapped
     if render_mode is not None:
         modes = task.metadata.get("render_modes", [])
@@ -88,6 +89,9 @@ def _finish_env(env: AnyEnv, record: EnvSpec, arguments: dict[str, Any], render_
         task.render_mode = render_mode
         arguments = {**arguments, "render_mode": render_mode}
     task.spec = _made_spec(record, arguments)
+    if isinstance(task, MultiAgentEnv):
+        task.max_steps = record.max_turns
+        return env
     guarded: AnyEnv = Guard(env)
     if record.max_turns is not None:
         guarded = TurnLimit(guarded, max_turns=record.max_turns)

@@ -43,6 +43,7 @@ class EnvSpec:
         folder_markers: Names of files, as ``("task.toml",)``, that make a folder this environment's own: ``gem run``,
             ``gem play`` and ``gem info`` then take the folder, or one that holds such folders, in place of the id.
         folder_keyword: The keyword argument that takes the folder.
+        seats: Names of the agents of a ``MultiAgentEnv``, its ``possible_agents``; empty for one agent.
 
     Raises:
         RegistrationError: A field has a wrong form; the message says which and what was expected.
@@ -62,6 +63,7 @@ class EnvSpec:
     deterministic: bool = True
     folder_markers: tuple[str, ...] = ()
     folder_keyword: str = "path"
+    seats: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.id, str) or not _ENV_ID.fullmatch(self.id):
@@ -78,6 +80,7 @@ class EnvSpec:
         object.__setattr__(self, "kwargs", MappingProxyType(dict(self.kwargs)))
         object.__setattr__(self, "tags", _check_words(self.id, "tags", self.tags))
         object.__setattr__(self, "requires", _check_words(self.id, "requires", self.requires))
+        object.__setattr__(self, "seats", _check_words(self.id, "seats", self.seats))
         object.__setattr__(self, "folder_markers", _check_words(self.id, "folder_markers", self.folder_markers))
         if not all(_FILE_NAME.fullmatch(marker) for marker in self.folder_markers):
             raise RegistrationError(f"{self.id}: folder_markers must be names of files, not {self.folder_markers!r}")

@@ -1,0 +1,280 @@
+"""``MultiAgentEnv`` and ``AgentSelector``: turns, accounting, agents that join and leave, errors and state."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from joint_toys import AuctionEnv, CountdownEnv
+
+import gem_core as gem
+from gem_core import AgentSelector, MultiAgentEnv, extract_last_boxed_answer
+from gem_core.errors import ArgumentError, ResetNeededError, StateError
+
+
+def test_loop_of_the_paper_runs() -> None:
+    """The loop of the paper's section on several agents plays an episode to its end."""
+
+    def act(agent: str, observation: str) -> str:
+        return env.sample_random_action(agent)
+
+    env = CountdownEnv()
+    observations, infos = env.reset(seed=0)
+    terminations = env.terminations
+    while not all(terminations.values()):
+        actions = {agent: act(agent, observation) for agent, observation in observations.items()}
+        observations, rewards, terminations, truncations, infos = env.step(actions)  # noqa: RUF059 - as in the paper
+    assert rewards.keys() == terminations.keys() == {"first", "second"}
+    assert sum(rewards.values()) == 0.0
+    assert env.agents == []
+
+
+def test_five_dictionaries_are_taken() -> None:
+    """An environment whose ``process_actions`` returns what ``step`` does runs as well."""
+
+    class Team(MultiAgentEnv):
+        def __init__(self) -> None:
+            super().__init__()
+            self.possible_agents = ["researcher", "reviewer"]
+            self.agent_selector = AgentSelector(self.possible_agents, mode="parallel")
+
+        def observe(self, agent: str) -> str:
+            return f"You are the {agent}."
+
+        def process_actions(self, actions: dict[str, str]) -> Any:
+            observations = {agent: self.observe(agent) for agent in self.agents}
+            done = dict.fromkeys(self.agents, "done" in actions.values())
+            return observations, dict.fromkeys(actions, 1.0), done, dict.fromkeys(actions, False), {}
+
+    env = Team()
+    assert env.reset(seed=1)[0] == {"researcher": "You are the researcher.", "reviewer": "You are the reviewer."}
+    observations, rewards, terminations, _, _ = env.step({"researcher": "on it", "reviewer": "done"})
+    assert observations == {}
+    assert rewards == {"researcher": 1.0, "reviewer": 1.0}
+    assert all(terminations.values())
+
+
+def test_reward_is_given_when_the_agent_acts_again() -> None:
+    """What an agent earns while others act is one reward, with its next observation; ``cumulative`` has it at once."""
+    env = AuctionEnv(["a", "b", "c"], mode="sequential")
+    env.reset(seed=0)
+    _, rewards, _, _, infos = env.step({"a": "1"})
+    assert rewards == {"b": 0.0}
+    assert infos.keys() == {"b"}
+    assert env.step({"b": "5"})[1] == {"c": -1.0}
+    assert env.cumulative == {"a": -4.0, "b": 5.0, "c": -1.0}
+    assert env.step({"c": "2"})[1] == {"a": -4.0}
+
+
+@given(st.lists(st.integers(0, 9), min_size=1, max_size=30), st.sampled_from(["sequential", "parallel"]))
+def test_given_rewards_add_up(bids: list[int], mode: Any) -> None:
+    """The sum of what ``step`` gave an agent is its ``cumulative`` at the end, whoever left before."""
+    env = AuctionEnv(["a", "b", "c"], mode=mode, rounds=len(bids))
+    observations, _ = env.reset(seed=0)
+    given: dict[str, float] = dict.fromkeys(env.agents, 0.0)
+    for bid in bids:
+        if not env.agents:
+            break
+        observations, rewards, *_ = env.step({agent: str(bid) for agent in observations})
+        for agent, reward in rewards.items():
+            given[agent] += reward
+    while env.agents:
+        observations, rewards, *_ = env.step(dict.fromkeys(observations, "quit"))
+        for agent, reward in rewards.items():
+            given[agent] += reward
+    assert given == env.cumulative
+
+
+def test_agent_that_leaves_is_told_at_once() -> None:
+    """One that ended has its last observation and reward in that step, and is no longer asked."""
+    env = AuctionEnv(["a", "b", "c"], mode="parallel")
+    env.reset(seed=0)
+    observations, rewards, terminations, _, infos = env.step({"a": "3", "b": "quit", "c": "1"})
+    assert observations.keys() == {"a", "c"}
+    assert rewards.keys() == {"a", "b", "c"}
+    assert terminations == {"a": False, "b": True, "c": False}
+    assert infos["b"]["final_obs"] == env.observe("b")
+    assert env.agents == ["a", "c"]
+
+
+def test_agent_joins_and_cannot_return() -> None:
+    """A possible agent joins in the middle; one that has taken part cannot join again."""
+
+    class Door(MultiAgentEnv):
+        possible_agents = ("host", "guest")
+
+        def begin_episode(self, options: Any) -> dict[str, Any]:
+            self.agents = ["host"]
+            return {"host": {"system": "You are the host."}}
+
+        def observe(self, agent: str) -> str:
+            return agent
+
+        def process_actions(self, actions: dict[str, str]) -> Any:
+            if "open" in actions.values():
+                self.add_agent("guest")
+            return {}, {"guest": "bye" in actions.values()} if "guest" in self.agents else {}, {}, {}
+
+    env = Door()
+    assert env.reset(seed=3) == ({"host": "host"}, {"host": {"seed": 3, "system": "You are the host."}})
+    assert env.step({"host": "open"})[0] == {"host": "host"}  # who joins comes last
+    assert env.step({"host": "wait"})[0] == {"guest": "guest"}
+    env.step({"guest": "bye"})
+    with pytest.raises(
+        ArgumentError, match=r"^'guest' has taken part in this episode already, and cannot join it again"
+    ):
+        env.step({"host": "open"})
+
+
+def test_missing_and_unwanted_actions_are_refused() -> None:
+    """An action that is missing, of another agent or no text is an error that says who acts, and changes nothing."""
+    env = AuctionEnv(["a", "b"], mode="sequential")
+    env.reset(seed=0)
+    with pytest.raises(ArgumentError, match=r"^the action of 'a' is missing; 'a' acts now$"):
+        env.step({})
+    with pytest.raises(ArgumentError, match=r"^there is an action of 'b', which does not act now; 'a' acts now$"):
+        env.step({"a": "1", "b": "1"})
+    with pytest.raises(ArgumentError, match=r"^an action is a str or a Response, and that of 'a' is 1 of type int$"):
+        env.step({"a": 1})  # type: ignore[dict-item]
+    with pytest.raises(ArgumentError, match=r"^actions are {agent: response}, here of 'a', not '1'$"):
+        env.step("1")  # type: ignore[arg-type]
+    assert env.acting == ("a",)
+
+
+def test_step_outside_an_episode_is_refused() -> None:
+    """A step before the first reset and after the end is an error."""
+    env = CountdownEnv()
+    with pytest.raises(ResetNeededError, match=r"^CountdownEnv: the episode is over or has not begun; call reset"):
+        env.step({"first": "1"})
+
+
+@pytest.mark.parametrize(
+    ("verdict", "message"),
+    [
+        (None, r"X: process_actions must return \(rewards, terminations, truncations, infos\), not None"),
+        (({"b": 1.0}, {}, {}, {}), "X: process_actions names 'b', and 'a' take part"),
+        (({"a": float("nan")}, {}, {}, {}), "X: the reward of 'a' must be a finite number, not nan"),
+        (({}, {}, {}, {"a": 1}), "X: the info of 'a' must be a dictionary, not int"),
+    ],
+)
+def test_malformed_verdict_is_refused(verdict: Any, message: str) -> None:
+    """A mistake of the author is an error that names it."""
+
+    class X(MultiAgentEnv):
+        possible_agents = ("a",)
+
+        def observe(self, agent: str) -> str:
+            return ""
+
+        def process_actions(self, actions: dict[str, str]) -> Any:
+            return verdict
+
+    env = X()
+    env.reset(seed=0)
+    with pytest.raises((TypeError, ValueError), match=f"^{message}$"):
+        env.step({"a": "1"})
+
+
+def test_turn_limit_truncates_all() -> None:
+    """``max_turns`` of the record counts steps, and truncates everyone who is left."""
+    gem.register("joint:Auction-v0", AuctionEnv, agents=["a", "b"], mode="parallel", seats=("a", "b"))
+    spec = gem.spec("joint:Auction-v0")
+    assert spec.seats == ("a", "b")
+    env: Any = gem.make(gem.EnvSpec(id="joint:Short-v0", entry_point=AuctionEnv, kwargs={**spec.kwargs}, max_turns=2))
+    env.reset(seed=0)
+    env.step({"a": "1", "b": "2"})
+    _, _, terminations, truncations, _ = env.step({"a": "1", "b": "2"})
+    assert terminations == {"a": False, "b": False}
+    assert truncations == {"a": True, "b": True}
+    assert env.agents == []
+
+
+def test_state_survives_json_in_the_middle_of_an_episode() -> None:
+    """A state restored in another instance continues with the same results, turns and rewards."""
+    env, other = AuctionEnv(["a", "b", "c"]), AuctionEnv(["a", "b", "c"])
+    env.reset(seed=5)
+    env.agent_selector.skip("c")
+    env.step({"a": "4"})
+    other.set_state(json.loads(json.dumps(env.get_state())))
+    for action in ("1", "quit", "7"):
+        acting = env.acting
+        assert acting == other.acting
+        assert env.step(dict.fromkeys(acting, action)) == other.step(dict.fromkeys(acting, action))
+    with pytest.raises(StateError, match=r"^the state of 'AuctionEnv' is damaged \(KeyError: 'selector'\)"):
+        other.set_state({key: value for key, value in env.get_state().items() if key != "selector"})
+
+
+def test_same_seed_same_episode() -> None:
+    """Seed and actions decide the episode."""
+
+    def play(seed: int) -> list[Any]:
+        env = CountdownEnv()
+        seen: list[Any] = [env.reset(seed=seed)]
+        while env.agents:
+            seen.append(env.step({agent: env.sample_random_action(agent) for agent in env.acting}))
+        return seen
+
+    assert play(7) == play(7)
+    assert play(7) != play(8)
+
+
+def test_selector_rotates_skips_overrides_and_reorders() -> None:
+    """Turns go round; a skip, an override and a new order change them in the middle, and a peek does not."""
+    selector = AgentSelector(["a", "b", "c"])
+    assert [selector.next() for _ in range(4)] == [["a"], ["b"], ["c"], ["a"]]
+    assert selector.peek() == ["b"]
+    selector.skip("b")
+    assert selector.peek() == ["c"]
+    assert selector.next() == ["c"]
+    selector.override("a", "b")
+    assert selector.next() == ["a", "b"]
+    assert selector.next() == ["a"]
+    selector.reorder(["a", "c", "b"])
+    assert [selector.next() for _ in range(3)] == [["a"], ["c"], ["b"]]
+    selector.remove("a")
+    assert [selector.next() for _ in range(3)] == [["c"], ["b"], ["c"]]
+    with pytest.raises(ArgumentError, match=r"^reorder takes each of 'b', 'c' once, not "):
+        selector.reorder(["a"])
+    with pytest.raises(ArgumentError, match=r"^mode must be 'sequential' or 'parallel', not 'aec'$"):
+        AgentSelector(mode="aec")  # type: ignore[arg-type]
+
+
+def test_parallel_selector_takes_all_but_the_skipped() -> None:
+    """In parallel mode all act, but for those that are skipped."""
+    selector = AgentSelector(["a", "b"], mode="parallel")
+    selector.skip("a")
+    assert [selector.next() for _ in range(2)] == [["b"], ["a", "b"]]
+
+
+def test_own_selector_decides() -> None:
+    """A subclass of the selector decides who acts, and a wrong choice is an error that names it."""
+
+    class Twice(AgentSelector):
+        def choose(self) -> list[str]:
+            return self.order[:1] if len(self.selected) == 2 else self.order[:2]
+
+    env = AuctionEnv(["a", "b", "c"])
+    env.agent_selector = Twice()
+    assert env.reset(seed=0)[0].keys() == {"a", "b"}
+    assert env.step({"a": "1", "b": "1"})[0].keys() == {"a"}
+    env.agent_selector.override("nobody")
+    with pytest.raises(RuntimeError, match=r"^AuctionEnv: the agent_selector chose 'nobody' to act next, and"):
+        env.step({"a": "1"})
+
+
+def test_documented_example_runs() -> None:
+    """The example in the docstring of ``MultiAgentEnv`` plays as it says."""
+    lines = (MultiAgentEnv.__doc__ or "").split("class Guess", 1)[1].split("\n\n    It draws", 1)[0]
+    code = "class Guess" + lines.replace("\n        ", "\n")
+    names: dict[str, Any] = {
+        "MultiAgentEnv": MultiAgentEnv,
+        "extract_last_boxed_answer": extract_last_boxed_answer,
+    }
+    exec(code, names)
+    env = names["Guess"]()
+    assert env.reset(seed=0)[0] == {"chooser": "Choose a word."}
+    assert env.step({"chooser": "\\boxed{tea}"})[0] == {"guesser": "It has 3 letters. Which is it?"}
+    assert env.step({"guesser": "\\boxed{tea}"})[1] == {"chooser": -1.0, "guesser": 1.0}
