@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 Record = dict[str, Any]
 Database = dict[str, dict[str, Record]]
-"""Table name to record id to record. A shared record is never changed: a tool takes its own copy by ``own`` first."""
+"""Table name to record id to record. A record is never changed in place: a tool makes a copy by ``own`` first."""
 
 
 def fork(database: Database) -> Database:
@@ -41,7 +41,7 @@ def restore(changed: Database, original: Database) -> Database:
     """Return a fork of the original with the given records in it."""
     database = fork(original)
     for name, records in changed.items():
-        database[name].update(copy.deepcopy(records))
+        database[name].update(records)
     return database
 
 

@@ -6,7 +6,6 @@ reads after ``Error: ``; what it has changed until then stays changed, as there.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -232,7 +231,7 @@ def update_reservation_flights(
     payment = _pay_for_update(database, before["user_id"], payment_id, total)
     reservation = own(database, "reservations", reservation_id)
     reservation["payment_history"] += payment
-    reservation["flights"] = copy.deepcopy(updated)
+    reservation["flights"] = updated
     reservation["cabin"] = cabin
     return reservation
 
