@@ -21,8 +21,8 @@ class DroppedWrite:
     name: str
     """Tool that was not called."""
 
-    effect: Literal["final", "undone", "none"]
-    """Whether it changes the final database, is undone by a later action, or changes nothing when it is called."""
+    effect: Literal["final", "redundant", "none"]
+    """``none`` if the call changes nothing, ``redundant`` if the other actions lead to the same final database."""
 
     error: str
     """What the tool answers where it fails; empty where it does not."""
@@ -68,11 +68,11 @@ def _drop(task_set: TaskSet, task: Task, position: int, reference: str) -> Dropp
     answer = task_set.domain.call(after, action.name, action.arguments)
     rest = task.actions[:position] + task.actions[position + 1 :]
     database = replay(task_set, rest)
-    effect: Literal["final", "undone", "none"] = "final"
+    effect: Literal["final", "redundant", "none"] = "final"
     if task_set.digest.same(before, after):
         effect = "none"
     elif task_set.digest(database) == reference:
-        effect = "undone"
+        effect = "redundant"
     return DroppedWrite(
         position=position,
         name=action.name,

@@ -85,5 +85,5 @@ def _print_dropped(checks: list[Check]) -> None:
             f"{len(others)} more writes make no difference to the final database, so that no reward can see them:"
         )
     for task_id, each in others:
-        why = "a later action undoes it" if each.effect == "undone" else each.error or "all is already as it writes it"
+        why = "the other actions lead there too" if each.effect == "redundant" else each.error or "nothing is new in it"
         click.echo(f"  {task_id}, action {each.position}, {each.name}: {why}")

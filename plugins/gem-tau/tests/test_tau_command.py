@@ -36,11 +36,11 @@ def test_without_one_write_they_do_not(tmp_path: Path) -> None:
         "2 of 2 tasks get reward 1 by their reference actions",
         "0 of 1 still do with one write left out",
         "5 more writes make no difference to the final database, so that no reward can see them:",
-        "  test-0, action 0, cancel_pending_order: a later action undoes it",
+        "  test-0, action 0, cancel_pending_order: the other actions lead there too",
         "  test-0, action 1, cancel_pending_order: Error: non-pending order cannot be cancelled",
-        "  test-1, action 0, modify_user_address: a later action undoes it",
-        "  test-1, action 1, modify_user_address: a later action undoes it",
-        "  test-1, action 3, modify_pending_order_address: all is already as it writes it",
+        "  test-1, action 0, modify_user_address: the other actions lead there too",
+        "  test-1, action 1, modify_user_address: the other actions lead there too",
+        "  test-1, action 3, modify_pending_order_address: nothing is new in it",
     ]
 
 

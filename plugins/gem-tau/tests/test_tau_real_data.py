@@ -41,7 +41,7 @@ def test_reference_actions_get_1_and_without_one_write_0(retail: TaskSet) -> Non
     assert {f"{task} {each.position} {each.effect}" for task, each in dropped if each.effect != "final"} == {
         "test-12 4 none",
         "test-13 4 none",
-        "test-22 1 undone",
+        "test-22 1 redundant",
         "test-64 6 none",
         "test-106 0 none",
         "test-111 1 none",
