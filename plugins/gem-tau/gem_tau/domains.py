@@ -95,14 +95,22 @@ def _schema(name: str, function: Callable[..., Any]) -> dict[str, Any]:
     hints = get_type_hints(function, include_extras=True)
     names = [each.name for each in inspect.signature(function).parameters.values() if each.kind != each.POSITIONAL_ONLY]
     fields: dict[str, Any] = {each: (hints[each], ...) for each in names}
-    schema = create_model(name, **fields).model_json_schema()
-    schema.pop("title")
-    for described in schema["properties"].values():
-        described.pop("title", None)
+    schema = _without_titles(create_model(name, **fields).model_json_schema())
     description = inspect.getdoc(function) or ""
     return {
         "type": "function",
         "function": {"name": name, "description": " ".join(description.split()), "parameters": schema},
+    }
+
+
+def _without_titles(schema: Any) -> Any:
+    """Leave out pydantic's titles, which only say the names again."""
+    if isinstance(schema, list):
+        return [_without_titles(each) for each in schema]
+    if not isinstance(schema, dict):
+        return schema
+    return {
+        key: _without_titles(value) for key, value in schema.items() if not (key == "title" and isinstance(value, str))
     }
 
 

@@ -183,7 +183,7 @@ class Certificate(BaseModel):
 
 
 class Passenger(BaseModel):
-    """Somebody who flies."""
+    """A passenger."""
 
     first_name: str
     last_name: str
@@ -265,7 +265,7 @@ class Flight(BaseModel):
 
 
 class FlightInfo(BaseModel):
-    """A flight that an assistant names."""
+    """A flight on a day."""
 
     flight_number: str
     date: str

@@ -49,7 +49,9 @@ PaymentId = Annotated[str, Field(description="Id of one of the user's payment me
 Origin = Annotated[str, Field(description="Airport that the flight leaves from, such as 'JFK'.")]
 Destination = Annotated[str, Field(description="Airport that the flight goes to, such as 'LAX'.")]
 Date = Annotated[str, Field(description="Day of the flight, such as '2024-05-01'.")]
-Flights = Annotated[list[FlightInfo], Field(description="All flights of the reservation, those that stay included.")]
+Flights = Annotated[
+    list[FlightInfo], Field(description="All flights of the trip in order, also those that stay when it is changed.")
+]
 Passengers = Annotated[list[Passenger], Field(description="All passengers, with dates of birth such as '1990-04-05'.")]
 TotalBags = Annotated[int, Field(description="All checked bags of the reservation.")]
 PaidBags = Annotated[int, Field(description="Those of the bags that are paid for.")]
