@@ -19,7 +19,7 @@ _SOKOBAN = "gem_games.sokoban:SokobanEnv"
 
 @hookimpl
 def gem_register_envs() -> Iterable[EnvSpec]:
-    """The games, with the parameters and turn limits of gem-llm's, whose baselines are published."""
+    """The games: those for one have the parameters and turn limits of gem-llm's, whose baselines are published."""
     guess = "Find a hidden number by 'higher' and 'lower'"
     yield _game("GuessTheNumber-v0", _GUESS, f"{guess}.", min_number=1, max_number=50, max_turns=10)
     yield _game("GuessTheNumber-v0-easy", _GUESS, f"{guess}; 1 to 10.", min_number=1, max_number=10, max_turns=4)
@@ -47,13 +47,14 @@ def gem_register_envs() -> Iterable[EnvSpec]:
     yield from _sudoku()
     yield from _game_2048()
     yield from _sokoban()
+    yield from _joint_games()
     yield from textarena_specs()
 
 
 @hookimpl
 def gem_register_agents() -> Iterable[AgentSpec]:
-    """Solvers, one for each game."""
-    agents = "gem_games.agents"
+    """Solvers, each for one game."""
+    agents, joint = "gem_games.agents", "gem_games.joint_agents"
     return [
         AgentSpec(name="bisect", entry_point=f"{agents}:BisectionAgent", summary="Wins GuessTheNumber by bisection."),
         AgentSpec(
@@ -65,11 +66,19 @@ def gem_register_agents() -> Iterable[AgentSpec]:
             entry_point="gem_games.wiki.agent:WikiGameAgent",
             summary="Wins WikiGame with the embedded articles, in the fewest turns.",
         ),
+        AgentSpec(name="tictactoe", entry_point=f"{joint}:TicTacToeAgent", summary="Never loses TicTacToe."),
+        AgentSpec(name="kuhn", entry_point=f"{joint}:KuhnAgent", summary="Plays KuhnPoker by an equilibrium."),
+        AgentSpec(
+            name="negotiator",
+            entry_point=f"{joint}:NegotiationAgent",
+            summary="Plays Negotiation by proposals, which become more modest; negotiator:greedy asks for more.",
+        ),
     ]
 
 
-def _game(name: str, entry_point: str, summary: str, **kwargs: object) -> EnvSpec:
-    return EnvSpec(id=f"game:{name}", entry_point=entry_point, kwargs=kwargs, summary=summary, tags=("game", "text"))
+def _game(name: str, entry_point: str, summary: str, seats: tuple[str, ...] = (), **kwargs: object) -> EnvSpec:
+    tags = ("game", "text", "multi-agent") if seats else ("game", "text")
+    return EnvSpec(id=f"game:{name}", entry_point=entry_point, kwargs=kwargs, summary=summary, tags=tags, seats=seats)
 
 
 def _wiki_game() -> Iterator[EnvSpec]:
@@ -146,3 +155,29 @@ def _sokoban() -> Iterator[EnvSpec]:
     yield _game("Sokoban-v0-easy", _SOKOBAN, f"{boxes}; 2 boxes.", dim_room=(6, 6), num_boxes=2, max_turns=20)
     yield _game("Sokoban-v0-hard", _SOKOBAN, f"{boxes}; 4 boxes.", dim_room=(8, 8), num_boxes=4, max_turns=50)
     yield _game("Sokoban-v0-random", _SOKOBAN, f"{boxes}; 2 or 5 boxes.", dim_room=None, num_boxes=None, max_turns=None)
+
+
+def _joint_games() -> Iterator[EnvSpec]:
+    yield _game(
+        "TicTacToe-v0", "gem_games.tic_tac_toe:TicTacToeEnv", "Three in a row on a 3x3 board; seats X, O.", ("X", "O")
+    )
+    yield _game(
+        "KuhnPoker-v0",
+        "gem_games.kuhn_poker:KuhnPokerEnv",
+        "Bet on the higher of two cards; seats first, second.",
+        ("first", "second"),
+    )
+    yield _game(
+        "Negotiation-v0",
+        "gem_games.negotiation:NegotiationEnv",
+        "Share out items of hidden values, or make no deal; seats first, second.",
+        ("first", "second"),
+        max_turns=10,
+    )
+    yield _game(
+        "RockPaperScissors-v0",
+        "gem_games.rock_paper_scissors:RockPaperScissorsEnv",
+        "Choose at the same time; seats left, right.",
+        ("left", "right"),
+        rounds=1,
+    )
