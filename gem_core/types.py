@@ -11,6 +11,9 @@ Observation = str | list[dict[str, Any]]
 Info = dict[str, Any]
 """Plain JSON, images apart."""
 
+Action = str | Mapping[str, str]
+"""A response; or ``{agent: response}`` where several agents act."""
+
 StepResult = tuple[Observation, float, bool, bool, Info]
 """``(observation, reward, terminated, truncated, info)``, as in Gymnasium."""
 

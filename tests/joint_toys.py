@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -96,3 +97,18 @@ class AuctionEnv(MultiAgentEnv):
 
     def _set_state(self, state: dict[str, Any]) -> None:
         self.bids = list(map(str, state["bids"]))
+
+
+class BrokenAuctionEnv(AuctionEnv):
+    """An auction in which ``boom`` raises an exception and ``die`` ends the process."""
+
+    def __init__(self) -> None:
+        super().__init__(["a", "b"])
+
+    def process_actions(self, actions: dict[str, str]) -> Any:
+        """Fail as asked."""
+        if "die" in actions.values():
+            os._exit(3)
+        if "boom" in actions.values():
+            raise ValueError("boom")
+        return super().process_actions(actions)

@@ -63,6 +63,9 @@ class Episode:
         native_tools: Whether the agent was offered the tools beside what it was sent, which then explains them no more.
         run_seed: Seed of the run.
         versions: Version of each distribution that took part.
+        seat: Name of the agent's seat among several; None where it was alone. See ``JointEpisode``.
+        agent: Name of the agent that sat there; None where it was alone.
+        first_reward: Reward that came with the first observation, for what others had done; 0 for an agent alone.
         schema_version: Version of this record's form.
     """
 
@@ -84,6 +87,9 @@ class Episode:
     native_tools: bool = False
     run_seed: int | None = None
     versions: dict[str, str] = field(default_factory=dict)
+    seat: str | None = None
+    agent: str | None = None
+    first_reward: float = 0.0
     schema_version: int = SCHEMA_VERSION
 
     @property
@@ -99,7 +105,7 @@ class Episode:
     @property
     def episode_return(self) -> float:
         """Sum of the rewards, undiscounted."""
-        return sum(transition.reward for transition in self.transitions)
+        return sum((transition.reward for transition in self.transitions), self.first_reward)
 
     @property
     def messages(self) -> list[dict[str, Any]]:

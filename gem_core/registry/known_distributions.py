@@ -24,6 +24,7 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("command", "show"): ("gem-eval",),
     ("command", "mcp"): ("gem-tools",),
     ("command", "serve-search"): ("gem-tools",),
+    ("command", "tau"): ("gem-tau",),
     ("command", "terminal"): ("gem-terminal",),
 }
 """By kind of record, as its ``kind`` says it (environments by namespace), and name."""

@@ -12,8 +12,8 @@ from gem_core.rollouts.agent import (
     prepare_agent,
 )
 from gem_core.rollouts.drivers import arollout, default_plan, rollout
-from gem_core.rollouts.loop import new_episode
 from gem_core.rollouts.resume import FinishedEpisodes
+from gem_core.rollouts.seat import RunningSeat, new_episode
 
 __all__ = [
     "READS",
@@ -21,6 +21,7 @@ __all__ = [
     "Context",
     "FinishedEpisodes",
     "Reading",
+    "RunningSeat",
     "arollout",
     "as_agent",
     "close_agent",

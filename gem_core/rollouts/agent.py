@@ -38,6 +38,7 @@ class Context:
         system: System text: the agent's own, or else the task's; None for none.
         draw_action: What ``sample_random_action`` calls.
         read_messages: What ``messages`` calls.
+        seat: Name of the agent's seat among several; None where it is alone.
     """
 
     episode: str
@@ -51,6 +52,7 @@ class Context:
     system: str | None = None
     draw_action: Callable[[], str] = field(default=lambda: "", repr=False)
     read_messages: Callable[[], list[dict[str, Any]]] = field(default=list, repr=False)
+    seat: str | None = None
 
     @property
     def messages(self) -> list[dict[str, Any]]:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import partial
 from typing import Any
 
-from gem_core import __version__
 from gem_core.errors import ContextOverflowError, EnvFaultError, GemError
-from gem_core.records.conversation import CONCAT_WITH_ACTION, Conversation
-from gem_core.records.episode import Episode, Transition
+from gem_core.records.episode import Episode
 from gem_core.records.plans import EpisodeQueue, EpisodeStart, PlanItem
-from gem_core.registry.lookup import registry
-from gem_core.rollouts.agent import Context, Reading
+from gem_core.rollouts.agent import Reading
 from gem_core.rollouts.requests import AgentRequests
+from gem_core.rollouts.seat import RunningSeat, new_episode
 from gem_core.types import TERMINAL_STATE, Info, Observation, Response
 from gem_core.vector.vector_env import VectorEnv
 
@@ -33,7 +32,7 @@ class EpisodeLoop:
         self._vector = vector
         self._requests = requests
         self._reading = reading
-        self._running: dict[int, _RunningEpisode] = {}
+        self._running: dict[int, RunningSeat] = {}
         self._unasked: list[int] = []
         """Slots with an observation that the agent has not been sent."""
         self._finished: list[Episode] = []
@@ -106,7 +105,9 @@ class EpisodeLoop:
         self._finished += map(_failed_reset, info.pop("failed_resets", ()))
         start = self._vector.start_of(slot)
         if start is not None:
-            self._running[slot] = _RunningEpisode(self._vector, slot, start, observation, info, self._reading)
+            episode = new_episode(self._vector.describe(slot), start, observation, info)
+            draw_action = partial(self._vector.sample_random_action, slot)
+            self._running[slot] = RunningSeat(episode, self._reading, draw_action)
             self._unasked.append(slot)
 
     def _give_up(self, slot: int, failure: GemError) -> None:
@@ -114,70 +115,17 @@ class EpisodeLoop:
         of_env = isinstance(failure, EnvFaultError)
         if of_env and self._vector.on_error == "raise":
             raise failure
-        episode = self._running.pop(slot).episode
+        seat = self._running.pop(slot)
+        episode = seat.episode
         error: dict[str, Any] | None = None
         reported: Info = {"context_overflow": True}
         if not isinstance(failure, ContextOverflowError):
             message = str(failure).removeprefix(f"{episode.id}: ")
             error = {"kind": "exception" if of_env else "agent", "message": message}
             reported = {"error": error}
-        _cut_off(episode, reported)
+        seat.cut_off(reported)
         self._finished.append(episode)
         self._vector.give_up(slot, error)
-
-
-class _RunningEpisode:
-    """The present episode of a slot, and the context of its agent."""
-
-    def __init__(
-        self, vector: VectorEnv, slot: int, start: EpisodeStart, observation: Observation, info: Info, reading: Reading
-    ) -> None:
-        self.episode = new_episode(vector.describe(slot), start, observation, info)
-        self.episode.reads = _what_to_read(reading, info)
-        self.episode.system = reading.system
-        self.episode.native_tools = reading.native_tools and bool(info.get("tools"))
-        self.conversation = Conversation(self.episode)
-        self.response = Response()
-        """What was sent to the environment last."""
-        self.context = Context(
-            episode=f"{start.key}.{start.repeat}",
-            env_id=self.episode.id,
-            group=start.item.group,
-            turn=0,
-            info=info,
-            tools=info.get("tools", []),
-            transitions=self.episode.transitions,
-            system=self.conversation.system,
-            draw_action=lambda: vector.sample_random_action(slot),
-            read_messages=self.conversation.messages,
-        )
-
-    def add(self, reward: float, terminated: bool, truncated: bool, observation: Observation, info: Info) -> None:
-        """Add the turn in which ``response`` was sent."""
-        episode = self.episode
-        answered = episode.final_observation
-        episode.transitions.append(Transition(answered, self.response, reward, terminated, truncated, info))
-        episode.final_observation = observation
-        self.context.turn += 1
-        self.context.info = info
-
-
-def _cut_off(episode: Episode, reported: Info) -> None:
-    """End an episode between two turns, with the reason in its last info."""
-    if episode.transitions:
-        last = episode.transitions[-1]
-        last.truncated, last.info = True, {**last.info, **reported}
-    else:
-        episode.info = {**episode.info, **reported}
-
-
-def _what_to_read(reading: Reading, info: Info) -> str:
-    """Return what an agent is sent in an episode that begins: what it reads, unless a view was named."""
-    if info.get("view") is not None:
-        return "observation"
-    if reading.reads is not None:
-        return reading.reads
-    return CONCAT_WITH_ACTION if info.get("tools") else "observation"
 
 
 def _failed_reset(failed: Mapping[str, Any]) -> Episode:
@@ -189,40 +137,3 @@ def _failed_reset(failed: Mapping[str, Any]) -> Episode:
     if item.group is not None:
         info["group"] = item.group
     return new_episode({"id": failed["id"] or "unknown", "kwargs": failed["kwargs"]}, start, TERMINAL_STATE, info)
-
-
-def new_episode(described: Mapping[str, Any], start: EpisodeStart, observation: Observation, info: Info) -> Episode:
-    """Return the record of an episode that begins, of an agent that reads observations.
-
-    Args:
-        described: ``id``, ``kwargs`` and ``wrappers`` of its environment.
-        start: What it starts from.
-        observation: What ``reset`` returned.
-        info: What ``reset`` returned with it.
-    """
-    return Episode(
-        id=described["id"],
-        seed=start.seed,
-        observation=observation,
-        info=info,
-        final_observation=observation,
-        kwargs=described["kwargs"],
-        wrappers=described.get("wrappers", []),
-        tools=[tool["function"]["name"] for tool in info.get("tools", [])],
-        options=start.item.options,
-        group=start.item.group,
-        key=start.key,
-        repeat=start.repeat,
-        reads="observation",
-        run_seed=start.run_seed,
-        versions=_versions(described["id"]),
-    )
-
-
-def _versions(env_id: str) -> dict[str, str]:
-    """Return the version of each distribution that takes part."""
-    provider = registry().provider(env_id)
-    versions = {"gem-core": __version__}
-    if provider is not None:
-        versions[provider.distribution] = provider.version
-    return versions

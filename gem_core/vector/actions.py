@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from gem_core.errors import ArgumentError
-from gem_core.types import Info, Observation
+from gem_core.types import Action, Info, Observation
 
-Actions = Sequence[str] | Mapping[int, str]
+Actions = Sequence[Action] | Mapping[int, Action]
 """One action for each slot, in order; or ``{slot: action}`` for some slots."""
 
 
@@ -20,8 +20,8 @@ class VectorStep(NamedTuple):
     """Results of the slots that were stepped, in the order in which the caller named them.
 
     Args:
-        observations: One for each slot.
-        rewards: float64, (slots,).
+        observations: One for each slot; ``{agent: observation}`` where several agents act.
+        rewards: float64, (slots,). If several agents act in a slot: a list, with ``{agent: reward}`` for that slot.
         terminated: bool, (slots,).
         truncated: bool, (slots,).
         infos: One for each slot.
@@ -39,8 +39,8 @@ class Received(NamedTuple):
 
     Args:
         slots: Numbers of the slots.
-        observations: One for each slot, as in all following fields.
-        rewards: float64, (slots,).
+        observations: One for each slot, as in all following fields; see ``VectorStep``.
+        rewards: float64, (slots,); or a list.
         terminated: bool, (slots,).
         truncated: bool, (slots,).
         infos: One for each.
@@ -54,7 +54,7 @@ class Received(NamedTuple):
     infos: list[Info]
 
 
-def indices_and_actions(actions: Actions, num_envs: int) -> list[tuple[int, str]]:
+def indices_and_actions(actions: Actions, num_envs: int) -> list[tuple[int, Action]]:
     """Return the slots to step, each with its action, in the order given.
 
     Raises:
@@ -68,7 +68,7 @@ def indices_and_actions(actions: Actions, num_envs: int) -> list[tuple[int, str]
             f"{_describe_actions(actions)} for {num_envs} slots; give one for each, or a mapping of slot to action"
         )
     for slot, action in enumerate(actions):
-        if not isinstance(action, str):
+        if not isinstance(action, str | Mapping):
             _checked_action(slot, action)
     return list(enumerate(actions))
 
@@ -106,7 +106,7 @@ def _describe_actions(actions: object) -> str:
     return f"{len(actions)} actions" if isinstance(actions, Sized) else f"a {type(actions).__name__}"
 
 
-def _checked_action(slot: SupportsIndex, action: str) -> str:
-    if isinstance(action, str):
+def _checked_action(slot: SupportsIndex, action: Action) -> Action:
+    if isinstance(action, str | Mapping):
         return action
     raise ArgumentError(f"an action is a str or a Response, and that for slot {slot} is a {type(action).__name__}")

@@ -15,7 +15,7 @@ from gem_core.errors import (
     RegistrationError,
     UsageError,
 )
-from gem_core.types import Observation, ResetResult, StepResult
+from gem_core.types import Action, Observation, ResetResult, StepResult
 
 _PERMANENT = (UsageError, RegistrationError, MissingRequirementError, EntryPointError, DatasetError)
 """Errors of making an environment that would occur again in every episode."""
@@ -50,9 +50,9 @@ class Rebuild(NamedTuple):
     """
 
     reset: Reset
-    actions: list[str]
+    actions: list[Action]
     observation: Observation
-    action: str
+    action: Action
 
 
 @dataclass
@@ -97,7 +97,7 @@ class Failure:
         return Failure, (self.kind, self.message, error, details, self.permanent)
 
 
-Command = str | Reset | Rebuild
+Command = Action | Reset | Rebuild
 """An action to step, a ``Reset`` or a ``Rebuild``."""
 
 Outcome = ResetResult | StepResult | Failure

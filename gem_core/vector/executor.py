@@ -60,9 +60,9 @@ class Executor(ABC):
         """Close a slot's environment, if there is one that is not the caller's."""
         self.runners[slot].release()
 
-    def sample_random_action(self, slot: int, seed: int | None) -> str:
-        """Return a valid action, from a generator that is seeded with ``seed`` in each episode."""
-        return self.runners[slot].sample_random_action(seed)
+    def sample_random_action(self, slot: int, seed: int | None, agent: str | None = None) -> str:
+        """Return a valid action, of one of several agents, from a generator seeded with ``seed`` in each episode."""
+        return self.runners[slot].sample_random_action(seed, agent)
 
     def describe(self, slot: int) -> dict[str, Any]:
         """Return ``id``, ``kwargs`` and ``wrappers`` of a slot's environment; the id is None if there is none."""

@@ -10,11 +10,13 @@ from typing import Any, cast
 
 from gem_core.background import in_thread
 from gem_core.env.guard import Guard
+from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.results import checked_reset, checked_result
 from gem_core.env.seeding import checked_seed
 from gem_core.env.wrapper import AnyEnv, concurrency_of, reset_async, step_async
-from gem_core.types import Concurrency, ResetResult, StepResult
+from gem_core.types import Action, Concurrency, ResetResult, StepResult
 from gem_core.vector.commands import Command, Failure, Outcome, Rebuild, Reset
+from gem_core.vector.joint import joint_reset, joint_step
 
 logger = logging.getLogger("gem_core")
 
@@ -32,7 +34,18 @@ class EnvRunner:
         factory: Makes the environment.
     """
 
-    __slots__ = ("_factory", "_made_for", "_sampled", "borrowed", "concurrency", "env", "env_step", "slot")
+    __slots__ = (
+        "_factory",
+        "_made_for",
+        "_reset_result",
+        "_sampled",
+        "_step_result",
+        "borrowed",
+        "concurrency",
+        "env",
+        "env_step",
+        "slot",
+    )
 
     def __init__(self, slot: int, factory: EnvFactory) -> None:
         self.slot = slot
@@ -41,8 +54,10 @@ class EnvRunner:
         """Concurrency of the environment with its wrappers; None while there is no environment."""
         self.borrowed: AnyEnv | None = None
         """An environment that the caller owns and closes."""
-        self.env_step: Callable[[str], Any] = _nothing_to_step
+        self.env_step: Callable[[Any], Any] = _nothing_to_step
         """Steps the environment and checks the result; may raise anything."""
+        self._reset_result: Callable[[Any], ResetResult] = checked_reset
+        self._step_result: Callable[[Any], StepResult] = checked_result
         self._factory = factory
         self._made_for: tuple[str | None, Mapping[str, Any]] | None = None
         self._sampled = False
@@ -51,7 +66,7 @@ class EnvRunner:
         """Run a command."""
         if isinstance(command, Reset):
             return self.reset(command)
-        return self.step(command) if isinstance(command, str) else self.rebuild(command)
+        return self.rebuild(command) if isinstance(command, Rebuild) else self.step(command)
 
     async def perform_async(self, command: Command) -> Outcome:
         """Run a command without blocking the event loop."""
@@ -60,11 +75,12 @@ class EnvRunner:
                 if failure := self.prepare(command.env_id, command.kwargs):
                     return failure
                 self._sampled = False
-                return checked_reset(await reset_async(cast("AnyEnv", self.env), command.seed, command.options))
-            if isinstance(command, str):
-                return checked_result(await step_async(self.env, command) if self.env else _nothing_to_step(command))
+                return self._reset_result(await reset_async(cast("AnyEnv", self.env), command.seed, command.options))
+            if not isinstance(command, Rebuild):
+                action: Any = command
+                return self._step_result(await step_async(self.env, action) if self.env else _nothing_to_step(action))
         except BaseException as error:  # noqa: BLE001 - see _check_contained
-            return self.failed(error, "step" if isinstance(command, str) else "reset")
+            return self.failed(error, "reset" if isinstance(command, Reset) else "step")
         return await in_thread(self.rebuild, command)
 
     def has_env_for(self, env_id: str | None) -> bool:
@@ -92,8 +108,12 @@ class EnvRunner:
         except BaseException as error:  # noqa: BLE001 - see _check_contained
             _check_contained(error)
             return Failure.of(error, "reset", making=True)
+        if isinstance(env, MultiAgentEnv):
+            self._reset_result, self._step_result = partial(joint_reset, env), joint_step
+        else:
+            self._reset_result, self._step_result = checked_reset, checked_result
         # A guard without wrappers around it has checked the result already.
-        self.env_step = env.step if type(env) is Guard else partial(_checked_step, env)
+        self.env_step = env.step if type(env) is Guard else partial(_checked_step, env, self._step_result)
         self.env, self._made_for = env, (env_id, kwargs)
         return None
 
@@ -105,11 +125,11 @@ class EnvRunner:
         self._sampled = False
         env: Any = self.env
         try:
-            return checked_reset(env.reset(seed=seed, options=options) if options else env.reset(seed=seed))
+            return self._reset_result(env.reset(seed=seed, options=options) if options else env.reset(seed=seed))
         except BaseException as error:  # noqa: BLE001 - see _check_contained
             return self.failed(error, "reset")
 
-    def step(self, action: str) -> StepResult | Failure:
+    def step(self, action: Action) -> StepResult | Failure:
         """Step the environment."""
         try:
             return cast("StepResult", self.env_step(action))
@@ -139,7 +159,7 @@ class EnvRunner:
         self.discard()
         return Failure("collateral", f"its worker was lost, and {why}")
 
-    def sample_random_action(self, seed: int | None) -> str:
+    def sample_random_action(self, seed: int | None, agent: str | None = None) -> str:
         """Return a valid action for the present state, from a generator seeded with ``seed`` in each episode."""
         env = self.env
         if env is None:
@@ -148,7 +168,7 @@ class EnvRunner:
             if hasattr(task := env.unwrapped, "seed_actions"):
                 task.seed_actions(checked_seed(seed))
             self._sampled = True
-        return cast("str", env.get_wrapper_attr("sample_random_action")())
+        return cast("str", env.get_wrapper_attr("sample_random_action")(*([] if agent is None else [agent])))
 
     def describe(self) -> dict[str, Any]:
         """Return ``id``, ``kwargs`` (over the registered ones) and ``wrappers``; the id is None if there is none."""
@@ -201,11 +221,11 @@ def _equal(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
         return False
 
 
-def _checked_step(env: AnyEnv, action: str) -> StepResult:
-    return checked_result(env.step(action))
+def _checked_step(env: AnyEnv, check: Callable[[Any], StepResult], action: Any) -> StepResult:
+    return check(env.step(action))
 
 
-def _nothing_to_step(action: str) -> Any:
+def _nothing_to_step(action: Action) -> Any:
     raise RuntimeError("there is no environment to step")
 
 

@@ -13,6 +13,7 @@ from typing import Any, Self
 from gem_core.background import on_background_loop
 from gem_core.errors import ArgumentError, BridgeError, ClosedError
 from gem_core.records.plans import EpisodeQueue
+from gem_core.types import Action
 from gem_core.vector.commands import Command, Failure, Outcome, Reset
 from gem_core.vector.executor import Executor, Launch, free
 from gem_core.vector.runner import EnvRunner
@@ -117,7 +118,7 @@ class Scheduler:
             if index in self._batches:
                 raise ArgumentError(f"slot {index} is under way; call recv() until it has come back")
 
-    def step(self, pairs: list[tuple[int, str]], batch: Batch) -> None:
+    def step(self, pairs: list[tuple[int, Action]], batch: Batch) -> None:
         """Step slots: those that take microseconds at once, the others by their executors."""
         slots, in_place, sent = self.slots, self._in_place, batch is self.sent
         launches: Launches = {}

@@ -18,8 +18,9 @@ from typing import Any, Literal, cast, get_args
 
 from gem_core.errors import ArgumentError, EnvFaultError, FaultBudgetError, ResetNeededError
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
-from gem_core.types import TERMINAL_STATE, Info, Observation, StepResult
+from gem_core.types import TERMINAL_STATE, Action, Info, Observation, StepResult
 from gem_core.vector.commands import Command, Failure, Reset
+from gem_core.vector.joint import lost_step
 
 Autoreset = Literal["same_step", "next_step", "disabled"]
 """When the next episode begins after one has ended; see ``make_vec``."""
@@ -147,7 +148,12 @@ class Slot:
         self._options, self._last_step, self._failed_resets = options, None, []
         return cast("Command", NEXT)
 
-    def act(self, action: str) -> Command | None:
+    @property
+    def is_joint(self) -> bool:
+        """Whether several agents act in the present episode."""
+        return isinstance(self.result, tuple) and isinstance(self.result[0], dict)
+
+    def act(self, action: Action) -> Command | None:
         """Step; ``autoreset`` decides what happens when the episode is over.
 
         Raises:
@@ -214,7 +220,7 @@ class Slot:
         """Take the outcome of a step, a ``StepResult`` or a ``Failure``; see ``take_outcome``."""
         rules = self.rules
         if type(outcome) is Failure:
-            outcome = TERMINAL_STATE, 0.0, False, True, {"error": self._count_fault(outcome)}
+            outcome = lost_step(self._count_fault(outcome), joint=self.is_joint)
         elif not (outcome[2] or outcome[3]):
             self.result = outcome
             return None
@@ -257,7 +263,7 @@ class Slot:
             info["failed_resets"], self._failed_resets = self._failed_resets, []
         ended = self._last_step
         if ended is None:
-            self.result = (observation, 0.0, False, False, info)
+            self.result = (observation, {} if isinstance(observation, dict) else 0.0, False, False, info)
         else:
             self._last_step = None
             info["final_obs"], info["final_info"] = ended[0], ended[4]

@@ -10,15 +10,17 @@ from types import MappingProxyType
 from typing import Any, Self, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, BridgeError, ClosedError, EnvFaultError, NotSupportedError
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
-from gem_core.types import Info, Observation
+from gem_core.types import Action, Info, Observation
 from gem_core.vector.actions import Actions, Received, VectorStep, checked_slot, indices_and_actions, masked_slots
 from gem_core.vector.call import InterruptibleCall
 from gem_core.vector.commands import Failure
 from gem_core.vector.executor import Executor
+from gem_core.vector.joint import check_joint_action
 from gem_core.vector.local import LocalExecutor, SyncExecutor
 from gem_core.vector.scheduler import Batch, First, Scheduler, StepBatch
 from gem_core.vector.setup import VectorSetup
@@ -36,6 +38,10 @@ class VectorEnv:
     environment fails, its episode ends as truncated, with ``info["final_info"]["error"]``, and the environment is
     replaced. When a plan is exhausted, a slot is idle: its observation is ``TERMINAL_STATE``, its flags are false,
     ``info["idle"]`` is true, and its actions are ignored.
+
+    Where several agents act in a slot, its observation, reward and action are dictionaries by agent, and its flags are
+    of the whole episode; ``info["agents"]`` holds each agent's info, ``info["terminations"]`` and
+    ``info["truncations"]`` each agent's flags.
 
     ``step`` waits for all slots that it stepped; ``send`` does not wait, and ``recv`` returns results as they come.
     Each method that waits has an ``_async`` form, which does not block the event loop; all work in plain code,
@@ -169,8 +175,12 @@ class VectorEnv:
         with self._call():
             return self._scheduler.place(slot, wanted).tasks(slot, wanted, dict(kwargs))
 
-    def sample_random_action(self, slot: int) -> str:
+    def sample_random_action(self, slot: int, agent: str | None = None) -> str:
         """Return a valid action for the present state of a slot; an empty one where there is no environment yet.
+
+        Args:
+            slot: Number of the slot.
+            agent: Whose action, where several agents act.
 
         Raises:
             ArgumentError: There is no such slot.
@@ -182,7 +192,7 @@ class VectorEnv:
         seed = None if current.episode is None else current.episode.action_seed
         try:
             with self._call():
-                return self._scheduler.at[slot].sample_random_action(slot, seed)
+                return self._scheduler.at[slot].sample_random_action(slot, seed, agent)
         except (NotSupportedError, BridgeError, ClosedError):
             raise
         except Exception as error:
@@ -400,13 +410,16 @@ class VectorEnv:
         self._scheduler.step(pairs, batch)
         return batch
 
-    def _checked_pairs(self, actions: Actions) -> list[tuple[int, str]]:
+    def _checked_pairs(self, actions: Actions) -> list[tuple[int, Action]]:
         pairs = indices_and_actions(actions, self.num_envs)
         self._scheduler.refuse_busy(index for index, _ in pairs)
         slots = self._slots
-        for index, _ in pairs:
-            if slots[index].phase is not LIVE:
-                slots[index].check_steppable()
+        for index, action in pairs:
+            slot = slots[index]
+            if slot.phase is not LIVE:
+                slot.check_steppable()
+            elif slot.is_joint or not isinstance(action, str):
+                check_joint_action(index, action, slot.result[0])
         return pairs
 
     def _condition_and_deadline(self, min_envs: int, timeout: float | None) -> tuple[Condition, float | None]:
@@ -448,7 +461,7 @@ class VectorEnv:
         # One byte for each flag, read as bools: a third of the time of np.array.
         return VectorStep(
             list(observations),
-            np.fromiter(rewards, np.float64, len(rewards)),
+            _rewards(rewards),
             np.frombuffer(bytearray(terminated), np.bool_),
             np.frombuffer(bytearray(truncated), np.bool_),
             list(map(dict.copy, infos)),  # some environments reuse their info dictionary
@@ -460,3 +473,10 @@ class VectorEnv:
         observations = [slot.result[0] if isinstance(slot.result, tuple) else "" for slot in self._slots]
         infos = [slot.result[4] if slot.index in began else {} for slot in self._slots]
         return observations, infos
+
+
+def _rewards(rewards: tuple[Any, ...]) -> npt.NDArray[np.float64]:
+    try:
+        return np.fromiter(rewards, np.float64, len(rewards))
+    except TypeError:  # several agents act in some slot
+        return cast("npt.NDArray[np.float64]", list(rewards))

@@ -18,7 +18,7 @@ import cloudpickle  # type: ignore[import-untyped]  # it has no types
 
 from gem_core.errors import ArgumentError
 from gem_core.records.plain_json import to_plain
-from gem_core.vector.commands import Failure
+from gem_core.vector.commands import Failure, Rebuild, Reset
 
 if TYPE_CHECKING:
     from queue import SimpleQueue
@@ -65,7 +65,8 @@ def _pack(message: WorkerMessage) -> bytes:
             return bytes(cloudpickle.dumps(content))  # lambdas, and classes defined in a script
         except Exception as error:  # noqa: BLE001 - as above
             problem = error
-    thing = "its action" if kind == "do" and isinstance(content, str) else _CONTENT_NAMES.get(kind, "its result")
+    is_action = kind == "do" and not isinstance(content, Reset | Rebuild)
+    thing = "its action" if is_action else _CONTENT_NAMES.get(kind, "its result")
     return pickle.dumps(_failure(kind, f"{thing} cannot be sent to", problem), protocol=5)
 
 

@@ -17,7 +17,7 @@ import cloudpickle  # type: ignore[import-untyped]  # it has no types
 from gem_core.errors import ArgumentError, EnvFaultError, WorkerLostError
 from gem_core.making.layers import wrapper_targets
 from gem_core.registry.lookup import registry
-from gem_core.types import Observation
+from gem_core.types import Action, Observation
 from gem_core.vector.commands import Command, Failure, Outcome, Rebuild, Reset
 from gem_core.vector.executor import Executor, Launch, free
 from gem_core.vector.scheduler import Scheduler
@@ -106,14 +106,14 @@ class _SlotState:
     sent_at: float = 0.0
     reset: Reset | None = None
     """Command that began the present episode."""
-    actions: list[str] | None = None
+    actions: list[Action] | None = None
     """Actions stepped since then; None for an episode that cannot be replayed."""
     observation: Observation = ""
     is_lost: bool = False
     """Whether the environment was lost with its worker."""
     description: dict[str, Any] | None = None
 
-    def rebuild(self, action: str) -> Rebuild | None:
+    def rebuild(self, action: Action) -> Rebuild | None:
         """Return the command that rebuilds a lost environment and steps it; None if it cannot be replayed."""
         if self.reset is None or self.actions is None:
             return None
@@ -122,7 +122,7 @@ class _SlotState:
     def prepare(self) -> bool:
         """Adapt the command to a new worker if the environment is lost; return whether it can be run there."""
         command: Command | None = self.command.action if isinstance(self.command, Rebuild) else self.command
-        if isinstance(command, str) and self.is_lost:
+        if command is not None and not isinstance(command, Reset | Rebuild) and self.is_lost:
             command = self.rebuild(command)
         self.command, self.is_lost, self.sent_at = command, False, time.monotonic()
         return command is not None
@@ -134,7 +134,7 @@ class _SlotState:
             return
         self.observation = outcome[0]
         if self.actions is not None and not isinstance(command, Reset):
-            self.actions.append(command.action if isinstance(command, Rebuild) else cast("str", command))
+            self.actions.append(command.action if isinstance(command, Rebuild) else cast("Action", command))
 
 
 class RemoteExecutor(Executor, ABC):
@@ -190,9 +190,9 @@ class RemoteExecutor(Executor, ABC):
             failures = self._send([slot for slot, _, _ in batch])
         self._fail(failures)
 
-    def sample_random_action(self, slot: int, seed: int | None) -> str:
+    def sample_random_action(self, slot: int, seed: int | None, agent: str | None = None) -> str:
         """Return a valid action; see ``Executor.sample_random_action``."""
-        return cast("str", self._call(slot, "sample_random_action", seed))
+        return cast("str", self._call(slot, "sample_random_action", seed, agent))
 
     def tasks(self, slot: int, env_id: str | None, kwargs: Mapping[str, Any]) -> tuple[int | None, bool]:
         """Return ``num_tasks`` and ``endless_tasks``; see ``Executor.tasks``."""

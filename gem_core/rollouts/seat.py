@@ -1,0 +1,111 @@
+"""``RunningSeat``: an episode under way as one agent lives it: its record, its conversation and its context."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from gem_core import __version__
+from gem_core.records.conversation import CONCAT_WITH_ACTION, Conversation
+from gem_core.records.episode import Episode, Transition
+from gem_core.records.plans import EpisodeStart
+from gem_core.registry.lookup import registry
+from gem_core.rollouts.agent import Context, Reading
+from gem_core.types import Info, Observation, Response
+
+
+class RunningSeat:
+    """The present episode of one agent, alone in its environment or at a seat among others.
+
+    Args:
+        episode: The record, with its first observation; turns are added to it.
+        reading: What the agent is to be sent.
+        draw_action: Returns a valid random action.
+    """
+
+    def __init__(self, episode: Episode, reading: Reading, draw_action: Callable[[], str]) -> None:
+        info = episode.info
+        self.episode = episode
+        self.episode.reads = _what_to_read(reading, info)
+        self.episode.system = reading.system
+        self.episode.native_tools = reading.native_tools and bool(info.get("tools"))
+        self.conversation = Conversation(episode)
+        self.response = Response()
+        """What was sent to the environment last."""
+        self.context = Context(
+            episode=f"{episode.key}.{episode.repeat}",
+            env_id=episode.id,
+            group=episode.group,
+            turn=0,
+            info=info,
+            tools=info.get("tools", []),
+            transitions=episode.transitions,
+            system=self.conversation.system,
+            draw_action=draw_action,
+            read_messages=self.conversation.messages,
+            seat=episode.seat,
+        )
+
+    def add(self, reward: float, terminated: bool, truncated: bool, observation: Observation, info: Info) -> None:
+        """Add the turn in which ``response`` was sent."""
+        episode = self.episode
+        answered = episode.final_observation
+        episode.transitions.append(Transition(answered, self.response, reward, terminated, truncated, info))
+        episode.final_observation = observation
+        self.context.turn += 1
+        self.context.info = info
+
+    def cut_off(self, reported: Info) -> None:
+        """End the episode between two turns, with the reason in its last info."""
+        episode = self.episode
+        if episode.transitions:
+            last = episode.transitions[-1]
+            last.truncated, last.info = True, {**last.info, **reported}
+        else:
+            episode.info = {**episode.info, **reported}
+
+
+def _what_to_read(reading: Reading, info: Info) -> str:
+    """Return what an agent is sent in an episode that begins: what it reads, unless a view was named."""
+    if info.get("view") is not None:
+        return "observation"
+    if reading.reads is not None:
+        return reading.reads
+    return CONCAT_WITH_ACTION if info.get("tools") else "observation"
+
+
+def new_episode(described: Mapping[str, Any], start: EpisodeStart, observation: Observation, info: Info) -> Episode:
+    """Return the record of an episode that begins, of an agent that reads observations.
+
+    Args:
+        described: ``id``, ``kwargs`` and ``wrappers`` of its environment.
+        start: What it starts from.
+        observation: What ``reset`` returned.
+        info: What ``reset`` returned with it.
+    """
+    return Episode(
+        id=described["id"],
+        seed=start.seed,
+        observation=observation,
+        info=info,
+        final_observation=observation,
+        kwargs=described["kwargs"],
+        wrappers=described.get("wrappers", []),
+        tools=[tool["function"]["name"] for tool in info.get("tools", [])],
+        options=start.item.options,
+        group=start.item.group,
+        key=start.key,
+        repeat=start.repeat,
+        reads="observation",
+        run_seed=start.run_seed,
+        versions=versions_of(described["id"]),
+    )
+
+
+def versions_of(env_id: str) -> dict[str, str]:
+    """Return the version of each distribution that takes part in an episode of an environment."""
+    provider = registry().provider(env_id)
+    versions = {"gem-core": __version__}
+    if provider is not None:
+        versions[provider.distribution] = provider.version
+    return versions

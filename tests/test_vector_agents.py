@@ -1,0 +1,116 @@
+"""Environments of several agents in vector environments: every backend, autoreset, faults and refused actions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from joint_toys import CountdownEnv
+
+import gem_core as gem
+from gem_core import VectorEnv
+from gem_core.errors import ArgumentError
+
+BACKENDS = ["sync", "async", "process"]
+
+
+@pytest.fixture(autouse=True)
+def _registered() -> None:
+    for record in (
+        gem.EnvSpec(id="jointvec:Countdown-v0", entry_point="joint_toys:CountdownEnv", seats=("first", "second")),
+        gem.EnvSpec(id="jointvec:Broken-v0", entry_point="joint_toys:BrokenAuctionEnv", seats=("a", "b")),
+        gem.EnvSpec(id="jointvec:Word-v0", entry_point="word_env:WordEnv"),
+    ):
+        if record.id not in gem.list_envs("jointvec"):
+            gem.register(record.id, record.entry_point, seats=record.seats)
+
+
+def acted(vector: VectorEnv, observations: list[Any]) -> list[Any]:
+    """Return a valid random action of each agent that acts in each slot."""
+    return [
+        {agent: vector.sample_random_action(slot, agent) for agent in observation}
+        for slot, observation in enumerate(observations)
+    ]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_every_backend_gives_the_same_episodes(backend: str) -> None:
+    """Observations, rewards, flags and infos of 30 steps are those of the environments alone, episode by episode."""
+    with gem.make_vec("jointvec:Countdown-v0", 3, backend=backend, seed=4) as vector:
+        alone: list[Any] = [CountdownEnv() for _ in range(3)]
+        observations, infos = vector.reset()
+        for env, observation, info in zip(alone, observations, infos, strict=True):
+            assert observation == env.reset(seed=info["seed"])[0]
+            assert info["possible_agents"] == ["first", "second"]
+        for _ in range(30):
+            actions = acted(vector, observations)
+            observations, rewards, terminated, truncated, infos = vector.step(actions)
+            assert not any(truncated)
+            for slot, env in enumerate(alone):
+                expected = env.step(actions[slot])
+                info = infos[slot]
+                assert rewards[slot] == expected[1]
+                if not terminated[slot]:
+                    assert (observations[slot], info["agents"]) == (expected[0], expected[4])
+                    continue
+                assert info["final_info"]["agents"] == expected[4]
+                assert info["final_info"]["terminations"] == {"first": True, "second": True}
+                assert observations[slot] == env.reset(seed=info["seed"])[0]
+
+
+def test_both_kinds_go_together() -> None:
+    """One batch holds environments of one agent and of several."""
+    with gem.make_vec(["jointvec:Countdown-v0", "jointvec:Word-v0"], backend="sync", seed=1) as vector:
+        observations, _ = vector.reset()
+        assert isinstance(observations[0], dict)
+        assert isinstance(observations[1], str)
+        _, rewards, terminated, _, infos = vector.step([{"first": "\\boxed{1}"}, "hello"])
+        assert rewards[0] == {"second": 0.0}
+        assert isinstance(rewards[1], float)
+        assert list(terminated[:1]) == [False]
+        assert infos[0]["agents"].keys() == {"second"}
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        ({"second": "1"}, "the action for slot 0 is of 'second', and 'first' act now"),
+        ({}, "the action for slot 0 is of nobody, and 'first' act now"),
+        ("1", "an action for slot 0 is {agent: response}, here of 'first', not '1'"),
+        ({"first": 1}, "an action is a str or a Response, and that of 'first' in slot 0 is a int"),
+    ],
+)
+def test_wrong_action_is_refused_before_the_step(action: Any, message: str) -> None:
+    """A missing or unwanted action is an error of the caller, and never a fault of the environment."""
+    with gem.make_vec(["jointvec:Countdown-v0", "jointvec:Word-v0"], backend="sync", seed=1) as vector:
+        vector.reset()
+        with pytest.raises(ArgumentError) as caught:
+            vector.step([action, "hello"])
+        assert str(caught.value) == message
+        with pytest.raises(ArgumentError, match=r"^one agent acts in slot 1: its action is a str or a Response, not {'first'"):
+            vector.step([{"first": "1"}, {"first": "1"}])
+        assert vector.faults == 0
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_environment_that_fails_is_replaced(backend: str) -> None:
+    """A failing step ends the episode of everybody with an error, and the next episode begins."""
+    with gem.make_vec("jointvec:Broken-v0", 1, backend=backend, seed=1) as vector:
+        observations, _ = vector.reset()
+        observations, rewards, _, truncated, infos = vector.step([dict.fromkeys(observations[0], "boom")])
+        assert (rewards[0], bool(truncated[0])) == ({}, True)
+        assert infos[0]["final_info"]["error"]["message"] == "step raised ValueError: boom"
+        assert observations[0].keys() == {"a"}
+        assert vector.faults == 1
+
+
+def test_lost_worker_is_rebuilt_by_replay() -> None:
+    """An episode of several agents whose worker died with another slot's goes on as it would have."""
+    with gem.make_vec("jointvec:Broken-v0", 2, backend=("process", {"workers": 1}), seed=1) as vector:
+        observations, _ = vector.reset()
+        observations, *_ = vector.step([{"a": "3"}, {"a": "4"}])
+        vector.send({0: {"b": "die"}})
+        vector.recv()
+        observations, _, _, truncated, _ = vector.step({1: {"b": "1"}})
+        assert not truncated[0]
+        assert observations[0] == {"a": "You are a. Bids: 4 1"}
