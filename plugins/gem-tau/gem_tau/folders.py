@@ -63,12 +63,15 @@ def read_folder(folder: str | Path, split: str | None = None) -> TaskSet:
     """Read a data folder.
 
     Args:
-        folder: The folder, in the form of tau-bench's retail domain, or tau2-bench's retail or airline.
+        folder: The folder, in the form of tau-bench's retail domain, or tau2-bench's retail or airline;
+            ``gem_tau:sample`` is the shop that comes with this plugin.
         split: Only the tasks of this split, such as ``test``; without it, all that the folder has.
 
     Raises:
         DatasetError: The folder or a file in it is missing or malformed, or it has no such split.
     """
+    if folder == "gem_tau:sample":
+        return _read_sample(split)
     path = Path(folder)
     if not path.is_dir():
         raise DatasetError(f"there is no folder {path}; {_EXPECTED}")
@@ -77,6 +80,19 @@ def read_folder(folder: str | Path, split: str | None = None) -> TaskSet:
     if (path / "orders.json").is_file():
         return _read_tau(path, split)
     raise DatasetError(f"{path} has neither orders.json nor db.json; {_EXPECTED}")
+
+
+def _read_sample(split: str | None) -> TaskSet:
+    path = Path(__file__).parent / "data" / "sample"
+    _check_split(path, split, [])
+    tasks = _read_checked(list[TauTask], path / "tasks.json")
+    return TaskSet(
+        domain=SAMPLE,
+        database=_json(path / "database.json"),
+        policy=_text(path / "policy.md"),
+        tools=SAMPLE.schemas(),
+        tasks=tuple(each.task(f"sample-{number}") for number, each in enumerate(tasks)),
+    )
 
 
 def _read_tau(path: Path, split: str | None) -> TaskSet:

@@ -1,0 +1,49 @@
+"""What the two seats are told: how the assistant calls its tools, and how the user is to be played."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from gem_core.tools import Tool
+
+GREETING = "Hi! How can I help you today?"
+"""What the user answers first, as in tau-bench; the assistant does not see it."""
+
+STOP = "###STOP###"
+"""Ends the conversation when the user writes it."""
+
+STOPS = (STOP, "###TRANSFER###", "###OUT-OF-SCOPE###")
+"""All that ends a conversation; the last two are written by users that know tau2-bench."""
+
+NOTHING_SAID = "(nothing was said)"
+"""What one sees where the other said nothing."""
+
+_USER = """\
+You play a customer who writes to the support of a company. What you read are the messages of its assistant.
+
+<your part>
+{instruction}
+</your part>
+
+How to play your part:
+- Write what the customer writes, in the first person, one short message at a time, and nothing about this game.
+- Do not tell everything at once. Say what the conversation needs now, and leave the rest until it is asked or due.
+- You know what your part says, and no more. Asked for anything else, say that you do not know or do not have it; \
+never make up a name, a number or a wish.
+- Use your own words instead of copying those of your part, and keep to the character that it describes.
+- Once all that you want is settled, write {stop} alone, without another word. That ends the conversation."""
+
+
+def user_system(instruction: str) -> str:
+    """Return the system text of the user's seat."""
+    return _USER.format(instruction=instruction.strip(), stop=STOP)
+
+
+def tool_instructions(tools: Iterable[Tool]) -> str:
+    """Return how to call the tools, for a model that is not offered their schemas."""
+    lines = [
+        "You have these tools. Make one call in a response, and write nothing else in it: the result comes back to "
+        "you, and the user sees neither. A response without a call is said to the user.",
+        *(tool.explained_in_json() for tool in tools),
+    ]
+    return "\n".join(lines)
