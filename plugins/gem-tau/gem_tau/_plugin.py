@@ -58,7 +58,7 @@ def gem_register_agents() -> Iterable[AgentSpec]:
         ),
         AgentSpec(
             name="tau-assistant",
-            entry_point="gem_tau.scripted_assistants:scripted_assistant",
+            entry_point="gem_tau.scripted_assistants:ScriptedAssistant",
             summary="An assistant of tau:Sample by rules: tau-assistant:careful, :hasty or :passive.",
         ),
     ]

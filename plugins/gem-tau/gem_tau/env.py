@@ -131,7 +131,7 @@ class TauEnv(MultiAgentEnv):
         call = calls[0]
         result = self._result(call)
         failed = call.error is not None or result.startswith("Error: ")
-        self._shown[ASSISTANT] = f"{'Error from' if failed else 'Output of'} {call.name or 'the tool call'}:\n{result}"
+        self._shown[ASSISTANT] = result if call.error else f"Output of {call.name}:\n{result}"
         info: Info = {
             "parsed_action": _executed(response, call),
             "tool": {"name": call.name, "arguments": dict(call.arguments), "failed": failed, "error": call.error},

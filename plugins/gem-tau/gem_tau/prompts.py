@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 
 from gem_core.tools import Tool
@@ -17,6 +18,8 @@ STOPS = (STOP, "###TRANSFER###", "###OUT-OF-SCOPE###")
 
 NOTHING_SAID = "(nothing was said)"
 """What one sees where the other said nothing."""
+
+_PART = re.compile(r"<your part>\n(.*)\n</your part>", re.DOTALL)
 
 _USER = """\
 You play a customer who writes to the support of a company. What you read are the messages of its assistant.
@@ -37,6 +40,12 @@ never make up a name, a number or a wish.
 def user_system(instruction: str) -> str:
     """Return the system text of the user's seat."""
     return _USER.format(instruction=instruction.strip(), stop=STOP)
+
+
+def part_of(system: str) -> str:
+    """Return the instruction in the system text of the user's seat; the text itself if it has no such part."""
+    found = _PART.search(system)
+    return found[1] if found else system
 
 
 def tool_instructions(tools: Iterable[Tool]) -> str:
