@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from gem_core.errors import GemError
     from gem_core.parsing import extract_code_blocks, extract_last_boxed_answer, extract_last_tagged_answer
     from gem_core.records.episode import Episode, Transition
-    from gem_core.records.files import read_episodes, write_episodes
+    from gem_core.records.files import read_episodes, read_records, write_episodes
+    from gem_core.records.joint import JointEpisode
     from gem_core.records.plans import PlanItem
     from gem_core.registry.hookspecs import hookimpl
     from gem_core.registry.requirements import RequirementStatus
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
         WrapperSpec,
     )
     from gem_core.rollouts.drivers import arollout, rollout
+    from gem_core.rollouts.seating import League
     from gem_core.tools.env import ToolEnv
     from gem_core.tools.tool import Tool, ToolCall, ToolResult
     from gem_core.types import TERMINAL_STATE, Observation, Response
@@ -53,13 +55,15 @@ _HOME = {
     "env.base": ("AsyncEnv", "Env"),
     "env.multi_agent": ("MultiAgentEnv",),
     "records.episode": ("Episode", "Transition"),
-    "records.files": ("read_episodes", "write_episodes"),
+    "records.files": ("read_episodes", "read_records", "write_episodes"),
+    "records.joint": ("JointEpisode",),
     "errors": ("GemError",),
     "registry.hookspecs": ("hookimpl",),
     "parsing": ("extract_code_blocks", "extract_last_boxed_answer", "extract_last_tagged_answer"),
     "records.plans": ("PlanItem",),
     "api": ("list_envs", "make", "make_vec", "print_envs", "register", "spec"),
     "rollouts.drivers": ("arollout", "rollout"),
+    "rollouts.seating": ("League",),
     "registry.requirements": ("RequirementStatus",),
     "registry.specs": (
         "AgentSpec",
@@ -90,6 +94,8 @@ __all__ = [
     "Episode",
     "GemError",
     "Grade",
+    "JointEpisode",
+    "League",
     "MultiAgentEnv",
     "Observation",
     "PlanItem",
@@ -117,6 +123,7 @@ __all__ = [
     "make_vec",
     "print_envs",
     "read_episodes",
+    "read_records",
     "register",
     "rollout",
     "spec",

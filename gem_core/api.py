@@ -43,7 +43,8 @@ def make(id: str | EnvSpec | MadeSpec, *, wrappers: Wrappers = (), **kwargs: Any
     Args:
         id: Id of a registered environment, or its record, or the ``spec`` of one that was made.
         wrappers: Names of wrappers and tools, innermost first: ``"python,concat"``, or with options
-            ``["python", ("concat", {"max_turns": 4})]``. They go around those that a ``spec`` has already.
+            ``["python", ("concat", {"max_turns": 4})]``. They go around those that a ``spec`` has already. Where
+            several agents act, they go around every seat; or around some, as in ``{"white": "python,concat"}``.
         **kwargs: Keyword arguments over the registered ones; ``render_mode`` works for every environment.
 
     Raises:

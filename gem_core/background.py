@@ -13,10 +13,10 @@ import functools
 import queue
 import threading
 import weakref
-from collections.abc import Awaitable, Callable
-from typing import Any, TypeVar
+from collections.abc import Awaitable, Callable, Coroutine
+from typing import Any, TypeVar, cast
 
-from gem_core.errors import BridgeError
+from gem_core.errors import ArgumentError, BridgeError
 
 T = TypeVar("T")
 
@@ -60,6 +60,24 @@ def run_sync(awaitable: Awaitable[T]) -> T:
     except BaseException:
         future.cancel()
         raise
+
+
+def finish_now(coroutine: Coroutine[Any, Any, T], otherwise: str = "plain code cannot wait here") -> T:
+    """Return the result of a coroutine that never waits, in plain code.
+
+    Args:
+        coroutine: What is run.
+        otherwise: Message of the error if it waits.
+
+    Raises:
+        ArgumentError: It waits for something.
+    """
+    try:
+        coroutine.send(None)
+    except StopIteration as finished:
+        return cast("T", finished.value)
+    coroutine.close()
+    raise ArgumentError(otherwise)
 
 
 def finish_or_start(awaitable: Awaitable[object]) -> None:

@@ -7,6 +7,7 @@ from gem_core.env.base import AsyncEnv, Env
 from gem_core.env.guard import Guard
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.observations import is_messages, join_observations, observation_from, split_observation, texts_of
+from gem_core.env.seat_wrappers import SeatWrappers
 from gem_core.env.seeding import stable_hash
 from gem_core.env.spaces import Content, Messages, Text
 from gem_core.env.wrapper import AnyEnv, Wrapper, concurrency_of
@@ -20,6 +21,7 @@ __all__ = [
     "Guard",
     "Messages",
     "MultiAgentEnv",
+    "SeatWrappers",
     "Text",
     "Wrapper",
     "concurrency_of",

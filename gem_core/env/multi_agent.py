@@ -12,6 +12,7 @@ from gem_core.env.agent_selector import AgentSelector
 from gem_core.env.base import Env
 from gem_core.env.spaces import Text
 from gem_core.errors import ArgumentError, ResetNeededError, SamplingNotSupported, StateError
+from gem_core.suggestions import did_you_mean
 from gem_core.types import Info, Observation
 
 if TYPE_CHECKING:
@@ -208,19 +209,19 @@ class MultiAgentEnv(Env):
             self.cumulative[agent] += reward
         self._inform(told)
         out_of_steps = self.max_steps is not None and self._steps >= self.max_steps
-        ended = self._take_out(terminations, truncations, out_of_steps=out_of_steps)
-        acting = self._next_to_act() if self.agents else []
-        self._in_episode = bool(self.agents)
-        for agent in ended:
-            self._news[agent]["final_obs"] = self._observation(agent)
-        heard = [*acting, *ended]
-        return (
-            self._observations(acting),
-            {agent: self._pay(agent) for agent in heard},
-            dict(self.terminations),
-            dict(self.truncations),
-            {agent: self._infos_of(agent) for agent in heard},
-        )
+        return self._result(self._take_out(terminations, truncations, cut_off=out_of_steps))
+
+    def truncate_all(self) -> JointStepResult:
+        """End the episode from outside: all who take part are truncated.
+
+        Returns:
+            What ``step`` would, with the rewards that nobody has been given.
+
+        Raises:
+            ResetNeededError: The episode is over or has not begun.
+        """
+        self._check_in_episode()
+        return self._result(self._take_out({}, {}, cut_off=True))
 
     @property
     def acting(self) -> tuple[str, ...]:
@@ -254,12 +255,30 @@ class MultiAgentEnv(Env):
         self.terminations[agent] = self.truncations[agent] = False
         self._news[agent] = {"seed": self._np_random_seed}
 
-    def _check_actions(self, actions: Mapping[str, str]) -> None:
-        if not self._in_episode:
+    def _result(self, ended: list[str]) -> JointStepResult:
+        """Return the result of a step in which some agents ended."""
+        acting = self._next_to_act() if self.agents else []
+        self._in_episode = bool(self.agents)
+        for agent in ended:
+            self._news[agent]["final_obs"] = self._observation(agent)
+        heard = [*acting, *ended]
+        return (
+            self._observations(acting),
+            {agent: self._pay(agent) for agent in heard},
+            dict(self.terminations),
+            dict(self.truncations),
+            {agent: self._infos_of(agent) for agent in heard},
+        )
+
+    def _check_in_episode(self) -> None:
+        if not self.acting:
             raise ResetNeededError(
                 f"{self._name}: the episode is over or has not begun; call reset() before the next step()"
             )
-        acting = self.agent_selector.selected
+
+    def _check_actions(self, actions: Mapping[str, str]) -> None:
+        self._check_in_episode()
+        acting = self.acting
         if not isinstance(actions, Mapping):
             raise ArgumentError(f"actions are {{agent: response}}, here of {self._named(acting)}, not {actions!r:.100}")
         for agent in acting:
@@ -275,8 +294,7 @@ class MultiAgentEnv(Env):
                 )
 
     def _who_acts(self) -> str:
-        acting = self.agent_selector.selected
-        return f"{self._named(acting)} {'acts' if len(acting) == 1 else 'act'} now"
+        return f"{self._named(self.acting)} {'acts' if len(self.acting) == 1 else 'act'} now"
 
     def _checked(self, result: object) -> tuple[dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]:
         """Return what ``process_actions`` returned, if it is well-formed.
@@ -318,13 +336,13 @@ class MultiAgentEnv(Env):
             self._news[agent].update(info)
 
     def _take_out(
-        self, terminations: Mapping[str, bool], truncations: Mapping[str, bool], *, out_of_steps: bool
+        self, terminations: Mapping[str, bool], truncations: Mapping[str, bool], *, cut_off: bool
     ) -> list[str]:
         """Take those who ended out of the episode, and return them."""
         ended = []
         for agent in list(self.agents):
             terminated = terminations.get(agent, False)
-            truncated = truncations.get(agent, False) or (out_of_steps and not terminated)
+            truncated = truncations.get(agent, False) or (cut_off and not terminated)
             if terminated or truncated:
                 self.terminations[agent], self.truncations[agent] = terminated, truncated
                 self.agents.remove(agent)
@@ -362,6 +380,22 @@ class MultiAgentEnv(Env):
     @staticmethod
     def _named(agents: Iterable[str]) -> str:
         return ", ".join(map(repr, agents))
+
+
+def check_seats(named: Iterable[str], seats: Sequence[str]) -> None:
+    """Raise an error for a name that is no seat.
+
+    Args:
+        named: What is checked.
+        seats: The ``possible_agents`` of an environment.
+
+    Raises:
+        ArgumentError: Names the seats that there are.
+    """
+    for name in named:
+        if name not in seats:
+            hint = did_you_mean(str(name), seats)
+            raise ArgumentError(f"there is no seat {name!r}.{hint} The seats are: {', '.join(map(repr, seats))}")
 
 
 _KEPT = ("agents", "cumulative", "terminations", "truncations", "_unpaid", "_news", "_steps", "_in_episode")

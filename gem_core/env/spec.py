@@ -18,6 +18,9 @@ _ABSENT = object()
 Layers = tuple[tuple[str, dict[str, Any]], ...]
 """Wrappers by name or entry point, each with its options, innermost first."""
 
+SeatLayers = Mapping[str, Layers]
+"""Wrappers by seat, where several agents differ in them."""
+
 
 @dataclasses.dataclass
 class EnvRecipe(GymnasiumSpec):
@@ -28,7 +31,7 @@ class EnvRecipe(GymnasiumSpec):
     """
 
     record: EnvSpec | None = None
-    wrappers: Layers = ()
+    wrappers: Layers | SeatLayers = ()
 
     def __post_init__(self) -> None:
         # Gymnasium's own would parse the id in its syntax, which has no variants.
@@ -36,12 +39,24 @@ class EnvRecipe(GymnasiumSpec):
         self.namespace, self.name, self.version = record.namespace, record.name, record.version
 
     @property
-    def stack(self) -> Layers:
+    def stack(self) -> Layers | SeatLayers:
         """All wrappers, innermost first: ours, and those of Gymnasium's that were put around them since."""
+        if isinstance(self.wrappers, Mapping):
+            return self.wrappers
         theirs = tuple(_as_layer(wrapper) for wrapper in self.additional_wrappers)
         if self.max_episode_steps is not None:  # how Gymnasium's TimeLimit records itself
             theirs += (("gymnasium.wrappers:TimeLimit", {"max_episode_steps": self.max_episode_steps}),)
         return (*self.wrappers, *theirs)
+
+    def wrappers_of(self, seat: str) -> Layers:
+        """Return the wrappers around one seat, in an environment of several agents."""
+        return self.wrappers.get(seat, ()) if isinstance(self.wrappers, Mapping) else self.wrappers
+
+    def listed_wrappers(self) -> list[Any] | dict[str, list[Any]]:
+        """Return the wrappers as lists, as the record of an episode holds them."""
+        if isinstance(self.wrappers, Mapping):
+            return {seat: [list(layer) for layer in layers] for seat, layers in self.wrappers.items()}
+        return [list(layer) for layer in self.wrappers]
 
     def overrides(self) -> dict[str, Any]:
         """Return the keyword arguments that differ from the registered ones."""
@@ -54,8 +69,9 @@ class EnvRecipe(GymnasiumSpec):
 
     def with_wrapper(self, name: str, options: Mapping[str, Any]) -> Self:
         """Return a copy with one more wrapper outside."""
+        stack = cast("Layers", self.stack)
         return dataclasses.replace(
-            self, wrappers=(*self.stack, (name, dict(options))), additional_wrappers=(), max_episode_steps=None
+            self, wrappers=(*stack, (name, dict(options))), additional_wrappers=(), max_episode_steps=None
         )
 
     def to_json(self) -> str:

@@ -20,7 +20,13 @@ AnyEnv = gymnasium.Env[Any, str]
 """An ``Env``, a ``Wrapper``, or a wrapper of Gymnasium's around either."""
 
 _RANK: dict[Concurrency, int] = {"inline": 0, "thread": 1, "async": 2, "process": 3}
-_HOOKS = ("before_reset", "after_reset", "before_step", "after_step")
+_RETURNED_BY: dict[str, Any] = {
+    "before_reset": type(None),
+    "after_reset": tuple,
+    "before_step": (str, tuple),
+    "after_step": tuple,
+}
+"""What each hook returns, unless that has to be awaited."""
 
 
 class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
@@ -94,11 +100,8 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         """``reset`` for code that runs in an event loop, without blocking it."""
         if self._plain_only:
             return await in_thread(lambda: self.reset(**reset_arguments(seed, options)))
-        waited = await self._hook(self.before_reset, seed, options)
-        if waited is not None:
-            await on_library_loop(self._awaitable(waited, "before_reset"))
-        after = await self._hook(self.after_reset, await reset_async(self.env, seed, options))
-        return after if isinstance(after, tuple) else await on_library_loop(self._awaitable(after, "after_reset"))
+        await self.run_hook_async("before_reset", seed, options)
+        return cast("ResetResult", await self.run_hook_async("after_reset", await reset_async(self.env, seed, options)))
 
     async def step_async(self, action: str) -> StepResult:
         """``step`` for code that runs in an event loop, without blocking it."""
@@ -107,18 +110,27 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
             return await in_thread(self.step, action)
         if not isinstance(action, str):
             refuse_action(action)
-        before = await self._hook(self.before_step, action)
-        if not isinstance(before, str | tuple):
-            before = await on_library_loop(self._awaitable(before, "before_step"))
+        before = await self.run_hook_async("before_step", action)
         if isinstance(before, tuple):
             return before
-        after = await self._hook(self.after_step, action, await step_async(self.env, before))
-        return after if isinstance(after, tuple) else await on_library_loop(self._awaitable(after, "after_step"))
+        return cast("StepResult", await self.run_hook_async("after_step", action, await step_async(self.env, before)))
 
-    async def _hook(self, hook: Any, *args: Any) -> Any:
-        if self.needs in ("inline", "async") or inspect.iscoroutinefunction(hook):
-            return hook(*args)
-        return await in_thread(hook, *args)
+    def run_hook(self, name: str, *args: Any) -> Any:
+        """Return what a hook returns, a coroutine's result included, for which plain code waits.
+
+        Args:
+            name: Of the hook, as ``"before_step"``.
+            *args: What it takes.
+        """
+        value = getattr(self, name)(*args)
+        return value if isinstance(value, _RETURNED_BY[name]) else run_sync(self._awaitable(value, name))
+
+    async def run_hook_async(self, name: str, *args: Any) -> Any:
+        """``run_hook`` for code that runs in an event loop, without blocking it."""
+        hook = getattr(self, name)
+        in_place = self.needs in ("inline", "async") or inspect.iscoroutinefunction(hook)
+        value = hook(*args) if in_place else await in_thread(hook, *args)
+        return value if isinstance(value, _RETURNED_BY[name]) else await on_library_loop(self._awaitable(value, name))
 
     def _awaitable(self, value: Any, hook: str) -> Awaitable[Any]:
         if inspect.isawaitable(value):
@@ -132,9 +144,9 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
     @property
     def concurrency(self) -> Concurrency:
         """What the whole stack needs, this wrapper and all inside it; coroutine hooks need ``"async"``."""
-        coroutines = any(inspect.iscoroutinefunction(getattr(self, hook)) for hook in _HOOKS)
+        coroutines = any(inspect.iscoroutinefunction(getattr(self, hook)) for hook in _RETURNED_BY)
         own: Concurrency = "async" if coroutines else "inline"
-        return max(own, self.needs, concurrency_of(self.env), key=_RANK.__getitem__)
+        return most_demanding(own, self.needs, concurrency_of(self.env))
 
     @property
     def unwrapped(self) -> Env:
@@ -228,6 +240,11 @@ def concurrency_of(env: AnyEnv) -> Concurrency:
     except AttributeError:
         name = type(env.unwrapped).__name__
         raise ArgumentError(f"{name} is not an environment of GEM; derive its class from gem_core.Env") from None
+
+
+def most_demanding(*needs: Concurrency) -> Concurrency:
+    """Return the concurrency of what consists of several parts."""
+    return max(needs, key=_RANK.__getitem__)
 
 
 async def reset_async(env: AnyEnv, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:

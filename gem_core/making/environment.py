@@ -5,13 +5,15 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Mapping
+from functools import partial, reduce
 from typing import Any, cast
 
 import gymnasium
 
 from gem_core.arguments import check_arguments
 from gem_core.env.guard import Guard
-from gem_core.env.multi_agent import MultiAgentEnv
+from gem_core.env.multi_agent import MultiAgentEnv, check_seats
+from gem_core.env.seat_wrappers import SeatWrappers
 from gem_core.env.spec import EnvRecipe
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, RegistrationError
@@ -29,15 +31,24 @@ class MadeSpec(EnvRecipe):
 
     def make(self, wrappers: Wrappers = (), **kwargs: Any) -> AnyEnv:
         """Make the same environment again, with some arguments changed and ``wrappers`` around it."""
-        stack = [*self.stack, *choices(wrappers)]
-        return make_from(cast("EnvSpec", self.record), {**self.kwargs, **kwargs}, stack)
+        record, arguments = cast("EnvSpec", self.record), {**self.kwargs, **kwargs}
+        if isinstance(self.stack, Mapping) or isinstance(wrappers, Mapping):
+            return make_from(record, arguments, self.stack, wrappers)
+        return make_from(record, arguments, [*self.stack, *choices(wrappers)])
 
     @staticmethod
     def from_json(json_env_spec: str) -> MadeSpec:
         """Return the specification that ``to_json`` wrote; its id is looked up in the registry."""
         fields = json.loads(json_env_spec)
-        wrappers = tuple((name, options) for name, options in fields["wrappers"])
+        wrappers = _as_layers(fields["wrappers"])
         return dataclasses.replace(_made_spec(registry().env(fields["id"]), fields["kwargs"]), wrappers=wrappers)
+
+
+def _as_layers(listed: Any) -> Any:
+    """Return wrappers that were read from JSON, by seat or not, as a specification holds them."""
+    if isinstance(listed, Mapping):
+        return {seat: _as_layers(stack) for seat, stack in listed.items()}
+    return tuple((name, options) for name, options in listed)
 
 
 def _made_spec(record: EnvSpec, kwargs: dict[str, Any]) -> MadeSpec:
@@ -50,13 +61,13 @@ def _made_spec(record: EnvSpec, kwargs: dict[str, Any]) -> MadeSpec:
     )
 
 
-def make_from(record: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers) -> AnyEnv:
+def make_from(record: EnvSpec, kwargs: Mapping[str, Any], *wrappers: Wrappers) -> AnyEnv:
     """Make the environment of a record.
 
     Args:
         record: What is made.
         kwargs: Keyword arguments over those of the record; ``render_mode`` is handled here.
-        wrappers: What is put around it, innermost first.
+        *wrappers: What is put around it, innermost first.
 
     Raises:
         MissingRequirementError: Something has to be installed, started or set first.
@@ -71,7 +82,7 @@ def make_from(record: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers) ->
     if not isinstance(env, gymnasium.Env):
         raise RegistrationError(f"{record.id}: the entry point returned {type(env).__name__}, not an environment")
     try:
-        return wrap(_finish_env(env, record, arguments, render_mode), wrappers)
+        return reduce(wrap, wrappers, _finish_env(env, record, arguments, render_mode))
     except BaseException:
         env.close()  # it may have started a server or a container
         raise
@@ -100,7 +111,20 @@ def _finish_env(env: AnyEnv, record: EnvSpec, arguments: dict[str, Any], render_
 
 
 def wrap(env: AnyEnv, wrappers: Wrappers) -> AnyEnv:
-    """Put wrappers and tools around an environment, innermost first."""
+    """Put wrappers and tools around an environment, innermost first; around each seat, where several agents act.
+
+    Raises:
+        ArgumentError: They are named by seat, and the environment has no such seat, or one agent.
+    """
+    if isinstance(env, MultiAgentEnv):
+        by_seat = wrappers if isinstance(wrappers, Mapping) else dict.fromkeys(env.possible_agents, wrappers)
+        around = {seat: partial(wrap, wrappers=stack) for seat, stack in by_seat.items() if choices(stack)}
+        return SeatWrappers(env, around) if around else env
+    if isinstance(wrappers, Mapping):
+        raise ArgumentError(
+            f"wrappers by seat ({', '.join(map(repr, wrappers))}) are for an environment of several agents, and "
+            f"{env.get_wrapper_attr('env_id') or type(env.unwrapped).__name__} has one; give a list"
+        )
     for layer in layers_of(wrappers):
         env = _apply_layer(env, layer)
     return env
@@ -127,4 +151,6 @@ def check_choices(record: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers
         owner = f"environment {record.id!r}"
         arguments = {name: value for name, value in {**record.kwargs, **kwargs}.items() if name != "render_mode"}
         check_arguments(load_entry_point(record.entry_point, owner), (), arguments, owner)
+    if isinstance(wrappers, Mapping) and record.seats:
+        check_seats(wrappers, record.seats)
     check_options(wrappers)

@@ -20,8 +20,11 @@ Target: TypeAlias = "str | Tool | Callable[..., Any]"
 WrapperChoice: TypeAlias = "Target | tuple[Target, Mapping[str, Any]]"
 """A target, or a name or callable with its options."""
 
-Wrappers: TypeAlias = "str | Sequence[WrapperChoice]"
+Stack: TypeAlias = "str | Sequence[WrapperChoice]"
 """Innermost first: ``"python,concat"`` or ``["python", ("concat", {"max_turns": 4})]``."""
+
+Wrappers: TypeAlias = "Stack | Mapping[str, Stack]"
+"""One stack; or, where several agents act, a stack for each of some seats: ``{"white": "python,concat"}``."""
 
 _TOOLS = "tools"
 """Name of the wrapper that gives tools to a task."""
@@ -43,7 +46,7 @@ class Layer(NamedTuple):
     name: str | None = None
 
 
-def layers_of(wrappers: Wrappers) -> list[Layer]:
+def layers_of(wrappers: Stack) -> list[Layer]:
     """Return the layers that are asked for, innermost first; all tools share one, in the place of the first.
 
     So a call counts once, wherever its tool was named.
@@ -69,7 +72,7 @@ def layers_of(wrappers: Wrappers) -> list[Layer]:
 
 def check_options(wrappers: Wrappers) -> None:
     """Raise an error for an unknown wrapper, tool or option, before anything is made."""
-    for target, options in choices(wrappers):
+    for target, options in (choice for stack in _stacks(wrappers) for choice in choices(stack)):
         record = registry().wrapper(target) if is_name(target) else None
         if record is not None and options and target != _TOOLS:
             owner = f"{record.kind} {record.name!r}"
@@ -80,7 +83,7 @@ def check_options(wrappers: Wrappers) -> None:
 def wrapper_targets(wrappers: Wrappers) -> list[Target]:
     """Return the name or object of each wrapper and tool that is asked for, those among the options of tools too."""
     targets: list[Target] = []
-    for target, options in choices(wrappers):
+    for target, options in (choice for stack in _stacks(wrappers) for choice in choices(stack)):
         targets.append(target)
         if target == _TOOLS:
             targets += [each[0] if isinstance(each, Sequence) and not isinstance(each, str) else each
@@ -88,7 +91,11 @@ def wrapper_targets(wrappers: Wrappers) -> list[Target]:
     return targets
 
 
-def choices(wrappers: Wrappers) -> list[tuple[Target, dict[str, Any]]]:
+def _stacks(wrappers: Wrappers) -> list[Stack]:
+    return list(wrappers.values()) if isinstance(wrappers, Mapping) else [wrappers]
+
+
+def choices(wrappers: Stack) -> list[tuple[Target, dict[str, Any]]]:
     """Return each wrapper or tool that is asked for, with its options, innermost first.
 
     Raises:

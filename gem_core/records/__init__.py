@@ -9,8 +9,10 @@ from gem_core.records.files import (
     EpisodeWriter,
     episode_lines,
     read_episodes,
+    read_records,
     write_episodes,
 )
+from gem_core.records.joint import JointEpisode, Record
 from gem_core.records.plain_json import ImageFolder, from_plain, to_plain
 from gem_core.records.plans import EpisodeStart, PlanItem, count_plan, cover_plan, group_plan, mixture_plan
 from gem_core.records.summary import EnvSummary, RunSummary
@@ -24,7 +26,9 @@ __all__ = [
     "EpisodeStart",
     "EpisodeWriter",
     "ImageFolder",
+    "JointEpisode",
     "PlanItem",
+    "Record",
     "RunSummary",
     "Transition",
     "Turn",
@@ -35,6 +39,7 @@ __all__ = [
     "group_plan",
     "mixture_plan",
     "read_episodes",
+    "read_records",
     "to_plain",
     "without_thinking",
     "write_episodes",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sized
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, cast
+from typing import Any, Literal, Protocol, cast
 
 from gem_core.errors import EpisodeFileError
 from gem_core.records.conversation import Conversation
@@ -214,10 +214,7 @@ class Episode:
 
     def __eq__(self, other: object) -> bool:
         """Compare all but durations (``info["episode"]["t"]``) and the run that it belongs to."""
-        if not isinstance(other, Episode):
-            return NotImplemented
-        first, second = ({**_without_durations(each.to_dict()), "run_seed": None} for each in (self, other))
-        return bool(first == second)
+        return same_record(self, other) if isinstance(other, Episode) else NotImplemented
 
     __hash__ = None  # type: ignore[assignment]  # records are mutable
 
@@ -239,6 +236,19 @@ def _transition(record: Mapping[str, Any], images: ImageFolder | None) -> Transi
 
 def _has_many_parts(value: object) -> bool:
     return isinstance(value, Sized) and len(value) > _LONG_ARGUMENT
+
+
+class _Written(Protocol):
+    """What has a record."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record as plain JSON."""
+
+
+def same_record(first: _Written, second: _Written) -> bool:
+    """Tell whether two records are the same but for durations and the run that they belong to."""
+    records = [{**_without_durations(each.to_dict()), "run_seed": None} for each in (first, second)]
+    return bool(records[0] == records[1])
 
 
 def _without_durations(record: Any) -> Any:

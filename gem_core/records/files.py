@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Self
 
 from gem_core.errors import EpisodeFileError
 from gem_core.records.episode import Episode
+from gem_core.records.joint import Record, record_from_dict
 from gem_core.records.plain_json import ImageFolder
 
 
@@ -47,8 +48,8 @@ class EpisodeWriter:
         if torn:
             self._write(b"\n")
 
-    def write(self, episode: Episode) -> None:
-        """Write one episode."""
+    def write(self, episode: Record) -> None:
+        """Write one episode, of one agent or of several."""
         # ASCII only: text of a model may hold lone surrogates, which UTF-8 cannot.
         try:
             record = episode.to_dict(self._images)
@@ -94,7 +95,7 @@ class EpisodeWriter:
         self.close()
 
 
-def write_episodes(path: str | Path, episodes: Iterable[Episode], *, append: bool = False) -> int:
+def write_episodes(path: str | Path, episodes: Iterable[Record], *, append: bool = False) -> int:
     """Write episodes to a file and return their number; see ``EpisodeWriter``."""
     with EpisodeWriter(path, append=append) as writer:
         for episode in episodes:
@@ -103,7 +104,16 @@ def write_episodes(path: str | Path, episodes: Iterable[Episode], *, append: boo
 
 
 def read_episodes(path: str | Path, *, images: bool = True) -> Iterator[Episode]:
-    """Yield the whole episodes of a file, one at a time.
+    """Yield the whole episodes of a file, one at a time; of several agents, the episode of each seat.
+
+    Args and errors are those of ``read_records``.
+    """
+    for record in read_records(path, images=images):
+        yield from [record] if isinstance(record, Episode) else record
+
+
+def read_records(path: str | Path, *, images: bool = True) -> Iterator[Record]:
+    """Yield the whole records of a file, one at a time: an ``Episode``, or a ``JointEpisode`` of several agents.
 
     A line that is cut off or damaged is passed over, with an ``EpisodeFileWarning`` that names it.
 
@@ -139,7 +149,7 @@ class EpisodeLine(NamedTuple):
 
     number: int
     text: bytes
-    episode: Episode | None
+    episode: Record | None
     damage: EpisodeFileError | None = None
 
 
@@ -162,7 +172,7 @@ def episode_lines(path: str | Path, *, images: bool = False) -> Iterator[Episode
 
 def _line(number: int, text: bytes, images: ImageFolder | None) -> EpisodeLine:
     try:
-        return EpisodeLine(number, text, Episode.from_dict(_parsed(text), images))
+        return EpisodeLine(number, text, record_from_dict(_parsed(text), images))
     except EpisodeFileError as error:
         return EpisodeLine(number, text, None, error)
 

@@ -31,6 +31,8 @@ class PlanItem:
         group: Name that the episodes of a group share in ``info["group"]``; by default the item's place in the plan
             where ``repeat`` is over 1.
         repeat: Number of episodes that start alike.
+        rotation: By how many places the agents of a joint episode move on from the seats that they were named for; None
+            for as many as the item's place in the plan if they were given as a list, and none if by seat.
     """
 
     id: str | None = None
@@ -39,6 +41,7 @@ class PlanItem:
     kwargs: Mapping[str, Any] = field(default_factory=dict)
     group: str | None = None
     repeat: int = 1
+    rotation: int | None = None
 
 
 _NO_ITEM = PlanItem()

@@ -7,11 +7,12 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from gem_core.records.episode import Episode
+from gem_core.records.joint import Record
 
 
 @dataclass
 class EnvSummary:
-    """Counts and sums over the episodes of one environment.
+    """Counts and sums over the episodes of one environment; of several agents, over those of one agent at one seat.
 
     Episodes with an error count apart, and in nothing else but the tokens, which were spent on them all the same.
 
@@ -29,6 +30,8 @@ class EnvSummary:
         prompt_tokens: Tokens that the model read, as its server counts them; None where no response says.
         completion_tokens: Tokens that it wrote.
         earlier_turns: Those of the turns that were taken before this session of the run.
+        seat: Name of the seat; None for one agent.
+        agent: Name of the agent at the seat; None for one agent.
     """
 
     id: str
@@ -43,10 +46,17 @@ class EnvSummary:
     prompt_tokens: int | None = None
     completion_tokens: int | None = None
     earlier_turns: int = 0
+    seat: str | None = None
+    agent: str | None = None
     _verdicts: int = field(default=0, repr=False)
     _silent: int = field(default=0, repr=False)
     _cut_off: int = field(default=0, repr=False)
     _spread: float = field(default=0.0, repr=False)
+
+    @property
+    def label(self) -> str:
+        """What a table calls it: the environment, and the seat with its agent."""
+        return self.id if self.seat is None else f"{self.id} {self.seat}={self.agent}"
 
     def add(self, episode: Episode) -> None:
         """Count an episode."""
@@ -141,16 +151,35 @@ class EnvSummary:
 
 
 class RunSummary:
-    """The summaries of a run's environments, in the order in which they are named."""
+    """The summaries of a run's environments, in the order in which they are named.
+
+    ``episodes`` is the number of episodes, those with an error included; one of several agents counts once.
+    """
 
     def __init__(self, ids: list[str]) -> None:
         self.total = EnvSummary("all")
         self.by_env = {env_id: EnvSummary(env_id) for env_id in ids}
+        self.by_seat: dict[tuple[str, str, str], EnvSummary] = {}
+        self.episodes = 0
         self.first_error: str | None = None
 
-    def add(self, episode: Episode) -> None:
-        """Count an episode."""
+    def add(self, episode: Record) -> None:
+        """Count an episode; of several agents, that of each seat in a row of its own."""
+        self.episodes += 1
         row = self.by_env.setdefault(episode.id, EnvSummary(episode.id))
+        if isinstance(episode, Episode):
+            self._add(episode, row)
+            return
+        for each in episode.seats.values():
+            self._add(each, self._row_of_seat(episode.id, str(each.seat), str(each.agent)))
+        if not episode.seats:  # its reset failed
+            self._add(Episode(episode.id, episode.seed, "", {"error": episode.error}), row)
+
+    def _row_of_seat(self, env_id: str, seat: str, agent: str) -> EnvSummary:
+        key = env_id, seat, agent
+        return self.by_seat.setdefault(key, EnvSummary(env_id, seat=seat, agent=agent))
+
+    def _add(self, episode: Episode, row: EnvSummary) -> None:
         others = self.total.judged - row.judged
         row.add(episode)
         self.total.add(episode)
@@ -160,13 +189,15 @@ class RunSummary:
 
     def begin_session(self) -> None:
         """Mark the episodes counted so far as run earlier: they do not count for turns per second."""
-        for row in (self.total, *self.by_env.values()):
+        for row in (self.total, *self.by_env.values(), *self.by_seat.values()):
             row.earlier_turns = row.turns
 
     def rows(self) -> list[EnvSummary]:
-        """Return a summary for each environment, and one for all where there are several."""
-        rows = list(self.by_env.values())
-        return [*rows, self.total] if len(rows) > 1 else rows
+        """Return a summary for each environment, and one for all where there are several and each is for one agent."""
+        seated = {row.id for row in self.by_seat.values()}
+        alone = [row for row in self.by_env.values() if row.episodes or row.errors or row.id not in seated]
+        rows = [*alone, *self.by_seat.values()]
+        return [*rows, self.total] if len(rows) > 1 and not self.by_seat else rows
 
     def to_dict(self, seconds: float) -> dict[str, Any]:
         """Return all rows as plain JSON.

@@ -14,16 +14,21 @@ from gem_core.rollouts.agent import (
 from gem_core.rollouts.drivers import arollout, default_plan, rollout
 from gem_core.rollouts.resume import FinishedEpisodes
 from gem_core.rollouts.seat import RunningSeat, new_episode
+from gem_core.rollouts.seating import League, Seated, Seating, as_seating
 
 __all__ = [
     "READS",
     "Agent",
     "Context",
     "FinishedEpisodes",
+    "League",
     "Reading",
     "RunningSeat",
+    "Seated",
+    "Seating",
     "arollout",
     "as_agent",
+    "as_seating",
     "close_agent",
     "current_folder_importable",
     "default_plan",

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequenc
 from contextlib import AsyncExitStack, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack, overload
 
 import gymnasium
 
@@ -18,11 +18,13 @@ from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError
 from gem_core.progress import Progress
 from gem_core.records.episode import Episode
+from gem_core.records.joint import JointEpisode, Record
 from gem_core.records.plans import EpisodeQueue, PlanItem, count_plan, cover_plan, interleaved
-from gem_core.rollouts.agent import Agent, Reading, as_agent, is_asynchronous, prepare_agent
+from gem_core.rollouts.agent import Agent, as_agent, is_asynchronous, prepare_agent
 from gem_core.rollouts.loop import EpisodeLoop
 from gem_core.rollouts.requests import AgentRequests
 from gem_core.rollouts.resume import FinishedEpisodes, finished_episodes
+from gem_core.rollouts.seating import Seating, as_seating
 from gem_core.vector.backends import make_vector
 from gem_core.vector.setup import IdOrIds
 from gem_core.vector.vector_env import VectorEnv
@@ -33,17 +35,34 @@ DEFAULT_REQUESTS = 64
 Environments = VectorEnv | AnyEnv | IdOrIds
 """A vector environment, an environment, an id or several."""
 
-Resume = str | Path | Iterable[Episode] | FinishedEpisodes | None
+Resume = str | Path | Iterable[Record] | FinishedEpisodes | None
 """A file of episodes, or the episodes; or what ``finished_episodes`` found there."""
 
 OnProgress = Callable[[int, int | None], None]
 """Called with the number of finished episodes, and the number of all or None where that is not known."""
 
 
+class RolloutOptions(TypedDict, total=False):
+    """The keyword arguments of ``rollout`` besides who acts; see there."""
+
+    plan: Iterable[PlanItem] | None
+    episodes: int | None
+    seed: int | None
+    num_envs: int | None
+    max_requests: int | None
+    resume: Resume
+    progress: bool | OnProgress
+
+
+@overload
+def rollout(env: Environments, agent: Any, **options: Unpack[RolloutOptions]) -> Iterator[Episode]: ...
+@overload
+def rollout(env: Environments, *, agents: Any, **options: Unpack[RolloutOptions]) -> Iterator[JointEpisode]: ...
 def rollout(
     env: Environments,
-    agent: Any,
+    agent: Any = None,
     *,
+    agents: Any = None,
     plan: Iterable[PlanItem] | None = None,
     episodes: int | None = None,
     seed: int | None = None,
@@ -51,20 +70,23 @@ def rollout(
     max_requests: int | None = None,
     resume: Resume = None,
     progress: bool | OnProgress = False,
-) -> Iterator[Episode]:
-    """Let an agent act, and yield each episode as it finishes.
+) -> Iterator[Any]:
+    """Let an agent act, or several agents together, and yield each episode as it finishes.
 
     The episodes are fixed before they start: the same plan and seed give the same ones, whatever the number of slots,
     the backend, and the order in which they finish.
-    A plain agent is asked for one slot after another; an asynchronous one for each slot as soon as it is ready, so that
-    a slow answer or a slow environment delays only its own slot. No slot takes another step until the caller asks for
-    the next episode.
+    A plain agent is asked for one slot after another; an asynchronous one for each slot and seat as soon as it is
+    ready, so that a slow answer or a slow environment delays only its own slot. No slot takes another step until the
+    caller asks for the next episode.
 
     Args:
         env: A vector environment, an environment, an id or several. What was made here is closed at the end; what was
             given is left open.
         agent: Called as ``agent(observation, context)``, or with the observation alone; plain or a coroutine function.
             It returns a ``str`` or a ``Response``.
+        agents: Instead of ``agent``, for environments in which several agents act: ``{seat: agent}``; or a list of as
+            many agents as there are seats, which move on by one seat from item to item of the plan, so that each begins
+            as often as the others; or one agent for all seats, as in self-play; or a ``League``.
         plan: What episodes start from; see ``gem_core.records.plans``.
         episodes: Instead of a plan, the number of episodes for each environment; a data set gives its first rows. With
             neither, the vector environment's own plan is taken from the beginning; where it has none, each row of a
@@ -72,32 +94,39 @@ def rollout(
         seed: Seed of the run; None takes the vector environment's, or draws one.
         num_envs: Where ids are given, how many environments run at once; None for as many as the agent may be asked at
             once: ``max_requests``, or else its ``max_concurrency``, or else 64 for an asynchronous one, and one for
-            each id where the agent is plain.
-        max_requests: Questions to an asynchronous agent that are open at once; None for as many as there are slots.
+            each id where the agent is plain. Of several agents, the one that may be asked most decides.
+        max_requests: Questions to asynchronous agents that are open at once; None for as many as there are.
         resume: Episodes of this run that are there already, or the file that holds them, to be written to with
             ``append=True``: they are left out, but for those that ended in an error, which are run again. The seed is
             theirs; a file that is not there yet holds none.
         progress: Show how far the run is, on standard error; or a callable that does.
 
     Yields:
-        Episodes in order of completion. One whose reset failed has no transitions and an ``error``.
+        Episodes in order of completion: an ``Episode``, or with ``agents`` a ``JointEpisode``, which holds the episode
+        of each seat. One whose reset failed has no transitions and an ``error``.
 
     Raises:
-        AgentError: The agent cannot be called, or does not return text.
+        AgentError: An agent cannot be called, or does not return text.
         ArgumentError: Both a plan and a number of episodes are given, or ``num_envs`` for environments that are there
-            already; or what is to be resumed is another run.
+            already; or what is to be resumed is another run; or ``agents`` do not fit the seats of an environment.
         EnvFaultError: An environment failed, and the vector environment has ``on_error="raise"``.
-        FaultBudgetError: Environments fail again and again, or the agent does.
+        FaultBudgetError: Environments fail again and again, or an agent does.
 
     What stops a run is raised after the episodes that had finished by then.
     """
-    return _drive(_Run(env, as_agent(agent), plan, episodes, seed, num_envs, max_requests, resume, progress))
+    acting = _who_acts(agent, agents)
+    return _drive(_Run(env, acting, plan, episodes, seed, num_envs, max_requests, resume, progress))
 
 
+@overload
+def arollout(env: Environments, agent: Any, **options: Unpack[RolloutOptions]) -> AsyncIterator[Episode]: ...
+@overload
+def arollout(env: Environments, *, agents: Any, **options: Unpack[RolloutOptions]) -> AsyncIterator[JointEpisode]: ...
 def arollout(
     env: Environments,
-    agent: Any,
+    agent: Any = None,
     *,
+    agents: Any = None,
     plan: Iterable[PlanItem] | None = None,
     episodes: int | None = None,
     seed: int | None = None,
@@ -105,18 +134,19 @@ def arollout(
     max_requests: int | None = None,
     resume: Resume = None,
     progress: bool | OnProgress = False,
-) -> AsyncIterator[Episode]:
-    """Let an agent act, and yield each episode as it finishes, for code that runs in an event loop.
+) -> AsyncIterator[Any]:
+    """Let agents act, and yield each episode as it finishes, for code that runs in an event loop.
 
     It is used as ``async for episode in arollout(…)``, and does what ``rollout`` does.
 
-    The agent's coroutines run on the caller's loop, beside everything else that does; environments run where their
+    The agents' coroutines run on the caller's loop, beside everything else that does; environments run where their
     backend puts them, and block no loop, those of the backend ``sync`` apart. While the caller does something else
     between two episodes, requests that are open go on, and no slot takes another step.
 
     Args:
         env: See ``rollout``, as for all that follows.
         agent: Plain or a coroutine function; a plain one blocks the loop while it answers.
+        agents: Instead of ``agent``, where several agents act.
         plan: What episodes start from.
         episodes: Number of episodes for each environment.
         seed: Seed of the run.
@@ -125,7 +155,8 @@ def arollout(
         resume: Episodes of this run that are there already.
         progress: Show how far the run is.
     """
-    return _drive_async(_Run(env, as_agent(agent), plan, episodes, seed, num_envs, max_requests, resume, progress))
+    acting = _who_acts(agent, agents)
+    return _drive_async(_Run(env, acting, plan, episodes, seed, num_envs, max_requests, resume, progress))
 
 
 def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[PlanItem]:
@@ -148,7 +179,7 @@ class _Run:
     """The arguments of one call of ``rollout``."""
 
     env: Environments
-    agent: Agent
+    acting: Agent | Seating
     plan: Iterable[PlanItem] | None
     episodes: int | None
     seed: int | None
@@ -165,6 +196,11 @@ class _Run:
         if self.max_requests is not None and (type(self.max_requests) is not int or self.max_requests < 1):
             raise ArgumentError(f"max_requests must be a positive whole number, not {self.max_requests!r}")
 
+    @property
+    def agents(self) -> list[Agent]:
+        """Everyone who may act, as far as they are known."""
+        return list(self.acting.everyone()) if isinstance(self.acting, Seating) else [self.acting]
+
     def vector(self, *, plain: bool) -> VectorEnv:
         """Return the vector environment in which the episodes run: the one given, or a new one.
 
@@ -172,7 +208,7 @@ class _Run:
             plain: Run an environment that was given in the calling thread.
         """
         if isinstance(self.env, Sequence):
-            num_envs = _asked_at_once(self.agent, self.max_requests) if self.num_envs is None else self.num_envs
+            num_envs = _asked_at_once(self.agents, self.max_requests) if self.num_envs is None else self.num_envs
             return make_vector(self.env, num_envs, seed=self.seed)
         if self.num_envs is not None:
             raise ArgumentError("num_envs goes with an id: what is made already has its number of environments")
@@ -208,18 +244,19 @@ class _Run:
             yield lambda: report(next(counts), total)
 
 
-def _drive(run: _Run) -> Iterator[Episode]:
+def _drive(run: _Run) -> Iterator[Record]:
     finished = finished_episodes(run.resume)
     vector = run.vector(plain=True)
-    requests = AgentRequests(run.agent, vector.signal.set, most=run.max_requests)
+    requests = AgentRequests(run.agents, vector.signal.set, most=run.max_requests)
     with ExitStack() as at_end:
         if vector is not run.env:
             at_end.callback(vector.close)
         at_end.callback(requests.close)
-        prepare_agent(run.agent)
+        for agent in run.agents:
+            prepare_agent(agent)
         queue = run.queue(vector, finished)
         count = at_end.enter_context(run.counting(queue, finished))
-        for episode in EpisodeLoop(vector, requests, Reading.of(run.agent)).run(queue):
+        for episode in EpisodeLoop(vector, requests, run.acting).run(queue):
             if episode is None:
                 vector.wait(requests.is_ready)
             else:
@@ -227,22 +264,23 @@ def _drive(run: _Run) -> Iterator[Episode]:
                 yield episode
 
 
-async def _drive_async(run: _Run) -> AsyncIterator[Episode]:
+async def _drive_async(run: _Run) -> AsyncIterator[Record]:
     finished = await in_thread(finished_episodes, run.resume)
     vector = await in_thread(lambda: run.vector(plain=False))
     loop = asyncio.get_running_loop()
-    requests = AgentRequests(run.agent, vector.signal.set, most=run.max_requests, loop=loop)
+    requests = AgentRequests(run.agents, vector.signal.set, most=run.max_requests, loop=loop)
     async with AsyncExitStack() as at_end:
         if vector is not run.env:
             at_end.push_async_callback(in_thread, vector.close)
         at_end.push_async_callback(requests.aclose)
-        prepared = getattr(run.agent, "prepare", lambda: None)()
-        if inspect.isawaitable(prepared):
-            await prepared
+        for agent in run.agents:
+            prepared = getattr(agent, "prepare", lambda: None)()
+            if inspect.isawaitable(prepared):
+                await prepared
         queue = await in_thread(run.queue, vector, finished)
         count = at_end.enter_context(run.counting(queue, finished))
         await vector.drain_async()  # or starting the loop would wait for what an earlier run left under way
-        for episode in EpisodeLoop(vector, requests, Reading.of(run.agent)).run(queue):
+        for episode in EpisodeLoop(vector, requests, run.acting).run(queue):
             if episode is None:
                 await vector.wait_async(requests.is_ready)
             else:
@@ -250,7 +288,13 @@ async def _drive_async(run: _Run) -> AsyncIterator[Episode]:
                 yield episode
 
 
-def _asked_at_once(agent: Agent, max_requests: int | None) -> int | None:
-    """Return how many episodes keep an agent busy; None for a plain one, which is asked one question at a time."""
-    most = max_requests or getattr(agent, "max_concurrency", None)
-    return most or (DEFAULT_REQUESTS if is_asynchronous(agent) else None)
+def _who_acts(agent: Any, agents: Any) -> Agent | Seating:
+    if (agent is None) == (agents is None):
+        raise ArgumentError("give either agent, who acts alone, or agents, where several act")
+    return as_agent(agent) if agents is None else as_seating(agents)
+
+
+def _asked_at_once(agents: Iterable[Agent], max_requests: int | None) -> int | None:
+    """Return how many episodes keep agents busy; None for plain ones, which are asked one question at a time."""
+    wanted = (getattr(agent, "max_concurrency", None) or is_asynchronous(agent) * DEFAULT_REQUESTS for agent in agents)
+    return max_requests or max(wanted, default=0) or None

@@ -1,49 +1,50 @@
-"""``EpisodeLoop``: sends observations to an agent and its actions to environments. ``drivers`` does the waiting."""
+"""``EpisodeLoop``: sends observations to agents and their actions to environments. ``drivers`` does the waiting."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from functools import partial
 from typing import Any
 
 from gem_core.errors import ContextOverflowError, EnvFaultError, GemError
-from gem_core.records.episode import Episode
+from gem_core.records.joint import Record
 from gem_core.records.plans import EpisodeQueue, EpisodeStart, PlanItem
-from gem_core.rollouts.agent import Reading
+from gem_core.rollouts.agent import Agent
 from gem_core.rollouts.requests import AgentRequests
-from gem_core.rollouts.seat import RunningSeat, new_episode
-from gem_core.types import TERMINAL_STATE, Info, Observation, Response
+from gem_core.rollouts.running import RunningEpisode, begin_shared, begin_solo, joint_record
+from gem_core.rollouts.seat import new_episode
+from gem_core.rollouts.seating import Seating
+from gem_core.types import TERMINAL_STATE, Action, Info, Observation, Response
 from gem_core.vector.vector_env import VectorEnv
 
 
 class EpisodeLoop:
     """Runs episodes in the slots of a vector environment.
 
-    Each slot is stepped as soon as its agent has answered, and its agent is asked as soon as the slot is ready: a slow
-    answer or a slow environment delays only its own slot.
+    Each slot is stepped as soon as its agents have answered, and they are asked as soon as the slot is ready, all who
+    act at once: a slow answer or a slow environment delays only its own slot.
 
     Args:
         vector: Where they run.
-        requests: Asks the agent.
-        reading: What the agent is to be sent.
+        requests: Asks the agents.
+        acting: The agent that acts alone, or what decides who sits where.
     """
 
-    def __init__(self, vector: VectorEnv, requests: AgentRequests, reading: Reading) -> None:
+    def __init__(self, vector: VectorEnv, requests: AgentRequests, acting: Agent | Seating) -> None:
         self._vector = vector
         self._requests = requests
-        self._reading = reading
-        self._running: dict[int, RunningSeat] = {}
+        self._acting = acting
+        self._running: dict[int, RunningEpisode] = {}
         self._unasked: list[int] = []
-        """Slots with an observation that the agent has not been sent."""
-        self._finished: list[Episode] = []
+        """Slots with an observation that the agents have not been sent."""
+        self._finished: list[Record] = []
         """Episodes that have not been yielded."""
 
-    def run(self, queue: EpisodeQueue) -> Iterator[Episode | None]:
+    def run(self, queue: EpisodeQueue) -> Iterator[Record | None]:
         """Run the episodes of a queue.
 
         Yields:
             Each episode as it finishes; None where the caller has to wait, until the vector environment has results or
-            the agent has replied.
+            an agent has replied.
         """
         self._vector.send_reset(queue)
         while self._running or self._vector.under_way:
@@ -57,16 +58,20 @@ class EpisodeLoop:
                     yield self._finished.pop(0)
 
     def _advance(self) -> None:
-        """Handle the replies and results that are ready: send actions, and ask the agent about new observations."""
+        """Handle the replies and results that are ready: send actions, and ask the agents about new observations."""
         self._ask()
-        responses: dict[int, Response] = {}
-        for slot, reply in self._requests.replies():
+        actions: dict[int, Action] = {}
+        for (running, seat), reply in self._requests.replies():
+            if self._running.get(running.slot) is not running:
+                continue  # another seat ended the episode while this agent was thinking
             if isinstance(reply, Response):
-                self._running[slot].response = responses[slot] = reply
+                action = running.answer(seat, reply)
+                if action is not None:
+                    actions[running.slot] = action
             else:
-                self._give_up(slot, reply)
-        if responses:
-            self._vector.send(responses)
+                self._give_up(running, seat, reply)
+        if actions:
+            self._vector.send(actions)
         if self._vector.under_way:
             for result in zip(*self._vector.recv(min_envs=0), strict=True):
                 self._take(*result)
@@ -78,10 +83,11 @@ class EpisodeLoop:
         unasked, self._unasked = self._unasked, []
         for slot in unasked:
             running = self._running[slot]
-            self._requests.ask(slot, running.conversation.sent(), running.context)
+            for seat, agent, seen in running.questions():
+                self._requests.ask((running, seat), agent, seen.conversation.sent(), seen.context)
 
     def _take(
-        self, slot: int, observation: Observation, reward: float, terminated: bool, truncated: bool, info: Info
+        self, slot: int, observation: Observation, reward: Any, terminated: bool, truncated: bool, info: Info
     ) -> None:
         """Handle the result of a reset, a step, or a step with the reset after it."""
         running = self._running.get(slot)
@@ -91,49 +97,57 @@ class EpisodeLoop:
         over = bool(terminated or truncated)
         next_began = over and self._vector.autoreset == "same_step"
         last = (info.pop("final_obs"), info.pop("final_info")) if next_began else (observation, info)
-        running.add(float(reward), bool(terminated), bool(truncated), *last)
+        running.add(reward if isinstance(reward, dict) else float(reward), bool(terminated), bool(truncated), *last)
         if not over:
             self._unasked.append(slot)
             return
-        self._finished.append(self._running.pop(slot).episode)
+        self._finished.append(self._running.pop(slot).record)
         if next_began:
             self._begin(slot, observation, info)
         else:
             self._vector.begin_next(slot)
 
     def _begin(self, slot: int, observation: Observation, info: Info) -> None:
-        self._finished += map(_failed_reset, info.pop("failed_resets", ()))
+        joint = isinstance(self._acting, Seating)
+        self._finished += [_failed_reset(failed, joint=joint) for failed in info.pop("failed_resets", ())]
         start = self._vector.start_of(slot)
-        if start is not None:
-            episode = new_episode(self._vector.describe(slot), start, observation, info)
-            draw_action = partial(self._vector.sample_random_action, slot)
-            self._running[slot] = RunningSeat(episode, self._reading, draw_action)
-            self._unasked.append(slot)
+        if start is None:
+            return
+        if isinstance(self._acting, Seating):
+            self._running[slot] = begin_shared(self._vector, slot, start, observation, info, self._acting)
+        else:
+            self._running[slot] = begin_solo(self._vector, slot, start, observation, info, self._acting)
+        self._unasked.append(slot)
 
-    def _give_up(self, slot: int, failure: GemError) -> None:
-        """End an episode because its agent has no answer; a history that is too long for the model is no fault."""
+    def _give_up(self, running: RunningEpisode, seat: str, failure: GemError) -> None:
+        """End an episode because an agent has no answer; a history that is too long for the model is no fault."""
         of_env = isinstance(failure, EnvFaultError)
         if of_env and self._vector.on_error == "raise":
             raise failure
-        seat = self._running.pop(slot)
-        episode = seat.episode
+        del self._running[running.slot]
         error: dict[str, Any] | None = None
         reported: Info = {"context_overflow": True}
         if not isinstance(failure, ContextOverflowError):
-            message = str(failure).removeprefix(f"{episode.id}: ")
+            message = str(failure).removeprefix(f"{running.record.id}: ")
             error = {"kind": "exception" if of_env else "agent", "message": message}
             reported = {"error": error}
-        seat.cut_off(reported)
-        self._finished.append(episode)
-        self._vector.give_up(slot, error)
+        running.cut_off(seat, reported)
+        self._requests.forget(running)
+        self._finished.append(running.record)
+        self._vector.give_up(running.slot, error)
 
 
-def _failed_reset(failed: Mapping[str, Any]) -> Episode:
+def _failed_reset(failed: Mapping[str, Any], *, joint: bool) -> Record:
     """Return the episode of a reset that failed, from what ``info["failed_resets"]`` tells of it."""
     item = PlanItem(options=failed["options"], group=failed["group"])
     place = tuple(map(int, failed["key"].split(".")))
     start = EpisodeStart(item, place, failed["repeat"], failed["seed"], failed["run_seed"])
+    described = {"id": failed["id"] or "unknown", "kwargs": failed["kwargs"]}
+    if joint:
+        record = joint_record(described, start)
+        record.failure = failed["error"]
+        return record
     info = {"seed": start.seed, "error": failed["error"]}
     if item.group is not None:
         info["group"] = item.group
-    return new_episode({"id": failed["id"] or "unknown", "kwargs": failed["kwargs"]}, start, TERMINAL_STATE, info)
+    return new_episode(described, start, TERMINAL_STATE, info)

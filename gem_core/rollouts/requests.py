@@ -1,16 +1,20 @@
-"""``AgentRequests``: asks a plain or asynchronous agent for many slots at once."""
+"""``AgentRequests``: asks plain and asynchronous agents for many slots and seats at once."""
 
 from __future__ import annotations
 
 import asyncio
 import inspect
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 
 from gem_core.background import background_loop, run_sync
 from gem_core.errors import AgentError, EnvFaultError, RequestError
 from gem_core.rollouts.agent import Agent, Context, is_asynchronous
+from gem_core.rollouts.running import RunningEpisode
 from gem_core.types import Observation, Response
+
+Asked = tuple[RunningEpisode, str]
+"""An episode, and the seat in it whose agent is asked."""
 
 Reply = Response | RequestError | EnvFaultError
 """An answer, or the error of the server, or of the environment that should sample an action."""
@@ -19,12 +23,12 @@ _CANCEL_TIMEOUT_S = 5.0
 
 
 class AgentRequests:
-    """Asks an agent for many slots at once.
+    """Asks agents for many slots and seats at once.
 
     A plain agent answers while it is asked. What an asynchronous one returns runs as a task on an event loop.
 
     Args:
-        agent: Called with the observation and the context.
+        agents: Those who may be asked, as far as they are known.
         notify: Called, from any thread, when a reply has come.
         most: Questions that are open at once; further ones wait, and the first that waits is the first asked.
         loop: Where tasks run: the running loop of the caller; None for the library's own.
@@ -32,45 +36,48 @@ class AgentRequests:
 
     def __init__(
         self,
-        agent: Agent,
+        agents: Iterable[Agent],
         notify: Callable[[], None],
         *,
         most: int | None = None,
         loop: asyncio.AbstractEventLoop | None = None,
     ) -> None:
-        self.asynchronous = is_asynchronous(agent)
+        self.asynchronous = all(map(is_asynchronous, agents))
         """Whether asking does not wait for the answer."""
-        self._agent = agent
         self._notify = notify
         self._most = most
         self._loop = loop
-        self._waiting: deque[tuple[int, Observation, Context]] = deque()
-        self._open: set[int] = set()
+        self._waiting: deque[tuple[Asked, Agent, Observation, Context]] = deque()
+        self._open: set[Asked] = set()
         self._tasks: set[asyncio.Future[str]] = set()  # used in the thread of the loop only
-        self._ready: deque[tuple[int, Response | BaseException]] = deque()
+        self._ready: deque[tuple[Asked, Response | BaseException]] = deque()
 
-    def ask(self, slot: int, observation: Observation, context: Context) -> None:
-        """Ask for one slot, now or once fewer questions are open."""
-        self._waiting.append((slot, observation, context))
+    def ask(self, asked: Asked, agent: Agent, observation: Observation, context: Context) -> None:
+        """Ask an agent, now or once fewer questions are open."""
+        self._waiting.append((asked, agent, observation, context))
         self._ask_waiting()
+
+    def forget(self, running: RunningEpisode) -> None:
+        """Drop the questions of an episode that still wait for a free place."""
+        self._waiting = deque(question for question in self._waiting if question[0][0] is not running)
 
     def is_ready(self) -> bool:
         """Tell whether there is a reply."""
         return bool(self._ready)
 
-    def replies(self) -> list[tuple[int, Reply]]:
-        """Return the replies that are ready, each with its slot, and start requests that waited for a free place.
+    def replies(self) -> list[tuple[Asked, Reply]]:
+        """Return the replies that are ready, each with what was asked, and start requests that waited for a free place.
 
         Raises:
             AgentError: The agent returned something else than text, or cancelled its own task.
         """
-        replies: list[tuple[int, Reply]] = []
+        replies: list[tuple[Asked, Reply]] = []
         while self._ready:
-            slot, reply = self._ready.popleft()
-            self._open.discard(slot)
+            asked, reply = self._ready.popleft()
+            self._open.discard(asked)
             if not isinstance(reply, Reply):
                 raise reply
-            replies.append((slot, reply))
+            replies.append((asked, reply))
         self._ask_waiting()
         return replies
 
@@ -87,34 +94,34 @@ class AgentRequests:
 
     def _ask_waiting(self) -> None:
         while self._waiting and (self._most is None or len(self._open) < self._most):
-            slot, observation, context = self._waiting.popleft()
+            asked, agent, observation, context = self._waiting.popleft()
             try:
-                answer = self._agent(observation, context)
+                answer = agent(observation, context)
             except (RequestError, EnvFaultError) as error:
-                self._ready.append((slot, error))
+                self._ready.append((asked, error))
                 continue
             if not inspect.isawaitable(answer):
-                self._ready.append((slot, _response(answer)))
+                self._ready.append((asked, _response(answer)))
                 continue
-            self._open.add(slot)
+            self._open.add(asked)
             if self._loop is None:
-                background_loop().call_soon_threadsafe(self._start, slot, answer)
+                background_loop().call_soon_threadsafe(self._start, asked, answer)
             else:
-                self._start(slot, answer)
+                self._start(asked, answer)
 
-    def _start(self, slot: int, answer: Awaitable[str]) -> None:
+    def _start(self, asked: Asked, answer: Awaitable[str]) -> None:
         task = asyncio.ensure_future(answer)
         self._tasks.add(task)
-        task.add_done_callback(lambda _: self._end(slot, task))
+        task.add_done_callback(lambda _: self._end(asked, task))
 
-    def _end(self, slot: int, task: asyncio.Future[str]) -> None:
+    def _end(self, asked: Asked, task: asyncio.Future[str]) -> None:
         self._tasks.discard(task)
         reply: Response | BaseException
         if task.cancelled():
             reply = AgentError("the agent's coroutine was cancelled; an agent must not cancel its own task")
         else:
             reply = task.exception() or _response(task.result())
-        self._ready.append((slot, reply))
+        self._ready.append((asked, reply))
         self._notify()
 
     async def _cancel(self) -> None:

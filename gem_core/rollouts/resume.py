@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 from gem_core.errors import ArgumentError
 from gem_core.records.episode import Episode
-from gem_core.records.files import read_episodes
+from gem_core.records.files import read_records
+from gem_core.records.joint import JointEpisode, Record
 from gem_core.records.plain_json import to_plain
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
 
@@ -38,7 +39,7 @@ class FinishedEpisodes:
     def __len__(self) -> int:
         return len(self._starts)
 
-    def add(self, episode: Episode) -> None:
+    def add(self, episode: Record) -> None:
         """Add an episode; of one with an error, only the seed of its run is kept."""
         if episode.run_seed is not None:
             self.run_seeds.add(episode.run_seed)
@@ -102,7 +103,7 @@ def _other_run(key: str, difference: str) -> ArgumentError:
     )
 
 
-def finished_episodes(resume: str | Path | Iterable[Episode] | FinishedEpisodes | None) -> FinishedEpisodes:
+def finished_episodes(resume: str | Path | Iterable[Record] | FinishedEpisodes | None) -> FinishedEpisodes:
     """Return the finished episodes of a file, which may not be there yet, or of an iterable of episodes.
 
     Raises:
@@ -112,10 +113,10 @@ def finished_episodes(resume: str | Path | Iterable[Episode] | FinishedEpisodes 
     if isinstance(resume, FinishedEpisodes):
         return resume
     if isinstance(resume, str | Path):
-        resume = read_episodes(resume, images=False) if Path(resume).exists() else ()
+        resume = read_records(resume, images=False) if Path(resume).exists() else ()
     finished = FinishedEpisodes()
     for episode in resume or ():
-        if not isinstance(episode, Episode):
+        if not isinstance(episode, Episode | JointEpisode):
             raise ArgumentError(f"resume takes a file of episodes or the episodes themselves, not {episode!r:.100}")
         finished.add(episode)
     return finished

@@ -11,9 +11,8 @@ from collections.abc import Callable, Coroutine, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
-from gem_core.background import finish_or_start, in_thread
+from gem_core.background import finish_now, finish_or_start, in_thread
 from gem_core.env.spaces import is_part
-from gem_core.errors import ArgumentError
 from gem_core.tools.tool import Tool, ToolResult
 from gem_core.types import Concurrency
 
@@ -23,6 +22,8 @@ logger = logging.getLogger("gem_core")
 
 MOST_LEFT_BEHIND = 64
 """Number of calls of one tool in this process that timed out and still run, at which no more are begun."""
+
+_WAITED = "a plain tool waited for something; make its call() a coroutine function"
 
 _abandoned_calls: Counter[tuple[type[Tool], str]] = Counter()
 """Number of such calls, by the tool's class and name. Global, since each holds a thread of the process for good."""
@@ -130,7 +131,7 @@ class ToolSessions:
 
     def finished(self, coroutine: Coroutine[Any, Any, T]) -> T | Coroutine[Any, Any, T]:
         """Return what a coroutine of this class returns, or the coroutine where it has to be awaited."""
-        return coroutine if self.on_loop else _finish_now(coroutine)
+        return coroutine if self.on_loop else finish_now(coroutine, _WAITED)
 
 
 def concurrency_of_tools(tools: Iterable[Tool], *, limited: bool = False) -> Concurrency:
@@ -168,16 +169,6 @@ async def _await_if_needed(value: Any) -> Any:
     return await value if inspect.isawaitable(value) else value
 
 
-def _finish_now(coroutine: Coroutine[Any, Any, T]) -> T:
-    """Run a coroutine that does not wait; one that does is run on the library's event loop instead."""
-    try:
-        coroutine.send(None)
-    except StopIteration as finished:
-        return cast("T", finished.value)
-    coroutine.close()
-    raise ArgumentError("a plain tool waited for something; make its call() a coroutine function")
-
-
 async def _close_all(
     tools: Mapping[str, Tool], sessions: Mapping[str, Any], on_loop: bool, timeout_s: float | None
 ) -> None:
@@ -208,4 +199,4 @@ def _close_now(tools: Mapping[str, Tool], sessions: dict[str, Any], on_loop: boo
         if on_loop:
             finish_or_start(closing)
         else:
-            _finish_now(closing)
+            finish_now(closing, _WAITED)

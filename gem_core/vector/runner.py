@@ -176,7 +176,7 @@ class EnvRunner:
         spec = None if env is None else env.spec
         if spec is None:
             return {"id": None if env is None else type(env.unwrapped).__name__, "kwargs": {}, "wrappers": []}
-        return {"id": spec.id, "kwargs": spec.overrides(), "wrappers": [list(wrapper) for wrapper in spec.wrappers]}
+        return {"id": spec.id, "kwargs": spec.overrides(), "wrappers": spec.listed_wrappers()}
 
     def tasks(self, env_id: str | None, kwargs: Mapping[str, Any]) -> tuple[int | None, bool]:
         """Return ``num_tasks`` and ``endless_tasks`` of an environment; make it unless it is present."""

@@ -434,7 +434,7 @@ def pack_by_value(thing: object, targets: list[Any]) -> bytes:
 
 def _pack_setup(setup: VectorSetup) -> bytes:
     records = {env_id: registry().env(env_id) for env_id in setup.all_ids}
-    wrappers = setup.wrappers if isinstance(setup.wrappers, str) else list(setup.wrappers)
+    wrappers = setup.wrappers if isinstance(setup.wrappers, str | Mapping) else list(setup.wrappers)
     sent = replace(setup, plan=None, wrappers=wrappers, kwargs=dict(setup.kwargs), records=records)
     entry_points = [record.entry_point for record in records.values()]
     return pack_by_value(sent, [*entry_points, *wrapper_targets(wrappers)])

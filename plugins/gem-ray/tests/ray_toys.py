@@ -56,6 +56,30 @@ class BlockingTallyEnv(TallyEnv):
     concurrency = "thread"
 
 
+class PairEnv(gem.MultiAgentEnv):
+    """Two agents answer at once, for three steps; the longer answer earns a point."""
+
+    possible_agents = ("left", "right")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.agent_selector = gem.AgentSelector(mode="parallel")
+
+    def begin_episode(self, options: dict[str, Any] | None) -> None:
+        self.turn = 0
+
+    def observe(self, agent: str) -> str:
+        return f"{agent}, turn {self.turn}"
+
+    def process_actions(self, actions: dict[str, str]) -> Any:
+        self.turn += 1
+        longest = max(actions, key=lambda agent: len(actions[agent]))
+        return {longest: 1.0}, dict.fromkeys(actions, self.turn == 3), {}, {}
+
+    def sample_random_action(self, agent: str) -> str:
+        return "x" * int(self.action_random.integers(10))
+
+
 class DiceEnv(TallyEnv):
     """Registered as not deterministic."""
 
@@ -65,3 +89,4 @@ def register_toys() -> None:
     gem.register("raytoy:Tally-v0", "ray_toys:TallyEnv")
     gem.register("raytoy:Blocking-v0", "ray_toys:BlockingTallyEnv")
     gem.register("raytoy:Dice-v0", "ray_toys:DiceEnv", deterministic=False)
+    gem.register("raytoy:Pair-v0", "ray_toys:PairEnv", seats=("left", "right"))

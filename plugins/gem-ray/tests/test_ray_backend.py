@@ -55,6 +55,19 @@ def test_trajectories_are_those_of_sync(vec: Callable[..., gem.VectorEnv]) -> No
     assert observed(vec(5, options={"num_actors": 2}), turns) == plain(5, turns)
 
 
+def test_several_agents_play_as_in_this_process(vec: Callable[..., gem.VectorEnv]) -> None:
+    """Joint episodes, and the random actions of each seat, are those of the backend ``sync``."""
+
+    def agent(observation: Any, context: Any) -> str:
+        return str(context.sample_random_action())
+
+    alone = gem.make_vec("raytoy:Pair-v0", 2, backend="sync", seed=1)
+    expected = {joint.key: joint for joint in gem.rollout(alone, agents=agent, episodes=4)}
+    played = {joint.key: joint for joint in gem.rollout(vec(2, "raytoy:Pair-v0"), agents=agent, episodes=4)}
+    assert played == expected
+    assert all(joint.turns == 3 for joint in played.values())
+
+
 def test_an_exception_ends_one_episode(vec: Callable[..., gem.VectorEnv]) -> None:
     vector = vec(3)
     vector.reset()

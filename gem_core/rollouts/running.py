@@ -1,0 +1,215 @@
+"""The present episode of a slot: which agents are asked, what is stepped, and the record that is made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any, Protocol, cast
+
+from gem_core.errors import ArgumentError
+from gem_core.records.joint import JointEpisode, Record
+from gem_core.records.plans import EpisodeStart
+from gem_core.rollouts.agent import Agent, Reading
+from gem_core.rollouts.seat import RunningSeat, new_episode, versions_of
+from gem_core.rollouts.seating import Seated, Seating
+from gem_core.types import TERMINAL_STATE, Action, Info, Observation, Response
+from gem_core.vector.vector_env import VectorEnv
+
+Question = tuple[str, Agent, RunningSeat]
+"""The seat that is asked (``""`` for an agent alone), its agent, and its episode so far."""
+
+
+class RunningEpisode(Protocol):
+    """The present episode of a slot."""
+
+    slot: int
+    record: Record
+
+    def questions(self) -> list[Question]:
+        """Return whom to ask about the last result."""
+
+    def answer(self, seat: str, response: Response) -> Action | None:
+        """Take an agent's response; return the action to step, or None while others are still to respond."""
+
+    def add(self, reward: Any, terminated: bool, truncated: bool, observation: Any, info: Info) -> None:
+        """Take the result of the step."""
+
+    def cut_off(self, seat: str, reported: Info) -> None:
+        """End the episode between two steps, since the agent at a seat has no answer for the reason reported."""
+
+
+class SoloEpisode:
+    """An episode of one agent.
+
+    Args:
+        slot: Number of the slot.
+        agent: Who acts.
+        seat: Its record, conversation and context.
+    """
+
+    def __init__(self, slot: int, agent: Agent, seat: RunningSeat) -> None:
+        self.slot = slot
+        self.record: Record = seat.episode
+        self._seat = seat
+        self._questions: list[Question] = [("", agent, seat)]
+
+    def questions(self) -> list[Question]:
+        """Return the agent."""
+        return self._questions
+
+    def answer(self, seat: str, response: Response) -> Action:
+        """Return the response."""
+        self._seat.response = response
+        return response
+
+    def add(self, reward: Any, terminated: bool, truncated: bool, observation: Any, info: Info) -> None:
+        """Add a turn."""
+        self._seat.add(reward, terminated, truncated, observation, info)
+
+    def cut_off(self, seat: str, reported: Info) -> None:
+        """End the episode with the reason in its last info."""
+        self._seat.cut_off(reported)
+
+
+class SharedEpisode:
+    """An episode of several agents, each at its seat.
+
+    Args:
+        vector: Where it runs.
+        slot: Number of the slot.
+        record: What is recorded of it.
+        seated: The agent at each seat.
+        start: What it starts from.
+    """
+
+    def __init__(
+        self, vector: VectorEnv, slot: int, record: JointEpisode, seated: Mapping[str, Seated], start: EpisodeStart
+    ) -> None:
+        self.slot = slot
+        self.record: Record = record
+        self._joint = record
+        self._vector = vector
+        self._seated = seated
+        self._start = start
+        self._readings = {seat: Reading.of(one.agent) for seat, one in seated.items()}
+        self._running: dict[str, RunningSeat] = {}
+        self._acting: list[str] = []
+        self._responses: dict[str, Response] = {}
+
+    def begin(self, observations: Mapping[str, Observation], info: Info) -> None:
+        """Take the result of the reset."""
+        self._acting = list(observations)
+        for seat, observation in observations.items():
+            self._first_seen(seat, observation, 0.0, info["agents"][seat])
+
+    def questions(self) -> list[Question]:
+        """Return those who act now."""
+        return [(seat, self._seated[seat].agent, self._running[seat]) for seat in self._acting]
+
+    def answer(self, seat: str, response: Response) -> Action | None:
+        """Take a response; return all of them once everybody who acts has given one."""
+        self._running[seat].response = self._responses[seat] = response
+        if len(self._responses) < len(self._acting):
+            return None
+        actions = {each: self._responses[each] for each in self._acting}
+        self._joint.order.append(list(actions))
+        self._responses = {}
+        return cast("Action", actions)
+
+    def add(self, reward: Any, terminated: bool, truncated: bool, observation: Any, info: Info) -> None:
+        """Add a turn for everybody who acts again or has ended; of a step that failed, for all whose turn was open."""
+        if "error" in info and not info["agents"]:
+            self._lose(info)
+            return
+        self._acting = list(observation)
+        for seat, own in info["agents"].items():
+            seen = observation[seat] if seat in observation else own["final_obs"]
+            running = self._running.get(seat)
+            if running is None:
+                self._first_seen(seat, seen, reward[seat], own)
+            else:
+                own = {name: value for name, value in own.items() if name != "final_obs"}
+                running.add(reward[seat], info["terminations"][seat], info["truncations"][seat], seen, own)
+
+    def cut_off(self, seat: str, reported: Info) -> None:
+        """End the episode for everybody; the others could not finish it, and do not count."""
+        for each, running in self._running.items():
+            if each == seat:
+                running.cut_off(reported)
+            elif self._is_open(each):
+                running.cut_off({"error": {"kind": "opponent", "message": f"the agent at {seat!r} has no answer"}})
+
+    def _first_seen(self, seat: str, observation: Observation, reward: float, info: Info) -> None:
+        joint = self._joint
+        described = {"id": joint.id, "kwargs": joint.kwargs, "wrappers": joint.wrappers}
+        episode = new_episode(described, self._start, observation, info)
+        episode.versions = joint.versions
+        episode.seat, episode.agent, episode.first_reward = seat, self._seated[seat].name, reward
+        draw = partial(self._vector.sample_random_action, self.slot, seat)
+        self._running[seat] = RunningSeat(episode, self._readings[seat], draw)
+        joint.seats = {each: self._running[each].episode for each in self._seated if each in self._running}
+
+    def _lose(self, info: Info) -> None:
+        self._joint.failure = info["error"]
+        for seat, running in self._running.items():
+            if self._is_open(seat):
+                running.add(0.0, False, True, TERMINAL_STATE, {"error": info["error"]})
+
+    def _is_open(self, seat: str) -> bool:
+        transitions = self._running[seat].episode.transitions
+        return not transitions or not (transitions[-1].terminated or transitions[-1].truncated)
+
+
+def begin_solo(
+    vector: VectorEnv, slot: int, start: EpisodeStart, observation: Observation, info: Info, agent: Agent
+) -> SoloEpisode:
+    """Return the episode of one agent that begins in a slot.
+
+    Raises:
+        ArgumentError: Several agents act in the environment.
+    """
+    described = vector.describe(slot)
+    if "possible_agents" in info:
+        seats = ", ".join(map(repr, info["possible_agents"]))
+        raise ArgumentError(
+            f"{described['id']} has several seats, {seats}: give agents={{seat: agent}}, a list of agents that change "
+            "seats, or agents=AGENT for self-play"
+        )
+    episode = new_episode(described, start, observation, info)
+    seat = RunningSeat(episode, Reading.of(agent), partial(vector.sample_random_action, slot))
+    return SoloEpisode(slot, agent, seat)
+
+
+def begin_shared(
+    vector: VectorEnv, slot: int, start: EpisodeStart, observation: Any, info: Info, seating: Seating
+) -> SharedEpisode:
+    """Return the episode of several agents that begins in a slot.
+
+    Raises:
+        ArgumentError: One agent acts in the environment, or the agents do not fit its seats.
+    """
+    described = vector.describe(slot)
+    if "possible_agents" not in info:
+        raise ArgumentError(f"{described['id']} is for one agent: give agent, not agents")
+    seated = seating.seat(info["possible_agents"], start)
+    record = joint_record(described, start)
+    record.agents = {seat: one.name for seat, one in seated.items()}
+    running = SharedEpisode(vector, slot, record, seated, start)
+    running.begin(observation, info)
+    return running
+
+
+def joint_record(described: Mapping[str, Any], start: EpisodeStart) -> JointEpisode:
+    """Return the record of an episode of several agents that begins; see ``new_episode``."""
+    return JointEpisode(
+        id=described["id"],
+        seed=start.seed,
+        kwargs=described["kwargs"],
+        wrappers=described.get("wrappers", []),
+        options=start.item.options,
+        group=start.item.group,
+        key=start.key,
+        repeat=start.repeat,
+        run_seed=start.run_seed,
+        versions=versions_of(described["id"]),
+    )

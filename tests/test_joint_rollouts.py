@@ -1,0 +1,279 @@
+"""``rollout`` with several agents: seats, records, leagues, failures, files and resuming."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from joint_toys import AuctionEnv, BrokenAuctionEnv, CountdownEnv
+
+import gem_core as gem
+from gem_core import Episode, JointEpisode, League, PlanItem, Response, rollout
+from gem_core.errors import AgentError, ArgumentError, ContextOverflowError, RequestError
+from gem_core.records import RunSummary
+from gem_core.rollouts import Context, Seated, arollout
+
+
+def random_agent(observation: Any, context: Context) -> str:
+    """Answer at random."""
+    return context.sample_random_action()
+
+
+def take_one(observation: Any) -> str:
+    """Take one from the heap."""
+    return "\\boxed{1}"
+
+
+@pytest.fixture(autouse=True)
+def _registered() -> None:
+    if not gem.list_envs("jointroll"):
+        gem.register("jointroll:Countdown-v0", "joint_toys:CountdownEnv", seats=("first", "second"))
+
+
+def test_mapping_fixes_the_seats() -> None:
+    """Each agent acts at its seat; the joint record has the episode of each seat and who acted when."""
+    (joint,) = rollout(CountdownEnv(), agents={"second": take_one, "first": random_agent}, episodes=1, seed=3)
+    assert list(joint.seats) == ["first", "second"]
+    assert joint.agents == {"first": "random_agent", "second": "take_one"}
+    first, second = joint
+    assert (first.seat, first.agent, second.seat) == ("first", "random_agent", "second")
+    assert {turn.action for turn in second.transitions} == {"\\boxed{1}"}
+    assert joint.order[:2] == [["first"], ["second"]]
+    assert [seat for seat, _ in joint.transcript()] == [seat for acted in joint.order for seat in acted]
+    assert joint.turns == first.turns + second.turns
+    assert sorted(joint.returns.values()) == [-1.0, 1.0]
+    assert sorted(episode.success for episode in joint) == [False, True]  # type: ignore[type-var]
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10**6), st.sampled_from(["sequential", "parallel"]))
+def test_records_account_for_every_reward(seed: int, mode: Any) -> None:
+    """The return of each seat's episode is the environment's ``cumulative``, whoever left and whenever."""
+    env = AuctionEnv(["a", "b", "c"], mode=mode, rounds=12)
+    (joint,) = rollout(env, agents=random_agent, episodes=1, seed=seed)
+    assert joint.returns == env.cumulative
+    assert all(episode.transitions[-1].terminated for episode in joint if episode.transitions)
+
+
+def test_reward_before_the_first_turn_counts() -> None:
+    """What a seat is given before it acts is its ``first_reward``, also where it never acts."""
+
+    class Ante(gem.MultiAgentEnv):
+        possible_agents = ("dealer", "late", "never")
+
+        def observe(self, agent: str) -> str:
+            return agent
+
+        def process_actions(self, actions: dict[str, str]) -> Any:
+            over = "late" in actions
+            return dict.fromkeys(self.agents, 1.0), dict.fromkeys(self.agents, over), {}, {}
+
+    (joint,) = rollout(Ante(), agents=lambda observation: "go", episodes=1, seed=0)
+    assert joint.returns == {"dealer": 2.0, "late": 2.0, "never": 2.0}
+    assert [(episode.first_reward, episode.turns) for episode in joint] == [(0.0, 1), (1.0, 1), (2.0, 0)]
+
+
+@pytest.mark.parametrize("options", [{"num_envs": 3}, {"num_envs": 1}])
+def test_same_episodes_for_any_number_of_slots(options: Any) -> None:
+    """The plan and the seed decide the episodes and who sits where."""
+    agents = [Seated("one", take_one), Seated("any", random_agent)]
+    expected = {joint.key: joint for joint in rollout("jointroll:Countdown-v0", agents=agents, episodes=8, seed=5)}
+    for joint in rollout("jointroll:Countdown-v0", agents=agents, episodes=8, seed=5, **options):
+        assert joint == expected[joint.key]
+    with gem.make_vec("jointroll:Countdown-v0", 2, backend="process", seed=5) as vector:
+        for joint in rollout(vector, agents=agents, episodes=8):
+            assert joint == expected[joint.key]
+
+
+def test_list_of_agents_changes_seats() -> None:
+    """Agents of a list begin equally often, and ``rotation`` of an item decides where it is given."""
+    agents = [Seated("x", take_one), Seated("y", take_one)]
+    seen = Counter(joint.agents["first"] for joint in rollout(CountdownEnv(), agents=agents, episodes=10, seed=0))
+    assert seen == {"x": 5, "y": 5}
+    plan = [PlanItem(rotation=1), PlanItem(rotation=1, repeat=2)]
+    assert {joint.agents["first"] for joint in rollout(CountdownEnv(), agents=agents, plan=plan, seed=0)} == {"y"}
+    by_seat = {"first": agents[0], "second": agents[1]}
+    assert [joint.agents["first"] for joint in rollout(CountdownEnv(), agents=by_seat, plan=plan[:1], seed=0)] == ["y"]
+
+
+def test_league_draws_opponents_for_each_item() -> None:
+    """The learner changes seats; opponents follow the weights, are the same in a group and for the same run seed."""
+
+    def opponents(run_seed: int) -> list[str]:
+        league = League(take_one, {"weak": random_agent, "never": random_agent}, weights={"never": 0}, latest=3)
+        league.add("step-100", take_one, weight=4)
+        plan = [PlanItem(repeat=2) for _ in range(100)]
+        met: list[str] = []
+        for joint in rollout(CountdownEnv(), agents=league, plan=plan, seed=run_seed):
+            assert joint.agents["first" if int(joint.key) % 2 == 0 else "second"] == "learner"
+            met.append(joint.agents["second" if int(joint.key) % 2 == 0 else "first"])
+        assert met[::2] == met[1::2]
+        return met[::2]
+
+    drawn = opponents(1)
+    assert drawn == opponents(1)
+    assert drawn != opponents(2)
+    counts = Counter(drawn)
+    assert counts.keys() == {"weak", "latest", "step-100"}
+    assert counts["weak"] < counts["latest"] + counts["step-100"]
+
+
+def test_league_refuses_unusable_weights() -> None:
+    """A weight that is negative or of nobody is an error, and so is a pool that nobody can be drawn from."""
+    with pytest.raises(ArgumentError, match=r"^weights names 'b', and the opponents are 'a'$"):
+        League(take_one, {"a": take_one}, weights={"b": 1})
+    with pytest.raises(ArgumentError, match=r"^the weight of 'a' must be a number from 0 up, not -1$"):
+        League(take_one, {"a": take_one}, weights={"a": -1})
+    with pytest.raises(ArgumentError, match=r"^a league needs an opponent whose weight is above 0"):
+        League(take_one, latest=0)
+
+
+def test_asynchronous_agents_are_asked_side_by_side() -> None:
+    """Agents of all seats and slots are under way at once: each waits until all have been asked."""
+
+    class Meeting:
+        max_concurrency = 6
+
+        def __init__(self) -> None:
+            self.asked, self.all_there = 0, asyncio.Event()
+
+        async def __call__(self, observation: Any, context: Context) -> str:
+            self.asked += 1
+            if self.asked == 6:
+                self.all_there.set()
+            await self.all_there.wait()
+            return "quit"
+
+    async def run() -> list[JointEpisode]:
+        gem.register("jointroll:Auction-v0", AuctionEnv, agents=["a", "b", "c"], mode="parallel")
+        agents = dict.fromkeys(["a", "b", "c"], Meeting())
+        found = arollout("jointroll:Auction-v0", agents=agents, episodes=2, num_envs=2, seed=0)
+        return [joint async for joint in found]
+
+    assert len(asyncio.run(asyncio.wait_for(run(), 60))) == 2
+
+
+def test_seats_have_conversations_of_their_own() -> None:
+    """The messages of a seat hold its own responses; what another thought or wrote is not among them."""
+    seen: dict[str, Any] = {}
+
+    def thinker(observation: Any, context: Context) -> Response:
+        seen[str(context.seat)] = context.messages
+        return Response(f"<think>plan of {context.seat}</think> \\boxed{{1}}", reasoning=f"secret of {context.seat}")
+
+    (joint,) = rollout(CountdownEnv(), agents=thinker, episodes=1, seed=1)
+    for seat, other in (("first", "second"), ("second", "first")):
+        assert f"plan of {seat}" in str(seen[seat])
+        assert f"of {other}" not in str(seen[seat])
+        assert f"of {other}" not in str(joint.seats[seat].to_dict())
+
+
+def failing_at(turn: int, error: Exception) -> Any:
+    """Return an agent that raises an error in a turn."""
+
+    def agent(observation: Any, context: Context) -> str:
+        if context.turn == turn:
+            raise error
+        return "\\boxed{1}"
+
+    return agent
+
+
+def test_agent_without_an_answer_ends_the_episode_for_all() -> None:
+    """The failing seat has the error; the other is left out of scores too, and the whole is run again on resuming."""
+    failing = failing_at(1, RequestError("no route"))
+    (joint,) = rollout(CountdownEnv(), agents={"first": failing, "second": take_one}, episodes=1, seed=0)
+    assert joint.error == {"kind": "agent", "message": "no route"}
+    assert joint.seats["first"].error == joint.error
+    assert joint.seats["second"].error == {"kind": "opponent", "message": "the agent at 'first' has no answer"}
+
+
+def test_context_overflow_counts_for_its_own_seat_alone() -> None:
+    """A history that is too long for one model is scored for it, and left out for the others."""
+    failing = failing_at(1, ContextOverflowError("too long"))
+    (joint,) = rollout(CountdownEnv(), agents={"first": failing, "second": take_one}, episodes=1, seed=0)
+    assert joint.error is None
+    assert joint.seats["first"].cut_off == "tokens"
+    assert joint.seats["second"].error is not None
+
+
+def test_environment_that_fails_is_an_error_of_all_seats() -> None:
+    """Whoever had a turn open when the environment failed has the error as its last turn."""
+    agents = {"a": lambda observation: "3", "b": lambda observation: "boom"}
+    (joint,) = rollout(BrokenAuctionEnv(), agents=agents, episodes=1, seed=0)
+    assert joint.error == {"kind": "exception", "message": "step raised ValueError: boom"}
+    assert [(episode.turns, episode.error) for episode in joint] == [(1, joint.error), (1, joint.error)]
+
+
+def test_wrong_agents_are_refused() -> None:
+    """Agents that do not fit the seats are errors that name the seats."""
+    for agents, message in [
+        ({"first": take_one}, "the seats are 'first', 'second', and agents are given for 'first'"),
+        ([take_one] * 3, "the 2 seats are 'first', 'second', and 3 agents are given"),
+        ({}, "agents names no agent; give {seat: agent}, a list of agents, or one for all seats"),
+    ]:
+        with pytest.raises(ArgumentError) as caught:
+            list(rollout(CountdownEnv(), agents=agents, episodes=1))
+        assert str(caught.value) == message
+    with pytest.raises(ArgumentError, match=r"^CountdownEnv has several seats, 'first', 'second': give agents="):
+        list(rollout(CountdownEnv(), take_one, episodes=1))
+    with pytest.raises(AgentError, match=r"^an agent is a callable"):
+        list(rollout(CountdownEnv(), agents=[1, 2], episodes=1))
+    with pytest.raises(ArgumentError, match=r"^give either agent, who acts alone, or agents, where several act$"):
+        list(rollout(CountdownEnv(), None, episodes=1))
+
+
+def test_agents_for_an_environment_of_one_are_refused() -> None:
+    """``agents`` goes with several seats."""
+
+    class One(gem.Env):
+        def reset(self, seed: int | None = None, options: Any = None) -> Any:
+            super().reset(seed=seed)
+            return "?", {}
+
+    with pytest.raises(ArgumentError, match=r"^One is for one agent: give agent, not agents$"):
+        list(rollout(One(), agents=take_one, episodes=1))
+
+
+def test_records_survive_a_file(tmp_path: Path) -> None:
+    """A joint record is one line, read back the same; ``read_episodes`` yields the episode of each seat."""
+    path = tmp_path / "joint.jsonl"
+    played = list(rollout(CountdownEnv(), agents=random_agent, episodes=3, seed=2))
+    assert gem.write_episodes(path, played) == 3
+    assert list(gem.read_records(path)) == played
+    assert [(episode.seat, episode.episode_return) for episode in gem.read_episodes(path)] == [
+        (episode.seat, episode.episode_return) for joint in played for episode in joint
+    ]
+    assert path.read_text().count('"kwargs"') == 3
+    assert all(isinstance(episode, Episode) for episode in gem.read_episodes(path))
+
+
+def test_resumed_run_plays_what_is_left(tmp_path: Path) -> None:
+    """A run that was stopped goes on with the same episodes and agents."""
+    agents = [Seated("one", take_one), Seated("any", random_agent)]
+    whole = list(rollout("jointroll:Countdown-v0", agents=agents, episodes=6, seed=9))
+    path = tmp_path / "half.jsonl"
+    gem.write_episodes(path, whole[:2])
+    rest = list(rollout("jointroll:Countdown-v0", agents=agents, episodes=6, resume=path))
+    assert sorted(rest, key=lambda joint: joint.key) == sorted(whole[2:], key=lambda joint: joint.key)
+
+
+def test_summary_has_a_row_for_each_seat_and_agent() -> None:
+    """Scores are counted by agent and seat, and no total mixes the two sides of a game."""
+    summary = RunSummary(["CountdownEnv"])
+    agents = [Seated("one", take_one), Seated("any", random_agent)]
+    for joint in rollout(CountdownEnv(), agents=agents, episodes=4, seed=2):
+        summary.add(joint)
+    assert summary.episodes == 4
+    assert sorted(row.label for row in summary.rows()) == [
+        "CountdownEnv first=any",
+        "CountdownEnv first=one",
+        "CountdownEnv second=any",
+        "CountdownEnv second=one",
+    ]
+    assert sum(row.total_return for row in summary.rows()) == 0.0
