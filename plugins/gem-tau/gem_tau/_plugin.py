@@ -66,11 +66,11 @@ def gem_register_agents() -> Iterable[AgentSpec]:
 
 @hookimpl
 def gem_add_commands() -> Iterable[CommandSpec]:
-    """The command that replays the reference actions of tasks."""
+    """The command that checks tasks and makes heat maps."""
     return [
         CommandSpec(
             name="tau",
             entry_point="gem_tau.command:command",
-            summary="Check the tasks of tau-bench and tau2-bench by replaying their reference actions.",
+            summary="Check the tasks of tau-bench and tau2-bench; heat maps of users and assistants.",
         )
     ]

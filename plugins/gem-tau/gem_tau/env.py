@@ -118,7 +118,7 @@ class TauEnv(MultiAgentEnv):
 
     def _hear_user(self, words: str) -> Verdict:
         self._shown[ASSISTANT] = words or NOTHING_SAID
-        if any(stop in words for stop in STOPS):
+        if self._responses and any(stop in words for stop in STOPS):  # the first message ends nothing, as in tau-bench
             return self._end({})
         return self._truncate({}) if self._responses >= self.max_assistant_steps else ({}, {}, {}, {})
 
@@ -129,7 +129,7 @@ class TauEnv(MultiAgentEnv):
 
     def _call(self, response: str, calls: list[ToolCall]) -> Verdict:
         call = calls[0]
-        result = self._result(call)
+        result = self._execute(call)
         failed = call.error is not None or result.startswith("Error: ")
         self._shown[ASSISTANT] = result if call.error else f"Output of {call.name}:\n{result}"
         info: Info = {
@@ -149,7 +149,7 @@ class TauEnv(MultiAgentEnv):
         self.agent_selector.override(ASSISTANT)
         return {}, {}, {}, {ASSISTANT: info}
 
-    def _result(self, call: ToolCall) -> str:
+    def _execute(self, call: ToolCall) -> str:
         if call.error is not None:
             return f"The call could not be read: {call.error}"
         self._calls.append(Action(call.name, dict(call.arguments)))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 CHARACTERS = ("patient", "forgetful", "terse")
 
-_PATIENCE = {"patient": 12, "forgetful": 12, "terse": 6}
+_PATIENCE = {"patient": 12, "forgetful": 12, "terse": 5}
 """Messages after which a user leaves."""
 
 _ASKED = {
@@ -66,7 +66,7 @@ class ScriptedUser:
 
     ``patient`` tells all at once and exactly, checks what is read back, and mentions a further wish by itself.
     ``forgetful`` exchanges two digits of an order number at first, leaves out the rest, but checks what is read back.
-    ``terse`` answers one thing at a time, says yes to everything, and leaves after six messages.
+    ``terse`` answers one thing at a time, says yes to everything, and leaves after five messages.
 
     It understands the instructions of ``tau:Sample``. Of any other it says all in its first message, agrees to what it
     is asked to confirm, answers other questions with the sentences that share words with them, and leaves once the
