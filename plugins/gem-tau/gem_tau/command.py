@@ -14,7 +14,10 @@ from gem_tau.folders import TaskSet, read_folder
 from gem_tau.heatmap_command import heatmap
 
 
-@click.group("tau", epilog="\b\nExamples:\n  gem tau check tau_retail\n  gem tau check tau_retail --drop-one-write\n  gem tau heatmap")
+@click.group(
+    "tau",
+    epilog="\b\nExamples:\n  gem tau check tau_retail\n  gem tau check tau_retail --drop-one-write\n  gem tau heatmap",
+)
 def command() -> None:
     """Tasks of tau-bench and tau2-bench."""
 

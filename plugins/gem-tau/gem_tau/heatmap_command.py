@@ -28,11 +28,18 @@ Examples:
 """,
 )
 @click.option("--ids", default="tau:Sample", show_default=True, help="Environments, joined by commas.")
-@click.option("--users", default=_USERS, show_default=True, help="Agents at the user's seat, joined by commas: the rows.")
-@click.option("--assistants", default=_ASSISTANTS, show_default=True, help="Agents at the assistant's seat: the columns.")
+@click.option(
+    "--users", default=_USERS, show_default=True, help="Agents at the user's seat, joined by commas: the rows."
+)
+@click.option(
+    "--assistants", default=_ASSISTANTS, show_default=True, help="Agents at the assistant's seat: the columns."
+)
 @click.option("--folder", type=click.Path(path_type=Path), help="Data of the environments that need a folder.")
 @click.option(
-    "-n", "--episodes", type=click.IntRange(min=1), help="Episodes of each cell and environment.  [default: each task once]"
+    "-n",
+    "--episodes",
+    type=click.IntRange(min=1),
+    help="Episodes of each cell and environment.  [default: each task once]",
 )
 @click.option("-s", "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of every cell.")
 @click.option("-k", "--num-envs", type=click.IntRange(min=1), help="Episodes at once.")

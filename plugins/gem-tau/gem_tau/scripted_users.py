@@ -44,7 +44,9 @@ _FACT = re.compile(r"- (\w+): (.+)")
 _WANT = re.compile(r"(?:(Then you|If that cannot be done, you)|You) want to (.+)\.")
 _SENTENCE = re.compile(r"[^.!?\n]+[.!?]?")
 _NUMBER = re.compile(r"#\d{4}")
-_CONFIRM = re.compile(r"yes or no|\(yes/no\)|\bconfirm|\bshall i\b|\bshould i\b|\bproceed\b|is that right", re.IGNORECASE)
+_CONFIRM = re.compile(
+    r"yes or no|\(yes/no\)|\bconfirm|\bshall i\b|\bshould i\b|\bproceed\b|is that right", re.IGNORECASE
+)
 _SETTLED = re.compile(
     r"\bdone\b|\bha(?:s|ve) been\b|\bis now\b|\bcomes to\b|\bcannot\b|\bunable\b|\bsorry\b|anything else", re.IGNORECASE
 )
