@@ -70,7 +70,8 @@ class TauEnv(MultiAgentEnv):
 
     def begin_episode(self, options: dict[str, Any] | None) -> dict[str, Info]:
         """Draw a task, or take the one of ``options={"index": i}``."""
-        self._index = chosen_index(options, self.num_tasks) if options else int(self.np_random.integers(self.num_tasks))
+        count = len(self.task_set.tasks)
+        self._index = chosen_index(options, count) if options else int(self.np_random.integers(count))
         self._database = fork(self.task_set.database)
         self._calls: list[Action] = []
         self._said: list[str] = []
@@ -105,7 +106,7 @@ class TauEnv(MultiAgentEnv):
         self._shown[USER] = words or NOTHING_SAID
         return {}, {}, {}, {ASSISTANT: {"parsed_action": words}}
 
-    def sample_random_action(self, agent: str) -> str:
+    def sample_random_action(self, agent: str) -> str:  # type: ignore[override]  # an agent has to be named
         """Return a short message, or as the assistant a call of any tool; the user stops once in five times."""
         draw = int(self.action_random.integers(0, 5))
         if agent == USER:
@@ -176,7 +177,7 @@ class TauEnv(MultiAgentEnv):
         }
 
     def _set_state(self, state: dict[str, Any]) -> None:
-        self._index = chosen_index({"index": state["index"]}, self.num_tasks or 0)
+        self._index = chosen_index({"index": state["index"]}, len(self.task_set.tasks))
         self._database = restore(state["changed"], self.task_set.database)
         self._calls = [Action(name, copy.deepcopy(arguments)) for name, arguments in state["calls"]]
         self._said = list(state["said"])

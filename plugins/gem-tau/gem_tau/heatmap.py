@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from html import escape
 from typing import Any
 
@@ -49,12 +48,11 @@ def heat_map(
             for column, cell in enumerate(rows[-1]):
                 agents = {ASSISTANT: load_agent(str(cell.agent)), USER: load_agent(user)}
                 run = rollout(chosen, agents=agents, episodes=episodes, seed=seed, num_envs=num_envs)
-                with closing(run):
-                    for episode in run:
-                        if ASSISTANT in episode.seats:
-                            cell.add(episode.seats[ASSISTANT])
-                        else:  # the reset failed, or the user before its first word
-                            cell.errors += 1
+                for episode in run:
+                    if ASSISTANT in episode.seats:
+                        cell.add(episode.seats[ASSISTANT])
+                    else:  # the reset failed, or the user before its first word
+                        cell.errors += 1
                 progress.advance((len(rows) - 1) * len(assistants) + column + 1)
     return rows
 

@@ -59,8 +59,8 @@ def heatmap(
     """Let each assistant serve each user, and print how often it succeeds.
 
     A row for each user, a column for each assistant: success in percent with its standard error (Wilson's), and the
-    number of episodes. Episodes with an error are in no rate, and make the exit code 1. An agent is named as for gem run;
-    openai:MODEL takes the address of its server from OPENAI_BASE_URL.
+    number of episodes. Episodes with an error are in no rate, and make the exit code 1. An agent is named as for gem
+    run; openai:MODEL takes the address of its server from OPENAI_BASE_URL.
     """
     if out is not None and out.suffix not in (".svg", ".json"):
         raise ArgumentError(f"--out takes a file that ends in .svg or .json, not {str(out)!r}")

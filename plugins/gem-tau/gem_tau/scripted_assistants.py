@@ -1,4 +1,4 @@
-"""Assistants of ``tau:Sample`` that act by rules, without a model: they read the conversation and their tools' results."""
+"""Assistants of ``tau:Sample`` that act by rules: they read what the user says and what their tools return."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ def written(name: str, arguments: dict[str, Any]) -> str:
 
 
 def native(*calls: tuple[str, dict[str, Any]], text: str = "") -> Response:
-    """Return native calls, with the ids a, b, …"""
+    """Return native calls, whose ids are the letters from a."""
     functions = [{"name": name, "arguments": json.dumps(arguments)} for name, arguments in calls]
     return Response(text, tool_calls=[{"id": chr(97 + at), "function": each} for at, each in enumerate(functions)])
 
@@ -193,7 +193,7 @@ def test_first_message_of_the_user_ends_nothing() -> None:
 
 
 def test_neither_seat_sees_what_is_the_others() -> None:
-    """Nothing of the instruction and the reference actions reaches the assistant, nothing of calls and results the user."""
+    """The instruction and the reference actions stay with the user's seat, calls and results with the assistant's."""
     env = gem.make("tau:Sample")
     for index in range(env.num_tasks):
         observations, infos = env.reset(seed=0, options={"index": index})

@@ -66,7 +66,7 @@ def test_heatmap_prints_and_writes(tmp_path: Path) -> None:
     done = CliRunner().invoke(command, ["heatmap", *chosen, "--out", str(picture)])
     assert done.exit_code == 0
     assert done.output.splitlines()[1].split() == ["user", *ASSISTANTS[1:]]
-    assert done.output.splitlines()[2].split() == "tau-user:patient 83.3 ± 14.9 (6) 0.0 ± 7.1 (6)".split()
+    assert " ".join(done.output.splitlines()[2].split()) == "tau-user:patient 83.3 ± 14.9 (6) 0.0 ± 7.1 (6)"
     texts = [element.text for element in ElementTree.parse(picture).iter() if element.tag.endswith("text")]
     assert texts[1:] == [*ASSISTANTS[1:], "tau-user:patient", "83.3 ± 14.9", "n = 6", "0.0 ± 7.1", "n = 6"]
     CliRunner().invoke(command, ["heatmap", *chosen, "--out", str(numbers)])
