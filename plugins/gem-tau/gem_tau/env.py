@@ -79,7 +79,7 @@ class TauEnv(MultiAgentEnv):
         self._shown = {ASSISTANT: TERMINAL_STATE, USER: GREETING}
         self.agent_selector.override(USER)
         known = {"task_id": self.task.id, "index": self._index}
-        explained = f"\n\n{tool_instructions(self._tools.values())}"
+        explained = f"\n\n{tool_instructions(self.task_set.tools)}"
         assistant = {
             **known,
             "system": f"{self.task_set.policy.strip()}{explained}",

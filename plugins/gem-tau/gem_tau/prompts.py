@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
-from gem_core.tools import Tool
+from gem_core.tools import CALL_CLOSE, CALL_OPEN
 
 GREETING = "Hi! How can I help you today?"
 """What the user answers first, as in tau-bench; the assistant does not see it."""
@@ -21,6 +23,13 @@ NOTHING_SAID = "(nothing was said)"
 
 _PART = re.compile(r"<your part>\n(.*)\n</your part>", re.DOTALL)
 
+_TOOLS = """\
+You have these tools, each described by its name and the JSON Schema of its arguments:
+{tools}
+
+To call one, write {form} and nothing else: its result comes back to you, and the user sees neither. Make one call in \
+a response. A response without a call is said to the user."""
+
 _USER = """\
 You play a customer who writes to the support of a company. What you read are the messages of its assistant.
 
@@ -34,7 +43,7 @@ How to play your part:
 - You know what your part says, and no more. Asked for anything else, say that you do not know or do not have it; \
 never make up a name, a number or a wish.
 - Use your own words instead of copying those of your part, and keep to the character that it describes.
-- Once all that you want is settled, write {stop} alone, without another word. That ends the conversation."""
+- Once all that you want is done, or has been refused for good, write {stop} alone, without another word. That ends the conversation."""
 
 
 def user_system(instruction: str) -> str:
@@ -48,11 +57,7 @@ def part_of(system: str) -> str:
     return found[1] if found else system
 
 
-def tool_instructions(tools: Iterable[Tool]) -> str:
+def tool_instructions(schemas: Iterable[Mapping[str, Any]]) -> str:
     """Return how to call the tools, for a model that is not offered their schemas."""
-    lines = [
-        "You have these tools. Make one call in a response, and write nothing else in it: the result comes back to "
-        "you, and the user sees neither. A response without a call is said to the user.",
-        *(tool.explained_in_json() for tool in tools),
-    ]
-    return "\n".join(lines)
+    described = "\n".join(json.dumps(schema["function"], ensure_ascii=False) for schema in schemas)
+    return _TOOLS.format(tools=described, form=f'{CALL_OPEN}{{"name": …, "arguments": {{…}}}}{CALL_CLOSE}')
