@@ -203,7 +203,7 @@ class SingleAgentEnv(Env):
         Raises:
             _OpponentError: One of the others failed, or they never come to an end.
         """
-        for _ in range(self.max_other_turns + 1):
+        for turn in range(self.max_other_turns + 1):
             observations, rewards, terminations, truncations, infos = joint
             self._acting = list(observations)
             for agent in rewards:
@@ -218,7 +218,8 @@ class SingleAgentEnv(Env):
                 return observation, reward, terminated, truncated, info
             if not observations:
                 return None
-            joint = await self._joint_step({}, calls)
+            if turn < self.max_other_turns:
+                joint = await self._joint_step({}, calls)
         raise _OpponentError(f"the turn of {self.seat!r} did not come in {self.max_other_turns} turns of the others")
 
     async def _joint_step(self, own: Mapping[str, str], calls: PlainCalls) -> JointStepResult:
@@ -266,8 +267,8 @@ class SingleAgentEnv(Env):
             answers |= await calls.wait(_all_of(waited))
         for agent, answer in answers.items():
             if not isinstance(answer, str):
-                problem = AgentError(f"an agent returns a str or a Response, and this one {type(answer).__name__}")
-                raise _OpponentError(_described(agent, problem))
+                problem = f"an agent returns a str or a Response, and this one returned {type(answer).__name__}"
+                raise _OpponentError(_described(agent, AgentError(problem)))
             self._running[agent].response = Response.of(answer)
         return {agent: self._running[agent].response for agent in answers}
 
