@@ -9,7 +9,6 @@ from typing import Any
 from gem_core import rollout
 from gem_core.progress import Progress
 from gem_core.records import EnvSummary
-from gem_core.rollouts import load_agent
 from gem_tau.env import ASSISTANT, USER
 
 _TOP, _HEIGHT, _LETTER = 62, 56, 7.5  # pixels: what is above the cells, the height of one, the width of a letter
@@ -46,7 +45,7 @@ def heat_map(
         for user in users:
             rows.append([EnvSummary(user, seat=ASSISTANT, agent=name) for name in assistants])
             for column, cell in enumerate(rows[-1]):
-                agents = {ASSISTANT: load_agent(str(cell.agent)), USER: load_agent(user)}
+                agents = {ASSISTANT: cell.agent, USER: user}
                 run = rollout(chosen, agents=agents, episodes=episodes, seed=seed, num_envs=num_envs)
                 for episode in run:
                     if ASSISTANT in episode.seats:

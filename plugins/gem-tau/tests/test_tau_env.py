@@ -10,6 +10,8 @@ import pytest
 import gem_core as gem
 from gem_core import Response
 from gem_core.errors import ArgumentError
+from gem_core.rollouts import load_agent
+from gem_core.testing import check_env
 from gem_tau.env import TauEnv
 from gem_tau.prompts import GREETING, STOP
 
@@ -270,3 +272,36 @@ def test_tools_are_explained_where_they_are_not_offered() -> None:
         system, first = assistant.read
         assert first == {"role": "user", "content": "Hi."}
         assert ("<tool_call>" in system["content"]) is not native_tools
+
+
+def test_solo_plays_the_user_inside() -> None:
+    """An environment for the assistant alone begins with the user's words, and its infos are the assistant's."""
+    env = gem.make("tau:Sample-solo", user="tau-user:terse")
+    assert env.unwrapped.num_tasks == 10
+    observation, info = env.reset(seed=0, options={"index": 0})
+    assert observation == "Cancel an order."
+    assert info["system"].startswith("# Policy")
+    assert len(info["tools"]) == 8
+    assert env.step("What is your e-mail address?")[0] == "ines.castro@example.com."
+    assert env.step(native(CANCEL))[4]["messages"][0]["tool_call_id"] == "a"
+    *_, info = env.step("It is done.")
+    assert info["correct"]
+    (episode,) = gem.rollout("tau:Sample-solo", load_agent("tau-assistant:careful"), episodes=1)
+    assert episode.success
+
+
+def test_solo_draws_one_of_several_users() -> None:
+    """By the seed of the episode."""
+    env = gem.make("tau:Sample-solo", user=["tau-user:patient", "tau-user:terse"])
+    openings = [env.reset(seed=seed, options={"index": 0})[0] for seed in range(12)]
+    assert set(openings) == {
+        "Cancel an order.",
+        "I want to cancel an order. My email address is ines.castro@example.com. The order is #1042. "
+        "The reason is: ordered by mistake.",
+    }
+
+
+@pytest.mark.thorough
+def test_solo_keeps_the_contract() -> None:
+    """All that ``check_env`` tries."""
+    assert check_env("tau:Sample-solo").skipped == {}

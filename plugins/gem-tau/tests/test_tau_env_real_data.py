@@ -91,12 +91,11 @@ def test_folder_must_be_named() -> None:
 
 def test_scripted_user_retells_the_benchmarks_instructions() -> None:
     """In the first person; and leaves once something is done."""
-    from gem_core.rollouts import load_agent
 
     def assistant(observation: str, context: gem.Context) -> str:
         return ["Shall I proceed?", "It has been done."][context.turn]
 
-    agents = {"assistant": assistant, "user": load_agent("tau-user:patient")}
+    agents = {"assistant": assistant, "user": "tau-user:patient"}
     env = gem.make("tau:Retail-test", folder=str(FOLDER))
     (joint,) = gem.rollout(env, agents=agents, episodes=1)
     opening, agreed, last = [turn.action for turn in joint.seats["user"].transitions]

@@ -29,8 +29,7 @@ def test_strength_of_both_seats_decides_the_success() -> None:
 def test_conversation_of_forgetful_and_careful() -> None:
     """The user gives a wrong number, the assistant does not find it in the account, asks, confirms and acts."""
     agents = {"assistant": "tau-assistant:careful", "user": "tau-user:forgetful"}
-    env = gem.make("tau:Sample")
-    (joint,) = gem.rollout(env, agents={seat: load_agent(name) for seat, name in agents.items()}, episodes=1)
+    (joint,) = gem.rollout("tau:Sample", agents=agents, episodes=1)
     said = [f"{seat}: {turn.action}" for seat, turn in joint.transcript() if turn.action]
     assert said == [
         "user: I want to cancel an order. The order is #1024.",
