@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from toys import Calculator, EchoEnv
 
 import gem_core as gem
-from gem_core.tools import spoken
 from gem_core.tools.calls.reading import WELL_KNOWN
 from gem_core.tools.env import ToolEnv
 
@@ -484,21 +483,3 @@ def test_megabytes_of_different_tags_are_read() -> None:
     """Only so many are held against the names of tools."""
     tags = (f"<lookup{''.join(end)}>" for end in itertools.islice(itertools.product("abcdefghij", repeat=5), 60_000))
     assert called("".join(tags) + "42") is None
-
-
-@pytest.mark.parametrize(
-    ("response", "said"),
-    [
-        ("<think>secret</think>\nHello.<|im_end|>", "Hello."),
-        ("secret</think>Hello.", "Hello."),
-        ("Hello. <think>secret", "Hello."),
-        ("[THINK]secret[/THINK]Hello.", "Hello."),
-        ("Hello.<seed:think>secret", "Hello."),
-        ("Hello.\n<think>secret</think>\nBye.", "Hello.\n\nBye."),
-        ("<think>se<think>c</think>ret</think>Hello.", "Hello."),
-        ("secret</think>", ""),
-    ],
-)
-def test_thinking_is_not_spoken(response: str, said: str) -> None:
-    """What a response says to others holds nothing of a thinking block, closed or not."""
-    assert spoken(response) == said

@@ -43,7 +43,8 @@ How to play your part:
 - You know what your part says, and no more. Asked for anything else, say that you do not know or do not have it; \
 never make up a name, a number or a wish.
 - Use your own words instead of copying those of your part, and keep to the character that it describes.
-- Once all that you want is done, or has been refused for good, write {stop} alone, without another word. That ends the conversation."""
+- Once all that you want is done, or has been refused for good, write {stop} alone, without another \
+word. That ends the conversation."""
 
 
 def user_system(instruction: str) -> str:
