@@ -26,6 +26,7 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("agent", "kuhn"): ("gem-games",),
     ("agent", "tau-assistant"): ("gem-tau",),
     ("agent", "tau-user"): ("gem-tau",),
+    ("agent", "negotiator"): ("gem-games",),
     ("command", "show"): ("gem-eval",),
     ("command", "mcp"): ("gem-tools",),
     ("command", "serve-search"): ("gem-tools",),
