@@ -94,24 +94,19 @@ class Talk:
             self.wish, self.text, self.wish_began = wish, "", len(self.results)
         self.text += f"\n{text}"
 
-    def last(self, pattern: re.Pattern[str], text: str) -> str | None:
-        """Return what a pattern matched last."""
-        found = pattern.findall(text)
-        return found[-1] if found else None
-
     @property
     def email(self) -> str | None:
         """The email address that the user gave last."""
-        return self.last(_EMAIL, "\n".join(self.heard))
+        return _last(_EMAIL, "\n".join(self.heard))
 
     @property
     def order_id(self) -> str | None:
         """The order number that the user gave last."""
-        return self.last(_NUMBER, "\n".join(self.heard))
+        return _last(_NUMBER, "\n".join(self.heard))
 
     def detail(self, pattern: re.Pattern[str]) -> str | None:
         """Return a detail of the present wish, in small letters where it is a word of the shop."""
-        found = self.last(pattern, self.text)
+        found = _last(pattern, self.text)
         return found.lower() if found and pattern is not _ADDRESS else found
 
     def result(self, name: str, **arguments: str) -> tuple[bool, Any]:
@@ -126,6 +121,12 @@ class Talk:
         writes = ("cancel_order", "return_item", "swap_item", "change_address")
         results = [result for call, result in self.results[self.wish_began :] if call.name in writes]
         return bool(results), bool(results and results[-1] is not None)
+
+
+def _last(pattern: re.Pattern[str], text: str) -> str | None:
+    """Return what a pattern matches last."""
+    found = pattern.findall(text)
+    return found[-1] if found else None
 
 
 def careful(talk: Talk) -> str | Call:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -245,6 +246,25 @@ def test_state_survives_json_in_the_middle() -> None:
     other.step({"assistant": "Anything else?"})
     assert other.step({"user": STOP})[1]["assistant"] == 1.0
     assert untouched.task_set.database["orders"]["#1042"]["status"] == "pending"
+
+
+def test_calls_decide_where_a_task_says_so() -> None:
+    """Tasks of tau2-bench may ask for the reference actions themselves; they are part of the state."""
+
+    def begun_task() -> TauEnv:
+        env = TauEnv("gem_tau:sample")
+        tasks = tuple(replace(task, reward_basis=("ACTION",)) for task in env.task_set.tasks)
+        env.task_set = replace(env.task_set, tasks=tasks)
+        env.reset(seed=0, options={"index": 0})
+        env.step({"user": "Cancel it."})
+        return env
+
+    env, other = begun_task(), begun_task()
+    env.step({"assistant": written(*CANCEL)})
+    other.set_state(json.loads(json.dumps(env.get_state())))
+    for each, reward in ((env, 1.0), (other, 1.0), (begun_task(), 0.0)):
+        each.step({"assistant": "Done."})
+        assert each.step({"user": STOP})[1]["assistant"] == reward
 
 
 def test_tools_are_explained_where_they_are_not_offered() -> None:

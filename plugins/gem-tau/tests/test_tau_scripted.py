@@ -85,3 +85,19 @@ def test_picture_shows_names_as_they_are() -> None:
     (row,) = heat_map(["tau:Sample"], ["tau-user:terse"], ["tau-assistant:passive"], episodes=1)
     row[0].agent = "module:<A&B>"
     assert "module:<A&B>" in [element.text for element in ElementTree.fromstring(svg([row])).iter()]
+
+
+def test_failed_episodes_are_in_no_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the user's server does not answer, the cell says so, and the exit code is 1."""
+    (tmp_path / "broken_user.py").write_text(
+        "from gem_core.errors import RequestError\n"
+        "def user(observation, context):\n"
+        "    if context.turn:\n"
+        "        raise RequestError('no answer')\n"
+        "    return 'Hello.'\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    chosen = ["--users", "broken_user:user", "--assistants", "tau-assistant:passive", "--episodes", "2"]
+    done = CliRunner().invoke(command, ["heatmap", *chosen])
+    assert done.exit_code == 1
+    assert " ".join(done.output.splitlines()[2].split()) == "broken_user:user - (0, 2 failed)"
