@@ -11,6 +11,7 @@ from typing import Any
 
 from gem_core import MultiAgentEnv, Response
 from gem_core.data import chosen_index
+from gem_core.errors import DatasetError
 from gem_core.tools import CALL_CLOSE, CALL_OPEN, CallReader, Tool, ToolCall, native_calls, spoken
 from gem_core.types import TERMINAL_STATE, Info
 from gem_tau.database import changed_records, fork, restore
@@ -47,7 +48,7 @@ class TauEnv(MultiAgentEnv):
         max_assistant_steps: Responses of the assistant after which the episode is truncated.
 
     Raises:
-        DatasetError: The folder cannot be read.
+        DatasetError: The folder cannot be read, or has no task whose reward can be computed.
 
     Source: tau-bench, arXiv:2406.12045.
     """
@@ -56,8 +57,10 @@ class TauEnv(MultiAgentEnv):
 
     def __init__(self, folder: str | Path, *, split: str | None = None, max_assistant_steps: int = 30) -> None:
         super().__init__()
-        self.task_set = _task_set(str(folder), split)
+        self.task_set = _shared_task_set(str(folder), split)
         self.num_tasks = len(self.task_set.tasks)
+        if not self.num_tasks:
+            raise DatasetError(f"{folder} has no task whose reward can be computed; see 'gem tau check'")
         self.max_assistant_steps = max_assistant_steps
         self._tools = {schema["function"]["name"]: DescribedTool(schema["function"]) for schema in self.task_set.tools}
         self._reader = CallReader(self._tools)
@@ -209,7 +212,14 @@ def _executed(response: str, call: ToolCall) -> str | None:
     return response[: call.end] if call.end else None
 
 
+def _shared_task_set(folder: str, split: str | None) -> TaskSet:
+    """Read a folder once for all environments: a task set takes some 10 MB, and is never changed."""
+    path = Path(folder).resolve()
+    return _task_set(
+        folder, split, str(path), tuple((file, file.stat().st_mtime_ns) for file in sorted(path.glob("*")))
+    )
+
+
 @lru_cache(maxsize=4)
-def _task_set(folder: str, split: str | None) -> TaskSet:
-    """Read a folder once for all environments: one has some 10 MB, and is never changed."""
+def _task_set(folder: str, split: str | None, *_: object) -> TaskSet:
     return read_folder(folder, split)

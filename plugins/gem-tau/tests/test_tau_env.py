@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 import gem_core as gem
 from gem_core import Response
-from gem_core.errors import ArgumentError
+from gem_core.errors import ArgumentError, DatasetError
 from gem_core.rollouts import load_agent
 from gem_core.testing import check_env
 from gem_tau.env import TauEnv
@@ -319,6 +320,22 @@ def test_solo_draws_one_of_several_users() -> None:
         "I want to cancel an order. My email address is ines.castro@example.com. The order is #1042. "
         "The reason is: ordered by mistake.",
     }
+
+
+def test_changed_folder_is_read_anew(tmp_path: Path) -> None:
+    """Environments share what they read, as long as the files are the same."""
+    shop: dict[str, Any] = {"orders": {}, "products": {}, "users": {}}
+    for name, rows in shop.items():
+        (tmp_path / f"{name}.json").write_text(json.dumps(rows))
+    (tmp_path / "policy.md").write_text("Be kind.")
+    task = {"user_id": "a", "instruction": "Say hello.", "actions": [], "outputs": []}
+    for count in (1, 2):
+        (tmp_path / "tasks_test.json").write_text(json.dumps([task] * count))
+        assert TauEnv(tmp_path).num_tasks == count
+    assert TauEnv(tmp_path).task_set is TauEnv(tmp_path).task_set
+    (tmp_path / "tasks_test.json").write_text("[]")
+    with pytest.raises(DatasetError, match=r" has no task whose reward can be computed; see 'gem tau check'$"):
+        TauEnv(tmp_path)
 
 
 @pytest.mark.thorough
