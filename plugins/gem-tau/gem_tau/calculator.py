@@ -38,6 +38,8 @@ def evaluate(expression: str) -> str:
         ArithmeticError: As in Python, such as for a division by zero.
         TypeError: Its value is no real number.
     """
+    if not isinstance(expression, str):  # a model may give anything
+        raise TypeError("eval() arg 1 must be a string, bytes or code object")
     if len(expression) > _MAX_CHARACTERS:
         raise ValueError(f"the expression is longer than {_MAX_CHARACTERS} characters")
     tree = ast.parse(expression.lstrip(" "), filename="<string>", mode="eval")
@@ -63,10 +65,10 @@ def _value(node: ast.expr) -> Any:
         case _:
             raise ValueError("invalid syntax")
     if isinstance(value, int) and value.bit_length() > _MAX_BITS:
-        raise ValueError("a number in the expression is too large")
+        raise OverflowError("int too large to convert to float")
     return value
 
 
 def _check_power(base: Any, exponent: Any) -> None:
     if isinstance(base, int) and isinstance(exponent, int) and base.bit_length() * exponent > _MAX_BITS:
-        raise ValueError("a number in the expression is too large")
+        raise OverflowError("int too large to convert to float")

@@ -43,7 +43,8 @@ class TauEnv(MultiAgentEnv):
     ``tools``. Its last one has ``correct``, and in ``tau`` the components of the reward, ``DB`` and ``COMMUNICATE``.
 
     Args:
-        folder: Data of tau-bench or tau2-bench, see ``read_folder``; ``gem_tau:sample`` is the shop of this plugin.
+        folder: Data of tau-bench or tau2-bench, see ``read_folder``, which is read once in a process;
+            ``gem_tau:sample`` is the shop of this plugin.
         split: Only the tasks of this split, such as ``test``; None for all.
         max_assistant_steps: Responses of the assistant after which the episode is truncated.
 
@@ -57,7 +58,7 @@ class TauEnv(MultiAgentEnv):
 
     def __init__(self, folder: str | Path, *, split: str | None = None, max_assistant_steps: int = 30) -> None:
         super().__init__()
-        self.task_set = _shared_task_set(str(folder), split)
+        self.task_set = _task_set(str(folder), split, Path(folder).resolve())
         self.num_tasks = len(self.task_set.tasks)
         if not self.num_tasks:
             raise DatasetError(f"{folder} has no task whose reward can be computed; see 'gem tau check'")
@@ -212,14 +213,7 @@ def _executed(response: str, call: ToolCall) -> str | None:
     return response[: call.end] if call.end else None
 
 
-def _shared_task_set(folder: str, split: str | None) -> TaskSet:
-    """Read a folder once for all environments: a task set takes some 10 MB, and is never changed."""
-    path = Path(folder).resolve()
-    return _task_set(
-        folder, split, str(path), tuple((file, file.stat().st_mtime_ns) for file in sorted(path.glob("*")))
-    )
-
-
 @lru_cache(maxsize=4)
-def _task_set(folder: str, split: str | None, *_: object) -> TaskSet:
+def _task_set(folder: str, split: str | None, where: Path) -> TaskSet:
+    """Read a folder once for all environments: a task set takes some 10 MB, and is never changed."""
     return read_folder(folder, split)

@@ -14,7 +14,7 @@ from gem_core.errors import DatasetError
 from gem_tau.database import Database, Digest
 from gem_tau.domains import SAMPLE, TAU2_AIRLINE, TAU2_RETAIL, TAU_RETAIL, Domain
 from gem_tau.records import Airline, Order, Product, Shop, TauUser
-from gem_tau.task_files import Tau2Task, TauTask
+from gem_tau.task_files import Tau2Task, TauTask, read_python_tasks
 from gem_tau.tasks import Task
 
 T = TypeVar("T")
@@ -23,6 +23,7 @@ _EXPECTED = (
     "a folder of tau-bench's retail has orders.json, products.json, users.json, policy.md and tasks_test.json, "
     "one of tau2-bench's retail or airline db.json, tasks.json and policy.md"
 )
+_IN_CHECKOUT = Path("tau_bench", "envs", "retail")
 _TAU_TABLES: dict[str, type[Any]] = {
     "orders": dict[str, Order],
     "products": dict[str, Product],
@@ -63,8 +64,9 @@ def read_folder(folder: str | Path, split: str | None = None) -> TaskSet:
     """Read a data folder.
 
     Args:
-        folder: The folder, in the form of tau-bench's retail domain, or tau2-bench's retail or airline;
-            ``gem_tau:sample`` is the shop that comes with this plugin.
+        folder: The folder, in the form of tau-bench's retail domain, or tau2-bench's retail or airline. A checkout of
+            tau-bench's repository will do: its Python files of tasks are read, never run. ``gem_tau:sample`` is the
+            shop that comes with this plugin.
         split: Only the tasks of this split, such as ``test``; without it, all that the folder has.
 
     Raises:
@@ -77,7 +79,9 @@ def read_folder(folder: str | Path, split: str | None = None) -> TaskSet:
         raise DatasetError(f"there is no folder {path}; {_EXPECTED}")
     if (path / "db.json").is_file():
         return _read_tau2(path, split)
-    if (path / "orders.json").is_file():
+    if (path / _IN_CHECKOUT).is_dir():
+        path /= _IN_CHECKOUT
+    if (path / "orders.json").is_file() or (path / "data" / "orders.json").is_file():
         return _read_tau(path, split)
     raise DatasetError(f"{path} has neither orders.json nor db.json; {_EXPECTED}")
 
@@ -96,26 +100,36 @@ def _read_sample(split: str | None) -> TaskSet:
 
 
 def _read_tau(path: Path, split: str | None) -> TaskSet:
-    names = sorted(file.stem.removeprefix("tasks_") for file in path.glob("tasks_*.json"))
-    if not names:
+    data = path if (path / "orders.json").is_file() else path / "data"
+    files = {file.stem.removeprefix("tasks_"): file for form in ("py", "json") for file in path.glob(f"tasks_*.{form}")}
+    if not files:
         raise DatasetError(f"{path} has no tasks_test.json, tasks_train.json or tasks_dev.json")
-    _check_split(path, split, names)
-    database = {name: _json(path / f"{name}.json") for name in _TAU_TABLES}
+    _check_split(path, split, sorted(files))
+    database = {name: _json(data / f"{name}.json") for name in _TAU_TABLES}
     for name, form in _TAU_TABLES.items():
-        _checked(form, database[name], path / f"{name}.json")
+        _checked(form, database[name], data / f"{name}.json")
     tasks = [
         each.task(f"{name}-{number}")
-        for name in ([split] if split else names)
-        for number, each in enumerate(_read_checked(list[TauTask], path / f"tasks_{name}.json"))
+        for name in ([split] if split else sorted(files))
+        for number, each in enumerate(_checked(list[TauTask], _tasks(files[name]), files[name]))
     ]
-    tools = path / "tools.json"
+    tools, wiki = path / "tools.json", path / "wiki.md"
     return TaskSet(
         domain=TAU_RETAIL,
         database=database,
-        policy=_text(path / "policy.md"),
+        policy=_text(wiki if wiki.is_file() else path / "policy.md"),
         tools=_read_checked(list[dict[str, Any]], tools) if tools.is_file() else TAU_RETAIL.schemas(),
         tasks=tuple(tasks),
     )
+
+
+def _tasks(path: Path) -> Any:
+    if path.suffix == ".json":
+        return _json(path)
+    try:
+        return read_python_tasks(_text(path))
+    except (ValueError, SyntaxError, RecursionError) as error:
+        raise DatasetError(f"{path} has other code than a list of Task(...): {error}") from error
 
 
 def _read_tau2(path: Path, split: str | None) -> TaskSet:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from typing import Any, Literal
 
 from pydantic import BaseModel, Field
@@ -33,6 +34,32 @@ class TauTask(BaseModel):
             outputs=tuple(self.outputs),
             user_id=self.user_id,
         )
+
+
+def read_python_tasks(code: str) -> list[Any]:
+    """Return the tasks of one of tau-bench's Python files as plain data, without running it.
+
+    Args:
+        code: A module that assigns one list of ``Task(…)`` with literal arguments.
+
+    Raises:
+        ValueError: It has no such list, or there is something else in it.
+        SyntaxError: It is no Python.
+    """
+    lists = [node.value for node in ast.parse(code).body if isinstance(node, ast.Assign)]
+    if len(lists) != 1:
+        raise ValueError(f"{len(lists)} assignments in place of one")
+    tasks: list[Any] = _plain(lists[0])
+    return tasks
+
+
+def _plain(node: ast.expr) -> Any:
+    match node:
+        case ast.Call(func=ast.Name(id="Task" | "Action"), args=[]):
+            return {each.arg: _plain(each.value) for each in node.keywords}
+        case ast.List():
+            return [_plain(each) for each in node.elts]
+    return ast.literal_eval(node)
 
 
 class Tau2Action(BaseModel):

@@ -241,12 +241,14 @@ def update_reservation_passengers(
     database: Database, /, reservation_id: ReservationId, passengers: Passengers
 ) -> Record:
     """Change the passengers of a reservation, but not how many they are."""
-    travellers = _models(Passenger, passengers)
+    travellers: Any = passengers
+    if all(isinstance(each, dict) for each in travellers):
+        travellers = [Passenger(**each).model_dump() for each in travellers]
     before = _found(database, "reservations", reservation_id)
     if len(travellers) != len(before["passengers"]):
         raise ValueError("Number of passengers does not match")
     reservation = own(database, "reservations", reservation_id)
-    reservation["passengers"] = [each.model_dump() for each in travellers]
+    reservation["passengers"] = travellers
     return reservation
 
 
