@@ -13,7 +13,7 @@ import gem_core as gem
 from gem_core import Response
 from gem_core.errors import ArgumentError, DatasetError
 from gem_core.rollouts import load_agent
-from gem_core.testing import check_env
+from gem_core.testing import check_env, check_plugin
 from gem_tau.env import TauEnv
 from gem_tau.prompts import GREETING, STOP
 
@@ -330,6 +330,11 @@ def test_folder_without_tasks_is_refused(tmp_path: Path) -> None:
     (tmp_path / "tasks_test.json").write_text("[]")
     with pytest.raises(DatasetError, match=r" has no task whose reward can be computed; see 'gem tau check'$"):
         TauEnv(tmp_path)
+
+
+def test_plugin_keeps_its_promises() -> None:
+    """It loads nothing heavy, and its entry points take the arguments that are registered or asked for."""
+    check_plugin("gem-tau")
 
 
 @pytest.mark.thorough
