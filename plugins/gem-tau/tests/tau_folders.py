@@ -70,8 +70,8 @@ _SHOP: dict[str, dict[str, Any]] = {
         }
     },
 }
-CANCEL = {"name": "cancel_pending_order", "kwargs": {"order_id": "#W1", "reason": "no longer needed"}}
-MOVE = {"name": "modify_user_address", "kwargs": {"user_id": "ann_lee_1", **WORK}}
+CANCEL: dict[str, Any] = {"name": "cancel_pending_order", "kwargs": {"order_id": "#W1", "reason": "no longer needed"}}
+MOVE: dict[str, Any] = {"name": "modify_user_address", "kwargs": {"user_id": "ann_lee_1", **WORK}}
 
 
 def tau_task(*actions: dict[str, Any], outputs: tuple[str, ...] = ()) -> dict[str, Any]:
