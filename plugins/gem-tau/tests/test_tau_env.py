@@ -338,6 +338,7 @@ def test_plugin_keeps_its_promises() -> None:
 
 
 @pytest.mark.thorough
-def test_solo_keeps_the_contract() -> None:
+@pytest.mark.parametrize("env_id", ["tau:Sample", "tau:Sample-solo"])
+def test_environments_keep_the_contract(env_id: str) -> None:
     """All that ``check_env`` tries."""
-    assert check_env("tau:Sample-solo").skipped == {}
+    assert check_env(env_id).skipped == {}
