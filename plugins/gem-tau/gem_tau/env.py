@@ -144,8 +144,7 @@ class TauEnv(MultiAgentEnv):
         if call.id is not None:
             others = [(other, "Not executed: only the first call of a response is.") for other in calls[1:]]
             info["messages"] = [
-                {"role": "tool", "tool_call_id": each.id, "name": each.name, "content": text}
-                for each, text in [(call, result), *others]
+                {"role": "tool", "tool_call_id": each.id, "content": text} for each, text in [(call, result), *others]
             ]
         if call.error is None and call.name in self.task_set.domain.ends:
             return self._end(info)
