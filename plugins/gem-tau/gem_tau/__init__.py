@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from gem_tau.database import Database, changed_records, fork, restore
     from gem_tau.domains import Domain
+    from gem_tau.env import TauEnv
     from gem_tau.folders import TaskSet, read_folder
+    from gem_tau.heatmap import heat_map
     from gem_tau.rewards import Reward, replay, reward
     from gem_tau.tasks import Action, Task
 
@@ -19,8 +21,10 @@ _MODULES = {
     "Reward": "rewards",
     "Task": "tasks",
     "TaskSet": "folders",
+    "TauEnv": "env",
     "changed_records": "database",
     "fork": "database",
+    "heat_map": "heatmap",
     "read_folder": "folders",
     "replay": "rewards",
     "restore": "database",
@@ -34,8 +38,10 @@ __all__ = [
     "Reward",
     "Task",
     "TaskSet",
+    "TauEnv",
     "changed_records",
     "fork",
+    "heat_map",
     "read_folder",
     "replay",
     "restore",

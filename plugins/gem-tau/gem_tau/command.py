@@ -11,11 +11,18 @@ import click
 from gem_core.progress import Progress
 from gem_tau.checking import Check, DroppedWrite, check_task
 from gem_tau.folders import TaskSet, read_folder
+from gem_tau.heatmap_command import heatmap
 
 
-@click.group("tau", epilog="\b\nExamples:\n  gem tau check tau_retail\n  gem tau check tau_retail --drop-one-write")
+@click.group(
+    "tau",
+    epilog="\b\nExamples:\n  gem tau check tau_retail\n  gem tau check tau_retail --drop-one-write\n  gem tau heatmap",
+)
 def command() -> None:
     """Tasks of tau-bench and tau2-bench."""
+
+
+command.add_command(heatmap)
 
 
 @command.command(

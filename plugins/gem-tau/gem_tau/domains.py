@@ -10,7 +10,7 @@ from typing import Any, Literal, get_type_hints
 
 from pydantic import create_model
 
-from gem_tau import retail, tau2_airline, tau2_retail
+from gem_tau import retail, sample, tau2_airline, tau2_retail
 from gem_tau.database import Database
 
 _FAILURES = (
@@ -144,4 +144,13 @@ TAU2_AIRLINE = Domain(
     hashed="json",
     unknown_tool="Error: Tool '{name}' not found.",
     signature=lambda tool: f"AirlineTools.{tool}()",
+)
+SAMPLE = Domain(
+    name="sample",
+    tools={tool.__name__: tool for tool in sample.TOOLS},
+    writes=frozenset({"cancel_order", "change_address", "return_item", "swap_item"}),
+    ends=frozenset({"hand_over"}),
+    hashed="json",
+    unknown_tool="Error: there is no tool {name}",
+    signature=lambda tool: f"{tool}()",
 )

@@ -12,7 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from gem_core.errors import DatasetError
 from gem_tau.database import Database, Digest
-from gem_tau.domains import TAU2_AIRLINE, TAU2_RETAIL, TAU_RETAIL, Domain
+from gem_tau.domains import SAMPLE, TAU2_AIRLINE, TAU2_RETAIL, TAU_RETAIL, Domain
 from gem_tau.records import Airline, Order, Product, Shop, TauUser
 from gem_tau.task_files import Tau2Task, TauTask, read_python_tasks
 from gem_tau.tasks import Task
@@ -65,12 +65,15 @@ def read_folder(folder: str | Path, split: str | None = None) -> TaskSet:
 
     Args:
         folder: The folder, in the form of tau-bench's retail domain, or tau2-bench's retail or airline. A checkout of
-            tau-bench's repository will do: its Python files of tasks are read, never run.
+            tau-bench's repository will do: its Python files of tasks are read, never run. ``gem_tau:sample`` is the
+            shop that comes with this plugin.
         split: Only the tasks of this split, such as ``test``; without it, all that the folder has.
 
     Raises:
         DatasetError: The folder or a file in it is missing or malformed, or it has no such split.
     """
+    if folder == "gem_tau:sample":
+        return _read_sample(split)
     path = Path(folder)
     if not path.is_dir():
         raise DatasetError(f"there is no folder {path}; {_EXPECTED}")
@@ -81,6 +84,19 @@ def read_folder(folder: str | Path, split: str | None = None) -> TaskSet:
     if (path / "orders.json").is_file() or (path / "data" / "orders.json").is_file():
         return _read_tau(path, split)
     raise DatasetError(f"{path} has neither orders.json nor db.json; {_EXPECTED}")
+
+
+def _read_sample(split: str | None) -> TaskSet:
+    path = Path(__file__).parent / "data" / "sample"
+    _check_split(path, split, [])
+    tasks = _read_checked(list[TauTask], path / "tasks.json")
+    return TaskSet(
+        domain=SAMPLE,
+        database=_json(path / "database.json"),
+        policy=_text(path / "policy.md"),
+        tools=SAMPLE.schemas(),
+        tasks=tuple(each.task(f"sample-{number}") for number, each in enumerate(tasks)),
+    )
 
 
 def _read_tau(path: Path, split: str | None) -> TaskSet:
