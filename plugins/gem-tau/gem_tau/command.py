@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from pathlib import Path
 
 import click
 
@@ -34,16 +33,17 @@ Examples:
   gem tau check tau2-bench/data/tau2/domains/airline --json
 """,
 )
-@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("folder")
 @click.option("--split", help="Only the tasks of this split, such as test; without it, all in the folder.")
 @click.option("--drop-one-write", is_flag=True, help="Also replay without each write in turn: that must get nothing.")
 @click.option("--json", "as_json", is_flag=True, help="Write a line of JSON for each task, with its final hash.")
 @click.pass_context
-def check(ctx: click.Context, folder: Path, split: str | None, drop_one_write: bool, as_json: bool) -> None:
+def check(ctx: click.Context, folder: str, split: str | None, drop_one_write: bool, as_json: bool) -> None:
     """Replay the reference actions of tasks: they must get reward 1.
 
-    FOLDER holds the benchmark's files, of tau-bench's retail or tau2-bench's retail or airline. The exit code is 1
-    where a task does not get 1, or still gets it without a write that changes the final database.
+    FOLDER holds the benchmark's files, of tau-bench's retail or tau2-bench's retail or airline; gem_tau:sample is the
+    shop that comes with the plugin. The exit code is 1 where a task does not get 1, or still gets it without a write
+    that changes the final database.
     """
     task_set = read_folder(folder, split)
     checks = []

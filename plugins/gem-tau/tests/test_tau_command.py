@@ -27,6 +27,13 @@ def test_reference_actions_get_1(tmp_path: Path) -> None:
     assert (done.exit_code, done.output) == (0, "2 of 2 tasks get reward 1 by their reference actions\n")
 
 
+def test_the_tasks_of_the_sample_hold() -> None:
+    """It is named as its environment names it."""
+    done = check("gem_tau:sample", "--drop-one-write")
+    assert done.exit_code == 0
+    assert done.output.startswith("10 of 10 tasks get reward 1 by their reference actions\n0 of ")
+
+
 def test_without_one_write_they_do_not(tmp_path: Path) -> None:
     """Writes that make no difference to the final database are told apart, with the reason."""
     write_tau(tmp_path, tau_task(CANCEL, CANCEL), tau_task(MOVE, BACK, MOVE, AGAIN))
