@@ -58,6 +58,17 @@ def test_every_backend_gives_the_same_episodes(backend: str) -> None:
                 assert observations[slot] == env.reset(seed=info["seed"])[0]
 
 
+def test_random_actions_of_a_seat_are_its_own() -> None:
+    """What a seat draws does not depend on what others drew before, so the order of asking decides nothing."""
+    drawn = []
+    for order in (["first", "second"], ["second", "first"]):
+        with gem.make_vec("jointvec:Countdown-v0", 1, backend="sync", seed=1) as vector:
+            vector.reset()
+            drawn.append({agent: [vector.sample_random_action(0, agent) for _ in range(5)] for agent in order})
+    assert drawn[0] == drawn[1]
+    assert drawn[0]["first"] != drawn[0]["second"]
+
+
 def test_both_kinds_go_together() -> None:
     """One batch holds environments of one agent and of several."""
     with gem.make_vec(["jointvec:Countdown-v0", "jointvec:Word-v0"], backend="sync", seed=1) as vector:

@@ -21,6 +21,8 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("agent", "hanoi"): ("gem-games",),
     ("agent", "mastermind"): ("gem-games",),
     ("agent", "wikigame"): ("gem-games",),
+    ("agent", "tictactoe"): ("gem-games",),
+    ("agent", "kuhn"): ("gem-games",),
     ("command", "show"): ("gem-eval",),
     ("command", "mcp"): ("gem-tools",),
     ("command", "serve-search"): ("gem-tools",),

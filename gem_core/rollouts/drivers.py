@@ -86,7 +86,8 @@ def rollout(
             It returns a ``str`` or a ``Response``.
         agents: Instead of ``agent``, for environments in which several agents act: ``{seat: agent}``; or a list of as
             many agents as there are seats, which move on by one seat from item to item of the plan, so that each begins
-            as often as the others; or one agent for all seats, as in self-play; or a ``League``.
+            as often as the others; or one agent for all seats, as in self-play; or a ``League``. An agent may also be
+            given by name, as ``load_agent`` takes it: ``"random"``, ``"openai:MODEL"``.
         plan: What episodes start from; see ``gem_core.records.plans``.
         episodes: Instead of a plan, the number of episodes for each environment; a data set gives its first rows. With
             neither, the vector environment's own plan is taken from the beginning; where it has none, each row of a

@@ -11,7 +11,7 @@ import numpy as np
 from gem_core.env.seeding import stable_hash
 from gem_core.errors import ArgumentError
 from gem_core.records.plans import EpisodeStart
-from gem_core.rollouts.agent import Agent, as_agent
+from gem_core.rollouts.agent import Agent, as_agent, load_agent
 
 
 class Seated(NamedTuple):
@@ -182,7 +182,9 @@ def as_seating(agents: Any) -> Seating:
 
 
 def seated(agent: Any) -> Seated:
-    """Return an agent with a name: its own ``name``, that of its function, or that of its class."""
+    """Return an agent with a name: the one that it is loaded by, its own ``name``, or that of its function or class."""
+    if isinstance(agent, str):
+        return Seated(agent, load_agent(agent))
     if isinstance(agent, Seated):
         return Seated(agent.name, as_agent(agent.agent))
     own = getattr(agent, "name", None) or getattr(agent, "__name__", None)

@@ -12,7 +12,7 @@ from gem_core.background import in_thread
 from gem_core.env.guard import Guard
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.results import checked_reset, checked_result
-from gem_core.env.seeding import checked_seed
+from gem_core.env.seeding import checked_seed, stable_hash
 from gem_core.env.wrapper import AnyEnv, concurrency_of, reset_async, step_async
 from gem_core.types import Action, Concurrency, ResetResult, StepResult
 from gem_core.vector.commands import Command, Failure, Outcome, Rebuild, Reset
@@ -35,6 +35,7 @@ class EnvRunner:
     """
 
     __slots__ = (
+        "_draws",
         "_factory",
         "_made_for",
         "_reset_result",
@@ -61,6 +62,7 @@ class EnvRunner:
         self._factory = factory
         self._made_for: tuple[str | None, Mapping[str, Any]] | None = None
         self._sampled = False
+        self._draws: dict[str, int] = {}
 
     def perform(self, command: Command) -> Outcome:
         """Run a command."""
@@ -74,7 +76,7 @@ class EnvRunner:
             if isinstance(command, Reset):
                 if failure := self.prepare(command.env_id, command.kwargs):
                     return failure
-                self._sampled = False
+                self._sampled, self._draws = False, {}
                 return self._reset_result(await reset_async(cast("AnyEnv", self.env), command.seed, command.options))
             if not isinstance(command, Rebuild):
                 action: Any = command
@@ -122,7 +124,7 @@ class EnvRunner:
         env_id, kwargs, seed, options = command
         if failure := self.prepare(env_id, kwargs):
             return failure
-        self._sampled = False
+        self._sampled, self._draws = False, {}
         env: Any = self.env
         try:
             return self._reset_result(env.reset(seed=seed, options=options) if options else env.reset(seed=seed))
@@ -160,12 +162,19 @@ class EnvRunner:
         return Failure("collateral", f"its worker was lost, and {why}")
 
     def sample_random_action(self, seed: int | None, agent: str | None = None) -> str:
-        """Return a valid action for the present state, from a generator seeded with ``seed`` in each episode."""
+        """Return a valid action for the present state, from a generator seeded with ``seed`` in each episode.
+
+        Of several agents, each has draws of its own, whatever the order in which they are asked.
+        """
         env = self.env
         if env is None:
             return ""
-        if not self._sampled and seed is not None:
-            if hasattr(task := env.unwrapped, "seed_actions"):
+        task: Any = env.unwrapped
+        if seed is not None and agent is not None:
+            self._draws[agent] = number = self._draws.get(agent, 0) + 1
+            task.seed_actions(stable_hash(seed, agent, number))
+        elif seed is not None and not self._sampled:
+            if hasattr(task, "seed_actions"):
                 task.seed_actions(checked_seed(seed))
             self._sampled = True
         return cast("str", env.get_wrapper_attr("sample_random_action")(*([] if agent is None else [agent])))

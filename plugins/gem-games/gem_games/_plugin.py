@@ -47,13 +47,14 @@ def gem_register_envs() -> Iterable[EnvSpec]:
     yield from _sudoku()
     yield from _game_2048()
     yield from _sokoban()
+    yield from _joint_games()
     yield from textarena_specs()
 
 
 @hookimpl
 def gem_register_agents() -> Iterable[AgentSpec]:
     """Solvers, one for each game."""
-    agents = "gem_games.agents"
+    agents, joint = "gem_games.agents", "gem_games.joint_agents"
     return [
         AgentSpec(name="bisect", entry_point=f"{agents}:BisectionAgent", summary="Wins GuessTheNumber by bisection."),
         AgentSpec(
@@ -65,11 +66,14 @@ def gem_register_agents() -> Iterable[AgentSpec]:
             entry_point="gem_games.wiki.agent:WikiGameAgent",
             summary="Wins WikiGame with the embedded articles, in the fewest turns.",
         ),
+        AgentSpec(name="tictactoe", entry_point=f"{joint}:TicTacToeAgent", summary="Never loses TicTacToe."),
+        AgentSpec(name="kuhn", entry_point=f"{joint}:KuhnAgent", summary="Plays KuhnPoker by an equilibrium."),
     ]
 
 
-def _game(name: str, entry_point: str, summary: str, **kwargs: object) -> EnvSpec:
-    return EnvSpec(id=f"game:{name}", entry_point=entry_point, kwargs=kwargs, summary=summary, tags=("game", "text"))
+def _game(name: str, entry_point: str, summary: str, seats: tuple[str, ...] = (), **kwargs: object) -> EnvSpec:
+    tags = ("game", "text", "multi-agent") if seats else ("game", "text")
+    return EnvSpec(id=f"game:{name}", entry_point=entry_point, kwargs=kwargs, summary=summary, tags=tags, seats=seats)
 
 
 def _wiki_game() -> Iterator[EnvSpec]:
@@ -146,3 +150,15 @@ def _sokoban() -> Iterator[EnvSpec]:
     yield _game("Sokoban-v0-easy", _SOKOBAN, f"{boxes}; 2 boxes.", dim_room=(6, 6), num_boxes=2, max_turns=20)
     yield _game("Sokoban-v0-hard", _SOKOBAN, f"{boxes}; 4 boxes.", dim_room=(8, 8), num_boxes=4, max_turns=50)
     yield _game("Sokoban-v0-random", _SOKOBAN, f"{boxes}; 2 or 5 boxes.", dim_room=None, num_boxes=None, max_turns=None)
+
+
+def _joint_games() -> Iterator[EnvSpec]:
+    yield _game(
+        "TicTacToe-v0", "gem_games.tic_tac_toe:TicTacToeEnv", "Three in a row on a 3x3 board; seats X, O.", ("X", "O")
+    )
+    yield _game(
+        "KuhnPoker-v0",
+        "gem_games.kuhn_poker:KuhnPokerEnv",
+        "Bet on the higher of two cards; seats first, second.",
+        ("first", "second"),
+    )
