@@ -285,3 +285,17 @@ def test_progress_tells_the_return_of_each(run_gem: RunGem, monkeypatch: pytest.
     assert told[-1][1].startswith("return of first ")
     run_gem("run", HEAP, "-n", "3", "-s", "1", "-a", "seat_agents:one", "-a", "random")
     assert "return of random " in told[-1][1]
+
+
+def test_info_names_the_seats_and_how_they_act(run_gem: RunGem) -> None:
+    """With what each seat that begins sees first; ``gem list --json`` names the seats as well."""
+    out = run_gem("info", HEAP).out
+    assert "  seats:        first, second\n" in out
+    _, _, acts = out.partition("\nThe agents act one after another.\n\n")
+    assert acts.startswith("The first observation of first, with seed 0:\nThe heap has ")
+    gem.register("seats:Parallel-v0", "joint_toys:AuctionEnv", agents=["a", "b"], mode="parallel", seats=("a", "b"))
+    out = run_gem("info", "seats:Parallel-v0").out
+    assert "\nThe agents act all at once.\n\nThe first observation of a, with seed 0:\nYou are a." in out
+    assert "\nThe first observation of b, with seed 0:\nYou are b." in out
+    assert json.loads(run_gem("info", HEAP, "--json").out)["seats"] == ["first", "second"]
+    assert json.loads(run_gem("list", ALONE, "--json").out)[0]["seats"] == []
