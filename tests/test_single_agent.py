@@ -103,7 +103,7 @@ def test_it_is_registered_as_any_environment() -> None:
 
 
 def test_sampling_for_the_seat_changes_nothing_for_the_others() -> None:
-    """Random opponents draw from generators of their own."""
+    """Random opponents draw from generators of their own, anew in each turn; the seat's own can be seeded."""
     env = single_agent(AuctionEnv(["a", "b", "c"], "sequential", 30), "b")
 
     def watch(samples: int) -> list[Any]:
@@ -115,6 +115,13 @@ def test_sampling_for_the_seat_changes_nothing_for_the_others() -> None:
         return seen
 
     assert watch(0) == watch(3)
+    assert len(set(env.unwrapped.env.bids[::3])) > 2  # type: ignore[attr-defined]  # those of the seat 'a'
+    sampled = []
+    for seed in (1, 2, 1):
+        env.reset(seed=5)
+        env.seed_actions(seed)
+        sampled.append([env.sample_random_action() for _ in range(9)])
+    assert sampled[0] == sampled[2] != sampled[1]
 
 
 def test_each_other_seat_has_a_conversation_of_its_own() -> None:
@@ -166,6 +173,24 @@ def test_async_opponents_that_act_at_once_are_asked_side_by_side() -> None:
     assert run_sync(env.step_async("3"))[0] == "You are b. Bids: 1 2 1 1 3 1"
 
 
+def test_opponents_of_many_slots_are_waited_for_together() -> None:
+    """With an asynchronous opponent a vector environment asks for all slots before any has an answer."""
+    asked: list[str] = []
+
+    async def sociable(observation: Any, context: Any) -> str:
+        asked.append(context.episode)
+        while len(asked) % 4:
+            await asyncio.sleep(0)
+        return "1"
+
+    gem.register("joint:Auction-v7", AuctionEnv, agents=["a", "b"])
+    gem.register("joint:Auction-v7-solo", single_agent, env="joint:Auction-v7", seat="b", others=sociable)
+    with gem.make_vec("joint:Auction-v7-solo", 4, seed=0) as vec:
+        assert vec.reset()[0] == ["You are b. Bids: 1"] * 4
+        assert vec.step(["2"] * 4)[0] == ["You are b. Bids: 1 2 1"] * 4
+    assert len(asked) == 8
+
+
 def failing(error: Any) -> Callable[[Any, Any], str]:
     """Return an agent that raises in its second turn, or returns what is no text."""
 
@@ -212,12 +237,32 @@ def test_a_failing_opponent_is_an_error_and_no_loss(kind: Any, error: Any, messa
     assert env.reset(seed=0)[0] == "You are b. Bids: 5"
 
 
+@pytest.mark.parametrize(
+    ("mode", "shown"),
+    [("parallel", "You are b. Bids: 5 1"), ("sequential", "You are b. Bids: 5\n1\nYou are b. Bids: 5 1")],
+)
+def test_wrappers_of_the_seat_hear_of_the_end(mode: str, shown: str) -> None:
+    """A view shows what a response came to; one that no response led to is the bare observation."""
+    gem.register(f"joint:Auction-v8-{mode}", AuctionEnv, agents=["a", "b"], mode=mode)
+    joint: Any = gem.make(f"joint:Auction-v8-{mode}", wrappers={"b": "concat_with_action"})
+    env = single_agent(joint, "b", lambda seen, context: None if context.turn else "5")
+    env.reset(seed=0)
+    result = env.step("1")
+    while not result[3]:
+        result = env.step("2")
+    assert result[4]["error"]["kind"] == "opponent"
+    assert result[0] == shown
+
+
 def test_an_opponent_that_fails_in_reset_raises() -> None:
     """The caller sees the cause."""
 
     def broken(observation: Any) -> str:
         raise RequestError("no answer")
 
+    beside = single_agent(AuctionEnv(["a", "b", "c"], "parallel"), "b", {"a": scripted_async, "c": broken})
+    beside.reset(seed=0)
+    assert "no answer" in beside.step("1")[4]["error"]["message"]  # and no coroutine is left over
     env = single_agent(AuctionEnv(["a", "b"], "sequential"), "b", broken)
     with pytest.raises(
         EnvFaultError, match=r"^AuctionEnv: the agent at 'a' failed: RequestError: no answer$"
@@ -241,6 +286,8 @@ def test_a_fault_at_another_seat_is_an_error_of_the_episode() -> None:
     *_, truncated, info = env.step("3")
     assert truncated
     assert info["error"] == {"kind": "opponent", "message": "'a': the server is gone"}
+    with pytest.raises(EnvFaultError, match=r"^joint:Auction-v5: 'a': the server is gone$"):
+        single_agent(joint, "b", lambda seen: call).reset(seed=0)
 
 
 class Lonely(MultiAgentEnv):

@@ -23,6 +23,7 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("agent", "wikigame"): ("gem-games",),
     ("agent", "tictactoe"): ("gem-games",),
     ("agent", "kuhn"): ("gem-games",),
+    ("agent", "negotiator"): ("gem-games",),
     ("command", "show"): ("gem-eval",),
     ("command", "mcp"): ("gem-tools",),
     ("command", "serve-search"): ("gem-tools",),

@@ -19,7 +19,7 @@ _SOKOBAN = "gem_games.sokoban:SokobanEnv"
 
 @hookimpl
 def gem_register_envs() -> Iterable[EnvSpec]:
-    """The games, with the parameters and turn limits of gem-llm's, whose baselines are published."""
+    """The games: those for one have the parameters and turn limits of gem-llm's, whose baselines are published."""
     guess = "Find a hidden number by 'higher' and 'lower'"
     yield _game("GuessTheNumber-v0", _GUESS, f"{guess}.", min_number=1, max_number=50, max_turns=10)
     yield _game("GuessTheNumber-v0-easy", _GUESS, f"{guess}; 1 to 10.", min_number=1, max_number=10, max_turns=4)
@@ -53,7 +53,7 @@ def gem_register_envs() -> Iterable[EnvSpec]:
 
 @hookimpl
 def gem_register_agents() -> Iterable[AgentSpec]:
-    """Solvers, one for each game."""
+    """Solvers, each for one game."""
     agents, joint = "gem_games.agents", "gem_games.joint_agents"
     return [
         AgentSpec(name="bisect", entry_point=f"{agents}:BisectionAgent", summary="Wins GuessTheNumber by bisection."),
@@ -68,6 +68,11 @@ def gem_register_agents() -> Iterable[AgentSpec]:
         ),
         AgentSpec(name="tictactoe", entry_point=f"{joint}:TicTacToeAgent", summary="Never loses TicTacToe."),
         AgentSpec(name="kuhn", entry_point=f"{joint}:KuhnAgent", summary="Plays KuhnPoker by an equilibrium."),
+        AgentSpec(
+            name="negotiator",
+            entry_point=f"{joint}:NegotiationAgent",
+            summary="Plays Negotiation by proposals, which become more modest; negotiator:greedy asks for more.",
+        ),
     ]
 
 
@@ -161,4 +166,18 @@ def _joint_games() -> Iterator[EnvSpec]:
         "gem_games.kuhn_poker:KuhnPokerEnv",
         "Bet on the higher of two cards; seats first, second.",
         ("first", "second"),
+    )
+    yield _game(
+        "Negotiation-v0",
+        "gem_games.negotiation:NegotiationEnv",
+        "Share out items of hidden values, or make no deal; seats first, second.",
+        ("first", "second"),
+        max_turns=10,
+    )
+    yield _game(
+        "RockPaperScissors-v0",
+        "gem_games.rock_paper_scissors:RockPaperScissorsEnv",
+        "Choose at the same time; seats left, right.",
+        ("left", "right"),
+        rounds=1,
     )

@@ -44,10 +44,12 @@ class JointGame(MultiAgentEnv):
 
     metadata: dict[str, Any] = {"render_modes": ["ansi"]}  # noqa: RUF012 - Gymnasium declares it without ClassVar
 
-    stake: float = 1.0
+    stake: int = 1
     """What a seat that forfeits loses over the whole game, and the other wins: the most that can be lost."""
     forfeiting: str = "loses the game"
     """Says, behind "the third in a row", what the last of the wrong answers does."""
+    nothing_read: str = "Your response has no complete \\boxed{}."
+    """Says what a response lacks."""
     unreadable: str = "cannot be read."
     """Says, behind the content of a box, why ``_read`` made nothing of it."""
 
@@ -70,7 +72,7 @@ class JointGame(MultiAgentEnv):
         raise NotImplementedError
 
     def _situation(self, seat: str) -> str:
-        """Show all that a seat must know which sees nothing else, on lines of their own; ``_ending`` or what to do."""
+        """Show how things stand for a seat: a line break, all that it must know, then how to answer or ``_ending``."""
         raise NotImplementedError
 
     def _read(self, answer: str) -> str | None:
@@ -153,7 +155,7 @@ class JointGame(MultiAgentEnv):
         """Return the move in a response without its thinking, and what is wrong with it: ``""`` if nothing is."""
         boxes = extract_boxed_answers(text)
         if not boxes:
-            return "", "Your response has no complete \\boxed{}."
+            return "", self.nothing_read
         move = next((move for move in map(self._read, reversed(boxes)) if move is not None), None)
         return ("", f"{quote(boxes[-1])} {self.unreadable}") if move is None else (move, self._fault(seat, move))
 
@@ -171,10 +173,8 @@ class JointGame(MultiAgentEnv):
             for loser in losers:
                 who = "You" if seat == loser else f"The player {loser!r}"
                 self._tell(seat, f"{who} gave no valid answer in {TRIES} tries.")
-        stakes = {
-            seat: 0.0 if len(losers) > 1 else -self.stake if seat in losers else self.stake for seat in self.agents
-        }
-        return {seat: stake - self.cumulative[seat] for seat, stake in stakes.items()}, True
+        signs = {seat: 0 if len(losers) > 1 else -1 if seat in losers else 1 for seat in self.agents}
+        return {seat: sign * self.stake - self.cumulative[seat] for seat, sign in signs.items()}, True
 
     def _tell(self, seat: str, text: str) -> None:
         """Add a sentence to what a seat hears before it acts next."""

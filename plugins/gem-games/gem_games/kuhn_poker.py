@@ -32,7 +32,7 @@ class KuhnPokerEnv(JointGame):
     """
 
     possible_agents = ("first", "second")
-    stake = 2.0
+    stake = 2
     unreadable = "is not one of check, bet, call and fold."
 
     def __init__(self) -> None:
@@ -84,7 +84,7 @@ class KuhnPokerEnv(JointGame):
         if move != "fold":
             for mine, its in (("first", "second"), ("second", "first")):
                 self._tell(mine, f"Showdown: you hold the {self.cards[mine]}, the {its} player the {self.cards[its]}.")
-        rewards = {"first": float(won), "second": -float(won)}
+        rewards = {"first": float(won), "second": float(-won)}
         for each, reward in rewards.items():
             chips = "1 chip" if abs(won) == 1 else f"{abs(won)} chips"
             self._tell(each, f"You {'win' if reward > 0 else 'lose'} {chips}.")

@@ -39,6 +39,7 @@ def played(env: Any, seed: int, hostile: dict[int, str] | None = None) -> list[A
         records.append(env.step(actions))
         assert set(records[-1][0]) == set(env.acting)
         assert bool(env.acting) == bool(env.agents)
+        assert step < 200
     return records
 
 
@@ -66,6 +67,7 @@ def test_any_game_ends_and_adds_up(env_id: str, seed: int, hostile: dict[int, st
             assert observation.encode()
             assert ("correct" in info) == ("final_obs" in info)
         for seat, reward in (record[1] if len(record) == 5 else {}).items():
+            assert str(reward) != "-0.0"
             given_to[seat] += reward
     assert given_to == env.cumulative
     assert all(info["correct"] == (given_to[seat] > 0) for seat, info in records[-1][4].items())
@@ -89,12 +91,13 @@ def test_random_actions_are_valid_and_seeds_decide(env_id: str) -> None:
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_state_goes_through_json_into_another_instance(env_id: str) -> None:
-    """At every step, a refused answer and a move that waits for the other seat's included."""
+@pytest.mark.parametrize("refused", [{0}, {1}, {0, 1, 2}], ids=str)
+def test_state_goes_through_json_into_another_instance(env_id: str, refused: set[int]) -> None:
+    """At every step, a refused answer, a forfeit and a move that waits for the other seat's included."""
     env: Any = gem.make(env_id, render_mode="ansi")
     sibling: Any = gem.make(env_id, render_mode="ansi")
     assert env.render() == "The game has not begun."
-    for seed in range(5):
+    for seed in range(3):
         env.reset(seed=seed)
         step = 0
         while env.agents:
@@ -103,7 +106,7 @@ def test_state_goes_through_json_into_another_instance(env_id: str) -> None:
             assert sibling.get_state() == env.get_state()
             assert sibling.render() == env.render()
             actions = {seat: env.sample_random_action(seat) for seat in env.acting}
-            if step == 1:
+            if step in refused:
                 actions[env.acting[0]] = "rubbish"
             assert sibling.step(actions) == env.step(actions)
             step += 1
@@ -135,6 +138,19 @@ def test_refused_answer_is_told_to_that_seat_alone(env_id: str) -> None:
 
 
 @pytest.mark.parametrize("env_id", IDS)
+def test_thinking_is_not_read(env_id: str) -> None:
+    """Neither a move nor, in Negotiation, a message; a block that is never closed goes to the end."""
+    env: Any = gem.make(env_id)
+    env.reset(seed=0)
+    seat = env.acting[0]
+    for closing in ("</think>", ""):
+        actions = {each: env.sample_random_action(each) for each in env.acting}
+        actions[seat] = f"<think>{actions[seat]} <say>{SECRET}</say>{closing}"
+        env.step(actions)
+        assert env.acting == (seat,)
+
+
+@pytest.mark.parametrize("env_id", IDS)
 def test_third_refused_answer_in_a_row_forfeits(env_id: str) -> None:
     """That seat gets the lowest reward of the game, the other the highest, and both are told."""
     env: Any = gem.make(env_id)
@@ -147,7 +163,7 @@ def test_third_refused_answer_in_a_row_forfeits(env_id: str) -> None:
         assert env.acting == (loser,)
     _, rewards, terminations, _, infos = env.step({loser: "rubbish"})
     (winner,) = set(env.possible_agents) - {loser}
-    assert rewards == {loser: -env.stake or 0.0, winner: env.stake}
+    assert rewards == {loser: -env.stake, winner: env.stake}
     assert terminations == {loser: True, winner: True}
     assert f"You gave no valid answer in {TRIES} tries." in infos[loser]["final_obs"]
     assert f"The player {loser!r} gave no valid answer in {TRIES} tries." in infos[winner]["final_obs"]

@@ -54,6 +54,9 @@ def test_tic_tac_toe_observations() -> None:
         "X": "You took cell 5. O took cell 1.\n O | 2 | 3\n---+---+---\n 4 | X | 6\n---+---+---\n 7 | 8 | 9\n"
         "You play X. Answer like \\boxed{5}, with the number of a free cell."
     }
+    env.reset(seed=0)
+    observations, *_ = env.step({"X": "Not \\boxed{4}, rather \\boxed{3}, so \\boxed{that}."})
+    assert "X took cell 3.\n" in observations["O"]  # the last that can be read
     observations, *_ = moved(env, "5 5")
     assert observations["O"].startswith("Cell 5 is taken by X. Tries left: 2.\n")
     observations, *_ = moved(env, "5 10")
