@@ -70,6 +70,7 @@ def test_older_releases_of_click_do() -> None:
         (("run", "game:Duel-v0", "--agent", "bl"), ["black="]),
         (("run", "game:Duel-v0", "--agent", "black=ran"), ["black=random"]),
         (("run", "one:Alpha-v0", "--agent", "bl"), []),
+        (("play", "game:Duel-v0", "--seat", ""), ["white", "black"]),
     ],
 )
 def test_words_are_completed(words: tuple[str, ...], offered: list[str]) -> None:

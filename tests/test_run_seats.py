@@ -157,8 +157,7 @@ def test_wrappers_go_around_every_seat(run_gem: RunGem) -> None:
     [
         (
             [HEAP, "-a", "frst=random", "-a", "second=random"],
-            f"{HEAP} has no seat 'frst'. Did you mean 'first'? Its seats are first, second: write --agent first=AGENT "
-            "--agent second=AGENT",
+            f"{HEAP} has no seat 'frst'. Did you mean 'first'? Its seats are first, second",
         ),
         (
             [HEAP, "-a", "first=random"],

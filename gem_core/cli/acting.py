@@ -81,6 +81,31 @@ def load_acting(
     return Acting(agents, {"agents": as_seating(dict(zip(envs[0].seats, seated, strict=True)))})
 
 
+def seats_of_others(given: Sequence[str], seat: str | None, env: EnvSpec) -> tuple[str, dict[str, str]]:
+    """Return the seat of a person, and the name of the agent at each other seat.
+
+    Args:
+        given: The values of ``--agent``: one for all other seats, or ``SEAT=AGENT`` for some; the rest are random.
+        seat: The seat of the person; None for the first.
+        env: The environment.
+
+    Raises:
+        ArgumentError: They do not fit the seats.
+    """
+    seat = env.seats[0] if seat is None else seat
+    matches = [_AT_SEAT.fullmatch(each) for each in given]
+    by_seat = {match[1]: match[2] for match in matches if match is not None}
+    _check_known([seat, *by_seat], env)
+    others = [each for each in env.seats if each != seat]
+    form = " ".join(f"--agent {each}=AGENT" for each in others)
+    if seat in by_seat:
+        raise ArgumentError(f"the seat {seat} of {env.id} is yours: write {form}, or sit elsewhere by --seat")
+    if len(by_seat) < len(given) and len(given) > 1:
+        raise ArgumentError(f"give one --agent for all other seats of {env.id}, or one for each: write {form}")
+    all_others = given[0] if given and not by_seat else "random"
+    return seat, {each: by_seat.get(each) or all_others for each in others}
+
+
 def _only_agent(given: Sequence[str], env_id: str, *, swap_seats: bool) -> str:
     """Return the name of the agent that acts alone."""
     if swap_seats or len(given) > 1:
@@ -119,13 +144,15 @@ def _agents_by_seat(given: Sequence[str], envs: Sequence[EnvSpec]) -> dict[str, 
     return by_seat
 
 
-def _check_seats(by_seat: Iterable[str], env: EnvSpec) -> None:
-    for seat in by_seat:
+def _check_known(seats: Iterable[str], env: EnvSpec) -> None:
+    for seat in seats:
         if seat not in env.seats:
             hint = did_you_mean(seat, env.seats)
-            raise ArgumentError(
-                f"{env.id} has no seat {seat!r}.{hint} Its seats are {', '.join(env.seats)}: write {_form(env)}"
-            )
+            raise ArgumentError(f"{env.id} has no seat {seat!r}.{hint} Its seats are {', '.join(env.seats)}")
+
+
+def _check_seats(by_seat: Iterable[str], env: EnvSpec) -> None:
+    _check_known(by_seat, env)
     missing = [seat for seat in env.seats if seat not in by_seat]
     if missing:
         raise ArgumentError(f"{_seats_of(env)}, and there is no agent for {', '.join(missing)}: write {_form(env)}")
