@@ -25,7 +25,7 @@ def one(observation):
 @pytest.fixture
 def play(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> Play:
     """Call ``gem play`` in this process, in an empty folder, with input from a pipe."""
-    if not gem.list_envs("playseats"):
+    if HEAP not in gem.list_envs():
         gem.register(HEAP, "joint_toys:CountdownEnv", seats=("first", "second"), summary="Take the last.")
         gem.register(AUCTION, "joint_toys:AuctionEnv", agents=["a", "b", "c"], rounds=6, seats=("a", "b", "c"))
         gem.register(ALONE, "toys:CountdownEnv")

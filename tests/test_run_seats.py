@@ -70,7 +70,7 @@ def act(observation, context):
 @pytest.fixture(autouse=True)
 def _registered(tmp_path: Path) -> None:
     (tmp_path / "seat_agents.py").write_text(AGENTS)
-    if not gem.list_envs("seats"):
+    if HEAP not in gem.list_envs():
         gem.register(HEAP, "joint_toys:CountdownEnv", seats=("first", "second"))
         gem.register(AUCTION, "joint_toys:AuctionEnv", agents=["a", "b", "c"], rounds=6, seats=("a", "b", "c"))
         gem.register(ALONE, "toys:CountdownEnv")
