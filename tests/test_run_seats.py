@@ -6,6 +6,7 @@ import importlib
 import json
 import shlex
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ import gem_core as gem
 from gem_core import JointEpisode
 from gem_core.errors import ArgumentError
 from gem_core.records import read_records
+from gem_core.registry.specs import ToolSpec
 from gem_core.rollouts import load_agents
 
 HEAP, AUCTION, ALONE = "seats:Countdown-v0", "seats:Auction-v0", "seats:Alone-v0"
@@ -150,6 +152,23 @@ def test_wrappers_go_around_every_seat(run_gem: RunGem) -> None:
     run_gem("run", HEAP, "-n", "1", "-s", "1", "-w", "concat", "-o", "a.jsonl")
     (joint,) = played("a.jsonl")
     assert [len(str(turn.observation).splitlines()) for turn in joint.seats["first"].transitions] == [1, 2, 3]
+
+
+def test_wrappers_and_tools_of_one_seat(run_gem: RunGem, offer: Callable[..., None]) -> None:
+    """``SEAT=NAMES`` are for one seat, names alone for all; a limit of calls goes to the seats that have tools."""
+    offer(ToolSpec(name="note", entry_point="toys:Notebook"))
+    own = ["-w", "second=concat", "-w", "episode_stats", "--tools", "first=note", "--max-tool-uses", "3"]
+    assert run_gem("run", HEAP, "-n", "1", "-s", "1", *own, "-o", "a.jsonl").code == 0
+    (joint,) = played("a.jsonl")
+    assert {seat: [name for name, _ in stack] for seat, stack in dict(joint.wrappers).items()} == {
+        "first": ["tools", "episode_stats"],
+        "second": ["concat", "episode_stats"],
+    }
+    assert (joint.seats["first"].tools, joint.seats["second"].tools) == (["note"], [])
+    refused = run_gem("run", HEAP, "-w", "secnd=concat")
+    assert refused.err == f"gem: {HEAP} has no seat 'secnd'. Did you mean 'second'? Its seats are first, second\n"
+    refused = run_gem("run", HEAP, "-w", "second=concat", "--max-tool-uses", "3")
+    assert refused.err == "gem: --max-tool-uses is a limit of tools, and there are none; name some by --tools\n"
 
 
 @pytest.mark.parametrize(

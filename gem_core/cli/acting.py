@@ -95,7 +95,7 @@ def seats_of_others(given: Sequence[str], seat: str | None, env: EnvSpec) -> tup
     seat = env.seats[0] if seat is None else seat
     matches = [_AT_SEAT.fullmatch(each) for each in given]
     by_seat = {match[1]: match[2] for match in matches if match is not None}
-    _check_known([seat, *by_seat], env)
+    check_seats([seat, *by_seat], env)
     others = [each for each in env.seats if each != seat]
     form = " ".join(f"--agent {each}=AGENT" for each in others)
     if seat in by_seat:
@@ -140,19 +140,20 @@ def _agents_by_seat(given: Sequence[str], envs: Sequence[EnvSpec]) -> dict[str, 
             raise ArgumentError(f"--agent is given twice for the seat {match[1]}: write {_form(envs[0])}")
         by_seat[match[1]] = match[2]
     for env in envs:
-        _check_seats(by_seat, env)
+        _check_all_seats(by_seat, env)
     return by_seat
 
 
-def _check_known(seats: Iterable[str], env: EnvSpec) -> None:
+def check_seats(seats: Iterable[str], env: EnvSpec) -> None:
+    """Raise an error for a seat that an environment does not have, with those that it has."""
     for seat in seats:
         if seat not in env.seats:
             hint = did_you_mean(seat, env.seats)
             raise ArgumentError(f"{env.id} has no seat {seat!r}.{hint} Its seats are {', '.join(env.seats)}")
 
 
-def _check_seats(by_seat: Iterable[str], env: EnvSpec) -> None:
-    _check_known(by_seat, env)
+def _check_all_seats(by_seat: Iterable[str], env: EnvSpec) -> None:
+    check_seats(by_seat, env)
     missing = [seat for seat in env.seats if seat not in by_seat]
     if missing:
         raise ArgumentError(f"{_seats_of(env)}, and there is no agent for {', '.join(missing)}: write {_form(env)}")

@@ -22,7 +22,14 @@ from gem_core.cli.completion import complete_agents, complete_backends, complete
 from gem_core.cli.layout import counted, echo_line
 from gem_core.cli.list_command import matching
 from gem_core.cli.targets import find_env
-from gem_core.cli.tool_options import AtLeast, arguments_option, call_again, env_arguments, stack_options, wrapper_stack
+from gem_core.cli.tool_options import (
+    AtLeast,
+    arguments_option,
+    call_again,
+    env_arguments,
+    stack_options,
+    wrapper_stacks,
+)
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.registry.requirements import unmet
 from gem_core.registry.specs import EnvSpec
@@ -48,6 +55,7 @@ Examples:
   gem run my-tasks --agent openai:gpt-5-mini --set verify_in=judge
   gem run game:TicTacToe-v0 --agent X=openai:gpt-5-mini --agent O=random
   gem run game:TicTacToe-v0 --agent openai:gpt-5-mini --agent random --episodes 20
+  gem run game:Negotiation-v0 --agent openai:gpt-5-mini --tools first=python --wrappers concat
 \b
 Where several agents act, one --agent plays all seats against itself; SEAT=AGENT for each seat fixes
 who sits where; as many --agent as seats, without seats, move on by one seat from episode to episode.
@@ -97,7 +105,7 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
 )
 @click.option("-s", "--seed", type=AtLeast(min=0), help="Seed of the run: the same seed, the same episodes.")
 @arguments_option
-@stack_options("A view says what the agent is sent.")
+@stack_options("A view says what the agent is sent. SEAT=NAMES, as tools too, are for one seat.")
 @click.option(
     "--backend",
     default="auto",
@@ -168,7 +176,7 @@ def command(
     env_ids = list(dict.fromkeys(env_id for env_id, _ in chosen))
     ctx.with_resource(current_folder_importable())  # an agent may import what stands beside it when it first acts
     acting = load_acting(agents, [record for record, _ in envs], given(options), swap_seats=swap_seats)
-    stack = wrapper_stack(wrappers, tools, max_tool_uses, max_turns)
+    stack = wrapper_stacks(wrappers, tools, max_tool_uses, max_turns, envs[0][0])
     slots = _slots(acting, num_envs, len(chosen), episodes)
     resumed = None if resume is None else ResumedRun(Path(resume))
     run_seed = seed if resumed is None else resumed.seed
