@@ -166,8 +166,8 @@ def default_plan(vector: VectorEnv, episodes: int | None = None, *, rotate: bool
     Args:
         vector: Where the episodes run.
         episodes: Number of episodes for each environment.
-        rotate: Let agents change seats from item to item of each environment; over all items, an environment of several
-            might get none but the even ones.
+        rotate: Let agents change seats from item to item of each environment. By the place in the plan, of which an
+            environment may have only every other item, the same agent might always begin.
     """
     parts: list[Sequence[PlanItem]] = []
     for env_id, kwargs in vector.entries:

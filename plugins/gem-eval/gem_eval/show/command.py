@@ -155,7 +155,7 @@ def _read(file: EpisodeFile, entry: Entry, seat: str | None) -> Record:
     if seat not in record.seats:
         raise ArgumentError(
             f"episode {entry.number} has no seat {seat!r}.{did_you_mean(seat, list(record.seats))} Its seats are "
-            f"{', '.join(record.seats)}"
+            f"{', '.join(map(one_line, record.seats))}"
         )
     return record.seats[seat]
 
@@ -171,7 +171,7 @@ def _one_seat(file: EpisodeFile, number: int, seat: str | None) -> Episode:
     record = _read(file, file.entry(number), seat)
     if isinstance(record, Episode):
         return record
-    options = " or ".join(f"--seat {each}" for each in record.seats)
+    options = " or ".join(f"--seat {one_line(each)}" for each in record.seats)
     raise ArgumentError(f"episode {number} is of several agents: --diff compares what one of them saw, with {options}")
 
 
