@@ -94,6 +94,7 @@ class PlayView:
         form = AnswerForm() if self._raw else self.form()
         as_it_is = "An answer is sent as you type it."
         show(f"{f'An answer is sent as {in_one_line(str(form))}.' if form else as_it_is} Type ? for help.", dim=True)
+        self._show_system()
         self.situation()
 
     def situation(self) -> None:
@@ -148,6 +149,7 @@ class PlayView:
         if self.tools:
             show(f"  Tools: {', '.join(self.tools)}. A call is sent as you type it.")
         show(f"  {self._example()}")
+        self._show_system()
         show()
         self._terminal.show_plainly(self._text(self._rules))
 
@@ -173,6 +175,12 @@ class PlayView:
             f"return {_number(_return(transitions))}",
             **({} if self._exact else {"bold": True}),
         )
+
+    def _show_system(self) -> None:
+        """Show what a model is told first, as the part that it plays."""
+        if self._context.system:
+            self._terminal.show()
+            self._terminal.show_plainly(self._text(self._context.system))
 
     def _show_observation(self, observation: Observation, info: Info, title: str) -> None:
         if not self._exact:
