@@ -226,6 +226,8 @@ def ending_of(episode: Episode) -> str:
         cause = printable(str(episode.error.get("message", episode.error)))
         return f"Ended after {turns} by an error that was not yours: {cause}"
     verdict = {True: "Won", False: "Lost", None: "Over"}[episode.success]
+    if episode.seat is not None and episode.success is False and episode.episode_return >= 0:
+        verdict = "Not won"  # it may be a draw
     if episode.transitions and not episode.transitions[-1].terminated:
         verdict = "Won, cut off" if episode.success else "Cut off"
     return f"{verdict} after {turns}. Return {_number(episode.episode_return)}."
