@@ -274,17 +274,38 @@ def test_resumed_run_plays_what_is_left(tmp_path: Path) -> None:
     assert sorted(rest, key=lambda joint: joint.key) == sorted(whole[2:], key=lambda joint: joint.key)
 
 
+def test_agents_change_seats_in_each_of_several_environments() -> None:
+    """Environments that take turns in the plan give no agent only the first seat of one of them."""
+    gem.register("jointroll:Again-v0", CountdownEnv, seats=("first", "second"))
+    agents = [Seated("x", take_one), Seated("y", take_one)]
+    ids = ["jointroll:Countdown-v0", "jointroll:Again-v0"]
+    seen = Counter((joint.id, joint.agents["first"]) for joint in rollout(ids, agents=agents, episodes=4, seed=0))
+    assert seen == {(env_id, name): 2 for env_id in ids for name in "xy"}
+
+
 def test_summary_has_a_row_for_each_seat_and_agent() -> None:
-    """Scores are counted by agent and seat, and no total mixes the two sides of a game."""
+    """Scores are counted by agent and seat, and for each agent that changed seats; no total mixes the sides."""
     summary = RunSummary(["CountdownEnv"])
     agents = [Seated("one", take_one), Seated("any", random_agent)]
     for joint in rollout(CountdownEnv(), agents=agents, episodes=4, seed=2):
         summary.add(joint)
-    assert summary.episodes == 4
-    assert sorted(row.label for row in summary.rows()) == [
-        "CountdownEnv first=any",
-        "CountdownEnv first=one",
-        "CountdownEnv second=any",
-        "CountdownEnv second=one",
+    assert (summary.episodes, summary.errors) == (4, 0)
+    assert [(row.label, row.episodes) for row in summary.rows()] == [
+        ("CountdownEnv first=any", 2),
+        ("CountdownEnv first=one", 2),
+        ("CountdownEnv second=any", 2),
+        ("CountdownEnv second=one", 2),
+        ("CountdownEnv any", 4),
+        ("CountdownEnv one", 4),
     ]
     assert sum(row.total_return for row in summary.rows()) == 0.0
+
+
+def test_summary_counts_an_error_of_several_seats_once() -> None:
+    """One seat without an answer is one error of the run; a history that is too long for a model is none."""
+    summary = RunSummary([])
+    for error in (RequestError("no route"), ContextOverflowError("too long")):
+        agents = {"first": failing_at(1, error), "second": take_one}
+        for joint in rollout(CountdownEnv(), agents=agents, episodes=1, seed=0):
+            summary.add(joint)
+        assert (summary.errors, summary.first_error) == (1, f"CountdownEnv, seed {joint.seed}: no route")

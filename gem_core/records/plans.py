@@ -250,6 +250,11 @@ def interleaved(parts: Sequence[Sequence[PlanItem]]) -> Sequence[PlanItem]:
     return LazyPlan(sum(lengths), item)
 
 
+def rotating(plan: Sequence[PlanItem]) -> Sequence[PlanItem]:
+    """Return a plan whose agents move on by one seat from item to item."""
+    return LazyPlan(len(plan), lambda place: replace(plan[place], rotation=place))
+
+
 def count_plan(
     ids: Iterable[str | None], episodes: int, *, kwargs: Mapping[str, Any] = MappingProxyType({})
 ) -> Sequence[PlanItem]:

@@ -9,6 +9,7 @@ from gem_core.rollouts.agent import (
     close_agent,
     current_folder_importable,
     load_agent,
+    load_agents,
     prepare_agent,
 )
 from gem_core.rollouts.drivers import arollout, default_plan, rollout
@@ -35,6 +36,7 @@ __all__ = [
     "current_folder_importable",
     "default_plan",
     "load_agent",
+    "load_agents",
     "new_episode",
     "prepare_agent",
     "rollout",

@@ -19,7 +19,7 @@ from gem_core.errors import ArgumentError
 from gem_core.progress import Progress
 from gem_core.records.episode import Episode
 from gem_core.records.joint import JointEpisode, Record
-from gem_core.records.plans import EpisodeQueue, PlanItem, count_plan, cover_plan, interleaved
+from gem_core.records.plans import EpisodeQueue, PlanItem, count_plan, cover_plan, interleaved, rotating
 from gem_core.rollouts.agent import Agent, as_agent, is_asynchronous, prepare_agent
 from gem_core.rollouts.loop import EpisodeLoop
 from gem_core.rollouts.requests import AgentRequests
@@ -160,8 +160,15 @@ def arollout(
     return _drive_async(_Run(env, acting, plan, episodes, seed, num_envs, max_requests, resume, progress))
 
 
-def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[PlanItem]:
-    """Return the plan of ``rollout`` without one: rows in order for data sets, a number of episodes for the rest."""
+def default_plan(vector: VectorEnv, episodes: int | None = None, *, rotate: bool = False) -> Sequence[PlanItem]:
+    """Return the plan of ``rollout`` without one: rows in order for data sets, a number of episodes for the rest.
+
+    Args:
+        vector: Where the episodes run.
+        episodes: Number of episodes for each environment.
+        rotate: Let agents change seats from item to item of each environment. By the place in the plan, of which an
+            environment may have only every other item, the same agent might always begin.
+    """
     parts: list[Sequence[PlanItem]] = []
     for env_id, kwargs in vector.entries:
         rows = vector.num_tasks(env_id, kwargs)
@@ -171,6 +178,8 @@ def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[Pla
             parts.append(cover_plan(env_id, rows, episodes=episodes, endless=endless, kwargs=kwargs))
         else:
             parts.append(count_plan([env_id], DEFAULT_EPISODES if episodes is None else episodes, kwargs=kwargs))
+    if rotate:
+        parts = [rotating(part) for part in parts]
     # Taken in turn, so that a run that is stopped has some of each.
     return interleaved(parts)
 
@@ -199,8 +208,9 @@ class _Run:
 
     @property
     def agents(self) -> list[Agent]:
-        """Everyone who may act, as far as they are known."""
-        return list(self.acting.everyone()) if isinstance(self.acting, Seating) else [self.acting]
+        """Everyone who may act, as far as they are known, each once."""
+        everyone = self.acting.everyone() if isinstance(self.acting, Seating) else [self.acting]
+        return list({id(agent): agent for agent in everyone}.values())
 
     def vector(self, *, plain: bool) -> VectorEnv:
         """Return the vector environment in which the episodes run: the one given, or a new one.
@@ -227,7 +237,8 @@ class _Run:
         if self.plan is None and self.episodes is None and vector.own_source.planned:
             queue = vector.own_source.restarted(seed)
         else:
-            plan = default_plan(vector, self.episodes) if self.plan is None else self.plan
+            rotate = isinstance(self.acting, Seating) and self.acting.rotates
+            plan = default_plan(vector, self.episodes, rotate=rotate) if self.plan is None else self.plan
             queue = EpisodeQueue(plan, vector.seed if seed is None else seed)
         finished.leave_out_of(queue)
         return queue

@@ -29,6 +29,9 @@ class Seated(NamedTuple):
 class Seating(ABC):
     """Decides which agents act in each episode; a subclass is taken as the ``agents`` of ``rollout``."""
 
+    rotates = True
+    """Whether agents change seats from item to item of the plan."""
+
     @abstractmethod
     def everyone(self) -> Iterable[Agent]:
         """Return every agent that may act, to be prepared before the first episode."""
@@ -52,6 +55,8 @@ class NamedSeats(Seating):
     Args:
         agents: ``{seat: agent}``.
     """
+
+    rotates = False
 
     def __init__(self, agents: Mapping[str, Any]) -> None:
         self._agents = {seat: seated(agent) for seat, agent in agents.items()}
