@@ -154,7 +154,7 @@ def _never(reason: str) -> RequirementStatus:
 
 
 def _argument(name: str) -> RequirementStatus:
-    return RequirementStatus("unmet", "is given to make", f"it needs an argument: make(…, {name}=…)")
+    return RequirementStatus("unmet", "is given to make", f"it needs an argument: make(…, {name}=…), or --set {name}=… of gem run")
 
 
 # A table rather than records of the core's own: `make` looks here in every worker process, which then need not load
