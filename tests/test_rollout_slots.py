@@ -47,7 +47,7 @@ async def answer_a(observation: gem.Observation, context: Context) -> str:
 # Exact counts.
 
 
-@pytest.mark.few(8)
+@pytest.mark.few(4)
 @pytest.mark.parametrize("agent", [sampling_agent, answer_a], ids=["plain", "asynchronous"])
 @pytest.mark.parametrize("num_envs", [1, 2, 7, 16])
 @pytest.mark.parametrize("backend", ["sync", "async", "process"])
@@ -126,6 +126,7 @@ def test_plain_agent_is_not_asked_while_an_episode_is_looked_at() -> None:
 # Every mode of autoreset.
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("backend", ["sync", "async", "process"])
 @pytest.mark.parametrize("mode", ["same_step", "next_step", "disabled"])
 def test_the_mode_of_autoreset_changes_no_episode(mode: Any, backend: str) -> None:

@@ -248,7 +248,7 @@ def test_abandoned_task_is_cancelled() -> None:
 # Death.
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("env_id", "backend"), AWAY)
 @pytest.mark.parametrize(
     ("word", "message"),
@@ -266,6 +266,7 @@ def test_death_of_a_worker_ends_the_episode_that_did_it(env_id: str, backend: st
     assert error["message"].startswith(message)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("item", [PlanItem(kwargs={"init": "exit"}), PlanItem(options={"fault": "exit"})])
 def test_death_in_a_reset_is_that_of_its_own_item(item: PlanItem) -> None:
     """Those that began before it, and wait behind it, are not blamed."""

@@ -68,6 +68,7 @@ def episodes(vector: VectorEnv) -> None:
     assert len(list(gem.rollout(vector, lambda observation: "a", episodes=4))) == 4
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("work", [calls, episodes])
 @pytest.mark.parametrize(
     ("env_id", "backend", "stride"), [(INLINE, "sync", 7), (THREAD, "async", 31), (ASYNC, "async", 31)]

@@ -165,6 +165,7 @@ def test_times_are_read_while_a_worker_changes_them() -> None:
 # What they leave behind.
 
 
+@pytest.mark.thorough
 def test_nothing_is_left_after_close() -> None:
     """No process, no thread and no open file."""
     with gem.make_vec(INLINE, 2, backend="process", seed=1) as warm:
@@ -187,6 +188,7 @@ def test_nothing_is_left_after_close() -> None:
     assert eventually(lambda: gc.collect() is not None and len(os.listdir("/proc/self/fd")) <= files)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("how", ["close", "kill", "drop"])
 def test_processes_that_an_environment_left_behind_end_with_its_worker(how: str) -> None:
     """However that ends."""
@@ -305,7 +307,7 @@ def first_pids(process: subprocess.Popen[str]) -> list[int]:
     return [int(pid) for pid in process.stdout.readline().split()]  # type: ignore[union-attr]  # it is a pipe
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("ending", "code", "error"),
     [

@@ -104,6 +104,7 @@ def test_wrappers_of_the_core_pass(make_wrapper) -> None:
     assert check_wrapper(make_wrapper).broken == {}
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("options", [{}, {"call_timeout_s": 30.0}, {"max_tool_uses": 0}, {"instructions": False}])
 def test_tools_around_a_task_pass(options) -> None:
     """With and without what changes how a call is run."""

@@ -32,6 +32,7 @@ def broken_by(target: Any) -> dict[str, str]:
     return dict(caught.value.report.broken)
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     "target",
     [

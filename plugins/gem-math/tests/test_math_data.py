@@ -56,6 +56,7 @@ def test_gold_answer_is_right_for_its_row(name: str):
     assert wrong == []
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", SETS)
 def test_gold_answer_is_wrong_for_other_rows(name: str):
     """Of rows that are 1 and 31 further on, unless these have the same answer."""

@@ -25,6 +25,7 @@ def verdict(line):
         return expected, str(error)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("part", range(8))
 def test_verdicts_of_the_table(part):
     """Each line has its verdict; the failing ones are named, a part of the table to a test."""

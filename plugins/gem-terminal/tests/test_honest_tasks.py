@@ -40,6 +40,7 @@ def tasks(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Task]:
     return {task.name: task for task in select_tasks(write_honest(tmp_path_factory.mktemp("honest")))}
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("name", HONEST)
 def test_honest_solution_is_rewarded_and_nothing_is_not(
     backend: DockerBackend, tasks: dict[str, Task], name: str

@@ -58,6 +58,7 @@ def test_a_script_that_fails_is_quoted_with_what_it_said(backend: LocalBackend, 
     assert caught.value.log == "fine\nbroken"
 
 
+@pytest.mark.thorough
 def test_a_script_out_of_time_is_stopped(backend: LocalBackend, tmp_path: Path) -> None:
     with pytest.raises(BuildError, match=r"took longer than its time \(build_timeout_s\)"):
         backend.build(write_task(tmp_path, "sleep 1000", build_timeout_s=0.5))

@@ -31,6 +31,7 @@ def check(env_id: str, backend: str, *names: str) -> dict[str, tuple[str, str]]:
     return {name: (solution, nothing) for name, solution, nothing, *_ in rows}
 
 
+@pytest.mark.few(2)
 @each_backend
 @each_format
 def test_only_the_reference_solution_passes(backend: str, env_id: str):

@@ -79,6 +79,7 @@ def test_run_answers_what_is_no_command(shell: Shell) -> None:
         assert answer(shell, "echo $x") == ("here\n", 0), command
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(
     "command",
     [

@@ -151,10 +151,10 @@ def judged(backend: DockerBackend, folder: Path, check: str, script: str, where:
     return verdict
 
 
+@pytest.mark.few(2)
 @needs_engine
 @pytest.mark.parametrize("where", ["machine", "judge"])
 @pytest.mark.parametrize("attack", ATTACKS)
-@pytest.mark.few(4)
 def test_attack_is_stopped_where_the_table_says_so(
     backend: DockerBackend, tmp_path: Path, attack: str, where: Where
 ) -> None:

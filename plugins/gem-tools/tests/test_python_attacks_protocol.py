@@ -81,7 +81,7 @@ FORGED = [
 ]
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("data", FORGED, ids=["failed", "empty", "nan", "code", "value", "huge", "noise"])
 def test_forging_the_next_call_of_a_session(watched: Watched, data: bytes) -> None:
     """Threads and hooks can forge what their own session says, and reach neither its keeper nor another session."""

@@ -172,6 +172,7 @@ def test_other_syntax_errors_get_none(tool: PythonTool, code: str) -> None:
     assert "notebooks" not in text
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("preload", [(), ("matplotlib.pyplot",)])
 def test_matplotlib_says_nothing_of_fonts(preload: Any) -> None:
     """Imported by the code or ahead of it."""
