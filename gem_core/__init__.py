@@ -41,6 +41,7 @@ if TYPE_CHECKING:
         WrapperSpec,
     )
     from gem_core.rollouts.drivers import arollout, rollout
+    from gem_core.rollouts.one_seat import single_agent
     from gem_core.rollouts.seating import League
     from gem_core.tools.env import ToolEnv
     from gem_core.tools.tool import Tool, ToolCall, ToolResult
@@ -63,6 +64,7 @@ _HOME = {
     "records.plans": ("PlanItem",),
     "api": ("list_envs", "make", "make_vec", "print_envs", "register", "spec"),
     "rollouts.drivers": ("arollout", "rollout"),
+    "rollouts.one_seat": ("single_agent",),
     "rollouts.seating": ("League",),
     "registry.requirements": ("RequirementStatus",),
     "registry.specs": (
@@ -126,6 +128,7 @@ __all__ = [
     "read_records",
     "register",
     "rollout",
+    "single_agent",
     "spec",
     "write_episodes",
 ]

@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import asyncio
 import dataclasses
-from collections.abc import Coroutine, Mapping
-from operator import attrgetter
-from typing import Any, TypeVar, cast
+from collections.abc import Mapping
+from typing import Any, cast
 
-from gem_core.background import in_thread
-from gem_core.env.base import Env, reset_arguments
-from gem_core.env.multi_agent import JointResetResult, JointStepResult, MultiAgentEnv
+from gem_core.env.base import Env
+from gem_core.env.joint_calls import PlainCalls, of_env
+from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.spec import EnvRecipe
-from gem_core.env.wrapper import AnyEnv, Wrapper, concurrency_of
+from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, StateError
 from gem_core.types import ResetResult, Response, StepResult
-
-T = TypeVar("T")
-
-
-def of_env(name: str) -> Any:
-    """Return a property that is read from the environment inside."""
-    return property(attrgetter(f"env.{name}"))
 
 
 class SeatEnv(Env):
@@ -78,119 +69,64 @@ class SeatStack:
         self.env = env
         self._layers = _layers(env)
         """The wrappers, outermost first."""
-        self._begun = False
-        """Whether the seat has had its first observation in this episode."""
-        self._sent: list[str] = []
-        """The response that awaits its result, as each layer was given it."""
+        self._sent: list[str] | None = None
+        """The response that awaits its result, as each layer was given it, outermost first; None where none does."""
 
     async def before_reset(self, seed: int | None, options: dict[str, Any] | None, calls: PlainCalls) -> None:
         """Prepare the wrappers for an episode."""
-        self._begun, self._sent = False, []
+        self._sent = None
         for layer in self._layers:
             await calls.hook(layer, "before_reset", seed, options)
 
     async def first(self, result: ResetResult, calls: PlainCalls) -> ResetResult:
         """Return the seat's first observation and info, as the wrappers pass them on."""
-        self._begun = True
         for layer in reversed(self._layers):
             result = await calls.hook(layer, "after_reset", result)
         return result
 
     async def respond(self, action: str, calls: PlainCalls) -> str | StepResult:
         """Return the action for the environment, or the result of a wrapper that answered the response itself."""
-        self._sent = []
+        sent: list[str] = []
         for layer in self._layers:
             outcome = await calls.hook(layer, "before_step", action)
             if isinstance(outcome, tuple):
-                return await self._pass_on(outcome, calls)
-            self._sent.append(action)
+                return await self._pass_on(sent, outcome, calls)
+            sent.append(action)
             action = outcome
+        self._sent = sent
         return action
 
     async def hear(self, result: StepResult, calls: PlainCalls) -> StepResult:
-        """Return the result of a step of the environment, as the wrappers pass it on."""
+        """Return the result of a step of the environment, as the wrappers pass it on.
+
+        That of a seat which ended before it acted, or when it was to act, answers no response: it stays as it is.
+        """
         observation, reward, terminated, truncated, info = result
-        if self._begun:
-            return await self._pass_on(result, calls)
+        if self._sent is not None:
+            sent, self._sent = self._sent, None
+            return await self._pass_on(sent, result, calls)
         if terminated or truncated:
             return result
         observation, info = await self.first((observation, info), calls)
         return observation, reward, False, False, info
 
-    async def _pass_on(self, result: StepResult, calls: PlainCalls) -> StepResult:
-        for layer, action in reversed(list(zip(self._layers, self._sent, strict=False))):
+    async def _pass_on(self, sent: list[str], result: StepResult, calls: PlainCalls) -> StepResult:
+        for layer, action in reversed(list(zip(self._layers, sent, strict=False))):
             result = await calls.hook(layer, "after_step", action, result)
         return result
 
     def get_state(self) -> dict[str, Any]:
         """Return the state of the wrappers, and what they wait for."""
         return {
-            "begun": self._begun,
-            "sent": list(map(saved_response, self._sent)),
+            "sent": None if self._sent is None else list(map(saved_response, self._sent)),
             "wrappers": cast("Env", self.env).get_state(),
         }
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Restore what ``get_state`` returned."""
-        self._begun, self._sent = bool(state["begun"]), list(map(restored_response, state["sent"]))
+        sent = state["sent"]
+        self._sent = None if sent is None else list(map(restored_response, sent))
         cast("Env", self.env).set_state(state["wrappers"])
-
-
-class PlainCalls:
-    """Calls hooks and the environment from plain code; its coroutines never wait."""
-
-    async def hook(self, layer: Wrapper, name: str, *args: Any) -> Any:
-        """Return what a hook returns."""
-        return layer.run_hook(name, *args)
-
-    async def together(self, jobs: Mapping[str, Coroutine[Any, Any, T]]) -> dict[str, T]:
-        """Return the results of coroutines, by agent."""
-        try:
-            return {agent: await job for agent, job in jobs.items()}
-        finally:
-            for job in jobs.values():
-                job.close()  # those behind one that failed
-
-    async def reset(self, env: MultiAgentEnv, seed: int | None, options: dict[str, Any] | None) -> JointResetResult:
-        """Reset the environment."""
-        return env.reset(**reset_arguments(seed, options))
-
-    async def step(self, env: MultiAgentEnv, actions: dict[str, str]) -> JointStepResult:
-        """Step the environment."""
-        return env.step(actions)
-
-    async def truncate_all(self, env: MultiAgentEnv) -> JointStepResult:
-        """End the episode."""
-        return env.truncate_all()
-
-
-class AwaitedCalls(PlainCalls):
-    """Calls hooks and the environment from an event loop without blocking it."""
-
-    async def hook(self, layer: Wrapper, name: str, *args: Any) -> Any:
-        """Return what a hook returns."""
-        return await layer.run_hook_async(name, *args)
-
-    async def together(self, jobs: Mapping[str, Coroutine[Any, Any, T]]) -> dict[str, T]:
-        """Run coroutines side by side."""
-        tasks = [asyncio.ensure_future(job) for job in jobs.values()]
-        try:
-            return dict(zip(jobs, await asyncio.gather(*tasks), strict=True))
-        finally:
-            for task in tasks:
-                task.cancel()  # those beside one that failed
-
-    async def reset(self, env: MultiAgentEnv, seed: int | None, options: dict[str, Any] | None) -> JointResetResult:
-        """Reset the environment."""
-        return cast("JointResetResult", await env.reset_async(**reset_arguments(seed, options)))
-
-    async def step(self, env: MultiAgentEnv, actions: dict[str, str]) -> JointStepResult:
-        """Step the environment."""
-        return cast("JointStepResult", await env.step_async(cast("Any", actions)))
-
-    async def truncate_all(self, env: MultiAgentEnv) -> JointStepResult:
-        """End the episode."""
-        return env.truncate_all() if concurrency_of(env) == "inline" else await in_thread(env.truncate_all)
 
 
 _METHODS = ("reset", "step", "reset_async", "step_async")

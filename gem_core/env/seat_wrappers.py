@@ -9,16 +9,9 @@ from typing import TYPE_CHECKING, Any, cast
 
 from gem_core.background import finish_now
 from gem_core.env.base import Env
+from gem_core.env.joint_calls import AwaitedCalls, PlainCalls, of_env
 from gem_core.env.multi_agent import JointResetResult, JointStepResult, MultiAgentEnv, check_seats
-from gem_core.env.seat_stack import (
-    AwaitedCalls,
-    PlainCalls,
-    SeatEnv,
-    SeatStack,
-    of_env,
-    restored_response,
-    saved_response,
-)
+from gem_core.env.seat_stack import SeatEnv, SeatStack, restored_response, saved_response
 from gem_core.env.spec import EnvRecipe
 from gem_core.env.wrapper import AnyEnv, concurrency_of, most_demanding
 from gem_core.errors import GemError, StateError
@@ -188,8 +181,18 @@ class SeatWrappers(MultiAgentEnv):
             self._added[agent] += results[agent][1] - reward
         return results
 
+    def truncate_all(self) -> JointStepResult:
+        """End the episode from outside; see ``MultiAgentEnv.truncate_all``."""
+        self._check_in_episode()
+        return self._joined(finish_now(self._truncated({}, PlainCalls())))
+
     async def _truncated(self, results: Mapping[str, StepResult], calls: PlainCalls) -> dict[str, StepResult]:
-        """End the episode for all, since wrappers have ended it for some."""
+        """End the episode for all.
+
+        Args:
+            results: What some have heard already, whose wrappers ended it.
+            calls: How the environment is called.
+        """
         self._held = {}
         joint = await calls.truncate_all(self.env)
         for agent in results:

@@ -12,6 +12,7 @@ from gem_core.rollouts.agent import (
     prepare_agent,
 )
 from gem_core.rollouts.drivers import arollout, default_plan, rollout
+from gem_core.rollouts.one_seat import single_agent
 from gem_core.rollouts.resume import FinishedEpisodes
 from gem_core.rollouts.seat import RunningSeat, new_episode
 from gem_core.rollouts.seating import League, Seated, Seating, as_seating
@@ -36,4 +37,5 @@ __all__ = [
     "new_episode",
     "prepare_agent",
     "rollout",
+    "single_agent",
 ]

@@ -61,7 +61,14 @@ def _remade(
     if remake_inner is not None:
         # The inner environment was given by position or by name.
         args, kwargs = ((remake_inner(), *args[1:]), kwargs) if args else ((), {**kwargs, "env": remake_inner()})
+    else:  # a task that is made of another, as by single_agent, must not share it
+        args = tuple(map(_remade_env, args))
+        kwargs = {name: _remade_env(value) for name, value in kwargs.items()}
     env = cast("AnyEnv", kind(*args, **kwargs))
     for name, value in set_by_make.items():
         setattr(env, name, value)
     return env
+
+
+def _remade_env(argument: Any) -> Any:
+    return remaker(argument)() if isinstance(argument, gymnasium.Env) else argument

@@ -1,0 +1,418 @@
+"""``single_agent``: one seat of an environment of several agents as an environment of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+from collections.abc import Awaitable, Mapping
+from contextlib import ExitStack
+from functools import partial
+from typing import Any, cast
+
+from gem_core.background import finish_now, finish_or_start
+from gem_core.env.base import Env
+from gem_core.env.joint_calls import AwaitedCalls, PlainCalls, of_env
+from gem_core.env.multi_agent import JointStepResult, MultiAgentEnv, check_seats
+from gem_core.env.results import refuse_action
+from gem_core.env.seat_stack import restored_response, saved_response
+from gem_core.env.seeding import stable_hash
+from gem_core.env.wrapper import concurrency_of, most_demanding
+from gem_core.errors import AgentError, ArgumentError, EnvFaultError, ResetNeededError
+from gem_core.making.environment import make_from
+from gem_core.records.episode import Episode
+from gem_core.records.plans import EpisodeStart, PlanItem
+from gem_core.registry.lookup import registry
+from gem_core.rollouts.agent import Agent, Reading, is_asynchronous, load_agent
+from gem_core.rollouts.seat import RunningSeat, new_episode
+from gem_core.rollouts.seating import Seated, seated
+from gem_core.types import Concurrency, Info, ResetResult, Response, StepResult
+
+MOST_OTHER_TURNS = 300
+_MOST_DEALS = 10
+_OWN_ARGUMENTS = ("env", "seat", "others", "max_other_turns")
+
+
+def single_agent(
+    env: MultiAgentEnv | str,
+    seat: str,
+    others: Any = "random",
+    *,
+    max_other_turns: int = MOST_OTHER_TURNS,
+    **kwargs: Any,
+) -> Env:
+    """Make an environment for one agent of an environment of several: the other seats are played inside it.
+
+    ``reset`` and ``step`` let the others act until the seat acts again or has ended. What the seat observes and earns
+    is unchanged; a reward that it had before it first acted is added to that of its first step. When the seat has
+    ended, the episode is over, whatever the others would still do. Where a game is over before the seat ever acted,
+    another is dealt.
+
+    Each of the others has a conversation and a context of its own, as in ``rollout``. Where one fails, or gives no
+    text, the episode is truncated with ``info["error"]`` of the kind ``"opponent"``, and in ``reset`` an
+    ``EnvFaultError`` is raised: it is never the agent's loss.
+
+    Args:
+        env: The environment, which belongs to the new one; or the id of a registered one.
+        seat: The seat of the agent that is left.
+        others: Who plays the other seats: an agent, or the name of one, as in ``"random"`` or ``"openai:MODEL"``; a
+            list of these, of which one is drawn for each episode by its seed; or a mapping of these by seat, where
+            seats that are left out are played by ``"random"``. With an asynchronous agent among them the environment
+            is asynchronous, and those that act at once are asked side by side; plain ones are taken to answer at once.
+        max_other_turns: Steps without the seat after which an episode counts as failed.
+        **kwargs: Keyword arguments of the environment, where ``env`` is an id.
+
+    Raises:
+        ArgumentError: There is no such seat; or keyword arguments are given for an environment that is made already.
+        UnknownEnvError: There is no such environment.
+        UnknownAgentError: There is no agent of that name.
+    """
+    return SingleAgentEnv(env, seat, others, max_other_turns=max_other_turns, **kwargs)
+
+
+class _OpponentError(Exception):
+    """The agent at another seat failed."""
+
+
+class SingleAgentEnv(Env):
+    """One seat of an environment of several agents; see ``single_agent``, which makes it."""
+
+    def __init__(
+        self,
+        env: MultiAgentEnv | str,
+        seat: str,
+        others: Any = "random",
+        *,
+        max_other_turns: int = MOST_OTHER_TURNS,
+        **kwargs: Any,
+    ) -> None:
+        super().__init__()
+        if isinstance(env, MultiAgentEnv) and kwargs:
+            raise ArgumentError(
+                f"{', '.join(kwargs)}: keyword arguments go with the id of an environment, and this one is made already"
+            )
+        if type(max_other_turns) is not int or max_other_turns < 1:
+            raise ArgumentError(f"max_other_turns must be a positive whole number, not {max_other_turns!r}")
+        self._made_here = isinstance(env, str)
+        made: Any = make_from(registry().env(env), kwargs, ()) if isinstance(env, str) else env
+        self._loaded: dict[str, Agent] = {}
+        try:
+            if not isinstance(made, MultiAgentEnv):
+                raise ArgumentError(f"single_agent takes an environment of several agents, or its id, not {env!r:.100}")
+            check_seats([seat], made.possible_agents)
+            self.env, self.seat, self.max_other_turns = made, seat, max_other_turns
+            self._players = self._players_of(others)
+        except BaseException:
+            if self._made_here:
+                made.close()
+            raise
+        self._asynchronous = any(is_asynchronous(player) for players in self._players.values() for player in players)
+        self.observation_space = made.observation_space(seat)
+        self.action_space = made.action_space(seat)
+        self._prepared = False
+        self._live = False
+        self._acting: list[str] = []
+        """Who acts now."""
+        self._running: dict[str, RunningSeat] = {}
+        """The episode of each other seat that has acted, or is to act."""
+        self._draws: dict[str, int] = {}
+        """How many random actions were drawn for each other seat."""
+        self._reward = 0.0
+        """What the seat earned and has not been given."""
+        self._options: dict[str, Any] | None = None
+
+    num_tasks = of_env("num_tasks")
+    endless_tasks = of_env("endless_tasks")
+    answer_fences = of_env("answer_fences")
+    answer_tags = of_env("answer_tags")
+    metadata = of_env("metadata")
+    render_mode = of_env("render_mode")
+    render = of_env("render")
+
+    @property
+    def concurrency(self) -> Concurrency:  # type: ignore[override]  # of this instance
+        """What the environment and the other agents need."""
+        return most_demanding(concurrency_of(self.env), "async" if self._asynchronous else "inline")
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """Begin an episode, and let the others act until it is the seat's turn.
+
+        Raises:
+            EnvFaultError: Another agent failed, or the turn of the seat never came.
+        """
+        return finish_now(self._reset(seed, options, PlainCalls()))
+
+    def step(self, action: str) -> StepResult:
+        """Answer a response of the seat, and let the others act until it is its turn again."""
+        return finish_now(self._step(action, PlainCalls()))
+
+    async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """``reset`` for code that runs in an event loop, without blocking it."""
+        if self.concurrency != "async":
+            return await super().reset_async(seed, options)
+        return await self._reset(seed, options, AwaitedCalls())
+
+    async def step_async(self, action: str) -> StepResult:
+        """``step`` for code that runs in an event loop, without blocking it."""
+        if self.concurrency != "async":
+            return await super().step_async(action)
+        return await self._step(action, AwaitedCalls())
+
+    async def _reset(self, seed: int | None, options: dict[str, Any] | None, calls: PlainCalls) -> ResetResult:
+        super().reset(seed=seed)
+        self._live = False
+        await self._prepare(calls)
+        for deal in range(_MOST_DEALS):
+            deal_seed = stable_hash(self.np_random_seed, "deal", deal) if deal else self.np_random_seed
+            self._running, self._draws, self._reward, self._options = {}, {}, 0.0, options
+            observations, infos = await calls.reset(self.env, deal_seed, options)
+            flags = dict.fromkeys(observations, False)
+            try:
+                joint = (observations, dict.fromkeys(observations, 0.0), flags, flags, infos)
+                result = await self._until_own_turn(joint, calls)
+            except _OpponentError as error:
+                raise EnvFaultError(f"{self._name}: {error}") from error.__cause__
+            if result is not None and not (result[2] or result[3]):
+                observation, self._reward, *_, info = result
+                info["seed"] = self.np_random_seed
+                self._live = True
+                return observation, info
+        raise EnvFaultError(f"{self._name}: {_MOST_DEALS} games in a row were over before {self.seat!r} acted")
+
+    async def _step(self, action: str, calls: PlainCalls) -> StepResult:
+        if not self._live:
+            raise ResetNeededError(
+                f"{self._name}: the episode is over or has not begun; call reset() before the next step()"
+            )
+        if not isinstance(action, str):
+            refuse_action(action)
+        try:
+            joint = await self._joint_step({self.seat: action}, calls)
+            result = cast("StepResult", await self._until_own_turn(joint, calls))
+        except _OpponentError as error:
+            result = await self._failed(error, calls)
+        self._live = not (result[2] or result[3])
+        return result
+
+    async def _until_own_turn(self, joint: JointStepResult, calls: PlainCalls) -> StepResult | None:
+        """Let the others act until the seat acts or has ended; None where the game is over and the seat was not in it.
+
+        Args:
+            joint: The result of the last step.
+            calls: How the environment is called.
+
+        Raises:
+            _OpponentError: One of the others failed, or they never come to an end.
+        """
+        for turn in range(self.max_other_turns + 1):
+            observations, rewards, terminations, truncations, infos = joint
+            self._acting = list(observations)
+            for agent in rewards:
+                if agent != self.seat:
+                    self._note(agent, joint)
+            if self.seat in rewards:
+                reward, self._reward = self._reward + rewards[self.seat], 0.0
+                terminated, truncated, info = terminations[self.seat], truncations[self.seat], infos[self.seat]
+                observation = observations[self.seat] if self.seat in observations else info.pop("final_obs")
+                if truncated:
+                    _pass_on_error(info, infos)
+                return observation, reward, terminated, truncated, info
+            if not observations:
+                return None
+            if turn < self.max_other_turns:
+                joint = await self._joint_step({}, calls)
+        raise _OpponentError(f"the turn of {self.seat!r} did not come in {self.max_other_turns} turns of the others")
+
+    async def _joint_step(self, own: Mapping[str, str], calls: PlainCalls) -> JointStepResult:
+        """Step the environment with responses of all who act."""
+        responses: Mapping[str, str] = {**await self._responses(calls), **own}
+        return await calls.step(self.env, {agent: responses[agent] for agent in self._acting})
+
+    def _note(self, agent: str, joint: JointStepResult) -> None:
+        """Add the result of a step to the episode of another seat."""
+        observations, rewards, terminations, truncations, infos = joint
+        info = {name: value for name, value in infos[agent].items() if name != "final_obs"}
+        observation = observations[agent] if agent in observations else infos[agent]["final_obs"]
+        running = self._running.get(agent)
+        if running is not None:
+            running.add(rewards[agent], terminations[agent], truncations[agent], observation, info)
+            return
+        described = {"id": self._name, "kwargs": {}}
+        seed = self.np_random_seed
+        start = EpisodeStart(PlanItem(options=self._options), (seed,), 0, seed, seed)
+        episode = new_episode(described, start, observation, info)
+        episode.seat, episode.first_reward = agent, rewards[agent]
+        self._running[agent] = self._running_seat(agent, episode)
+
+    def _running_seat(self, agent: str, episode: Episode) -> RunningSeat:
+        return RunningSeat(episode, Reading.of(self._player(agent)), partial(self._draw_for, agent))
+
+    # Asking the others.
+
+    async def _responses(self, calls: PlainCalls) -> dict[str, Response]:
+        """Return the responses of the others who act now.
+
+        Raises:
+            _OpponentError: One failed, or returned no text.
+        """
+        answers: dict[str, Any] = {}
+        for agent in self._acting:
+            if agent != self.seat:
+                running = self._running[agent]
+                try:
+                    answers[agent] = self._player(agent)(running.conversation.sent(), running.context)
+                except (Exception, SystemExit) as error:
+                    raise _OpponentError(_described(agent, error)) from error
+        waited = {agent: answer for agent, answer in answers.items() if inspect.isawaitable(answer)}
+        if waited:
+            answers |= await calls.wait(_all_of(waited))
+        for agent, answer in answers.items():
+            if not isinstance(answer, str):
+                problem = f"an agent returns a str or a Response, and this one returned {type(answer).__name__}"
+                raise _OpponentError(_described(agent, AgentError(problem)))
+            self._running[agent].response = Response.of(answer)
+        return {agent: self._running[agent].response for agent in answers}
+
+    async def _failed(self, error: _OpponentError, calls: PlainCalls) -> StepResult:
+        """End an episode in which one of the others failed."""
+        _, rewards, _, _, infos = await calls.truncate_all(self.env)
+        info = infos[self.seat]
+        reward, self._reward = self._reward + rewards[self.seat], 0.0
+        info["error"] = {"kind": "opponent", "message": str(error)}
+        return info.pop("final_obs"), reward, False, True, info
+
+    async def _prepare(self, calls: PlainCalls) -> None:
+        """Prepare the other agents before the first episode."""
+        if self._prepared:
+            return
+        for player in dict.fromkeys(player for players in self._players.values() for player in players):
+            waited = getattr(player, "prepare", lambda: None)()
+            if inspect.isawaitable(waited):
+                await calls.wait(waited)
+        self._prepared = True
+
+    def _players_of(self, others: Any) -> dict[str, list[Agent]]:
+        """Return the agents from which each other seat's is drawn."""
+        rest = [agent for agent in self.env.possible_agents if agent != self.seat]
+        if not isinstance(others, Mapping):
+            others = dict.fromkeys(rest, others)
+        check_seats(others, rest)
+        return {agent: self._candidates(others.get(agent, "random")) for agent in rest}
+
+    def _candidates(self, given: Any) -> list[Agent]:
+        if isinstance(given, list | tuple) and not isinstance(given, Seated):
+            if not given:
+                raise ArgumentError("others names no agent for a seat; give one, as 'random'")
+            return [self._as_agent(each) for each in given]
+        return [self._as_agent(given)]
+
+    def _as_agent(self, given: Any) -> Agent:
+        if not isinstance(given, str):
+            return seated(given).agent
+        if given not in self._loaded:
+            self._loaded[given] = load_agent(given)
+        return self._loaded[given]
+
+    def _player(self, agent: str) -> Agent:
+        """Return who plays another seat in this episode."""
+        players = self._players[agent]
+        return (
+            players[0]
+            if len(players) == 1
+            else players[stable_hash(self.np_random_seed, "player", agent) % len(players)]
+        )
+
+    # Random actions. The environment has one generator for all seats, which is started anew for each action, so that
+    # drawing one for a seat never changes what others draw.
+
+    def _draw_for(self, agent: str) -> str:
+        self._draws[agent] = number = self._draws.get(agent, 0) + 1
+        self.env.seed_actions(stable_hash(self.env.np_random_seed, "actions", agent, number))
+        return self.env.sample_random_action(agent)
+
+    def sample_random_action(self) -> str:
+        """Return a valid response of the seat in the present state; see ``Env.sample_random_action``."""
+        self.env.seed_actions(int(self.action_random.integers(2**53)))
+        return self.env.sample_random_action(self.seat)
+
+    # State and the rest.
+
+    def _get_state(self) -> dict[str, Any]:
+        return {
+            "env": self.env.get_state(),
+            "live": self._live,
+            "acting": self._acting.copy(),
+            "reward": self._reward,
+            "draws": self._draws.copy(),
+            "others": {
+                agent: {"episode": running.episode.to_dict(), "response": saved_response(running.response)}
+                for agent, running in self._running.items()
+            },
+        }
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self.env.set_state(state["env"])
+        self._live, self._acting = bool(state["live"]), list(map(str, state["acting"]))
+        self._reward, self._draws = float(state["reward"]), dict(state["draws"])
+        self._running = {}
+        for agent, saved in state["others"].items():
+            running = self._running_seat(agent, Episode.from_dict(saved["episode"]))
+            running.response = Response.of(restored_response(saved["response"]))
+            running.context.turn, running.context.info = running.episode.turns, running.episode.final_info
+            self._running[agent] = running
+
+    def spawn(self, same_state: bool = False, **overrides: Any) -> Env:
+        """Return a sibling; overrides that ``single_agent`` does not know go to the environment inside."""
+        if not self._made_here:
+            inner = {name: overrides.pop(name) for name in list(overrides) if name not in _OWN_ARGUMENTS}
+            overrides["env"] = self.env.spawn(**inner)
+        return super().spawn(same_state, **overrides)
+
+    def close(self) -> None:
+        """Close the environment, and the agents that were given by name."""
+        with ExitStack() as closing:
+            closing.callback(self.env.close)
+            for player in self._loaded.values():
+                closing.callback(_close, player)
+
+    @property
+    def _name(self) -> str:
+        return self.env_id or self.env.env_id or type(self.env.unwrapped).__name__
+
+
+def _pass_on_error(info: Info, infos: Mapping[str, Info]) -> None:
+    """Tell the seat of an error at another that ended the episode."""
+    for agent, other in infos.items():
+        if other.get("error") and "error" not in info:
+            error = other["error"]
+            message = error.get("message") if isinstance(error, Mapping) else error
+            info["error"] = {"kind": "opponent", "message": f"{agent!r}: {message}"}
+
+
+def _described(agent: str, error: BaseException) -> str:
+    return f"the agent at {agent!r} failed: {type(error).__name__}: {error}"[:500]
+
+
+async def _all_of(answers: Mapping[str, Awaitable[Any]]) -> dict[str, Any]:
+    """Wait for answers side by side.
+
+    Raises:
+        _OpponentError: One failed; the others are then cancelled.
+    """
+    tasks = {agent: asyncio.ensure_future(answer) for agent, answer in answers.items()}
+    try:
+        await asyncio.wait(tasks.values(), return_when=asyncio.FIRST_EXCEPTION)
+        for agent, task in tasks.items():
+            if task.done():
+                error = AgentError("its coroutine was cancelled") if task.cancelled() else task.exception()
+                if error is not None:
+                    raise _OpponentError(_described(agent, error)) from error
+        return {agent: task.result() for agent, task in tasks.items()}
+    finally:
+        for task in tasks.values():
+            task.cancel()
+
+
+def _close(agent: Agent) -> None:
+    waited = getattr(agent, "aclose", getattr(agent, "close", lambda: None))()
+    if inspect.isawaitable(waited):
+        finish_or_start(waited)
