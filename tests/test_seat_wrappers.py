@@ -305,3 +305,21 @@ def test_closing_closes_the_sessions_of_every_seat() -> None:
     env.step(dict.fromkeys("ab", NOTE.format("x")))
     env.close()
     assert (tool.opened, tool.closed) == (2, 2)
+
+
+@pytest.mark.parametrize("backend", ["sync", "async"])
+def test_rollouts_go_through_the_wrappers(backend: str) -> None:
+    """A tool's step is a turn of its seat alone, and every reward is in the records."""
+
+    def agent(observation: Any, context: Any) -> str:
+        return NOTE.format("x") if context.seat == "a" and context.turn % 2 == 0 else "3"
+
+    gem.register(f"joint:Auction-v4-{backend}", AuctionEnv, agents=["a", "b"], mode="parallel", rounds=4)
+    around: Any = {"a": [TOOLS, "concat_with_action"], "b": "episode_stats"}
+    with gem.make_vec(f"joint:Auction-v4-{backend}", 2, backend=backend, wrappers=around, seed=1) as vec:
+        for joint in gem.rollout(vec, agents=agent, episodes=3, seed=1):
+            assert joint.order == [["a", "b"], ["a"], ["a", "b"], ["a"]]
+            assert joint.returns == {"a": 0.5, "b": 0.0}
+            assert joint.seats["a"].tools == ["note"]
+            assert joint.seats["b"].final_info["episode"]["l"] == 2
+            assert joint.error is None

@@ -237,12 +237,32 @@ def test_a_failing_opponent_is_an_error_and_no_loss(kind: Any, error: Any, messa
     assert env.reset(seed=0)[0] == "You are b. Bids: 5"
 
 
+@pytest.mark.parametrize(
+    ("mode", "shown"),
+    [("parallel", "You are b. Bids: 5 1"), ("sequential", "You are b. Bids: 5\n1\nYou are b. Bids: 5 1")],
+)
+def test_wrappers_of_the_seat_hear_of_the_end(mode: str, shown: str) -> None:
+    """A view shows what a response came to; one that no response led to is the bare observation."""
+    gem.register(f"joint:Auction-v8-{mode}", AuctionEnv, agents=["a", "b"], mode=mode)
+    joint: Any = gem.make(f"joint:Auction-v8-{mode}", wrappers={"b": "concat_with_action"})
+    env = single_agent(joint, "b", lambda seen, context: None if context.turn else "5")
+    env.reset(seed=0)
+    result = env.step("1")
+    while not result[3]:
+        result = env.step("2")
+    assert result[4]["error"]["kind"] == "opponent"
+    assert result[0] == shown
+
+
 def test_an_opponent_that_fails_in_reset_raises() -> None:
     """The caller sees the cause."""
 
     def broken(observation: Any) -> str:
         raise RequestError("no answer")
 
+    beside = single_agent(AuctionEnv(["a", "b", "c"], "parallel"), "b", {"a": scripted_async, "c": broken})
+    beside.reset(seed=0)
+    assert "no answer" in beside.step("1")[4]["error"]["message"]  # and no coroutine is left over
     env = single_agent(AuctionEnv(["a", "b"], "sequential"), "b", broken)
     with pytest.raises(
         EnvFaultError, match=r"^AuctionEnv: the agent at 'a' failed: RequestError: no answer$"
@@ -266,6 +286,8 @@ def test_a_fault_at_another_seat_is_an_error_of_the_episode() -> None:
     *_, truncated, info = env.step("3")
     assert truncated
     assert info["error"] == {"kind": "opponent", "message": "'a': the server is gone"}
+    with pytest.raises(EnvFaultError, match=r"^joint:Auction-v5: 'a': the server is gone$"):
+        single_agent(joint, "b", lambda seen: call).reset(seed=0)
 
 
 class Lonely(MultiAgentEnv):

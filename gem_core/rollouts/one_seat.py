@@ -118,7 +118,6 @@ class SingleAgentEnv(Env):
         """How many random actions were drawn for each other seat."""
         self._reward = 0.0
         """What the seat earned and has not been given."""
-        self._options: dict[str, Any] | None = None
 
     num_tasks = of_env("num_tasks")
     endless_tasks = of_env("endless_tasks")
@@ -163,7 +162,7 @@ class SingleAgentEnv(Env):
         await self._prepare(calls)
         for deal in range(_MOST_DEALS):
             deal_seed = stable_hash(self.np_random_seed, "deal", deal) if deal else self.np_random_seed
-            self._running, self._draws, self._reward, self._options = {}, {}, 0.0, options
+            self._running, self._draws, self._reward = {}, {}, 0.0
             observations, infos = await calls.reset(self.env, deal_seed, options)
             flags = dict.fromkeys(observations, False)
             try:
@@ -171,8 +170,12 @@ class SingleAgentEnv(Env):
                 result = await self._until_own_turn(joint, calls)
             except _OpponentError as error:
                 raise EnvFaultError(f"{self._name}: {error}") from error.__cause__
-            if result is not None and not (result[2] or result[3]):
-                observation, self._reward, *_, info = result
+            if result is None:
+                continue
+            observation, self._reward, terminated, truncated, info = result
+            if info.get("error"):
+                raise EnvFaultError(f"{self._name}: {_message_of(info['error'])}")
+            if not (terminated or truncated):
                 info["seed"] = self.np_random_seed
                 self._live = True
                 return observation, info
@@ -238,7 +241,7 @@ class SingleAgentEnv(Env):
             return
         described = {"id": self._name, "kwargs": {}}
         seed = self.np_random_seed
-        start = EpisodeStart(PlanItem(options=self._options), (seed,), 0, seed, seed)
+        start = EpisodeStart(PlanItem(), (seed,), 0, seed, seed)
         episode = new_episode(described, start, observation, info)
         episode.seat, episode.first_reward = agent, rewards[agent]
         self._running[agent] = self._running_seat(agent, episode)
@@ -261,6 +264,8 @@ class SingleAgentEnv(Env):
                 try:
                     answers[agent] = self._player(agent)(running.conversation.sent(), running.context)
                 except (Exception, SystemExit) as error:
+                    for coroutine in filter(inspect.iscoroutine, answers.values()):
+                        coroutine.close()
                     raise _OpponentError(_described(agent, error)) from error
         waited = {agent: answer for agent, answer in answers.items() if inspect.isawaitable(answer)}
         if waited:
@@ -315,11 +320,7 @@ class SingleAgentEnv(Env):
     def _player(self, agent: str) -> Agent:
         """Return who plays another seat in this episode."""
         players = self._players[agent]
-        return (
-            players[0]
-            if len(players) == 1
-            else players[stable_hash(self.np_random_seed, "player", agent) % len(players)]
-        )
+        return players[stable_hash(self.np_random_seed, "player", agent) % len(players)]
 
     # Random actions. The environment has one generator for all seats, which is started anew for each action, so that
     # drawing one for a seat never changes what others draw.
@@ -383,9 +384,11 @@ def _pass_on_error(info: Info, infos: Mapping[str, Info]) -> None:
     """Tell the seat of an error at another that ended the episode."""
     for agent, other in infos.items():
         if other.get("error") and "error" not in info:
-            error = other["error"]
-            message = error.get("message") if isinstance(error, Mapping) else error
-            info["error"] = {"kind": "opponent", "message": f"{agent!r}: {message}"}
+            info["error"] = {"kind": "opponent", "message": f"{agent!r}: {_message_of(other['error'])}"}
+
+
+def _message_of(error: object) -> object:
+    return error.get("message") if isinstance(error, Mapping) else error
 
 
 def _described(agent: str, error: BaseException) -> str:
