@@ -183,13 +183,25 @@ def test_turn_limit_truncates_all() -> None:
     gem.register("joint:Auction-v0", AuctionEnv, agents=["a", "b"], mode="parallel", seats=("a", "b"))
     spec = gem.spec("joint:Auction-v0")
     assert spec.seats == ("a", "b")
-    env: Any = gem.make(gem.EnvSpec(id="joint:Short-v0", entry_point=AuctionEnv, kwargs={**spec.kwargs}, max_turns=2))
+    made: Any = gem.make(gem.EnvSpec(id="joint:Short-v0", entry_point=AuctionEnv, kwargs={**spec.kwargs}, max_turns=2))
+    for env in made, made.spawn():
+        env.reset(seed=0)
+        env.step({"a": "1", "b": "2"})
+        _, _, terminations, truncations, _ = env.step({"a": "1", "b": "2"})
+        assert terminations == {"a": False, "b": False}
+        assert truncations == {"a": True, "b": True}
+        assert env.agents == []
+
+
+def test_make_keeps_the_limit_of_a_class() -> None:
+    """``max_steps`` of the class holds where the record says nothing."""
+
+    class Brief(AuctionEnv):
+        max_steps = 1
+
+    env: Any = gem.make(gem.EnvSpec(id="joint:Brief-v0", entry_point=Brief, kwargs={"agents": ["a", "b"]}))
     env.reset(seed=0)
-    env.step({"a": "1", "b": "2"})
-    _, _, terminations, truncations, _ = env.step({"a": "1", "b": "2"})
-    assert terminations == {"a": False, "b": False}
-    assert truncations == {"a": True, "b": True}
-    assert env.agents == []
+    assert env.step({"a": "1"})[3] == {"a": True, "b": True}
 
 
 def test_state_survives_json_in_the_middle_of_an_episode() -> None:

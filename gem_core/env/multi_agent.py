@@ -74,7 +74,7 @@ class MultiAgentEnv(Env):
     """Those who take part now; empty when the episode is over."""
 
     max_steps: int | None = None
-    """Number of steps after which all agents are truncated; None for no limit."""
+    """Number of steps after which all agents are truncated; None for no limit. A record's ``max_turns`` goes first."""
 
     cumulative: dict[str, float]
     """The sum of each agent's rewards in this episode, those included that ``step`` has not returned yet."""
@@ -208,8 +208,7 @@ class MultiAgentEnv(Env):
             self._unpaid[agent] += reward
             self.cumulative[agent] += reward
         self._inform(told)
-        out_of_steps = self.max_steps is not None and self._steps >= self.max_steps
-        return self._result(self._take_out(terminations, truncations, cut_off=out_of_steps))
+        return self._result(self._take_out(terminations, truncations, cut_off=self._is_out_of_steps()))
 
     def truncate_all(self) -> JointStepResult:
         """End the episode from outside: all who take part are truncated.
@@ -269,6 +268,11 @@ class MultiAgentEnv(Env):
             dict(self.truncations),
             {agent: self._infos_of(agent) for agent in heard},
         )
+
+    def _is_out_of_steps(self) -> bool:
+        record = None if self.spec is None else self.spec.record
+        limit = self.max_steps if record is None or record.max_turns is None else record.max_turns
+        return limit is not None and self._steps >= limit
 
     def _check_in_episode(self) -> None:
         if not self.acting:
