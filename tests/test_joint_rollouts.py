@@ -101,6 +101,15 @@ def test_list_of_agents_changes_seats() -> None:
     assert [joint.agents["first"] for joint in rollout(CountdownEnv(), agents=by_seat, plan=plan[:1], seed=0)] == ["y"]
 
 
+def test_agents_change_seats_in_each_of_several_environments() -> None:
+    """Environments that are taken in turn leave no agent at one seat."""
+    if not gem.list_envs("jointroll:Countdown-v1"):
+        gem.register("jointroll:Countdown-v1", "joint_toys:CountdownEnv", seats=("first", "second"))
+    agents, ids = [Seated("x", take_one), Seated("y", take_one)], ["jointroll:Countdown-v0", "jointroll:Countdown-v1"]
+    joints = rollout(ids, agents=agents, episodes=4, seed=0)
+    assert Counter((joint.id, joint.agents["first"]) for joint in joints) == {(id, x): 2 for id in ids for x in "xy"}
+
+
 def test_league_draws_opponents_for_each_item() -> None:
     """The learner changes seats; opponents follow the weights, are the same in a group and for the same run seed."""
 
@@ -191,6 +200,26 @@ def test_agent_without_an_answer_ends_the_episode_for_all() -> None:
     assert joint.error == {"kind": "agent", "message": "no route"}
     assert joint.seats["first"].error == joint.error
     assert joint.seats["second"].error == {"kind": "opponent", "message": "the agent at 'first' has no answer"}
+
+
+def test_questions_of_an_episode_that_is_over_are_cancelled() -> None:
+    """An agent that would never answer holds no place among the open questions once another seat has failed."""
+    cancelled = []
+
+    async def hanging(observation: Any, context: Context) -> str:
+        try:
+            await asyncio.Event().wait()
+        finally:
+            cancelled.append(context.episode)
+        return ""
+
+    async def down(observation: Any) -> str:
+        raise RequestError("no route")
+
+    env = AuctionEnv(["a", "b"], mode="parallel")
+    joints = rollout(env, agents={"a": hanging, "b": down}, episodes=3, seed=0, max_requests=2)
+    assert [joint.error for joint in joints] == [{"kind": "agent", "message": "no route"}] * 3
+    assert cancelled == ["0.0", "1.0", "2.0"]
 
 
 def test_context_overflow_counts_for_its_own_seat_alone() -> None:

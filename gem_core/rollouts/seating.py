@@ -89,7 +89,7 @@ class TakingTurns(Seating):
         if len(agents) != len(seats):
             raise ArgumentError(f"the {len(seats)} seats are {_named(seats)}, and {len(agents)} agents are given")
         rotation = start.item.rotation
-        return _rotated(seats, agents, start.place[-1] if rotation is None else rotation)
+        return _rotated(seats, agents, start.number if rotation is None else rotation)
 
 
 class League(Seating):
@@ -157,7 +157,7 @@ class League(Seating):
         drawn = draws.choice(len(pool), size=len(seats) - 1, p=weights / weights.sum())
         rotation = start.item.rotation
         agents = [self._learner, *(pool[int(place)][0] for place in drawn)]
-        return _rotated(seats, agents, start.place[-1] if rotation is None else rotation)
+        return _rotated(seats, agents, start.number if rotation is None else rotation)
 
 
 def as_seating(agents: Any) -> Seating:
