@@ -14,7 +14,7 @@ from joint_toys import AuctionEnv, BrokenAuctionEnv, CountdownEnv
 
 import gem_core as gem
 from gem_core import Episode, JointEpisode, League, PlanItem, Response, rollout
-from gem_core.errors import AgentError, ArgumentError, ContextOverflowError, RequestError
+from gem_core.errors import AgentError, ArgumentError, ContextOverflowError, EpisodeFileError, RequestError
 from gem_core.records import RunSummary
 from gem_core.rollouts import Context, Seated, arollout
 
@@ -280,6 +280,23 @@ def test_records_survive_a_file(tmp_path: Path) -> None:
     ]
     assert path.read_text().count('"kwargs"') == 3
     assert all(isinstance(episode, Episode) for episode in gem.read_episodes(path))
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"order": [["first"], ["nobody"]]}, "the order names a seat without an episode"),
+        ({"seats": {"first": {"first_reward": "much"}}}, "first_reward is 'much'"),
+    ],
+)
+def test_damaged_record_is_refused(change: dict[str, Any], problem: str) -> None:
+    """What somebody changed in a file is found when it is read, not when it is used."""
+    (joint,) = rollout(CountdownEnv(), agents=take_one, episodes=1, seed=0)
+    record = joint.to_dict()
+    for seat, fields in change.pop("seats", {}).items():
+        record["seats"][seat].update(fields)
+    with pytest.raises(EpisodeFileError, match=problem):
+        JointEpisode.from_dict({**record, **change})
 
 
 def test_resumed_run_plays_what_is_left(tmp_path: Path) -> None:
