@@ -239,6 +239,41 @@ def test_environment_that_fails_is_an_error_of_all_seats() -> None:
     assert [(episode.turns, episode.error) for episode in joint] == [(1, joint.error), (1, joint.error)]
 
 
+def test_error_at_one_seat_leaves_out_those_that_it_cut_off() -> None:
+    """A fault at one seat is no loss of another; a seat that had ended, or won, keeps what it has."""
+
+    class Faulty(gem.MultiAgentEnv):
+        possible_agents = ("early", "faulty", "other", "winner")
+
+        def observe(self, agent: str) -> str:
+            return agent
+
+        def process_actions(self, actions: dict[str, str]) -> Any:
+            if "early" in actions:
+                return {"early": 1.0, "winner": 1.0}, {"early": True, "winner": True}, {}, {}
+            cut_off = {"faulty": True, "other": True}
+            return {}, {}, cut_off, {"faulty": {"error": {"kind": "tool", "message": "gone"}}}
+
+    (joint,) = rollout(Faulty(), agents=take_one, episodes=1, seed=0)
+    assert joint.error == {"kind": "tool", "message": "gone"}
+    assert joint.seats["other"].error == {"kind": "opponent", "message": "an error at 'faulty'"}
+    assert joint.seats["early"].error is joint.seats["winner"].error is None
+
+
+def test_seat_that_ended_before_it_acted_has_no_turn() -> None:
+    """A failure later in the episode adds nothing to it."""
+
+    class Early(BrokenAuctionEnv):
+        def process_actions(self, actions: dict[str, str]) -> Any:
+            super().process_actions(actions)
+            return {}, {"b": True}, {}, {}
+
+    answers = iter(["1", "boom"])
+    (joint,) = rollout(Early(), agents=lambda observation: next(answers), episodes=1, seed=0)
+    assert joint.error is not None
+    assert [(episode.turns, episode.error is None) for episode in joint] == [(2, False), (0, True)]
+
+
 def test_wrong_agents_are_refused() -> None:
     """Agents that do not fit the seats are errors that name the seats."""
     for agents, message in [
