@@ -334,6 +334,17 @@ def test_damaged_record_is_refused(change: dict[str, Any], problem: str) -> None
         JointEpisode.from_dict({**record, **change})
 
 
+def test_records_name_the_wrappers_of_each_seat(tmp_path: Path) -> None:
+    """The joint record has the wrappers of all seats, and the episode of a seat its own; both survive a file."""
+    env = gem.make("jointroll:Countdown-v0", wrappers={"second": "concat"})
+    (joint,) = rollout(env, agents=random_agent, episodes=1, seed=2)
+    gem.write_episodes(tmp_path / "joint.jsonl", [joint])
+    for record in (joint, *gem.read_records(tmp_path / "joint.jsonl")):
+        assert isinstance(record, JointEpisode)
+        assert record.wrappers == {"second": [["concat", {}]]}
+        assert [episode.wrappers for episode in record] == [[], [["concat", {}]]]
+
+
 def test_resumed_run_plays_what_is_left(tmp_path: Path) -> None:
     """A run that was stopped goes on with the same episodes and agents."""
     agents = [Seated("one", take_one), Seated("any", random_agent)]

@@ -50,10 +50,10 @@ def plain(value: Any) -> Any:
     return value
 
 
-def chosen(vector: gem.VectorEnv, slot: int, chance: random.Random) -> str:
+def chosen(vector: gem.VectorEnv, slot: int, chance: random.Random, agent: str | None = None) -> str:
     """Return a sampled action, where the environment has one, else a text."""
     try:
-        return vector.sample_random_action(slot) if chance.random() < 0.7 else chance.choice(TEXTS)
+        return vector.sample_random_action(slot, agent) if chance.random() < 0.7 else chance.choice(TEXTS)
     except gem.errors.SamplingNotSupported:
         return chance.choice(TEXTS)
 
@@ -61,12 +61,20 @@ def chosen(vector: gem.VectorEnv, slot: int, chance: random.Random) -> str:
 def trajectory(vector: gem.VectorEnv, turns: int) -> list[Any]:
     """Reset and step all slots; return all that was given."""
     chance = random.Random(7)
-    kept = [plain(vector.reset())]
+    observations, infos = vector.reset()
+    kept = [plain((observations, infos))]
     for _ in range(turns):
-        actions = [
-            chosen(vector, slot, chance) if vector.start_of(slot) is not None else "" for slot in range(vector.num_envs)
-        ]
-        kept.append((actions, plain(vector.step(actions))))
+        actions: list[Any] = []
+        for slot, observation in enumerate(observations):
+            if vector.start_of(slot) is None:
+                actions.append("")
+            elif isinstance(observation, dict):
+                actions.append({agent: chosen(vector, slot, chance, agent) for agent in observation})
+            else:
+                actions.append(chosen(vector, slot, chance))
+        step = vector.step(actions)
+        observations = step.observations
+        kept.append((actions, plain(step)))
     return kept
 
 

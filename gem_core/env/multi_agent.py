@@ -6,7 +6,7 @@ import copy
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 from gem_core.env.agent_selector import AgentSelector
 from gem_core.env.base import Env
@@ -244,6 +244,12 @@ class MultiAgentEnv(Env):
                 f"the state of {self._name!r} is damaged ({type(error).__name__}: {error}); "
                 "call reset(), or give a state that get_state() returned"
             ) from error
+
+    def spawn(self, same_state: bool = False, **overrides: Any) -> Env:
+        """Return a sibling with the same limit of steps; see ``Env.spawn``."""
+        sibling = super().spawn(same_state, **overrides)
+        cast("MultiAgentEnv", sibling).max_steps = self.max_steps
+        return sibling
 
     @property
     def _name(self) -> str:

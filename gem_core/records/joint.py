@@ -10,8 +10,10 @@ from gem_core.errors import EpisodeFileError
 from gem_core.records.episode import SCHEMA_VERSION, Episode, Transition, same_record
 from gem_core.records.plain_json import ImageFolder
 
-_SHARED = ("id", "seed", "kwargs", "wrappers", "options", "group", "key", "repeat", "run_seed", "versions")
+_SHARED = ("id", "seed", "kwargs", "options", "group", "key", "repeat", "run_seed", "versions")
 """Fields that the episode of every seat has in common with the joint one."""
+
+_OF_START = (*_SHARED, "wrappers")
 
 
 @dataclass(eq=False)
@@ -29,7 +31,7 @@ class JointEpisode:
         order: Who acted in each step, in the order of the steps.
         failure: What failed before a seat could record it, as a reset; None for nothing.
         kwargs: Keyword arguments of the environment over the registered ones.
-        wrappers: Names and options of its wrappers.
+        wrappers: Names and options of its wrappers, innermost first: one list for all seats, or one for each by name.
         options: What was passed to ``reset``.
         group: Shared by episodes that started alike.
         key: The item's place in the plan.
@@ -46,7 +48,7 @@ class JointEpisode:
     order: list[list[str]] = field(default_factory=list)
     failure: dict[str, Any] | None = None
     kwargs: Mapping[str, Any] = field(default_factory=dict)
-    wrappers: list[Any] = field(default_factory=list)
+    wrappers: list[Any] | dict[str, list[Any]] = field(default_factory=list)
     options: Mapping[str, Any] | None = None
     group: str | None = None
     key: str = "0"
@@ -54,6 +56,10 @@ class JointEpisode:
     run_seed: int | None = None
     versions: dict[str, str] = field(default_factory=dict)
     schema_version: int = SCHEMA_VERSION
+
+    def wrappers_of(self, seat: str) -> list[Any]:
+        """Return the wrappers of a seat."""
+        return self.wrappers.get(seat, []) if isinstance(self.wrappers, dict) else self.wrappers
 
     def __iter__(self) -> Iterator[Episode]:
         """Iterate over the episodes of the seats."""
@@ -94,8 +100,8 @@ class JointEpisode:
         Args:
             images: Where images are written; None leaves their content out.
         """
-        start = Episode(self.id, self.seed, "", {}, **{name: getattr(self, name) for name in _SHARED[2:]})
-        shared = {name: value for name, value in start.to_dict(images).items() if name in _SHARED}
+        start = Episode(self.id, self.seed, "", {}, **{name: getattr(self, name) for name in _OF_START[2:]})
+        shared = {name: value for name, value in start.to_dict(images).items() if name in _OF_START}
         return {
             **shared,
             "agents": dict(self.agents),
@@ -117,7 +123,8 @@ class JointEpisode:
         """
         try:
             shared = {name: record[name] for name in _SHARED}
-            start = Episode.from_dict({**_EMPTY, **shared, "schema_version": record["schema_version"]}, images)
+            started = {**_EMPTY, **{name: record[name] for name in _OF_START}}
+            start = Episode.from_dict({**started, "schema_version": record["schema_version"]}, images)
             seats = {
                 str(seat): Episode.from_dict({**shared, **episode}, images) for seat, episode in record["seats"].items()
             }
@@ -129,7 +136,7 @@ class JointEpisode:
                 agents={str(seat): str(agent) for seat, agent in record["agents"].items()},
                 order=order,
                 failure=record["failure"],
-                **{name: getattr(start, name) for name in _SHARED},
+                **{name: getattr(start, name) for name in _OF_START},
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise EpisodeFileError(f"the record of an episode is damaged ({type(error).__name__}: {error})") from error

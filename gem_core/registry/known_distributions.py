@@ -11,6 +11,7 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("namespace", "qa"): ("gem-qa",),
     ("namespace", "logic"): ("gem-qa",),
     ("namespace", "terminal"): ("gem-terminal",),
+    ("namespace", "pz"): ("gem-pettingzoo",),
     ("namespace", "eval"): ("gem-math", "gem-code", "gem-qa"),
     ("tool", "python"): ("gem-tools",),
     ("tool", "search"): ("gem-tools",),

@@ -153,7 +153,7 @@ class SharedEpisode:
 
     def _first_seen(self, seat: str, observation: Observation, reward: float, info: Info) -> None:
         joint = self._joint
-        described = {"id": joint.id, "kwargs": joint.kwargs, "wrappers": joint.wrappers}
+        described = {"id": joint.id, "kwargs": joint.kwargs, "wrappers": joint.wrappers_of(seat)}
         episode = new_episode(described, self._start, observation, info)
         episode.versions = joint.versions
         episode.seat, episode.agent, episode.first_reward = seat, self._seated[seat].name, reward

@@ -18,7 +18,7 @@ _TOO_LARGE = 10**4300
 
 
 def play(
-    reset: Callable[[], Any] | None, step: Callable[[str], Any], actions: Sequence[str]
+    reset: Callable[[], Any] | None, step: Callable[[Any], Any], actions: Sequence[Any]
 ) -> Iterator[dict[str, Any]]:
     """Play one episode and yield each result as plain data, until its end or the last action."""
     if reset is not None:
@@ -35,10 +35,18 @@ def record_of(result: Any) -> dict[str, Any]:
     observation, *middle, info = result
     record = {"observation": plain(observation), "info": plain(info)}
     record.update(zip(("reward", "terminated", "truncated"), map(plain, middle), strict=False))
-    episode = record["info"].get("episode") if isinstance(record["info"], dict) else None
-    if isinstance(episode, dict):
-        episode.pop("t", None)  # seconds of wall-clock time, as in Gymnasium
+    _drop_durations(record["info"])
     return record
+
+
+def _drop_durations(info: Any) -> None:
+    if not isinstance(info, dict):
+        return
+    if isinstance(info.get("episode"), dict):
+        info["episode"].pop("t", None)  # seconds of wall-clock time, as in Gymnasium
+    if isinstance(info.get("agents"), dict):
+        for own in info["agents"].values():
+            _drop_durations(own)
 
 
 def plain(value: Any) -> Any:

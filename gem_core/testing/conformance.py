@@ -11,15 +11,21 @@ from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, GemError
 from gem_core.registry.specs import EnvSpec
 from gem_core.suggestions import did_you_mean
-from gem_core.testing import promises_actions, promises_interface, promises_randomness, promises_state
+from gem_core.testing import (
+    promises_actions,
+    promises_agents,
+    promises_interface,
+    promises_randomness,
+    promises_state,
+)
 from gem_core.testing.contract import PROMISES, ContractError, Promise, Report
 from gem_core.testing.findings import NotTriedError
 from gem_core.testing.isolation import TookTooLongError, preserved
 from gem_core.testing.subject import Limits, Subject
 
-__all__ = ["PROMISE_MODULES", "check_env"]
+__all__ = ["PROMISE_MODULES", "check_env", "promises_for"]
 
-PROMISE_MODULES = (promises_interface, promises_randomness, promises_actions, promises_state)
+PROMISE_MODULES = (promises_interface, promises_agents, promises_randomness, promises_actions, promises_state)
 """Where the contract is written down, promise by promise, in the order in which they are tried."""
 
 _SIGHTINGS = 20
@@ -39,7 +45,8 @@ def check_env(
     """Try everything that the environment contract promises.
 
     New instances are made for it, from the id, the class, or the arguments of the given instance, which itself is not
-    used. They are used in threads other than the caller's, as vector environments do.
+    used. They are used in threads other than the caller's, as vector environments do. A ``MultiAgentEnv`` makes
+    most of the same promises, each for every agent, and those of ``promises_agents.py``.
 
     Args:
         env_or_id: An id, a record, an environment with or without wrappers, or a class that needs no arguments.
@@ -68,7 +75,7 @@ def check_env(
     kept: list[str] = []
     skipped: dict[str, str] = {}
     broken: dict[str, str] = {}
-    for promise in _in_order():
+    for promise in promises_for(several=subject.several):
         if promise.slug in skip:
             skipped[promise.slug] = skip[promise.slug]
             continue
@@ -90,10 +97,13 @@ def check_env(
     return report
 
 
-def _in_order() -> list[Promise]:
+def promises_for(*, several: bool) -> list[Promise]:
+    """Return what an environment of one agent, or of several, promises, in the order in which it is tried."""
     # Later promises build on what earlier ones found, and the order of imports is the formatter's.
     homes = [module.__name__ for module in PROMISE_MODULES]
-    return sorted(PROMISES.values(), key=lambda promise: homes.index(promise.check.__module__))
+    kinds = ("any", "several" if several else "one")
+    mine = (promise for promise in PROMISES.values() if promise.of in kinds)
+    return sorted(mine, key=lambda promise: homes.index(promise.check.__module__))
 
 
 def _make_once(subject: Subject) -> None:

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 from gem_core.errors import GemError
 from gem_core.testing.subject import Subject
 
 PromiseCheck = Callable[[Subject], Iterator[str]]
 """Tries one promise and yields each violation; raises ``NotTriedError`` if it cannot be tried."""
+
+
+Kind = Literal["any", "one", "several"]
+"""Which environments make a promise: all, those of one agent, or those of several."""
 
 
 @dataclass(frozen=True)
@@ -21,25 +26,27 @@ class Promise:
         sentence: What is promised.
         mend: How an author can fix an environment that breaks it.
         check: The function that tries it.
+        of: Which environments make it.
     """
 
     slug: str
     sentence: str
     mend: str
     check: PromiseCheck
+    of: Kind
 
 
 PROMISES: dict[str, Promise] = {}
 """Every promise by its slug."""
 
 
-def promise(mend: str) -> Callable[[PromiseCheck], PromiseCheck]:
+def promise(mend: str, of: Kind = "any") -> Callable[[PromiseCheck], PromiseCheck]:
     """Register a check: its name is the slug, the first line of its docstring the sentence."""
 
     def enter(check: PromiseCheck) -> PromiseCheck:
         slug = check.__name__.rstrip("_").replace("_", "-")
         sentence = (check.__doc__ or "").partition("\n")[0]
-        PROMISES[slug] = Promise(slug, sentence, mend, check)
+        PROMISES[slug] = Promise(slug, sentence, mend, check, of)
         return check
 
     return enter

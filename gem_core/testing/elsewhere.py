@@ -19,6 +19,7 @@ from gem_core.testing.comparing import record_of
 from gem_core.testing.findings import NotTriedError
 from gem_core.testing.hostile import hostile_actions
 from gem_core.testing.interpreter import CallError, Interpreter
+from gem_core.testing.joint import Action, approach, fitted, say_as
 from gem_core.testing.remaking import guarded
 
 
@@ -39,16 +40,23 @@ class EnvElsewhere:
         """Begin an episode."""
         return dict(self.call(_reset, seed))
 
-    def step(self, action: str) -> tuple[dict[str, Any], bool]:
+    def step(self, action: Action) -> tuple[dict[str, Any], bool]:
         """Step, and tell whether the episode is over."""
         record, over = self._call_step(_step, action)
         return record, over
 
-    def step_hostile(self, seed: int, number: int) -> bool:
-        """Step with a hostile action, and tell whether the episode is over; it is made there: all are 13 MB."""
-        return bool(self._call_step(_step_hostile, seed, number))
+    def approach(self, seat: str, *, over: bool, seed: int) -> bool:
+        """Play until an agent acts, and tell whether it does."""
+        return bool(self.call(_approach, seat, over, seed))
 
-    def play(self, actions: Iterable[str]) -> list[dict[str, Any]]:
+    def step_hostile(self, seat: str, seed: int, number: int) -> bool:
+        """Step with a hostile response of an agent, and tell whether the episode is over.
+
+        The response is made there: all are 13 MB.
+        """
+        return bool(self._call_step(_step_hostile, seat, seed, number))
+
+    def play(self, actions: Iterable[Action]) -> list[dict[str, Any]]:
         """Step until the end of the episode, or the last action."""
         records: list[dict[str, Any]] = []
         for action in actions:
@@ -163,15 +171,21 @@ def _reset(kept: dict[str, Any], seed: int) -> dict[str, Any]:
     return record_of(kept["env"].reset(seed=seed))
 
 
-def _step(kept: dict[str, Any], action: str) -> tuple[dict[str, Any], bool]:
-    result = kept["env"].step(action)
+def _step(kept: dict[str, Any], action: Action) -> tuple[dict[str, Any], bool]:
+    env = kept["env"]
+    result = env.step(fitted(env, action))
     return record_of(result), bool(result[2] or result[3])
 
 
-def _step_hostile(kept: dict[str, Any], seed: int, number: int) -> bool:
+def _approach(kept: dict[str, Any], seat: str, over: bool, seed: int) -> bool:
+    return approach(kept["env"], seat, over=over, seed=seed)
+
+
+def _step_hostile(kept: dict[str, Any], seat: str, seed: int, number: int) -> bool:
     if kept.get("hostile_seed") != seed:
         kept["hostile_seed"], kept["hostile_actions"] = seed, hostile_actions(seed=seed)
-    _, _, terminated, truncated, _ = kept["env"].step(kept["hostile_actions"][number])
+    env, text = kept["env"], kept["hostile_actions"][number]
+    _, _, terminated, truncated, _ = env.step(say_as(env, seat, text))
     return bool(terminated or truncated)
 
 

@@ -11,6 +11,17 @@ from gem_core.testing.contract import promise
 from gem_core.testing.findings import NotTriedError, shown
 from gem_core.testing.hostile import hostile_actions
 from gem_core.testing.interpreter import CallError, InterpreterLostError
+from gem_core.testing.joint import (
+    SeenByOne,
+    approach,
+    changed,
+    responses,
+    say_as,
+    seats_of,
+    spaces_of,
+    split,
+    step_label,
+)
 from gem_core.testing.promises_interface import problems_of
 from gem_core.testing.subject import Subject
 from gem_core.types import Response
@@ -29,12 +40,16 @@ def valid_sample(subject: Subject) -> Iterator[str]:
             except SamplingNotSupported as error:
                 yield f"SamplingNotSupported: {error}"
                 return
-            if not isinstance(action, str) or not env.action_space.contains(action):
-                yield f"sample_random_action() returned {shown(action)}, which is no action"
-                return
+            for seat, text in responses(action).items():
+                if not isinstance(text, str) or not spaces_of(env, seat)[1].contains(text):
+                    of = f" of {seat!r}" if seat else ""
+                    yield f"sample_random_action(){of} returned {shown(text)}, which is no action"
+                    return
             result = subject.step(env, action)
-            if result[-1].get("parsed_action", "") is None:
-                yield f"the sampled {shown(action)} was not understood: info['parsed_action'] is None"
+            for where, seen, _ in split(env, step_label(action), result):
+                # One of several agents may be told of its action later, when it acts again.
+                if seen[-1].get("parsed_action", "") is None:
+                    yield f"a sampled action was not understood: {where} gave info['parsed_action'] = None"
             if result[2] or result[3]:
                 break
 
@@ -43,10 +58,7 @@ def valid_sample(subject: Subject) -> Iterator[str]:
 def response(subject: Subject) -> Iterator[str]:
     """A Response and a plain str of the same text do the same."""
     for script, expected in subject.references:
-        actions = tuple(
-            Response(action, finish_reason="stop", model="none", token_ids=[1, 2], logprobs=[-0.1, -0.2])
-            for action in script.actions
-        )
+        actions = tuple(changed(action, _as_response) for action in script.actions)
         found = list(subject.play_from(subject.new(), script.seed, actions))
         yield from differences(f"with seed {script.seed}, answers of type Response differ", expected, found)
 
@@ -57,29 +69,27 @@ def hostile_actions_(subject: Subject) -> Iterator[str]:
     script = subject.scripts[0]
     env = subject.new()
     actions = hostile_actions(seed=subject.limits.seed)
-    fatal = _fatal_action(subject, env, actions)
+    seats = [seat for seat in seats_of(env) if _gets_its_turn(subject, env, seat)]
+    fatal = _fatal_action(subject, env, seats, actions)
     if fatal is not None:
         yield fatal
         return
-    subject.reset(env, subject.limits.seed)
-    for number, action in enumerate(actions):
-        try:
-            result = subject.step(env, action)
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code, and no error is allowed
-            yield f"step({shown(action)}) raised {subject.told(error)}"
-            env = subject.new()
-            subject.reset(env, number)
-            continue
-        for problem in problems_of(env, result):
-            yield f"step({shown(action)}) gave {problem}"
-        info = result[-1]
-        loss = json_loss(info)
-        if loss is not None:
-            yield f"step({shown(action)}) gave an info that JSON cannot keep: {loss}"
-        elif info.get("error") is not None:
-            yield f"step({shown(action)}) gave the error {shown(info['error'])}; what an action causes is the agent's"
-        if result[2] or result[3]:
-            subject.reset(env, number)
+    over = True
+    for number, text in enumerate(actions):
+        for seat in seats:
+            if not _approach(subject, env, seat, over=over, seed=number):
+                over = True
+                continue
+            action = say_as(env, seat, text)
+            try:
+                result = subject.step(env, action)
+            except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code, and no error is allowed
+                yield f"{step_label(action)} raised {subject.told(error)}"
+                env, over = subject.new(), True
+                continue
+            over = bool(result[2] or result[3])
+            for seen in split(env, step_label(action), result):
+                yield from _hostile_problems(seen)
     # After hostile actions, the next episode must be the same as ever.
     after = list(subject.play(env, script))
     if subject.recorded is not None:
@@ -87,7 +97,31 @@ def hostile_actions_(subject: Subject) -> Iterator[str]:
         yield from differences(what, subject.recorded[0], after)
 
 
-def _fatal_action(subject: Subject, env: AnyEnv, actions: Sequence[str]) -> str | None:
+def _hostile_problems(seen: SeenByOne) -> Iterator[str]:
+    for problem in problems_of(seen.space, seen.result):
+        yield f"{seen.where} gave {problem}"
+    info = seen.result[-1]
+    loss = json_loss(info)
+    if loss is not None:
+        yield f"{seen.where} gave an info that JSON cannot keep: {loss}"
+    elif info.get("error") is not None:
+        yield f"{seen.where} gave the error {shown(info['error'])}; what an action causes is the agent's"
+
+
+def _gets_its_turn(subject: Subject, env: AnyEnv, seat: str) -> bool:
+    """Tell whether an agent comes to act, and note where it does not."""
+    if _approach(subject, env, seat, over=True, seed=subject.limits.seed):
+        return True
+    subject.notes.append(f"hostile-actions: {seat!r} was not tried, since it never came to act")
+    return False
+
+
+def _approach(subject: Subject, env: AnyEnv, seat: str, *, over: bool, seed: int) -> bool:
+    label = f"playing until {seat!r} acts" if seat else "reset()"
+    return bool(subject.called(label, approach, env, seat, over=over, seed=seed))
+
+
+def _fatal_action(subject: Subject, env: AnyEnv, seats: Sequence[str], actions: Sequence[str]) -> str | None:
     """Find the action that ends or hangs a whole process, in another process.
 
     A time limit here does not hold against a regular expression, which lets no other thread run. What blocks on input
@@ -96,22 +130,28 @@ def _fatal_action(subject: Subject, env: AnyEnv, actions: Sequence[str]) -> str 
     if getattr(env.unwrapped, "concurrency", None) in ("thread", "async"):
         return None
     label = "reset()"
+    over = True
     try:
         with subject.elsewhere() as other:
-            other.reset(subject.limits.seed)
-            for number, action in enumerate(actions):
-                label = f"step({shown(action)})"
-                try:
-                    over = other.step_hostile(subject.limits.seed, number)
-                except InterpreterLostError:
-                    raise
-                except CallError:  # tried here too, and named then
-                    over = True
-                if over:
-                    label = "reset()"
-                    other.reset(number)
+            for number, text in enumerate(actions):
+                for seat in seats:
+                    if not other.approach(seat, over=over, seed=number):
+                        over = True
+                        continue
+                    label = step_label({seat: text} if seat else text)
+                    try:
+                        over = other.step_hostile(seat, subject.limits.seed, number)
+                    except InterpreterLostError:
+                        raise
+                    except CallError:  # tried here too, and named then
+                        over = True
+                    label = "reset()" if over else label
     except NotTriedError:
         return None
     except CallError as error:
         return f"{label}, tried in another process: {error}"
     return None
+
+
+def _as_response(text: str) -> Response:
+    return Response(text, finish_reason="stop", model="none", token_ids=[1, 2], logprobs=[-0.1, -0.2])

@@ -15,6 +15,8 @@ from gem_core.errors import ResetNeededError
 from gem_core.testing.comparing import json_loss, mutable_parts, plain
 from gem_core.testing.contract import promise
 from gem_core.testing.findings import shown
+from gem_core.testing.joint import is_joint, say, seats_of, spaces_of
+from gem_core.testing.remaking import guarded
 from gem_core.testing.subject import Subject
 
 _CONCURRENCY = ("inline", "thread", "process", "async")
@@ -37,19 +39,22 @@ def construct(subject: Subject) -> Iterator[str]:
 def runs(subject: Subject) -> Iterator[str]:
     """Reset and step can be called: they raise nothing, whatever is answered."""
     task = subject.new().unwrapped
-    if not any(_shape_problem(*call) for call in _first_calls(subject, task)):
+    if not any(_shape_problem(subject, *call) for call in _first_calls(subject, task)):
         subject.record_scripts()
     subject.runs = True
     yield from ()
 
 
-@promise("return (observation, info) from reset and (observation, reward, terminated, truncated, info) from step.")
+@promise(
+    "return (observation, info) from reset and (observation, reward, terminated, truncated, info) from step; with "
+    "several agents, a dictionary by agent of each."
+)
 def episode(subject: Subject) -> Iterator[str]:
     """An episode can be played: reset gives two values and each step gives five."""
     if not subject.runs:
         subject.need_episodes()
     for what, expected, result in _first_calls(subject, subject.new().unwrapped):
-        problem = _shape_problem(what, expected, result)
+        problem = _shape_problem(subject, what, expected, result)
         if problem:
             yield problem
             return
@@ -57,14 +62,20 @@ def episode(subject: Subject) -> Iterator[str]:
 
 def _first_calls(subject: Subject, task: Any) -> Iterator[tuple[str, int, Any]]:
     yield "reset()", 2, subject.reset(task, subject.seeds[0])
-    yield "step('')", 5, subject.step(task, "")
+    yield "step('')", 5, subject.step(task, say(task, ""))
 
 
-def _shape_problem(what: str, expected: int, result: Any) -> str:
+def _shape_problem(subject: Subject, what: str, expected: int, result: Any) -> str:
     if not isinstance(result, tuple) or len(result) != expected:
         return f"{what} returned {shown(result)}, not a tuple of {expected}"
     if not isinstance(result[-1], dict):
         return f"{what} returned the info {shown(result[-1])}, not a dictionary"
+    if subject.several and not all(isinstance(part, dict) for part in result):
+        return f"{what} returned {shown(result)}, not {expected} dictionaries by agent"
+    if subject.several and not all(isinstance(info, dict) for info in result[-1].values()):
+        return f"{what} returned the infos {shown(result[-1])}, not a dictionary for each agent"
+    if subject.several and len(result) == 5 and result[2].keys() != result[3].keys():
+        return f"{what} returned the terminations {shown(result[2])} and the truncations {shown(result[3])}"
     return ""
 
 
@@ -74,9 +85,8 @@ def _shape_problem(what: str, expected: int, result: Any) -> str:
 )
 def types(subject: Subject) -> Iterator[str]:
     """Observations lie in the observation space, rewards are finite numbers, flags are bools and info is a dict."""
-    env = subject.new()
-    for where, result in subject.results:
-        for problem in problems_of(env, result):
+    for where, result, space in subject.results:
+        for problem in problems_of(space, result):
             yield f"{where} gave {problem}"
 
 
@@ -100,19 +110,22 @@ def reset_signature(subject: Subject) -> Iterator[str]:
 def spaces(subject: Subject) -> Iterator[str]:
     """Two instances have equal spaces, and every string is an action."""
     one, other = subject.new(), subject.new()
-    for name in ("observation_space", "action_space"):
-        first, second = getattr(one, name), getattr(other, name)
-        if first != second:
-            yield f"{name} is {shown(first)} and, of another instance, {shown(second)}, which are not equal"
-    refused = [text for text in ("", "hello", "é\n🙂\x00\ud800") if not one.action_space.contains(text)]
-    if refused:
-        yield f"the action space {shown(one.action_space)} does not contain {shown(refused[0])}"
+    for seat in seats_of(one):
+        of = f" of {seat!r}" if is_joint(one) else ""
+        names = ("observation_space", "action_space")
+        for name, first, second in zip(names, spaces_of(one, seat), spaces_of(other, seat), strict=True):
+            if first != second:
+                yield f"{name}{of} is {shown(first)} and, of another instance, {shown(second)}, which are not equal"
+        action_space = spaces_of(one, seat)[1]
+        refused = [text for text in ("", "hello", "é\n🙂\x00\ud800") if not action_space.contains(text)]
+        if refused:
+            yield f"the action space{of} {shown(action_space)} does not contain {shown(refused[0])}"
 
 
 @promise("set terminated when the task itself is over, and truncated only when it is cut off from outside.")
 def end_flags(subject: Subject) -> Iterator[str]:
     """An episode ends either because the task is over or because it was cut off, never both at once."""
-    for where, result in subject.results:
+    for where, result, _ in subject.results:
         if len(result) == 5 and result[2] and result[3]:
             yield f"{where} gave terminated and truncated, both True"
 
@@ -120,7 +133,7 @@ def end_flags(subject: Subject) -> Iterator[str]:
 @promise("put only strings, finite numbers, bools, None, lists and dictionaries with string keys into info.")
 def info_json(subject: Subject) -> Iterator[str]:
     """Info is plain JSON, images apart: writing and reading it gives an equal object."""
-    for where, result in subject.results:
+    for where, result, _ in subject.results:
         loss = json_loss(result[-1])
         if loss is not None:
             yield f"info of {where}: {loss}"
@@ -129,7 +142,7 @@ def info_json(subject: Subject) -> Iterator[str]:
 @promise("give the keys with one meaning everywhere the form that DESIGN.md names, section 3.")
 def info_keys(subject: Subject) -> Iterator[str]:
     """The keys of info that mean the same everywhere have their form, and an error ends the episode as truncated."""
-    for where, result in subject.results:
+    for where, result, _ in subject.results:
         info = result[-1]
         if not isinstance(info, Mapping):
             continue
@@ -144,7 +157,7 @@ def info_keys(subject: Subject) -> Iterator[str]:
 def suffix(subject: Subject) -> Iterator[str]:
     """Where info holds feedback and suffix, the observation is the first followed by the second."""
     # The task alone: a view of the history changes observations and leaves the keys.
-    for where, result in subject.results_of(subject.new().unwrapped):
+    for where, result, _ in subject.results_of(guarded(subject.new().unwrapped)):
         observation, info = result[0], result[-1]
         if "feedback" not in info and "suffix" not in info:
             continue
@@ -163,11 +176,11 @@ def fresh_objects(subject: Subject) -> Iterator[str]:
     """Every call returns objects of its own, so that what a caller keeps is not changed by later calls."""
     seen: dict[int, tuple[str, Any]] = {}
     kept: list[tuple[str, Any, Any]] = []
-    for where, result in subject.results_of(subject.new()):
-        given = [result[0], result[-1]]
+    for where, result in subject.calls_of(subject.new()):
+        given = list(result)
         kept.append((where, given, plain(given)))
         own: dict[int, tuple[str, Any]] = {}
-        for part in (*mutable_parts(result[0]), *mutable_parts(result[-1])):
+        for part in mutable_parts(result):
             if id(part) in seen:
                 yield f"{where} returned the same object as {seen[id(part)][0]}: {shown(part)}"
             own[id(part)] = where, part
@@ -177,7 +190,9 @@ def fresh_objects(subject: Subject) -> Iterator[str]:
             yield f"what {where} returned was changed by later calls: {shown(before)}, then {shown(plain(given))}"
 
 
-@promise("let gem_core.make put its guard around the task, and no wrapper catch ResetNeededError.")
+@promise(
+    "let the guard that gem_core.make puts around the task, or MultiAgentEnv, refuse it, and no wrapper catch that."
+)
 def step_after_end(subject: Subject) -> Iterator[str]:
     """A step before the first reset or after the end raises ResetNeededError, and reset begins anew."""
     env = subject.new()
@@ -191,7 +206,7 @@ def step_after_end(subject: Subject) -> Iterator[str]:
     yield from _stepping(subject, env, "after the end")
     yield from _stepping(subject, env, "once more after the end")
     subject.reset(env, script.seed)
-    subject.step(env, script.actions[0])
+    subject.step_fitted(env, script.actions[0])
 
 
 @promise("make close() do nothing when there is nothing left to free.")
@@ -202,7 +217,7 @@ def close_twice(subject: Subject) -> Iterator[str]:
     subject.close(env)
     env = subject.new()
     subject.reset(env, subject.scripts[0].seed)
-    subject.step(env, subject.scripts[0].actions[0])
+    subject.step_fitted(env, subject.scripts[0].actions[0])
     subject.close(env)
     subject.close(env)
     yield from ()
@@ -216,7 +231,7 @@ def concurrency(subject: Subject) -> Iterator[str]:
         yield f"concurrency is {shown(declared)}"
 
 
-@promise("see https://gymnasium.farama.org/api/env/ for what Gymnasium expects.")
+@promise("see https://gymnasium.farama.org/api/env/ for what Gymnasium expects.", of="one")
 def gymnasium(subject: Subject) -> Iterator[str]:
     """Gymnasium's own checker passes on the task without wrappers."""
     subject.need_episodes()
@@ -236,11 +251,11 @@ def gymnasium(subject: Subject) -> Iterator[str]:
             subject.notes.append(f"gymnasium: {text}")
 
 
-def problems_of(env: Any, result: Any) -> Iterator[str]:
-    """Tell what is wrong with the types of the result of a reset or a step."""
+def problems_of(space: Any, result: Any) -> Iterator[str]:
+    """Tell what is wrong with the types of what one agent got from a reset or a step."""
     observation, *middle, info = result
-    if not env.observation_space.contains(observation):
-        yield f"the observation {shown(observation)}, which is not in {shown(env.observation_space)}"
+    if not space.contains(observation):
+        yield f"the observation {shown(observation)}, which is not in {shown(space)}"
     if not isinstance(info, dict):
         yield f"the info {shown(info)}, which is not a dictionary"
     if not middle:
@@ -256,7 +271,7 @@ def problems_of(env: Any, result: Any) -> Iterator[str]:
 
 def _stepping(subject: Subject, env: Any, when: str) -> Iterator[str]:
     try:
-        result = subject.step(env, "hello")
+        result = subject.step(env, say(env, "hello"))
     except ResetNeededError:
         return
     yield f"step('hello') {when} returned {shown(result)}"

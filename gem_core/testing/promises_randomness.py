@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
 from itertools import zip_longest
-from typing import Any
+from typing import Any, cast
 
 from gem_core.background import run_sync
 from gem_core.env.wrapper import AnyEnv, reset_async, step_async
@@ -16,6 +16,7 @@ from gem_core.testing.contract import promise
 from gem_core.testing.findings import NotTriedError, shown
 from gem_core.testing.interpreter import CallError
 from gem_core.testing.isolation import global_random_state, scramble
+from gem_core.testing.joint import Action, fitted, step_label
 from gem_core.testing.subject import PlainResult, Script, Subject
 
 _FROM_NP_RANDOM = "draw only from self.np_random, and make everything of an episode anew in reset."
@@ -65,8 +66,9 @@ def coroutines(subject: Subject) -> Iterator[str]:
     def reset_in_loop(seed: int) -> Any:
         return subject.called("reset_async()", run_sync, reset_async(env, seed))
 
-    def step_in_loop(action: str) -> Any:
-        return subject.called(f"step_async({shown(action)})", run_sync, step_async(env, action))
+    def step_in_loop(action: Any) -> Any:
+        label = step_label(action).replace("step", "step_async", 1)
+        return subject.called(label, run_sync, step_async(env, cast("str", fitted(env, action))))
 
     for script, expected in subject.references:
         found = list(play(partial(reset_in_loop, script.seed), step_in_loop, script.actions))
@@ -92,12 +94,21 @@ def global_random(subject: Subject) -> Iterator[str]:
     made: list[AnyEnv] = []
     yield from _touching("the constructor", lambda: made.append(subject.new()))
     env = made[0]
+    over = False
+
+    def step(action: Action) -> None:
+        nonlocal over
+        result = subject.step_fitted(env, action)
+        over = bool(result[2] or result[3])
+
     for script in (subject.scripts[0], subject.scripts[-1]):
         yield from _touching("reset()", partial(subject.reset, env, script.seed))
         for action in script.actions:
             yield from _touching("sample_random_action()", partial(subject.sample, env))
             yield from _touching("get_state()", partial(subject.saved, env))
-            yield from _touching(f"step({shown(action)})", partial(subject.step, env, action))
+            yield from _touching(step_label(action), partial(step, action))
+            if over:
+                break
     yield from _touching("close()", partial(subject.close, env))
 
 
@@ -132,11 +143,11 @@ def action_sampling(subject: Subject) -> Iterator[str]:
     subject.need_episodes()
     if not subject.can_sample():
         raise NotTriedError("it gives no random actions; see 'valid-sample'")
-    samples: list[list[str]] = []
+    samples: list[list[Action]] = []
     for script, expected in [subject.references[0], *subject.references]:
         env = subject.new()
         found: list[PlainResult] = []
-        drawn: list[str] = []
+        drawn: list[Action] = []
         for index, record in enumerate(subject.play(env, script)):
             found.append(record)
             if index < len(script.actions):
@@ -149,7 +160,7 @@ def action_sampling(subject: Subject) -> Iterator[str]:
         yield f"seed {seed} sampled {shown(samples[0][:5])}, and a second time {shown(samples[1][:5])}"
 
 
-def _stream(subject: Subject, env: AnyEnv, script: Script, later: tuple[str, ...]) -> list[list[PlainResult]]:
+def _stream(subject: Subject, env: AnyEnv, script: Script, later: tuple[Action, ...]) -> list[list[PlainResult]]:
     """Play an episode from a seed and the two that follow it in its stream."""
     return [list(subject.play(env, script)), *(list(subject.play_from(env, None, later)) for _ in range(2))]
 

@@ -58,7 +58,7 @@ def state_instance(subject: Subject) -> Iterator[str]:
                 what = f"with seed {script.seed}, restored after {steps} steps, a {kind} one differs"
                 yield from differences(what, mine, theirs, steps + 1)
                 yield from differences(what, expected[steps + 1 :], theirs[: len(expected) - steps - 1], steps + 1)
-            if len(set(samples)) > 1:
+            if any(sample != samples[0] for sample in samples):
                 yield f"with seed {script.seed}, after {steps} steps, restored ones sample other actions: {samples}"
 
 

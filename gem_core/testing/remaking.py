@@ -10,7 +10,10 @@ import gymnasium
 
 from gem_core.env.base import Env
 from gem_core.env.guard import Guard
+from gem_core.env.multi_agent import MultiAgentEnv
+from gem_core.env.seat_wrappers import SeatWrappers
 from gem_core.env.wrapper import AnyEnv, Wrapper
+from gem_core.testing.joint import JointView, is_joint
 
 
 def layers_of(env: AnyEnv) -> list[AnyEnv]:
@@ -22,7 +25,9 @@ def layers_of(env: AnyEnv) -> list[AnyEnv]:
 
 
 def guarded(env: AnyEnv) -> AnyEnv:
-    """Put a ``Guard`` around a stack that has none; ``make`` gives every environment one."""
+    """Put a ``Guard`` around a stack that has none, as ``make`` does; around one of several agents, a ``JointView``."""
+    if is_joint(env):
+        return JointView(env)
     return unchecked(env if any(isinstance(layer, Guard) for layer in layers_of(env)) else Guard(env))
 
 
@@ -39,14 +44,19 @@ def remaker(env: AnyEnv) -> Callable[[], AnyEnv]:
 
     ``spawn`` does the same; it is a promise of its own here, which must not decide the others.
     """
-    if isinstance(env, Wrapper):
+    set_by_make: dict[str, Any] = {}
+    if isinstance(env, Wrapper | SeatWrappers):
         args, kwargs = env._init_args
-        set_by_make = {"made_as": env.made_as, "implicit": env.implicit}
+        if isinstance(env, Wrapper):
+            set_by_make = {"made_as": env.made_as, "implicit": env.implicit}
     elif isinstance(env, gymnasium.Wrapper):
-        args, kwargs, set_by_make = (None,), getattr(env, "_saved_kwargs", {}), {}
+        args, kwargs = (None,), getattr(env, "_saved_kwargs", {})
     else:
         args, kwargs = env._init_args if isinstance(env, Env) else ((), {})
-        return partial(_remade, type(env), None, args, kwargs, {"spec": env.spec, "render_mode": env.render_mode})
+        set_by_make = {"spec": env.spec, "render_mode": env.render_mode}
+        if isinstance(env, MultiAgentEnv):
+            set_by_make["max_steps"] = env.max_steps
+        return partial(_remade, type(env), None, args, kwargs, set_by_make)
     args, kwargs = (None, *args[1:]) if args else (), {name: kwargs[name] for name in kwargs if name != "env"}
     return partial(_remade, type(env), remaker(env.env), args, kwargs, set_by_make)
 

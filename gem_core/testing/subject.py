@@ -22,6 +22,7 @@ from gem_core.testing.comparing import play
 from gem_core.testing.elsewhere import OTHER_PROCESS, EnvElsewhere
 from gem_core.testing.findings import NotTriedError, place_of, shown
 from gem_core.testing.isolation import Watch
+from gem_core.testing.joint import Action, SeenByOne, fitted, is_joint, responses, say, split, step_label
 from gem_core.testing.remaking import guarded, layers_of, remaker
 
 PlainResult = dict[str, Any]
@@ -51,7 +52,7 @@ class Script:
     """
 
     seed: int
-    actions: tuple[str, ...]
+    actions: tuple[Action, ...]
     ended: bool
 
 
@@ -85,6 +86,8 @@ class Subject:
         self._instances: list[AnyEnv] = []
         self.runs = False
         """Whether an episode can be begun and stepped without an exception."""
+        self.several = False
+        """Whether several agents act in it."""
         self.package = ""
         """The module of the task's class."""
         self._scripts: list[Script] | None = None
@@ -98,7 +101,7 @@ class Subject:
         env = self.called(f"making {self.name}", self._make)
         if not isinstance(env, Env | Wrapper):
             raise ArgumentError(f"{self.name} is a {type(env).__name__}, which does not derive from gem_core.Env")
-        self.package = type(env.unwrapped).__module__
+        self.package, self.several = type(env.unwrapped).__module__, is_joint(env)
         return self.own(guarded(env))
 
     def own(self, env: AnyEnv) -> AnyEnv:
@@ -132,13 +135,19 @@ class Subject:
         """Reset under the time limit."""
         return self.called(f"reset(seed={seed})" if seed is not None else "reset()", env.reset, seed=seed)
 
-    def step(self, env: AnyEnv, action: str) -> Any:
+    def step(self, env: AnyEnv, action: Action) -> Any:
         """Step under the time limit."""
-        return self.watch.call(lambda: f"step({shown(action)})", self.limits.step_timeout_s, env.step, action)
+        return self.watch.call(
+            lambda: step_label(action), self.limits.step_timeout_s, cast("Callable[[Action], Any]", env.step), action
+        )
 
-    def sample(self, env: AnyEnv) -> str:
+    def step_fitted(self, env: AnyEnv, action: Action) -> Any:
+        """Step with an action of a script, also where others act in this episode than in that of the script."""
+        return self.step(env, fitted(env, action))
+
+    def sample(self, env: AnyEnv) -> Action:
         """Sample an action under the time limit."""
-        return cast("str", self.called("sample_random_action()", env.get_wrapper_attr("sample_random_action")))
+        return cast("Action", self.called("sample_random_action()", env.get_wrapper_attr("sample_random_action")))
 
     def close(self, env: AnyEnv) -> None:
         """Close under the time limit."""
@@ -184,32 +193,38 @@ class Subject:
         env = self.new()
         self.reset(env, self.seeds[0])
         try:
-            return isinstance(self.sample(env), str)
+            return all(isinstance(text, str) for text in responses(self.sample(env)).values())
         except Exception:  # noqa: BLE001 - a promise of its own tries and names it
             return False
 
     def _recorded(self, env: AnyEnv, seed: int, sampled: bool) -> Script:
         self.reset(env, seed)
-        actions: list[str] = []
+        actions: list[Action] = []
         ended = False
         while not ended and len(actions) < self.limits.max_turns:
-            actions.append(self.sample(env) if sampled else CLUMSY_ACTIONS[len(actions) % len(CLUMSY_ACTIONS)])
+            clumsy = CLUMSY_ACTIONS[len(actions) % len(CLUMSY_ACTIONS)]
+            actions.append(self.sample(env) if sampled else say(env, clumsy))
             result = self.step(env, actions[-1])
             ended = bool(result[2] or result[3])
         return Script(seed, tuple(actions), ended)
 
     @cached_property
-    def results(self) -> list[tuple[str, Any]]:
-        """Every result of the scripts as it is, with the name of its call."""
+    def results(self) -> list[SeenByOne]:
+        """Every result of the scripts as it is, as each agent got it."""
         return list(self.results_of(self.new()))
 
-    def results_of(self, env: AnyEnv) -> Iterator[tuple[str, Any]]:
+    def results_of(self, env: AnyEnv) -> Iterator[SeenByOne]:
+        """Play all scripts, and give each result as each agent got it."""
+        for where, result in self.calls_of(env):
+            yield from split(env, where, result)
+
+    def calls_of(self, env: AnyEnv) -> Iterator[tuple[str, Any]]:
         """Play all scripts, and give each result with the name of its call."""
         for script in self.scripts:
             yield f"reset(seed={script.seed})", self.reset(env, script.seed)
             for action in script.actions:
-                result = self.step(env, action)
-                yield f"step({shown(action)})", result
+                result = self.step_fitted(env, action)
+                yield step_label(action), result
                 if result[2] or result[3]:
                     break
 
@@ -217,13 +232,13 @@ class Subject:
         """Play a script from its reset."""
         return self.play_from(env, script.seed, script.actions)
 
-    def play_from(self, env: AnyEnv, seed: int | None, actions: Sequence[str]) -> Iterator[PlainResult]:
+    def play_from(self, env: AnyEnv, seed: int | None, actions: Sequence[Action]) -> Iterator[PlainResult]:
         """Reset and play some actions; without a seed, the next episode of the stream."""
-        return play(lambda: self.reset(env, seed), partial(self.step, env), actions)
+        return play(lambda: self.reset(env, seed), partial(self.step_fitted, env), actions)
 
-    def play_on(self, env: AnyEnv, actions: Sequence[str]) -> Iterator[PlainResult]:
+    def play_on(self, env: AnyEnv, actions: Sequence[Action]) -> Iterator[PlainResult]:
         """Continue an episode."""
-        return play(None, partial(self.step, env), actions)
+        return play(None, partial(self.step_fitted, env), actions)
 
     # What is known to repeat.
 

@@ -8,6 +8,7 @@ import statistics
 import pytest
 
 import gem_core as gem
+from gem_core.testing import check_env
 
 GAMES = [record for record in gem.list_envs("game") if gem.spec(record).seats]
 
@@ -40,3 +41,11 @@ def test_perfect_players_of_tic_tac_toe_always_draw() -> None:
     for joint in gem.rollout("game:TicTacToe-v0", agents=["tictactoe", "random"], episodes=20, seed=3):
         seat = next(seat for seat, agent in joint.agents.items() if agent == "tictactoe")
         assert joint.returns[seat] >= 0
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("env_id", GAMES)
+def test_games_of_several_keep_the_contract(env_id: str) -> None:
+    """Determinism, state, hostile text from every seat, accounting: everything that ``check_env`` tries."""
+    report = check_env(env_id)
+    assert {"turns", "leaving", "accounting", "refused-actions", "reasoning"} <= set(report.kept)
