@@ -261,6 +261,14 @@ def test_parallel_selector_takes_all_but_the_skipped() -> None:
     assert [selector.next() for _ in range(2)] == [["b"], ["a", "b"]]
 
 
+def test_selector_of_a_class_is_refused() -> None:
+    """Environments of one class would take each other's turns."""
+    with pytest.raises(TypeError, match=r"^Shared sets agent_selector in the class, .*; set self.agent_selector in"):
+
+        class Shared(AuctionEnv):
+            agent_selector = AgentSelector(mode="parallel")
+
+
 def test_own_selector_decides() -> None:
     """A subclass of the selector decides who acts, and a wrong choice is an error that names it."""
 

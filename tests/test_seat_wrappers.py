@@ -256,6 +256,12 @@ def test_wrappers_that_are_no_hooks_are_refused(wrapper: Any) -> None:
         auction([wrapper])
 
 
+def test_a_wrapper_around_the_whole_is_refused() -> None:
+    """The error says how it gets around a seat."""
+    with pytest.raises(ArgumentError, match=r"^Silent goes around a seat, .* make\(id, wrappers={'a': \[Silent\]}\)$"):
+        Silent(auction(()))
+
+
 def test_unknown_seats_are_refused() -> None:
     """By name, before anything is made where the record knows the seats; and wrappers by seat want seats."""
     with pytest.raises(

@@ -6,7 +6,7 @@ import copy
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NoReturn, cast
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from gem_core.env.agent_selector import AgentSelector
 from gem_core.env.base import Env
@@ -88,6 +88,15 @@ class MultiAgentEnv(Env):
     _in_episode = False
     _unpaid: dict[str, float]
     _news: dict[str, Info]
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Refuse a selector of the class, which all its environments would share."""
+        super().__init_subclass__(**kwargs)
+        if isinstance(vars(cls).get("agent_selector"), AgentSelector):
+            raise TypeError(
+                f"{cls.__name__} sets agent_selector in the class, where all its environments would share it; "
+                "set self.agent_selector in __init__"
+            )
 
     @cached_property
     def agent_selector(self) -> AgentSelector:
@@ -244,12 +253,6 @@ class MultiAgentEnv(Env):
                 f"the state of {self._name!r} is damaged ({type(error).__name__}: {error}); "
                 "call reset(), or give a state that get_state() returned"
             ) from error
-
-    def spawn(self, same_state: bool = False, **overrides: Any) -> Env:
-        """Return a sibling with the same limit of steps; see ``Env.spawn``."""
-        sibling = super().spawn(same_state, **overrides)
-        cast("MultiAgentEnv", sibling).max_steps = self.max_steps
-        return sibling
 
     @property
     def _name(self) -> str:
