@@ -274,6 +274,38 @@ def test_seat_that_ended_before_it_acted_has_no_turn() -> None:
     assert [(episode.turns, episode.error is None) for episode in joint] == [(2, False), (0, True)]
 
 
+class ClosedAgent:
+    """Counts how often it was closed."""
+
+    closed = 0
+
+    def __call__(self, observation: Any) -> str:
+        """Take one."""
+        return "\\boxed{1}"
+
+    async def aclose(self) -> None:
+        """Count."""
+        type(self).closed += 1
+
+
+@pytest.mark.parametrize("many", [lambda name: name, lambda name: [name, name], lambda name: {"second": name}])
+def test_agents_given_by_name_are_closed(many: Any) -> None:
+    """What the run made is closed at its end; an agent that was given stays open."""
+    agents = many(f"{__name__}:ClosedAgent")
+    before, made = ClosedAgent.closed, len(agents) if isinstance(agents, list) else 1
+    if isinstance(agents, dict):
+        agents["first"] = ClosedAgent()
+    list(rollout(CountdownEnv(), agents=agents, episodes=1, seed=0))
+    assert ClosedAgent.closed == before + made
+
+    async def run() -> None:
+        async for _ in arollout(CountdownEnv(), agents=agents, episodes=1, seed=0):
+            pass
+
+    asyncio.run(run())
+    assert ClosedAgent.closed == before + 2 * made
+
+
 def test_wrong_agents_are_refused() -> None:
     """Agents that do not fit the seats are errors that name the seats."""
     for agents, message in [

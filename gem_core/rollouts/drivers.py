@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 import itertools
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AsyncExitStack, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +20,7 @@ from gem_core.progress import Progress
 from gem_core.records.episode import Episode
 from gem_core.records.joint import JointEpisode, Record
 from gem_core.records.plans import EpisodeQueue, PlanItem, count_plan, cover_plan, interleaved
-from gem_core.rollouts.agent import Agent, as_agent, is_asynchronous, prepare_agent
+from gem_core.rollouts.agent import Agent, as_agent, close_agent, is_asynchronous, prepare_agent
 from gem_core.rollouts.loop import EpisodeLoop
 from gem_core.rollouts.requests import AgentRequests
 from gem_core.rollouts.resume import FinishedEpisodes, finished_episodes
@@ -87,7 +87,7 @@ def rollout(
         agents: Instead of ``agent``, for environments in which several agents act: ``{seat: agent}``; or a list of as
             many agents as there are seats, which move on by one seat from item to item of the plan, so that each begins
             as often as the others; or one agent for all seats, as in self-play; or a ``League``. An agent may also be
-            given by name, as ``load_agent`` takes it: ``"random"``, ``"openai:MODEL"``.
+            given by name, as ``load_agent`` takes it: ``"random"``, ``"openai:MODEL"``; it is then closed at the end.
         plan: What episodes start from; see ``gem_core.records.plans``.
         episodes: Instead of a plan, the number of episodes for each environment; a data set gives its first rows. With
             neither, the vector environment's own plan is taken from the beginning; where it has none, each row of a
@@ -116,7 +116,9 @@ def rollout(
     What stops a run is raised after the episodes that had finished by then.
     """
     acting = _who_acts(agent, agents)
-    return _drive(_Run(env, acting, plan, episodes, seed, num_envs, max_requests, resume, progress))
+    return _drive(
+        _Run(env, acting, plan, episodes, seed, num_envs, max_requests, resume, progress, _loaded(acting, agents))
+    )
 
 
 @overload
@@ -157,7 +159,9 @@ def arollout(
         progress: Show how far the run is.
     """
     acting = _who_acts(agent, agents)
-    return _drive_async(_Run(env, acting, plan, episodes, seed, num_envs, max_requests, resume, progress))
+    return _drive_async(
+        _Run(env, acting, plan, episodes, seed, num_envs, max_requests, resume, progress, _loaded(acting, agents))
+    )
 
 
 def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[PlanItem]:
@@ -188,6 +192,8 @@ class _Run:
     max_requests: int | None
     resume: Resume
     progress: bool | OnProgress
+    loaded: Sequence[Agent] = ()
+    """Agents that were given by name, which are closed at the end."""
 
     def __post_init__(self) -> None:
         if self.plan is not None and self.episodes is not None:
@@ -252,6 +258,8 @@ def _drive(run: _Run) -> Iterator[Record]:
     with ExitStack() as at_end:
         if vector is not run.env:
             at_end.callback(vector.close)
+        for agent in run.loaded:
+            at_end.callback(close_agent, agent)
         at_end.callback(requests.close)
         for agent in run.agents:
             prepare_agent(agent)
@@ -273,6 +281,8 @@ async def _drive_async(run: _Run) -> AsyncIterator[Record]:
     async with AsyncExitStack() as at_end:
         if vector is not run.env:
             at_end.push_async_callback(in_thread, vector.close)
+        for agent in run.loaded:
+            at_end.push_async_callback(in_thread, close_agent, agent)
         at_end.push_async_callback(requests.aclose)
         for agent in run.agents:
             prepared = getattr(agent, "prepare", lambda: None)()
@@ -293,6 +303,14 @@ def _who_acts(agent: Any, agents: Any) -> Agent | Seating:
     if (agent is None) == (agents is None):
         raise ArgumentError("give either agent, who acts alone, or agents, where several act")
     return as_agent(agent) if agents is None else as_seating(agents)
+
+
+def _loaded(acting: Agent | Seating, agents: Any) -> list[Agent]:
+    """Return those of ``agents`` that were given by name."""
+    if not isinstance(acting, Seating) or acting is agents:
+        return []
+    given = agents.values() if isinstance(agents, Mapping) else agents if isinstance(agents, list | tuple) else [agents]
+    return [agent for name, agent in zip(given, acting.everyone(), strict=False) if isinstance(name, str)]
 
 
 def _asked_at_once(agents: Iterable[Agent], max_requests: int | None) -> int | None:
