@@ -157,6 +157,7 @@ def test_step_outside_an_episode_is_refused() -> None:
         (None, r"X: process_actions must return \(rewards, terminations, truncations, infos\), not None"),
         (({"b": 1.0}, {}, {}, {}), "X: process_actions names 'b', and 'a' take part"),
         (({"a": float("nan")}, {}, {}, {}), "X: the reward of 'a' must be a finite number, not nan"),
+        (({"a": None}, {}, {}, {}), "X: the reward of 'a' must be a finite number, not None"),
         (({}, {}, {}, {"a": 1}), "X: the info of 'a' must be a dictionary, not int"),
     ],
 )
@@ -176,6 +177,32 @@ def test_malformed_verdict_is_refused(verdict: Any, message: str) -> None:
     env.reset(seed=0)
     with pytest.raises((TypeError, ValueError), match=f"^{message}$"):
         env.step({"a": "1"})
+
+
+@pytest.mark.parametrize(
+    ("agents", "told", "message"),
+    [
+        ([], None, r"X: begin_episode must leave some of 'a', 'b' in self.agents, not \[\]"),
+        (["c"], None, r"X: begin_episode must leave some of 'a', 'b' in self.agents, not \['c'\]"),
+        (["a"], ("observation", {}), r"X: begin_episode must return {agent: info} or None, not \('observation', {}\)"),
+        (["a"], {"b": {"role": "spy"}}, "X: begin_episode has an info for 'b', and 'a' take part"),
+    ],
+)
+def test_malformed_beginning_is_refused(agents: list[str], told: Any, message: str) -> None:
+    """A mistake of the author in ``begin_episode`` is an error that names it."""
+
+    class X(MultiAgentEnv):
+        possible_agents = ("a", "b")
+
+        def begin_episode(self, options: dict[str, Any] | None) -> Any:
+            self.agents = agents
+            return told
+
+        def observe(self, agent: str) -> str:
+            return ""
+
+    with pytest.raises((TypeError, ValueError), match=f"^{message}$"):
+        X().reset(seed=0)
 
 
 def test_turn_limit_truncates_all() -> None:

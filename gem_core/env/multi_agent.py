@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from gem_core.env.agent_selector import AgentSelector
 from gem_core.env.base import Env
+from gem_core.env.results import checked_reward
 from gem_core.env.spaces import Text
 from gem_core.errors import ArgumentError, ResetNeededError, SamplingNotSupported, StateError
 from gem_core.suggestions import did_you_mean
@@ -183,7 +183,7 @@ class MultiAgentEnv(Env):
         self._steps = 0
         self.cumulative, self._unpaid = {}, {}
         self.terminations, self.truncations, self._news = {}, {}, {}
-        told = self.begin_episode(options) or {}
+        told = self._checked_beginning(self.begin_episode(options))
         for agent in possible:
             if agent not in self.agents:
                 self.agent_selector.remove(agent)
@@ -309,6 +309,29 @@ class MultiAgentEnv(Env):
     def _who_acts(self) -> str:
         return f"{self._named(self.acting)} {'acts' if len(self.acting) == 1 else 'act'} now"
 
+    def _checked_beginning(self, told: Any) -> Mapping[str, Info]:
+        """Return the infos of ``begin_episode``, if they and ``agents`` are well-formed.
+
+        Raises:
+            TypeError: It returned something else.
+            ValueError: Nobody takes part, or somebody who is no possible agent; or an info is for nobody who does.
+        """
+        if not self.agents or not set(self.agents) <= set(self.possible_agents):
+            raise ValueError(
+                f"{self._name}: begin_episode must leave some of {self._named(self.possible_agents)} in self.agents, "
+                f"not {self.agents!r:.200}"
+            )
+        if told is None:
+            return {}
+        if not isinstance(told, Mapping) or not all(isinstance(info, dict) for info in told.values()):
+            self._refuse(f"begin_episode must return {{agent: info}} or None, not {told!r:.200}")
+        for agent in told:
+            if agent not in self.agents:
+                raise ValueError(
+                    f"{self._name}: begin_episode has an info for {agent!r}, and {self._named(self.agents)} take part"
+                )
+        return told
+
     def _checked(self, result: object) -> tuple[dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]:
         """Return what ``process_actions`` returned, if it is well-formed.
 
@@ -328,14 +351,14 @@ class MultiAgentEnv(Env):
                         f"{self._name}: process_actions names {agent!r}, and {self._named(self.agents)} take part"
                     )
         rewards, terminations, truncations, infos = parts
-        for agent, reward in rewards.items():
-            if isinstance(reward, str | bytes) or not math.isfinite(reward):
-                self._refuse(f"the reward of {agent!r} must be a finite number, not {reward!r:.200}")
         for agent, info in infos.items():
             if not isinstance(info, dict):
                 self._refuse(f"the info of {agent!r} must be a dictionary, not {type(info).__name__}")
         return (
-            {agent: float(reward) for agent, reward in rewards.items()},
+            {
+                agent: checked_reward(reward, f"{self._name}: the reward of {agent!r}")
+                for agent, reward in rewards.items()
+            },
             {agent: bool(flag) for agent, flag in terminations.items()},
             {agent: bool(flag) for agent, flag in truncations.items()},
             dict(infos),
