@@ -140,6 +140,9 @@ def test_league_refuses_unusable_weights() -> None:
         League(take_one, {"a": take_one}, weights={"a": -1})
     with pytest.raises(ArgumentError, match=r"^a league needs an opponent whose weight is above 0"):
         League(take_one, latest=0)
+    league = League(take_one, {"a": take_one}, latest=0)
+    with pytest.raises(ArgumentError, match=r"^a league needs an opponent whose weight is above 0"):
+        league.add("a", take_one, weight=0)
 
 
 def test_asynchronous_agents_are_asked_side_by_side() -> None:

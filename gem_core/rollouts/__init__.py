@@ -14,7 +14,7 @@ from gem_core.rollouts.agent import (
 from gem_core.rollouts.drivers import arollout, default_plan, rollout
 from gem_core.rollouts.one_seat import single_agent
 from gem_core.rollouts.resume import FinishedEpisodes
-from gem_core.rollouts.seat import RunningSeat, new_episode
+from gem_core.rollouts.seat import new_episode
 from gem_core.rollouts.seating import League, Seated, Seating, as_seating
 
 __all__ = [
@@ -24,7 +24,6 @@ __all__ = [
     "FinishedEpisodes",
     "League",
     "Reading",
-    "RunningSeat",
     "Seated",
     "Seating",
     "arollout",

@@ -127,23 +127,30 @@ class League(Seating):
         self._put(Seated(self.LATEST, self._learner.agent), latest)
         weights = dict(weights or {})
         for each, agent in (opponents or {}).items():
-            self.add(each, agent, weight=weights.pop(each, 1.0))
+            self._put(Seated(each, seated(agent).agent), weights.pop(each, 1.0))
         if weights:
             raise ArgumentError(f"weights names {_named(weights)}, and the opponents are {_named(opponents or {})}")
-        if not any(weight for _, weight in self._pool.values()):
-            raise ArgumentError("a league needs an opponent whose weight is above 0; the learner's own is 'latest'")
+        self._check_weights()
 
     def add(self, name: str, agent: Any, *, weight: float = 1.0) -> None:
         """Take an agent into the pool of opponents, or give one of that name another agent and weight.
 
         It takes part in the episodes that begin from now on.
+
+        Raises:
+            ArgumentError: Its weight is negative, or all are 0.
         """
         self._put(Seated(name, seated(agent).agent), weight)
+        self._check_weights()
 
     def _put(self, one: Seated, weight: float) -> None:
         if not 0 <= weight < float("inf"):
             raise ArgumentError(f"the weight of {one.name!r} must be a number from 0 up, not {weight!r}")
         self._pool[one.name] = one, weight
+
+    def _check_weights(self) -> None:
+        if not any(weight for _, weight in self._pool.values()):
+            raise ArgumentError("a league needs an opponent whose weight is above 0; the learner's own is 'latest'")
 
     def everyone(self) -> Iterable[Agent]:
         """Return the learner and the pool."""
