@@ -37,6 +37,7 @@ def test_an_answer_is_put_into_the_form_of_the_example(example: str, typed: str,
         ("<move>3</move>", "<move>4"),
         ("```python\n1\n```", "```python\n2\n```"),
         ("```python\n1\n```", "~~~\n2\n~~~"),
+        ('<tool_call>{"name": "search"}</tool_call>', "Hello."),  # an example that calls a tool shows no form
     ],
 )
 def test_what_is_in_a_form_already_is_left_alone(example: str, typed: str) -> None:

@@ -25,6 +25,7 @@ def few(own_registry: Registry) -> None:
     gem.register("one:Alpha-v0", "toys:CountdownEnv", summary="The first.")
     gem.register("one:Beta-v0", "toys:CountdownEnv")
     gem.register("two:Alpha-v0", "toys:CountdownEnv")
+    gem.register("game:Duel-v0", "joint_toys:CountdownEnv", seats=("white", "black"))
 
 
 def completed(*words: str) -> list[str]:
@@ -48,7 +49,7 @@ def test_older_releases_of_click_do() -> None:
         (("inf",), ["info"]),
         (("new",), ["new-plugin"]),
         (("--tra",), ["--traceback"]),
-        (("info", ""), ["one:", "two:"]),
+        (("info", ""), ["game:", "one:", "two:"]),
         (("info", "one:"), ["one:Alpha-v0", "one:Beta-v0"]),
         (("info", "concat_w"), ["concat_with_action"]),
         (("info", "tw"), ["two:Alpha-v0"]),
@@ -66,6 +67,10 @@ def test_older_releases_of_click_do() -> None:
         (("completion", "z"), ["zsh"]),
         (("doctor", "--js"), ["--json"]),
         (("info", "three:"), []),
+        (("run", "game:Duel-v0", "--agent", "bl"), ["black="]),
+        (("run", "game:Duel-v0", "--agent", "black=ran"), ["black=random"]),
+        (("run", "one:Alpha-v0", "--agent", "bl"), []),
+        (("play", "game:Duel-v0", "--seat", ""), ["white", "black"]),
     ],
 )
 def test_words_are_completed(words: tuple[str, ...], offered: list[str]) -> None:
@@ -120,6 +125,7 @@ def gem_on_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("gem inf", ["info"]),
         ("gem info toy:Countd", ["Countdown-v0"]),
         ("gem run --agent ran", ["random"]),
+        ("gem run --agent white=ran", ["random"]),
         ("gem run -w latest,concat_w", ["latest,concat_with_action"]),
         ("gem run toy:Countdown-v0 --see", ["--seed"]),
     ],

@@ -375,3 +375,19 @@ def test_what_an_environment_should_not_say_ends_no_run(says: dict[str, Any], ob
     (episode,) = gem.rollout(Odd(), agent, episodes=1)
     assert (episode.turns, episode.error) == (2, None)
     assert episode.messages
+
+
+@pytest.mark.parametrize(("native", "system"), [(False, "Be kind.\nCall it so."), (True, "Be kind.")])
+def test_system_text_explains_tools_only_where_they_are_not_offered(native: bool, system: str) -> None:
+    """``info["tool_instructions"]`` holds for the system text as well."""
+
+    class Told(EchoEnv):
+        def reset(self, seed: Any = None, options: Any = None) -> Any:
+            observation, info = super().reset(seed)
+            told = {"text": "\nCall it so.", "native": ""}
+            info |= {"system": "Be kind.\nCall it so.", "tools": [Calculator().schema()], "tool_instructions": told}
+            return observation, info
+
+    agent = Scripted(["stop"], native_tools=native, reads="messages")
+    (episode,) = gem.rollout(Told(), agent, episodes=1)
+    assert episode.messages[0] == {"role": "system", "content": system}

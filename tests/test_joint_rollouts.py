@@ -101,13 +101,22 @@ def test_list_of_agents_changes_seats() -> None:
     assert [joint.agents["first"] for joint in rollout(CountdownEnv(), agents=by_seat, plan=plan[:1], seed=0)] == ["y"]
 
 
-def test_agents_change_seats_in_each_of_several_environments() -> None:
-    """Environments that are taken in turn leave no agent at one seat."""
-    if not gem.list_envs("jointroll:Countdown-v1"):
-        gem.register("jointroll:Countdown-v1", "joint_toys:CountdownEnv", seats=("first", "second"))
-    agents, ids = [Seated("x", take_one), Seated("y", take_one)], ["jointroll:Countdown-v0", "jointroll:Countdown-v1"]
-    joints = rollout(ids, agents=agents, episodes=4, seed=0)
-    assert Counter((joint.id, joint.agents["first"]) for joint in joints) == {(id, x): 2 for id in ids for x in "xy"}
+def test_agents_change_seats_in_each_environment_of_a_plan() -> None:
+    """Environments and arguments that a plan takes in turn leave no agent at one seat."""
+    if not gem.list_envs("jointroll:Auction-v0"):
+        gem.register("jointroll:Auction-v0", AuctionEnv, agents=["first", "second"], rounds=2)
+    kinds = [
+        PlanItem("jointroll:Countdown-v0"),
+        PlanItem("jointroll:Auction-v0", kwargs={"rounds": 3}),
+        PlanItem("jointroll:Auction-v0"),
+        PlanItem("jointroll:Auction-v0", kwargs={"rounds": 4}),
+    ]
+    agents, ids = [Seated("x", take_one), Seated("y", take_one)], ["jointroll:Countdown-v0", "jointroll:Auction-v0"]
+    seen = Counter(
+        (joint.id, joint.kwargs.get("rounds"), joint.agents["first"])
+        for joint in rollout(ids, agents=agents, plan=kinds * 4, seed=0)
+    )
+    assert set(seen.values()) == {2}
 
 
 def test_league_draws_opponents_for_each_item() -> None:
@@ -390,17 +399,38 @@ def test_resumed_run_plays_what_is_left(tmp_path: Path) -> None:
     assert sorted(rest, key=lambda joint: joint.key) == sorted(whole[2:], key=lambda joint: joint.key)
 
 
+def test_agents_change_seats_in_each_of_several_environments() -> None:
+    """Environments that take turns in the plan give no agent only the first seat of one of them."""
+    gem.register("jointroll:Again-v0", CountdownEnv, seats=("first", "second"))
+    agents = [Seated("x", take_one), Seated("y", take_one)]
+    ids = ["jointroll:Countdown-v0", "jointroll:Again-v0"]
+    seen = Counter((joint.id, joint.agents["first"]) for joint in rollout(ids, agents=agents, episodes=4, seed=0))
+    assert seen == {(env_id, name): 2 for env_id in ids for name in "xy"}
+
+
 def test_summary_has_a_row_for_each_seat_and_agent() -> None:
-    """Scores are counted by agent and seat, and no total mixes the two sides of a game."""
+    """Scores are counted by agent and seat, and for each agent that changed seats; no total mixes the sides."""
     summary = RunSummary(["CountdownEnv"])
     agents = [Seated("one", take_one), Seated("any", random_agent)]
     for joint in rollout(CountdownEnv(), agents=agents, episodes=4, seed=2):
         summary.add(joint)
-    assert summary.episodes == 4
-    assert sorted(row.label for row in summary.rows()) == [
-        "CountdownEnv first=any",
-        "CountdownEnv first=one",
-        "CountdownEnv second=any",
-        "CountdownEnv second=one",
+    assert (summary.episodes, summary.errors) == (4, 0)
+    assert [(row.label, row.episodes) for row in summary.rows()] == [
+        ("CountdownEnv first=any", 2),
+        ("CountdownEnv first=one", 2),
+        ("CountdownEnv second=any", 2),
+        ("CountdownEnv second=one", 2),
+        ("CountdownEnv any", 4),
+        ("CountdownEnv one", 4),
     ]
     assert sum(row.total_return for row in summary.rows()) == 0.0
+
+
+def test_summary_counts_an_error_of_several_seats_once() -> None:
+    """One seat without an answer is one error of the run; a history that is too long for a model is none."""
+    summary = RunSummary([])
+    for error in (RequestError("no route"), ContextOverflowError("too long")):
+        agents = {"first": failing_at(1, error), "second": take_one}
+        for joint in rollout(CountdownEnv(), agents=agents, episodes=1, seed=0):
+            summary.add(joint)
+        assert (summary.errors, summary.first_error) == (1, f"CountdownEnv, seed {joint.seed}: no route")

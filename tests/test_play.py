@@ -339,6 +339,19 @@ def test_help_shows_keys_rules_and_an_example(play) -> None:
     assert "The form of an answer: any text\n\nSay something.\n" in play(ECHO, typed="?\n").out
 
 
+def test_system_text_comes_first(play) -> None:
+    """A person reads what a model is told, at the beginning and in the help."""
+
+    class Part(BoardEnv):
+        def reset(self, seed: Any = None, options: Any = None) -> Any:
+            observation, info = super().reset(seed)
+            return observation, {**info, "system": "You play the clerk."}
+
+    gem.register("play:Part-v0", Part)
+    out = play("play:Part-v0", typed="?\n").out
+    assert out.count("You play the clerk.\n\n") == 2
+
+
 def test_quit_ends_as_the_end_of_input_does(play) -> None:
     """Exit code 0."""
     outcome = play(BOARD, typed="a\n!quit\nb\n")

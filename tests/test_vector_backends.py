@@ -228,3 +228,15 @@ def test_results_have_the_same_types_everywhere() -> None:
             assert type(step) is VectorStep
             assert [type(part) for part in (step.observations, step.infos)] == [list, list]
             assert [part.dtype.name for part in step[1:4]] == ["float64", "bool", "bool"]  # type: ignore[union-attr]
+
+
+def test_arguments_that_come_with_an_id_are_there_when_its_backend_is_chosen() -> None:
+    """Also where a function makes the environment, which says what it needs only once it is made."""
+
+    def of_folder(*, folder: str) -> gem.Env:
+        assert folder == "here"
+        return gem.make(INLINE)
+
+    gem.register("vt:OfFolder-v0", of_folder, requires=("argument:folder",))
+    with gem.make_vec([("vt:OfFolder-v0", {"folder": "here"})], 2) as vector:
+        assert vector.num_envs == 2

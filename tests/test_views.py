@@ -14,6 +14,7 @@ from gem_core.env.guard import Guard
 from gem_core.env.observations import join_observations
 from gem_core.errors import ArgumentError, StateNotSupported
 from gem_core.records.turns import without_thinking
+from gem_core.tools import spoken
 from gem_core.types import StepResult
 from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView
 
@@ -150,3 +151,21 @@ def test_views_are_made_by_name_with_arguments() -> None:
     env.reset(seed=3)
     assert env.spec is not None
     assert env.spec.wrappers == (("episode_stats", {}), ("concat", {"max_turns": 2}))
+
+
+@pytest.mark.parametrize(
+    ("response", "said"),
+    [
+        ("<think>secret</think>\nHello.<|im_end|>", "Hello."),
+        ("secret</think>Hello.", "Hello."),
+        ("Hello. <think>secret", "Hello."),
+        ("[THINK]secret[/THINK]Hello.", "Hello."),
+        ("Hello.<seed:think>secret", "Hello."),
+        ("Hello.\n<think>secret</think>\nBye.", "Hello.\n\nBye."),
+        ("<think>se<think>c</think>ret</think>Hello.", "Hello."),
+        ("secret</think>", ""),
+    ],
+)
+def test_thinking_is_not_spoken(response: str, said: str) -> None:
+    """What a response says to others holds nothing of a thinking block, closed or not."""
+    assert spoken(response) == said

@@ -29,7 +29,8 @@ class HumanAgent:
 
     def __init__(self) -> None:
         self._terminal = Terminal(err=True)
-        self._previous: Context | None = None
+        self._previous: dict[str | None, Context] = {}
+        """The last question to each seat."""
         self._has_read = False
 
     def __call__(self, observation: Observation, context: Context) -> str:
@@ -62,7 +63,7 @@ class HumanAgent:
                 raise EndOfInput
 
     def _show(self, observation: Observation, context: Context) -> None:
-        previous = self._previous
+        previous = self._previous.get(context.seat)
         if previous is not None and previous.transitions:
             turn = previous.transitions[-1]
             total = sum(each.reward for each in previous.transitions)
@@ -71,8 +72,9 @@ class HumanAgent:
                 self._terminal.show_exactly(observation_text(previous.info["feedback"]))
             ending = ", and the episode is over" if over else ""
             self._terminal.show(f"reward {turn.reward:.4g} · return {total:.4g}{ending}", bold=True)
-        self._previous = context
-        title = f"{context.env_id} · episode {context.episode} · turn {context.turn + 1}"
+        self._previous[context.seat] = context
+        seat = "" if context.seat is None else f" · {context.seat}"
+        title = f"{context.env_id} · episode {context.episode}{seat} · turn {context.turn + 1}"
         self._terminal.show(f"──── {title} ────", dim=True)
         self._terminal.show_exactly(observation_text(observation))
 

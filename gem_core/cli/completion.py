@@ -61,7 +61,7 @@ def _names(*kinds: type[NamedSpec]) -> Completer:
     return _quiet(complete)
 
 
-complete_agents = _names(AgentSpec)
+_complete_agent_names = _names(AgentSpec)
 complete_backends = _names(VectorBackendSpec)
 complete_tools = _names(ToolSpec)
 complete_wrappers = _names(WrapperSpec, ToolSpec)
@@ -80,6 +80,24 @@ def complete_env_ids(ctx: click.Context, param: click.Parameter, incomplete: str
     return [CompletionItem(record.id, help=record.summary or None) for record in records]
 
 
+@_quiet
+def complete_seats(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
+    """Return the seats of the environments that were named before."""
+    # While an option still lacks its value, click leaves the other words where they are.
+    ids = [*ctx.args, *(ctx.params.get("ids") or ()), ctx.params.get("env_id")]
+    seats = dict.fromkeys(seat for record in registry().envs() if record.id in ids for seat in record.seats)
+    return [CompletionItem(seat) for seat in seats if seat.startswith(incomplete)]
+
+
+def complete_agents(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
+    """Return the seats that begin with the text, as ``white=``, and the agents; behind an equals sign the agents."""
+    seat, equals, begun = incomplete.rpartition("=")
+    agents = _complete_agent_names(ctx, param, begun)
+    if equals:
+        return [CompletionItem(f"{seat}={agent.value}", help=agent.help) for agent in agents]
+    return [CompletionItem(f"{seat.value}=") for seat in complete_seats(ctx, param, incomplete)] + agents
+
+
 def complete_ids_and_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
     """Return the matching ids and, after a first letter, the tools, wrappers, agents and backends."""
     ids = complete_env_ids(ctx, param, incomplete)
@@ -94,18 +112,19 @@ def complete_plugins(ctx: click.Context, param: click.Parameter, incomplete: str
 
 
 class ColonBash(BashComplete):
-    """Completion for bash where words have colons, as ids do.
+    """Completion for bash where words have colons, as ids do, and equals signs, as agents at seats do.
 
-    bash takes a colon for the end of a word, so that click's own script would see three words in ``game:Mast``. Here
-    the line is read instead, and the part before the last colon is removed from the completions.
+    bash takes either for the end of a word, so that click's own script would see three words in ``game:Mast``. Here
+    the line is read instead, and the part before the last of them is removed from the completions.
     """
 
     source_template = """\
 %(complete_func)s() {
     local line=${COMP_LINE:0:COMP_POINT} IFS=$'\\n' response word prefix="" type value
+    local breaks=${COMP_WORDBREAKS//[^:=]/}
     word=${line##*[[:space:]]}
-    if [[ $word == *:* && $COMP_WORDBREAKS == *:* ]]; then
-        prefix=${word%%"${word##*:}"}
+    if [[ -n $breaks && $word == *[$breaks]* ]]; then
+        prefix=${word%%"${word##*[$breaks]}"}
     fi
     response=$(env GEM_COMP_LINE="$line" %(complete_var)s=bash_complete "$1" 2>/dev/null)
     COMPREPLY=()
@@ -115,7 +134,7 @@ class ColonBash(BashComplete):
             file) compopt -o default ;;
             plain)
                 COMPREPLY+=("${value#"$prefix"}")
-                [[ $value == *: ]] && compopt -o nospace ;;
+                [[ $value == *[:=] ]] && compopt -o nospace ;;
         esac
     done <<< "$response"
     return 0

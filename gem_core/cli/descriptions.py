@@ -40,6 +40,7 @@ def describe_record(record: Record) -> dict[str, Any]:
             "id": record.id,
             "summary": record.summary,
             "kwargs": {key: value if _is_plain(value) else repr(value) for key, value in record.kwargs.items()},
+            "seats": list(record.seats),
             "max_turns": record.turn_limit,
             "tags": list(record.tags),
             "requires": list(record.requires),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import textwrap
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,6 +17,10 @@ from gem_core.errors import GemError
 from gem_core.registry.requirements import unmet
 from gem_core.registry.specs import EnvSpec
 
+if TYPE_CHECKING:
+    from gem_core.env.multi_agent import MultiAgentEnv
+    from gem_core.types import Observation
+
 
 @click.command(
     "info",
@@ -24,6 +28,7 @@ from gem_core.registry.specs import EnvSpec
 Examples:
   gem info game:GuessTheNumber-v0
   gem info game:Mastermind-v0-hard --json
+  gem info game:TicTacToe-v0          several agents: the seats, and what each sees first
   gem info my-tasks                   the environment that a folder belongs to
   gem info search                     a tool: its options, and what an agent is told
   gem info concat                     a wrapper; likewise an agent, as openai, or a backend
@@ -55,6 +60,7 @@ def _describe_env(record: EnvSpec, as_json: bool) -> None:
         click.echo(json.dumps({**facts, "unmet": missing}, indent=1))
         return
     _print_title(record.id, record.summary)
+    _print_field("seats", ", ".join(record.seats))
     _print_field("turn limit", "none" if record.turn_limit is None else str(record.turn_limit))
     _print_field("arguments", ", ".join(f"{key}={value!r}" for key, value in record.kwargs.items()) or "none")
     _print_field("tags", ", ".join(record.tags))
@@ -69,6 +75,7 @@ def _describe_env(record: EnvSpec, as_json: bool) -> None:
 
 def _print_class(record: EnvSpec) -> None:
     from gem_core.api import make
+    from gem_core.env.multi_agent import MultiAgentEnv
     from gem_core.registry.entry_points import load_entry_point
 
     maker = load_entry_point(record.entry_point, f"environment {record.id!r}")
@@ -80,12 +87,31 @@ def _print_class(record: EnvSpec) -> None:
         env = make(record)
         try:
             observation, _ = env.reset(seed=0)
+            acts = _how_they_act(env) if isinstance(env, MultiAgentEnv) else ""
         finally:
             env.close()
     except GemError as error:  # print the rest even without its data or engine
         click.echo(f"\nThere is no observation to show: {error}")
         return
-    click.echo(click.style("\nThe first observation, with seed 0:", bold=True))
+    if not acts:
+        _print_observation("The first observation", observation)
+        return
+    click.echo(f"\n{acts}")
+    for seat, seen in observation.items():
+        _print_observation(f"The first observation of {seat}", seen)
+
+
+def _how_they_act(env: MultiAgentEnv) -> str:
+    from gem_core.env.agent_selector import AgentSelector
+
+    selector = env.agent_selector
+    if type(selector).choose is not AgentSelector.choose:
+        return "The environment decides who acts next."
+    return "The agents act " + ("one after another." if selector.mode == "sequential" else "all at once.")
+
+
+def _print_observation(title: str, observation: Observation) -> None:
+    click.echo(click.style(f"\n{title}, with seed 0:", bold=True))
     click.echo(observation if isinstance(observation, str) else json.dumps(observation, default=repr, indent=1))
 
 

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, closing
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from gem_core.api import make
 from gem_core.cli import INTERRUPTED
-from gem_core.cli.completion import complete_env_ids
+from gem_core.cli.completion import complete_agents, complete_env_ids, complete_seats
 from gem_core.cli.run_command import free_path
 from gem_core.cli.targets import find_env
 from gem_core.cli.tool_options import AtLeast, arguments_option, call_again, env_arguments, stack_options, wrapper_stack
+from gem_core.errors import ArgumentError
 
 if TYPE_CHECKING:
     from gem_core.env.wrapper import AnyEnv
+    from gem_core.registry.specs import EnvSpec
 
 
 @click.command(
@@ -27,6 +31,7 @@ Examples:
   gem play game:TowerofHanoi-v0-easy --wrappers concat_with_action
   gem play game:Sudoku-v0-easy --tools python
   gem play my-tasks/fix-the-server
+  gem play game:TicTacToe-v0 --seat O --agent X=tictactoe
   printf '25\\n12\\n' | gem play game:GuessTheNumber-v0 --seed 1
 
 \b
@@ -55,6 +60,18 @@ Exit code: 0 at the end or at the end of input, 2 for a wrong argument, 130 afte
 """,
 )
 @click.argument("env_id", metavar="ID", shell_complete=complete_env_ids)
+@click.option(
+    "--seat", shell_complete=complete_seats, help="Where several agents act, your seat.  [default: the first]"
+)
+@click.option(
+    "-a",
+    "--agent",
+    "agents",
+    multiple=True,
+    metavar="[SEAT=]AGENT",
+    shell_complete=complete_agents,
+    help="Who plays the other seats: one agent, or one for each seat.  [default: random]",
+)
 @click.option("-s", "--seed", type=AtLeast(min=0), help="The same episodes as 'gem run' with this seed.")
 @click.option(
     "-n",
@@ -71,6 +88,8 @@ Exit code: 0 at the end or at the end of input, 2 for a wrong argument, 130 afte
 def command(
     ctx: click.Context,
     env_id: str,
+    seat: str | None,
+    agents: tuple[str, ...],
     seed: int | None,
     episodes: int | None,
     arguments: tuple[str, ...],
@@ -85,7 +104,8 @@ def command(
     """Play an environment yourself: you are the agent.
 
     ID is an environment, or a folder that belongs to one, such as that of a terminal task. Shows each observation and
-    reads your answer, with the reward of each turn.
+    reads your answer, with the reward of each turn. Where several agents act you have one seat, and what the others do
+    you learn by what that seat is shown.
     """
     # Imported here, so that help and the completion of options need not wait for them.
     from gem_core.cli.play_session import PlaySession
@@ -95,16 +115,27 @@ def command(
     from gem_core.terminal import EndOfInput, Terminal
 
     record, kwargs = find_env(env_id)
+    record, seated = _at_one_seat(record, seat, agents)
+    kwargs = {**kwargs, **env_arguments(arguments), **seated}
     stack = wrapper_stack(wrappers, tools, max_tool_uses, max_turns)
     path = None if out is None else free_path(out, overwrite)
-    with closing(make(record, wrappers=stack, **{**kwargs, **env_arguments(arguments)})) as env, ExitStack() as files:
-        if not wrappers:
+    with closing(make(record, wrappers=stack, **kwargs)) as env, ExitStack() as files:
+        if not wrappers and not seated:  # a drawing may show what other seats hold
             _draw_boards(env)
         terminal = Terminal()
         writer = None if path is None else files.enter_context(EpisodeWriter(path))
         images = None if path is None else ImageFolder.beside(path)
         view = PlayView(env, terminal, exact=bool(wrappers), raw=raw, summary=record.summary, images=images)
-        session = PlaySession(env, view, terminal, seed=seed, raw=raw, repeatable=record.deterministic, writer=writer)
+        session = PlaySession(
+            env,
+            view,
+            terminal,
+            seed=seed,
+            raw=raw,
+            repeatable=record.deterministic,
+            writer=writer,
+            seat=seated.get("seat"),
+        )
         interrupted = False
         try:
             session.play(episodes)
@@ -121,6 +152,31 @@ def command(
     if interrupted:
         click.echo("gem: interrupted", err=True)
         ctx.exit(INTERRUPTED)
+
+
+def _at_one_seat(record: EnvSpec, seat: str | None, agents: tuple[str, ...]) -> tuple[EnvSpec, dict[str, Any]]:
+    """Return the record of an environment with all seats but a person's played inside, and its arguments for that.
+
+    That of one agent is returned as it is.
+
+    Raises:
+        ArgumentError: The seat or the agents do not fit the environment.
+    """
+    from gem_core.cli.acting import seats_of_others
+    from gem_core.rollouts.one_seat import single_agent
+
+    if not record.seats:
+        if seat is not None or agents:
+            raise ArgumentError(f"{record.id} is for one agent: leave {'--agent' if agents else '--seat'} out")
+        return record, {}
+    own, others = seats_of_others(agents, seat, record)
+    against = ", ".join(f"{other}={agent}" for other, agent in others.items())
+    summary = f"{record.summary} Your seat is {own}; the others are {against}.".strip()
+    maker = partial(single_agent, record.id)
+    return replace(record, entry_point=maker, summary=summary, max_turns=None, seats=()), {
+        "seat": own,
+        "others": others,
+    }
 
 
 def _draw_boards(env: AnyEnv) -> None:

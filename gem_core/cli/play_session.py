@@ -44,6 +44,7 @@ class PlaySession:
         raw: Send answers as they are typed.
         repeatable: Whether a seed and the actions repeat an episode, so that turns can be taken back.
         writer: Where finished episodes are recorded; None for nowhere.
+        seat: The person's seat, where several agents act.
     """
 
     reads = "observation"
@@ -58,6 +59,7 @@ class PlaySession:
         raw: bool,
         repeatable: bool,
         writer: EpisodeWriter | None,
+        seat: str | None = None,
     ) -> None:
         self._vector = VectorEnv.around(env, seed=seed, on_error="raise", keep_open=True)
         self._starts = EpisodeQueue(default_plan(self._vector, sys.maxsize), self._vector.seed)
@@ -66,6 +68,7 @@ class PlaySession:
         self._raw = raw
         self._repeatable = repeatable
         self._writer = writer
+        self._seat = seat
         self._again: list[Transition] = []
         self._taken_back = 0
         self._show: Callable[[], None] = view.opening
@@ -142,6 +145,8 @@ class PlaySession:
         except EnvFaultError as error:
             raise (error.__cause__ or error) from None
         episode.key = start.key
+        if self._seat is not None:
+            episode.seat, episode.agent = self._seat, "human"
         return episode
 
     # Turns.

@@ -94,6 +94,7 @@ class PlayView:
         form = AnswerForm() if self._raw else self.form()
         as_it_is = "An answer is sent as you type it."
         show(f"{f'An answer is sent as {in_one_line(str(form))}.' if form else as_it_is} Type ? for help.", dim=True)
+        self._show_system()
         self.situation()
 
     def situation(self) -> None:
@@ -148,6 +149,7 @@ class PlayView:
         if self.tools:
             show(f"  Tools: {', '.join(self.tools)}. A call is sent as you type it.")
         show(f"  {self._example()}")
+        self._show_system()
         show()
         self._terminal.show_plainly(self._text(self._rules))
 
@@ -173,6 +175,12 @@ class PlayView:
             f"return {_number(_return(transitions))}",
             **({} if self._exact else {"bold": True}),
         )
+
+    def _show_system(self) -> None:
+        """Show what a model is told first, as the part that it plays."""
+        if self._context.system:
+            self._terminal.show()
+            self._terminal.show_plainly(self._text(self._context.system))
 
     def _show_observation(self, observation: Observation, info: Info, title: str) -> None:
         if not self._exact:
@@ -218,6 +226,8 @@ def ending_of(episode: Episode) -> str:
         cause = printable(str(episode.error.get("message", episode.error)))
         return f"Ended after {turns} by an error that was not yours: {cause}"
     verdict = {True: "Won", False: "Lost", None: "Over"}[episode.success]
+    if episode.seat is not None and episode.success is False and episode.episode_return >= 0:
+        verdict = "Not won"  # it may be a draw
     if episode.transitions and not episode.transitions[-1].terminated:
         verdict = "Won, cut off" if episode.success else "Cut off"
     return f"{verdict} after {turns}. Return {_number(episode.episode_return)}."

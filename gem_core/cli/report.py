@@ -47,7 +47,7 @@ def print_table(summary: RunSummary, seconds: float) -> None:
 
 def _cells(row: EnvSummary, seconds: float) -> tuple[str, ...]:
     return (
-        row.id,
+        row.label,
         str(row.episodes),
         str(row.judged),
         _with_error(row.success_rate, row.success_standard_error, ".1%"),
@@ -62,12 +62,25 @@ def _cells(row: EnvSummary, seconds: float) -> tuple[str, ...]:
     )
 
 
-def status_of(total: EnvSummary) -> str:
-    """Return the scores of a run so far, for the progress line."""
-    parts = [f"success {_shown(total.success_rate, '.0%')}", f"return {_shown(total.mean_return, '.2f')}"]
-    if total.errors:
-        parts.append(f"{total.errors} errors")
+def status_of(summary: RunSummary) -> str:
+    """Return the scores of a run so far, for the progress line; of several agents, the mean return of each."""
+    total = summary.total
+    if summary.by_seat:
+        several = len({agent for _, agent in summary.by_agent}) > 1
+        returns: dict[str, list[EnvSummary]] = {}
+        for row in summary.by_seat.values():
+            returns.setdefault(str(row.agent if several else row.seat), []).append(row)
+        parts = [f"return of {name} {_mean_return(rows)}" for name, rows in returns.items()]
+    else:
+        parts = [f"success {_shown(total.success_rate, '.0%')}", f"return {_shown(total.mean_return, '.2f')}"]
+    if summary.errors:
+        parts.append(f"{summary.errors} errors")
     return ", ".join(parts)
+
+
+def _mean_return(rows: list[EnvSummary]) -> str:
+    episodes = sum(row.episodes for row in rows)
+    return _shown(sum(row.total_return for row in rows) / episodes if episodes else None, ".2f")
 
 
 def _with_error(number: float | None, error: float | None, form: str) -> str:

@@ -22,14 +22,21 @@ from gem_core.cli.completion import complete_agents, complete_backends, complete
 from gem_core.cli.layout import counted, echo_line
 from gem_core.cli.list_command import matching
 from gem_core.cli.targets import find_env
-from gem_core.cli.tool_options import AtLeast, arguments_option, call_again, env_arguments, stack_options, wrapper_stack
+from gem_core.cli.tool_options import (
+    AtLeast,
+    arguments_option,
+    call_again,
+    env_arguments,
+    stack_options,
+    wrapper_stacks,
+)
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.registry.requirements import unmet
 from gem_core.registry.specs import EnvSpec
 
 if TYPE_CHECKING:
+    from gem_core.cli.acting import Acting
     from gem_core.records.summary import RunSummary
-    from gem_core.rollouts.agent import Agent
 
 _DEFAULT_SLOTS = 8
 
@@ -46,6 +53,14 @@ Examples:
   gem run game:GuessTheNumber-v0 --agent openai:my-model --base-url http://localhost:8000/v1
   gem run game:GuessTheNumber-v0 --agent openai:gpt-5-mini --resume runs/stopped.jsonl
   gem run my-tasks --agent openai:gpt-5-mini --set verify_in=judge
+  gem run game:TicTacToe-v0 --agent X=openai:gpt-5-mini --agent O=random
+  gem run game:TicTacToe-v0 --agent openai:gpt-5-mini --agent random --episodes 20
+  gem run game:Negotiation-v0 --agent openai:gpt-5-mini --tools first=python --wrappers concat
+\b
+Where several agents act, one --agent plays all seats against itself; SEAT=AGENT for each seat fixes
+who sits where; as many --agent as seats, without seats, move on by one seat from episode to episode.
+'gem info ID' names the seats. The table has a row for each agent at each seat, and success is its
+rate of wins; of agents that change seats, there is one for each agent at all its seats as well.
 \b
 An agent is a callable of (observation, context), or of the observation alone, plain or async,
 that returns text:
@@ -67,11 +82,15 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
 @click.option(
     "-a",
     "--agent",
-    default="random",
+    "agents",
+    multiple=True,
+    default=["random"],
     show_default=True,
+    metavar="[SEAT=]AGENT",
     shell_complete=complete_agents,
-    help="A built-in agent, openai:MODEL, or MODULE:CALLABLE.",
+    help="A built-in agent, openai:MODEL, or MODULE:CALLABLE. Repeated where several agents act.",
 )
+@click.option("--swap-seats", is_flag=True, help="Let agents given by seat change seats from episode to episode.")
 @click.option(
     "-n",
     "--episodes",
@@ -86,7 +105,7 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
 )
 @click.option("-s", "--seed", type=AtLeast(min=0), help="Seed of the run: the same seed, the same episodes.")
 @arguments_option
-@stack_options("A view says what the agent is sent.")
+@stack_options("A view says what the agent is sent. SEAT=NAMES, as tools too, are for one seat.")
 @click.option(
     "--backend",
     default="auto",
@@ -115,7 +134,8 @@ def command(
     ctx: click.Context,
     /,
     ids: tuple[str, ...],
-    agent: str,
+    agents: tuple[str, ...],
+    swap_seats: bool,
     episodes: int | None,
     num_envs: int | None,
     seed: int | None,
@@ -132,37 +152,37 @@ def command(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Let an agent act in environments, and record its episodes.
+    """Let an agent act in environments, or several agents together, and record the episodes.
 
     Each ID is an environment, a glob in quotes such as 'game:*', or a folder that belongs to an environment, such as
     that of a terminal task. Prints a table; episodes with an error are counted apart, and are in no mean. One that was
     cut off is not solved. Behind ± stands the standard error, for success Wilson's.
     """
     # Imported here, so that help and the completion of options need not wait for them.
+    from gem_core.cli.acting import load_acting, several_agents
     from gem_core.cli.report import print_table, status_of
     from gem_core.cli.resumed_run import ResumedRun
     from gem_core.progress import Progress
     from gem_core.records.files import EpisodeWriter
     from gem_core.records.plans import EpisodeQueue
     from gem_core.records.summary import RunSummary
-    from gem_core.rollouts.agent import close_agent, current_folder_importable, load_agent, prepare_agent
+    from gem_core.rollouts.agent import close_agent, current_folder_importable, prepare_agent
     from gem_core.rollouts.drivers import default_plan, rollout
 
     if resume is not None:
         _refuse_beside_resume({"--seed": seed is not None, "--out": out is not None, "--overwrite": overwrite})
-    chosen = [(env_id, {**kwargs, **env_arguments(arguments)}) for env_id, kwargs in _expand(ids)]
+    envs = _expand(ids, several=several_agents(agents))
+    chosen = [(record.id, {**kwargs, **env_arguments(arguments)}) for record, kwargs in envs]
     env_ids = list(dict.fromkeys(env_id for env_id, _ in chosen))
     ctx.with_resource(current_folder_importable())  # an agent may import what stands beside it when it first acts
-    acting = load_agent(agent, **given(options))
-    stack = wrapper_stack(wrappers, tools, max_tool_uses, max_turns)
-    interactive = getattr(acting, "interactive", False)
-    if interactive and num_envs not in (None, 1):
-        raise ArgumentError(f"the agent {agent!r} answers one episode at a time; use --num-envs 1, not {num_envs}")
-    slots = num_envs or (1 if interactive else _slots(acting, len(chosen), episodes))
+    acting = load_acting(agents, [record for record, _ in envs], given(options), swap_seats=swap_seats)
+    stack = wrapper_stacks(wrappers, tools, max_tool_uses, max_turns, envs[0][0])
+    slots = _slots(acting, num_envs, len(chosen), episodes)
     resumed = None if resume is None else ResumedRun(Path(resume))
     run_seed = seed if resumed is None else resumed.seed
-    prepare_agent(acting)  # it says at the start what would fail later
-    ctx.call_on_close(partial(close_agent, acting))
+    for agent in acting.agents.values():
+        prepare_agent(agent)  # it says at the start what would fail later
+        ctx.call_on_close(partial(close_agent, agent))
     with closing(
         make_vec(chosen, slots, seed=run_seed, backend=backend, wrappers=stack, step_timeout=step_timeout)
     ) as vector:
@@ -171,19 +191,19 @@ def command(
         if resumed is not None:
             resumed.begin(EpisodeQueue(plan, vector.seed), summary)
         path = _out_path(out, vector.seed, overwrite) if resumed is None else resumed.path
-        before = summary.total.episodes
+        before = summary.episodes
         started = time.perf_counter()
         stopped_by: BaseException | None = None
         with (
             EpisodeWriter(path, append=resumed is not None) as writer,
-            Progress(len(plan), f"seed {vector.seed}", quiet=interactive) as progress,
+            Progress(len(plan), f"seed {vector.seed}", quiet=acting.interactive is not None) as progress,
         ):
             try:
                 done = None if resumed is None else resumed.done
-                for episode in rollout(vector, acting, plan=plan, resume=done):
+                for episode in rollout(vector, **acting.options, plan=plan, resume=done):
                     writer.write(episode)
                     summary.add(episode)
-                    progress.advance(summary.total.episodes + summary.total.errors, status_of(summary.total))
+                    progress.advance(summary.episodes, status_of(summary))
             except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - raised again below, after the table
                 stopped_by = error
                 if isinstance(error, KeyboardInterrupt):
@@ -228,9 +248,7 @@ def _refuse_beside_resume(given: dict[str, bool]) -> None:
 
 def _tell_errors(summary: RunSummary) -> None:
     if summary.first_error is not None:
-        echo_line(
-            f"gem: {counted(summary.total.errors, 'episode')} had an error; the first: {summary.first_error}", err=True
-        )
+        echo_line(f"gem: {counted(summary.errors, 'episode')} had an error; the first: {summary.first_error}", err=True)
 
 
 def _where(path: Path, already: int | None) -> str:
@@ -240,35 +258,56 @@ def _where(path: Path, already: int | None) -> str:
     return f"written to {path}" if path.exists() else "no file written"
 
 
-def _slots(agent: Agent, ids: int, episodes: int | None) -> int:
-    """Return how many environments keep an agent busy: as many as it answers at once, but no more than episodes."""
-    wanted: int = getattr(agent, "max_concurrency", _DEFAULT_SLOTS)
+def _slots(acting: Acting, num_envs: int | None, ids: int, episodes: int | None) -> int:
+    """Return how many environments keep agents busy: as many as one answers at once, but no more than episodes."""
+    if acting.interactive is not None and num_envs not in (None, 1):
+        raise ArgumentError(
+            f"the agent {acting.interactive!r} answers one episode at a time; use --num-envs 1, not {num_envs}"
+        )
+    if num_envs is not None or acting.interactive is not None:
+        return num_envs or 1
+    wanted: int = max(getattr(agent, "max_concurrency", _DEFAULT_SLOTS) for agent in acting.agents.values())
     return max(ids, wanted if episodes is None else min(wanted, max(_DEFAULT_SLOTS, ids * episodes)))
 
 
-def _expand(given: tuple[str, ...]) -> list[tuple[str, dict[str, Any]]]:
-    """Return the ids that ids, globs and folders stand for, each with its keyword arguments, and each once."""
-    expanded: list[tuple[str, dict[str, Any]]] = []
+def _expand(given: tuple[str, ...], *, several: bool) -> list[tuple[EnvSpec, dict[str, Any]]]:
+    """Return the environments that ids, globs and folders stand for, each with its keyword arguments, and each once.
+
+    Args:
+        given: What was typed.
+        several: Whether a glob stands for environments of several agents, where it matches those of one as well.
+    """
+    expanded: list[tuple[EnvSpec, dict[str, Any]]] = []
     for each in given:
         if any(character in each for character in "*?["):
-            expanded += [(env_id, {}) for env_id in _runnable(matching(each))]
+            expanded += [(record, {}) for record in _runnable(_of_one_kind(matching(each), several=several))]
         else:
-            record, kwargs = find_env(each)
-            expanded.append((record.id, kwargs))
+            expanded.append(find_env(each))
     return [one for place, one in enumerate(expanded) if one not in expanded[:place]]
 
 
-def _runnable(records: Sequence[EnvSpec]) -> list[str]:
-    """Return the ids of records that match a glob, without those that cannot run here; all if none can."""
+def _of_one_kind(records: Sequence[EnvSpec], *, several: bool) -> Sequence[EnvSpec]:
+    """Return the records of environments of several agents, or else those of one; all if they are of one kind."""
+    kept = [record for record in records if bool(record.seats) == several]
+    left_out = [record.id for record in records if bool(record.seats) != several]
+    if not kept or not left_out:
+        return records
+    kind = "one agent" if several else "several agents"
+    click.echo(f"gem: left out {len(left_out)} of {len(records)} for {kind}: {', '.join(left_out)}", err=True)
+    return kept
+
+
+def _runnable(records: Sequence[EnvSpec]) -> Sequence[EnvSpec]:
+    """Return the records that match a glob, without those that cannot run here; all if none can."""
     closed = {record.id for record in records if unmet(record.requires)}
     if not closed or len(closed) == len(records):
-        return [record.id for record in records]
+        return records
     click.echo(
         f"gem: left out {len(closed)} of {len(records)} that cannot run here ('gem info ID' says why): "
         f"{', '.join(sorted(closed))}",
         err=True,
     )
-    return [record.id for record in records if record.id not in closed]
+    return [record for record in records if record.id not in closed]
 
 
 def _out_path(out: str | None, seed: int, overwrite: bool) -> Path:

@@ -6,18 +6,20 @@ import json
 import re
 import shlex
 from collections.abc import Callable, Collection
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
 from click.core import ParameterSource
 
+from gem_core.cli.acting import check_seats
 from gem_core.cli.completion import complete_tools, complete_wrappers
 from gem_core.errors import ArgumentError
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import ToolSpec, WrapperSpec
 
 if TYPE_CHECKING:
-    from gem_core.making.layers import WrapperChoice
+    from gem_core.making.layers import WrapperChoice, Wrappers
+    from gem_core.registry.specs import EnvSpec
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -28,6 +30,7 @@ _PYTHON = {"True": True, "False": False, "None": None}
 
 # A name has no equals sign before its first colon, so a piece that has one is an option of the name before it.
 _NAME = re.compile(r"\s*([\w.-]+)\s*(?::(.*))?", re.ASCII | re.DOTALL)
+_AT_SEAT = re.compile(r"([^=:,\[{]*)=(.*)", re.DOTALL)
 _OPTION = re.compile(r"\s*(\w+)\s*=(.*)", re.ASCII | re.DOTALL)
 _FORMS = {
     "--tools": "'python,search:top_k=2' or JSON as in '[[\"search\", {\"top_k\": 2}]]'",
@@ -118,6 +121,40 @@ def wrapper_stack(
         # views and statistics, which see the end.
         stack.insert(0 if place is None else place + 1, ("turn_limit", {"max_turns": max_turns}))
     return stack
+
+
+def wrapper_stacks(
+    wrappers: tuple[str, ...],
+    tools: tuple[str, ...],
+    max_tool_uses: int | str | None,
+    max_turns: int | None,
+    env: EnvSpec,
+) -> Wrappers:
+    """Return the wrappers of an environment; where several agents act, by seat if some are given as ``SEAT=NAMES``.
+
+    Those without a seat are for all. See ``wrapper_stack``.
+    """
+    if not env.seats or not any(map(_AT_SEAT.fullmatch, (*wrappers, *tools))):
+        return wrapper_stack(wrappers, tools, max_tool_uses, max_turns)
+    split = {text: _seat_and_names(text) for text in (*wrappers, *tools)}
+    check_seats((seat for seat, _ in split.values() if seat is not None), env)
+
+    def stack_of(seats: tuple[str | None, ...], uses: int | str | None) -> list[WrapperChoice]:
+        own = [tuple(split[text][1] for text in texts if split[text][0] in seats) for texts in (wrappers, tools)]
+        return wrapper_stack(own[0], own[1], uses, max_turns)
+
+    stack_of((None, *env.seats), max_tool_uses)  # raises where no seat has tools
+    stacks: dict[str, list[WrapperChoice]] = {}
+    for seat in env.seats:
+        bare = stack_of((None, seat), None)
+        has_tools = any(_is_tool(name) for name, _ in cast("list[tuple[str, Any]]", bare))
+        stacks[seat] = stack_of((None, seat), max_tool_uses) if has_tools else bare
+    return stacks
+
+
+def _seat_and_names(text: str) -> tuple[str | None, str]:
+    match = _AT_SEAT.fullmatch(text)
+    return (None, text) if match is None else (match[1], match[2])
 
 
 arguments_option = click.option(

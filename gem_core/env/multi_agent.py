@@ -269,14 +269,11 @@ class MultiAgentEnv(Env):
         self._in_episode = bool(self.agents)
         for agent in ended:
             self._news[agent]["final_obs"] = self._observation(agent)
-        heard = [*acting, *ended]
-        return (
-            self._observations(acting),
-            {agent: self._pay(agent) for agent in heard},
-            dict(self.terminations),
-            dict(self.truncations),
-            {agent: self._infos_of(agent) for agent in heard},
-        )
+        rewards, infos = {}, {}
+        for agent in (*acting, *ended):
+            rewards[agent], self._unpaid[agent] = self._unpaid[agent], 0.0
+            infos[agent] = self._infos_of(agent)
+        return self._observations(acting), rewards, dict(self.terminations), dict(self.truncations), infos
 
     def _is_out_of_steps(self) -> bool:
         record = None if self.spec is None else self.spec.record
@@ -292,7 +289,7 @@ class MultiAgentEnv(Env):
     def _check_actions(self, actions: Mapping[str, str]) -> None:
         self._check_in_episode()
         acting = self.acting
-        if not isinstance(actions, Mapping):
+        if not isinstance(actions, _MAPPING):
             raise ArgumentError(f"actions are {{agent: response}}, here of {self._named(acting)}, not {actions!r:.100}")
         for agent in acting:
             if agent not in actions:
@@ -340,17 +337,16 @@ class MultiAgentEnv(Env):
             ValueError: A reward is not finite, or is for an agent that does not take part.
         """
         parts = result[-4:] if isinstance(result, tuple) and len(result) in (4, 5) else ()
-        if not parts or not all(isinstance(part, Mapping) for part in parts):
+        if not parts or not all([isinstance(part, _MAPPING) for part in parts]):
             self._refuse(
                 f"process_actions must return (rewards, terminations, truncations, infos), not {result!r:.200}"
             )
-        for part in parts:
-            for agent in part:
-                if agent not in self.agents:
-                    raise ValueError(
-                        f"{self._name}: process_actions names {agent!r}, and {self._named(self.agents)} take part"
-                    )
         rewards, terminations, truncations, infos = parts
+        for agent in {**rewards, **terminations, **truncations, **infos}:
+            if agent not in self.agents:
+                raise ValueError(
+                    f"{self._name}: process_actions names {agent!r}, and {self._named(self.agents)} take part"
+                )
         for agent, info in infos.items():
             if not isinstance(info, dict):
                 self._refuse(f"the info of {agent!r} must be a dictionary, not {type(info).__name__}")
@@ -405,10 +401,6 @@ class MultiAgentEnv(Env):
             self._refuse(f"an observation must be text or a list, and that of {agent!r} is {observation!r:.100}")
         return observation
 
-    def _pay(self, agent: str) -> float:
-        reward, self._unpaid[agent] = self._unpaid[agent], 0.0
-        return reward
-
     def _infos_of(self, agent: str) -> Info:
         news, self._news[agent] = self._news[agent], {}
         return news
@@ -436,3 +428,6 @@ def check_seats(named: Iterable[str], seats: Sequence[str]) -> None:
 
 _KEPT = ("agents", "cumulative", "terminations", "truncations", "_unpaid", "_news", "_steps", "_in_episode")
 """Attributes that are part of the state."""
+
+_MAPPING = dict, Mapping
+"""Most are dictionaries, which is soon seen; to ask the abstract class of each takes longer than all else here."""

@@ -12,7 +12,7 @@ from gem_core.records.files import (
     read_records,
     write_episodes,
 )
-from gem_core.records.joint import JointEpisode, Record
+from gem_core.records.joint import JointEpisode, Record, record_from_dict
 from gem_core.records.plain_json import ImageFolder, from_plain, to_plain
 from gem_core.records.plans import EpisodeStart, PlanItem, count_plan, cover_plan, group_plan, mixture_plan
 from gem_core.records.summary import EnvSummary, RunSummary
@@ -40,6 +40,7 @@ __all__ = [
     "mixture_plan",
     "read_episodes",
     "read_records",
+    "record_from_dict",
     "to_plain",
     "without_thinking",
     "write_episodes",

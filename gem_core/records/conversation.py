@@ -52,8 +52,8 @@ class Conversation:
         self._episode = episode
         # Records of earlier versions do not say what was sent; they may have had a view.
         self._viewed = "view" in episode.info or episode.reads is None
-        self.system = self._system()
         self._instructions = self._in_both_wordings()
+        self.system = self._system()
         self._task, self._suffix = self._split(episode.observation, episode.info)
         self._turns: list[Turn] = []
         self._chat = self._opening()
@@ -100,7 +100,7 @@ class Conversation:
         return opening_messages(self.system, observation_from(task, self._suffix))
 
     def _explained_once(self, observation: Any) -> Any:
-        """Return an observation without the explanation of tools if the agent is offered them natively."""
+        """Return a text without the explanation of tools if the agent is offered them natively."""
         return observation if self._instructions is None else _in_native_words(observation, *self._instructions)
 
     def _in_both_wordings(self) -> tuple[str, str] | None:
@@ -116,7 +116,7 @@ class Conversation:
         system: Any = episode.info.get("system") if episode.system is None else episode.system
         if isinstance(first, Mapping) and first.get("role") == "system":
             system = first.get("content")  # messages that bring their own keep it
-        return system if isinstance(system, str) else None
+        return self._explained_once(system) if isinstance(system, str) else None
 
     def _split(self, observation: Observation, info: Info) -> tuple[Observation, Observation]:
         feedback, suffix = split_observation(observation, info)

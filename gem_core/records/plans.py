@@ -108,7 +108,7 @@ class EpisodeQueue:
         self._next_index = 0
         self._item: tuple[int, PlanItem] | None = None
         self._next_repeat = 0
-        self._counts: Counter[int | str | None] = Counter()
+        self._counts: Counter[Any] = Counter()
         """Items drawn so far, by environment; without a plan by slot."""
 
     @property
@@ -179,11 +179,11 @@ class EpisodeQueue:
                 return None
             self._next_repeat = 0
             self._item = found[0], _checked_item(*found)
-            self._counts[self._item[1].id] += 1
+            self._counts[_environment(self._item[1])] += 1
         repeat = self._next_repeat
         self._next_repeat = repeat + 1
         start = self._start(*self._item, repeat)
-        start.number = self._counts[start.item.id] - 1
+        start.number = self._counts[_environment(start.item)] - 1
         return start
 
     def _next_item(self) -> tuple[int, PlanItem] | None:
@@ -198,6 +198,12 @@ class EpisodeQueue:
     def _start(self, index: int, item: PlanItem, repeat: int) -> EpisodeStart:
         seed = seed_at(self._seeds, (index,)) if item.seed is None else item.seed
         return EpisodeStart(item, (index,), repeat, seed, self.seed)
+
+
+def _environment(item: PlanItem) -> Any:
+    """Return what tells the environment of an item from others: its id, and arguments that are numbers or text."""
+    arguments = sorted(item.kwargs.items(), key=lambda each: each[0]) if item.kwargs else ()
+    return item.id, tuple((name, value) for name, value in arguments if isinstance(value, str | int | float))
 
 
 def _checked_item(index: int, item: object) -> PlanItem:

@@ -30,7 +30,7 @@ class EnvSummary:
         prompt_tokens: Tokens that the model read, as its server counts them; None where no response says.
         completion_tokens: Tokens that it wrote.
         earlier_turns: Those of the turns that were taken before this session of the run.
-        seat: Name of the seat; None for one agent.
+        seat: Name of the seat; None for one agent, and for the sum of an agent's seats.
         agent: Name of the agent at the seat; None for one agent.
     """
 
@@ -56,7 +56,8 @@ class EnvSummary:
     @property
     def label(self) -> str:
         """What a table calls it: the environment, and the seat with its agent."""
-        return self.id if self.seat is None else f"{self.id} {self.seat}={self.agent}"
+        seat = "" if self.seat is None else f"{self.seat}="
+        return self.id if self.agent is None else f"{self.id} {seat}{self.agent}"
 
     def add(self, episode: Episode) -> None:
         """Count an episode."""
@@ -153,51 +154,69 @@ class EnvSummary:
 class RunSummary:
     """The summaries of a run's environments, in the order in which they are named.
 
-    ``episodes`` is the number of episodes, those with an error included; one of several agents counts once.
+    ``episodes`` is the number of episodes, those with an error included, and ``errors`` that of those; one of several
+    agents counts once.
     """
 
     def __init__(self, ids: list[str]) -> None:
         self.total = EnvSummary("all")
         self.by_env = {env_id: EnvSummary(env_id) for env_id in ids}
         self.by_seat: dict[tuple[str, str, str], EnvSummary] = {}
+        """The summary of an agent at a seat, by environment, seat and agent."""
+        self.by_agent: dict[tuple[str, str], EnvSummary] = {}
+        """The summary of an agent at all its seats, by environment and agent."""
         self.episodes = 0
+        self.errors = 0
         self.first_error: str | None = None
 
     def add(self, episode: Record) -> None:
         """Count an episode; of several agents, that of each seat in a row of its own."""
         self.episodes += 1
+        if episode.error is not None:
+            self.errors += 1
+            told = f"{episode.id}, seed {episode.seed}: {episode.error.get('message', episode.error)}"
+            self.first_error = self.first_error or told
         row = self.by_env.setdefault(episode.id, EnvSummary(episode.id))
         if isinstance(episode, Episode):
             self._add(episode, row)
             return
-        for each in episode.seats.values():
-            self._add(each, self._row_of_seat(episode.id, str(each.seat), str(each.agent)))
+        for seat, each in episode.seats.items():
+            agent = str(each.agent)
+            own = EnvSummary(episode.id, seat=seat, agent=agent)
+            self._add(each, self.by_seat.setdefault((episode.id, seat, agent), own))
+            self.by_agent.setdefault((episode.id, agent), EnvSummary(episode.id, agent=agent)).add(each)
         if not episode.seats:  # its reset failed
             self._add(Episode(episode.id, episode.seed, "", {"error": episode.error}), row)
-
-    def _row_of_seat(self, env_id: str, seat: str, agent: str) -> EnvSummary:
-        key = env_id, seat, agent
-        return self.by_seat.setdefault(key, EnvSummary(env_id, seat=seat, agent=agent))
 
     def _add(self, episode: Episode, row: EnvSummary) -> None:
         others = self.total.judged - row.judged
         row.add(episode)
         self.total.add(episode)
         self.total.judged = others + row.judged  # a task without verdicts says nothing about another
-        if episode.error is not None and self.first_error is None:
-            self.first_error = f"{episode.id}, seed {episode.seed}: {episode.error.get('message', episode.error)}"
 
     def begin_session(self) -> None:
         """Mark the episodes counted so far as run earlier: they do not count for turns per second."""
-        for row in (self.total, *self.by_env.values(), *self.by_seat.values()):
+        for row in (self.total, *self.by_env.values(), *self.by_seat.values(), *self.by_agent.values()):
             row.earlier_turns = row.turns
 
     def rows(self) -> list[EnvSummary]:
-        """Return a summary for each environment, and one for all where there are several and each is for one agent."""
+        """Return a summary for each environment, and one for all where there are several and each is for one agent.
+
+        Where several agents act, there is one for each agent at each seat, and one for each of several agents that
+        changed seats; none mixes the two sides of a game.
+        """
         seated = {row.id for row in self.by_seat.values()}
         alone = [row for row in self.by_env.values() if row.episodes or row.errors or row.id not in seated]
-        rows = [*alone, *self.by_seat.values()]
+        rows = [*alone, *(row for env_id in self.by_env for row in self._rows_of_seats(env_id))]
         return [*rows, self.total] if len(rows) > 1 and not self.by_seat else rows
+
+    def _rows_of_seats(self, env_id: str) -> list[EnvSummary]:
+        # By seat in the environment's order, and by agent in that of the alphabet: agents come as episodes finish.
+        seated = [row for row in self.by_seat.values() if row.id == env_id]
+        seats = list(dict.fromkeys(row.seat for row in seated))
+        rows = sorted(seated, key=lambda row: (seats.index(row.seat), str(row.agent)))
+        agents = sorted((row for row in self.by_agent.values() if row.id == env_id), key=lambda row: str(row.agent))
+        return [*rows, *agents] if 1 < len(agents) < len(rows) else rows
 
     def to_dict(self, seconds: float) -> dict[str, Any]:
         """Return all rows as plain JSON.
@@ -205,7 +224,12 @@ class RunSummary:
         Args:
             seconds: Duration of the run, for turns per second.
         """
-        return {"seconds": round(seconds, 6), "environments": [row.to_dict(seconds) for row in self.rows()]}
+        return {
+            "seconds": round(seconds, 6),
+            "episodes": self.episodes,
+            "errors": self.errors,
+            "environments": [row.to_dict(seconds) for row in self.rows()],
+        }
 
 
 def _plus(total: int | None, count: object) -> int | None:

@@ -11,6 +11,7 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("namespace", "qa"): ("gem-qa",),
     ("namespace", "logic"): ("gem-qa",),
     ("namespace", "terminal"): ("gem-terminal",),
+    ("namespace", "tau"): ("gem-tau",),
     ("namespace", "pz"): ("gem-pettingzoo",),
     ("namespace", "eval"): ("gem-math", "gem-code", "gem-qa"),
     ("tool", "python"): ("gem-tools",),
@@ -24,10 +25,13 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("agent", "wikigame"): ("gem-games",),
     ("agent", "tictactoe"): ("gem-games",),
     ("agent", "kuhn"): ("gem-games",),
+    ("agent", "tau-assistant"): ("gem-tau",),
+    ("agent", "tau-user"): ("gem-tau",),
     ("agent", "negotiator"): ("gem-games",),
     ("command", "show"): ("gem-eval",),
     ("command", "mcp"): ("gem-tools",),
     ("command", "serve-search"): ("gem-tools",),
+    ("command", "tau"): ("gem-tau",),
     ("command", "terminal"): ("gem-terminal",),
 }
 """By kind of record, as its ``kind`` says it (environments by namespace), and name."""

@@ -154,7 +154,8 @@ def _never(reason: str) -> RequirementStatus:
 
 
 def _argument(name: str) -> RequirementStatus:
-    return RequirementStatus("unmet", "is given to make", f"it needs an argument: make(…, {name}=…)")
+    hint = f"it needs an argument: make(…, {name}=…), or --set {name}=… of gem run"
+    return RequirementStatus("unmet", "is given to make", hint)
 
 
 # A table rather than records of the core's own: `make` looks here in every worker process, which then need not load

@@ -9,10 +9,11 @@ from gem_core.rollouts.agent import (
     close_agent,
     current_folder_importable,
     load_agent,
+    load_agents,
     prepare_agent,
 )
 from gem_core.rollouts.drivers import arollout, default_plan, rollout
-from gem_core.rollouts.one_seat import single_agent
+from gem_core.rollouts.one_seat import SingleAgentEnv, single_agent
 from gem_core.rollouts.resume import FinishedEpisodes
 from gem_core.rollouts.seat import new_episode
 from gem_core.rollouts.seating import League, Seated, Seating, as_seating
@@ -26,6 +27,7 @@ __all__ = [
     "Reading",
     "Seated",
     "Seating",
+    "SingleAgentEnv",
     "arollout",
     "as_agent",
     "as_seating",
@@ -33,6 +35,7 @@ __all__ = [
     "current_folder_importable",
     "default_plan",
     "load_agent",
+    "load_agents",
     "new_episode",
     "prepare_agent",
     "rollout",

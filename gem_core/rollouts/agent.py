@@ -5,17 +5,17 @@ from __future__ import annotations
 import importlib
 import inspect
 import sys
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from gem_core.arguments import check_arguments
+from gem_core.arguments import check_arguments, signature_of
 from gem_core.background import run_sync
 from gem_core.errors import AgentError, ArgumentError, UnknownAgentError
 from gem_core.records.episode import Transition
-from gem_core.registry.entry_points import construct
+from gem_core.registry.entry_points import construct, load_entry_point
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import AgentSpec
 from gem_core.suggestions import did_you_mean
@@ -229,6 +229,46 @@ def load_agent(name: str, **options: Any) -> Agent:
             if is_of_plugin:  # though there may be a module of the name, as OpenAI's own package
                 registry().agent(head)  # raises an error that says what to install
             raise
+
+
+def load_agents(names: Iterable[str], **options: Any) -> dict[str, Agent]:
+    """Return the agents of some names, each made once, with those of the options that it takes.
+
+    Args:
+        names: See ``load_agent``.
+        options: Keyword arguments for those that take them.
+
+    Raises:
+        ArgumentError: No agent takes one of the options.
+        UnknownAgentError: There is no such agent, module or callable.
+    """
+    names = list(dict.fromkeys(names))
+    if len(names) == 1:
+        return {names[0]: load_agent(names[0], **options)}
+    taken = {name: [option for option in options if _takes(name, option)] for name in names} if options else {}
+    for option in options:
+        if not any(option in own for own in taken.values()):
+            raise ArgumentError(f"none of the agents {', '.join(names)} takes the option {option}")
+    return {name: load_agent(name, **{option: options[option] for option in taken.get(name, ())}) for name in names}
+
+
+def _takes(name: str, option: str) -> bool:
+    """Tell whether what makes an agent has a keyword argument of a name."""
+    head, _, rest = name.partition(":")
+    registered = [record.name for record in registry().named(AgentSpec)]
+    if head in registered:
+        maker: Any = load_entry_point(registry().agent(head).entry_point, f"agent {head!r}")
+    else:
+        try:
+            with current_folder_importable():
+                maker = _import_target(name, head, rest, registered)
+        except UnknownAgentError:
+            load_agent(name)  # raises an error that says what to install, where it is of a plugin
+            raise
+        if not isinstance(maker, type):
+            return False
+    parameters = (signature_of(maker) or inspect.Signature()).parameters
+    return option in parameters or any(each.kind is each.VAR_KEYWORD for each in parameters.values())
 
 
 def _agent_of_module(name: str, module: str, path: str, registered: list[str], options: dict[str, Any]) -> Agent:

@@ -205,8 +205,9 @@ class _Run:
 
     @property
     def agents(self) -> list[Agent]:
-        """Everyone who may act, as far as they are known."""
-        return list(self.acting.everyone()) if isinstance(self.acting, Seating) else [self.acting]
+        """Everyone who may act, as far as they are known, each once."""
+        everyone = self.acting.everyone() if isinstance(self.acting, Seating) else [self.acting]
+        return list({id(agent): agent for agent in everyone}.values())
 
     def vector(self, *, plain: bool) -> VectorEnv:
         """Return the vector environment in which the episodes run: the one given, or a new one.

@@ -181,7 +181,7 @@ def begin_solo(
         seats = ", ".join(map(repr, info["possible_agents"]))
         raise ArgumentError(
             f"{described['id']} has several seats, {seats}: give agents={{seat: agent}}, a list of agents that change "
-            "seats, or agents=AGENT for self-play"
+            f"seats, or agents=AGENT for self-play; for 'gem run', register it with seats=({seats})"
         )
     episode = new_episode(described, start, observation, info)
     seat = RunningSeat(episode, Reading.of(agent), partial(vector.sample_random_action, slot))

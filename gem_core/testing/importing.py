@@ -210,7 +210,9 @@ def _check_entry_points(record: Record) -> None:
     if isinstance(record, ToolSpec) and record.status is not None:
         load_entry_point(record.status, "its status")
     if isinstance(record, EnvSpec):
-        check_arguments(target, (), {k: v for k, v in record.kwargs.items() if k != "render_mode"}, "its kwargs")
+        asked_for = {word.removeprefix("argument:"): None for word in record.requires if word.startswith("argument:")}
+        given = {name: value for name, value in record.kwargs.items() if name != "render_mode"}
+        check_arguments(target, (), asked_for | given, "its kwargs")
     if isinstance(record, RequirementSpec):
         check_arguments(target, ("",), {"closely": False}, "its probe")
         answer = target("", closely=False)

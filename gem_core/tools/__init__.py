@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from gem_core.tools.calls import format_calls
-from gem_core.tools.calls.reading import blank_out, json_call, native_calls, thinking_blocks
+from gem_core.tools.calls.reading import CallReader, blank_out, json_call, native_calls, spoken, thinking_blocks
 from gem_core.tools.env import ToolEnv
 from gem_core.tools.tool import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, ToolResult
 
 __all__ = [
     "CALL_CLOSE",
     "CALL_OPEN",
+    "CallReader",
     "Tool",
     "ToolCall",
     "ToolEnv",
@@ -18,5 +19,6 @@ __all__ = [
     "format_calls",
     "json_call",
     "native_calls",
+    "spoken",
     "thinking_blocks",
 ]

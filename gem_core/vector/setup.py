@@ -129,7 +129,7 @@ class VectorSetup:
     def concurrency(self, env_id: str) -> Concurrency:
         """Return the concurrency of an environment with its wrappers, as far as it decides where the environment lives.
 
-        If the classes do not declare it, an environment is made and closed.
+        If the classes do not declare it, an environment is made with the arguments that come with its id, and closed.
         """
         by_class = self.task_concurrency(env_id)
         if by_class == "process" or self._wrappers_need_process():
@@ -138,7 +138,7 @@ class VectorSetup:
         decided = by_class != "inline" or not self.wrappers or self.step_timeout is None
         if by_class is not None and decided:
             return by_class
-        env = self.make(env_id, {})
+        env = self.make(env_id, next(kwargs for each, kwargs in self.entries if each == env_id))
         try:
             return concurrency_of(env)
         finally:

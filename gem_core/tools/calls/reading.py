@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from gem_core.parsing import extract_code_blocks, extract_last_boxed_answer
-from gem_core.records.turns import call_id
+from gem_core.records.turns import call_id, without_thinking
 from gem_core.tools.calls import FORMATS, bare_call, format_call, format_calls, without_end_tokens
 from gem_core.tools.calls.found import unknown
 from gem_core.tools.calls.values import loaded, value_at
@@ -34,6 +34,7 @@ _THINKING_MARKS = (
 # A tag or another mark in quotation marks is only mentioned, and is no call.
 _QUOTED_TAG = re.compile(r"""([`'"])(?:</?[^\s<>`'"]{1,64}+>|\[[A-Z_]{1,20}+\])\1""")
 _BACKTICKS = re.compile(r"`++")
+_LINE_BREAKS = re.compile(r"\n{3,}+")
 _END_OF_SENTENCE = re.compile(r"[.!?](?=\s|\Z)")
 
 
@@ -315,6 +316,18 @@ def thinking_blocks(action: str, tag: str | None = "think") -> tuple[list[tuple[
         if marks[0] in action:
             spans += _blocks(action, *marks, 0)
     return spans, opened_before
+
+
+def spoken(action: str, tag: str = "think") -> str:
+    """Return what a response says to other agents: its text without thinking, whether or not the block is closed."""
+    text = without_end_tokens(str.__str__(action))
+    thinking = thinking_blocks(text, tag)[0]
+    if thinking:
+        text = _LINE_BREAKS.sub("\n\n", blank_out(text, thinking))
+    text = without_thinking(text, tag)
+    for opening, _ in _THINKING_MARKS:
+        text = text.partition(opening)[0]  # the closed blocks are gone: what it opens goes on to the end
+    return text.strip()
 
 
 def _blocks(text: str, opening: str, closing: str, at: int) -> Iterator[tuple[int, int]]:

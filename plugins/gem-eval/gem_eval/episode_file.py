@@ -14,12 +14,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from gem_core import Episode
+from gem_core import Episode, JointEpisode
 from gem_core.errors import ArgumentError, EpisodeFileError
+from gem_core.records import Record, record_from_dict
 from gem_eval.files import write_whole
-from gem_eval.turns import error_text
+from gem_eval.turns import error_text, some_success
 
-FORM = 3
+FORM = 4
 """Version of the form of an index; an index of another form is built anew."""
 
 INDEX_FROM_BYTES = 8_000_000
@@ -30,6 +31,24 @@ _FINGERPRINT_BYTES = 4096
 _LONGEST_TEXT = 300
 
 
+class SeatEntry(NamedTuple):
+    """What a list says of one seat of an episode of several agents.
+
+    Args:
+        agent: Name of the agent that sat there.
+        success: Whether it solved its task, or won; None where that is not known.
+        episode_return: Sum of its rewards.
+        turns: Number of its turns.
+        error: What failed for it, as ``kind: message``.
+    """
+
+    agent: str
+    success: bool | None
+    episode_return: float
+    turns: int
+    error: str | None
+
+
 class Entry(NamedTuple):
     """The row of an episode in a list.
 
@@ -38,12 +57,13 @@ class Entry(NamedTuple):
         offset: Where the line begins, in bytes.
         length: Length of the line in bytes, with its end.
         id: Id of the environment.
-        success: Whether the task was solved; None where that is not known.
-        episode_return: Sum of the rewards.
-        turns: Number of turns.
+        success: Whether the task was solved; None where that is not known. Of several agents, whether one of them did.
+        episode_return: Sum of the rewards, of several agents those of all.
+        turns: Number of turns, of several agents the steps in which one or more acted.
         error: What failed in the machinery, as ``kind: message``.
         seed: Seed of the episode.
         group: Shared by episodes that started alike.
+        seats: Of several agents, what each of them did, by seat.
         damage: Why the line holds no whole episode; None where it does.
     """
 
@@ -57,13 +77,27 @@ class Entry(NamedTuple):
     error: str | None = None
     seed: int | str | None = None
     group: str | None = None
+    seats: dict[str, SeatEntry] | None = None
     damage: str | None = None
+
+    def at_seat(self, seat: str) -> Entry | None:
+        """Return the entry of one seat alone; None where there is no such seat."""
+        own = (self.seats or {}).get(seat)
+        if own is None:
+            return None
+        figures = own._asdict()
+        del figures["agent"]
+        return self._replace(**figures, seats={seat: own})
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry as plain JSON, for programs."""
         record = self._asdict()
-        del record["damage"], record["offset"], record["length"]
+        del record["damage"], record["offset"], record["length"], record["seats"]
         record["return"] = record.pop("episode_return")
+        if self.seats is not None:
+            record["seats"] = {seat: own._asdict() for seat, own in self.seats.items()}
+            for own in record["seats"].values():
+                own["return"] = own.pop("episode_return")
         return record
 
 
@@ -148,14 +182,14 @@ class EpisodeFile:
         """Return the line of an entry."""
         return os.pread(self._file.fileno(), entry.length, entry.offset)
 
-    def read(self, entry: Entry) -> Episode:
+    def read(self, entry: Entry) -> Record:
         """Return the episode of an entry; images stay names of files.
 
         Raises:
             EpisodeFileError: The line holds no whole episode.
         """
         try:
-            return Episode.from_dict(_record(self.line(entry)))
+            return record_from_dict(_record(self.line(entry)))
         except (EpisodeFileError, ArithmeticError) as error:
             raise EpisodeFileError(f"{self.path}, line {entry.number}: {error}") from error
 
@@ -192,7 +226,7 @@ class EpisodeFile:
         size, covered = index["size"], index["covered"]
         same = (size, index["mtime_ns"]) == (self.size, self._status.st_mtime_ns)
         if index["form"] == FORM and (same or size < self.size) and index["ends"] == self._ends(covered):
-            self._entries = [Entry(*row) for row in index["rows"]]
+            self._entries = [_entry_of_row(row) for row in index["rows"]]
             self._covered = self._saved = covered
             self._lines = index["lines"]
 
@@ -233,29 +267,78 @@ def _record(line: bytes) -> Any:
         raise EpisodeFileError(f"it is no valid JSON ({error})") from error
 
 
+def _entry_of_row(row: list[Any]) -> Entry:
+    entry = Entry(*row)
+    if entry.seats is None:
+        return entry
+    return entry._replace(seats={seat: SeatEntry(*own) for seat, own in entry.seats.items()})
+
+
 def _entry(number: int, offset: int, line: bytes) -> Entry:
     place = (number, offset, len(line))
     try:
         record = _record(line)
-        turns = record["transitions"] if isinstance(record.get("transitions"), list) else None
-        # The list needs only the rewards and the last info; to read all turns would take four times as long.
-        last = [{**turn, "observation": "", "action": {"text": ""}} for turn in turns[-1:]] if turns else turns
-        episode = Episode.from_dict({**record, "transitions": last})
-        return Entry(
-            *place,
-            id=_clipped(episode.id),
-            success=episode.success,
-            episode_return=sum(_reward(turn) for turn in turns or ()),
-            turns=len(turns or ()),
-            error=None if episode.error is None else _clipped(error_text(episode.error)),
-            seed=episode.seed if isinstance(episode.seed, int | None) else _clipped(str(episode.seed)),
-            group=None if episode.group is None else _clipped(str(episode.group)),
-        )
+        facts = _joint_facts(record) if "seats" in record else _facts(record)
+        return Entry(*place, **facts)
     except EpisodeFileError as error:
         cut = "" if line.endswith(b"\n") else ". The line is cut off: the writer was interrupted, or is still at it"
         return Entry(*place, damage=f"{error}{cut}")
     except (TypeError, KeyError, ValueError, AttributeError, ArithmeticError) as error:
         return Entry(*place, damage=f"the record of an episode is damaged ({type(error).__name__}: {error})")
+
+
+def _facts(record: dict[str, Any]) -> dict[str, Any]:
+    episode = Episode.from_dict(_shortened(record))
+    return {**_start(episode), **_figures(episode, record)}
+
+
+def _joint_facts(record: dict[str, Any]) -> dict[str, Any]:
+    records = record["seats"]
+    joint = JointEpisode.from_dict({**record, "seats": {seat: _shortened(own) for seat, own in records.items()}})
+    seats = {
+        seat: SeatEntry(_clipped(str(episode.agent)), **_figures(episode, records[seat]))
+        for seat, episode in joint.seats.items()
+    }
+    return {
+        **_start(joint),
+        "success": some_success(joint),
+        "episode_return": sum(own.episode_return for own in seats.values()),
+        "turns": joint.turns,
+        "error": _error(joint),
+        "seats": seats,
+    }
+
+
+def _shortened(record: dict[str, Any]) -> dict[str, Any]:
+    """Return the record of an episode with nothing of its turns but the last info.
+
+    The list needs no more, but for the rewards; to read all turns would take four times as long.
+    """
+    turns = record["transitions"] if isinstance(record.get("transitions"), list) else None
+    last = [{**turn, "observation": "", "action": {"text": ""}} for turn in turns[-1:]] if turns else turns
+    return {**record, "transitions": last}
+
+
+def _start(episode: Record) -> dict[str, Any]:
+    return {
+        "id": _clipped(episode.id),
+        "seed": episode.seed if isinstance(episode.seed, int | None) else _clipped(str(episode.seed)),
+        "group": None if episode.group is None else _clipped(str(episode.group)),
+    }
+
+
+def _figures(episode: Episode, record: dict[str, Any]) -> dict[str, Any]:
+    turns = record["transitions"]
+    return {
+        "success": episode.success,
+        "episode_return": sum((_reward(turn) for turn in turns), episode.first_reward),
+        "turns": len(turns),
+        "error": _error(episode),
+    }
+
+
+def _error(episode: Record) -> str | None:
+    return None if episode.error is None else _clipped(error_text(episode.error))
 
 
 def _reward(turn: Any) -> float:

@@ -10,6 +10,7 @@ from itertools import islice
 from operator import eq, ge, gt, le, lt, ne
 from typing import TYPE_CHECKING, Any
 
+from gem_core import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
 
 if TYPE_CHECKING:
@@ -51,8 +52,8 @@ def select(
         file: The file.
         entries: Its entries.
         env: Part of the id, or a glob for the whole of it.
-        success: True for those that solved the task, False for those that are known not to have.
-        returns: A test of the return.
+        success: True for those that solved the task, False for those that are known not to have; see ``Entry``.
+        returns: A test of the return; of several agents, of their sum.
         errors: True for those with an error of the machinery, False for those without.
         group: The group's name.
         grep: Text that stands in an observation, a response or an info; case does not count.
@@ -67,6 +68,14 @@ def select(
             and (grep is None or _holds_text(file, entry, grep))
         ):
             yield entry
+
+
+def at_seat(entries: Iterable[Entry], seat: str) -> Iterator[Entry]:
+    """Yield the entries of one seat alone, of those episodes that have it."""
+    for entry in entries:
+        own = entry.at_seat(seat)
+        if own is not None:
+            yield own
 
 
 def ordered(entries: Iterable[Entry], sort: str | None, reverse: bool, limit: int | None) -> Iterator[Entry]:
@@ -114,13 +123,17 @@ def _holds_text(file: EpisodeFile, entry: Entry, text: str) -> bool:
     if run.encode("ascii") not in file.line(entry).lower():
         return False
     try:
-        episode = file.read(entry)
+        record = file.read(entry)
     except EpisodeFileError:
         return False  # Damaged in a part that the index does not look at.
-    turns = [(turn.observation, turn.action.text, turn.action.reported(), turn.info) for turn in episode.transitions]
-    shown = (episode.id, episode.observation, episode.info, turns, episode.final_observation)
+    episodes = [record] if isinstance(record, Episode) else [record.seats[seat] for seat in entry.seats or ()]
     wanted = text.casefold()
-    return any(wanted in part.casefold() for part in _texts(shown))
+    return any(wanted in part.casefold() for episode in episodes for part in _texts(_shown(episode)))
+
+
+def _shown(episode: Episode) -> Any:
+    turns = [(turn.observation, turn.action.text, turn.action.reported(), turn.info) for turn in episode.transitions]
+    return episode.id, episode.observation, episode.info, turns, episode.final_observation
 
 
 def _texts(value: Any) -> Iterator[str]:

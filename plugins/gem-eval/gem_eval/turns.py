@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from gem_core import Episode, Observation, Transition
+from gem_core import Episode, JointEpisode, Observation, Transition
+from gem_core.records import Record
+from gem_eval.show.text import count
 
 _SHORTEST_REPEAT = 200
 # Shown under names of their own, or (the suffix) as part of the next observation.
@@ -39,7 +41,7 @@ class TurnView:
     """What is shown of a turn.
 
     Args:
-        number: From 1.
+        number: From 1; of several agents, that of the step in which it acted.
         observation: What was answered.
         response: The text of the response.
         reasoning: Thinking that the server took out of it.
@@ -50,6 +52,7 @@ class TurnView:
         feedback: What the environment said to it, where that is not the next observation.
         error: What failed in the machinery.
         rest: The rest of the info, as plain JSON.
+        seat: Of several agents, the seat that acted, and its agent; else empty.
     """
 
     number: int
@@ -63,20 +66,33 @@ class TurnView:
     feedback: list[Part]
     error: str
     rest: dict[str, str]
+    seat: str = ""
 
 
-def turn_views(episode: Episode, *, fold: bool = True) -> Iterator[TurnView]:
-    """Yield the turns of an episode.
+def turn_views(episode: Record, *, fold: bool = True) -> Iterator[TurnView]:
+    """Yield the turns of an episode; of several agents, in the order in which they acted.
 
     Args:
         episode: The episode, its images as names of files.
-        fold: Whether what an observation repeats of the one before is marked so.
+        fold: Whether what an observation repeats of the one before, of the same seat, is marked so.
     """
+    if isinstance(episode, JointEpisode):
+        yield from _joint_views(episode, fold=fold)
+        return
     before: Observation = ""
     following = [*(turn.observation for turn in episode.transitions[1:]), episode.final_observation]
     for number, (turn, after) in enumerate(zip(episode.transitions, following, strict=False), start=1):
         yield _turn_view(number, turn, before if fold else "", after)
         before = turn.observation
+
+
+def _joint_views(joint: JointEpisode, *, fold: bool) -> Iterator[TurnView]:
+    views = {seat: turn_views(episode, fold=fold) for seat, episode in joint.seats.items()}
+    for number, acted in enumerate(joint.order, start=1):
+        for seat in acted:
+            view = next(views.get(seat, iter(())), None)
+            if view is not None:
+                yield replace(view, number=number, seat=f"{seat} ({joint.seats[seat].agent})")
 
 
 def parts_of(observation: Any, before: Any = "") -> list[Part]:
@@ -103,23 +119,38 @@ def text_of(parts: Iterable[Part]) -> str:
     return "\n".join(map(str, parts))
 
 
-def start_of(episode: Episode) -> dict[str, str]:
+def start_of(episode: Record) -> dict[str, str]:
     """Return what an episode started from, in words; what is empty is left out."""
-    read = "" if episode.reads in (None, "observation") else str(episode.reads)
-    facts = {
+    facts: dict[str, Any] = {
         "seed": episode.seed,
         "group": episode.group,
         "options": episode.options,
         "arguments": episode.kwargs,
         "wrappers": episode.wrappers,
-        "tools": episode.tools,
-        "system": episode.system,
-        # Where the agent was sent something else than what is shown of a turn.
-        "sent": ", ".join(filter(None, [read, "tools natively" if episode.native_tools else ""])),
-        "task": episode.info.get("task_id"),
-        "versions": episode.versions,
     }
+    if isinstance(episode, Episode):
+        read = "" if episode.reads in (None, "observation") else str(episode.reads)
+        facts["tools"], facts["system"] = episode.tools, episode.system
+        # Where the agent was sent something else than what is shown of a turn.
+        facts["sent"] = ", ".join(filter(None, [read, "tools natively" if episode.native_tools else ""]))
+        facts["task"] = episode.info.get("task_id")
+    facts["versions"] = episode.versions
     return {name: _words(value) for name, value in facts.items() if value not in (None, "", [], {})}
+
+
+def some_success(episode: Record) -> bool | None:
+    """Return whether an episode succeeded; of several agents, whether one of them did."""
+    if isinstance(episode, Episode):
+        return episode.success
+    verdicts = [own.success for own in episode]
+    return True if True in verdicts else None if None in verdicts or not verdicts else False
+
+
+def figures_of(episode: Episode) -> str:
+    """Return the return, the turns and what cut the episode off, in words."""
+    first = f" ({episode.first_reward:g} before the first turn)" if episode.first_reward else ""
+    cut_off = "" if episode.cut_off is None else f", cut off by {episode.cut_off}"
+    return f"return {episode.episode_return:g}{first}, {count(episode.turns, 'turn')}{cut_off}"
 
 
 def outcome_of(success: bool | None, *, failed: bool) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 from PIL import Image
 
-from gem_core import Episode, Response, Transition, write_episodes
+from gem_core import Episode, JointEpisode, Response, Transition, write_episodes
 
 HOSTILE = (
     "</script><script>alert(1)</script><!-- <img src=x onerror=alert(2)> ]]> &lt; \u2028\u2029 \x1b[2J\x1b]0;owned\x07 "
@@ -90,6 +90,40 @@ def hostile() -> Episode:
         final_observation=HOSTILE,
         group=HOSTILE,
     )
+
+
+def seat_of_duel(seat: str, agent: str, turns: list[Transition], **fields: Any) -> Episode:
+    """What one seat of a duel saw and did."""
+    last = "You have won." if turns and turns[-1].info.get("correct") else "You have lost."
+    start = {"observation": turns[0].observation if turns else "Wait.", "info": {}, "final_observation": last}
+    return Episode("duel:Words-v0", 4, **start, transitions=turns, seat=seat, agent=agent, **fields)
+
+
+def duel(winner: str = "white", number: int = 4) -> JointEpisode:
+    """An episode of two agents: white, black, then both at once."""
+    white = [turn("Say a word.", "apple", 0.5), turn("Black said pear.", "plum", end=True, correct=winner == "white")]
+    black = [
+        turn("White said apple.", Response("pear", reasoning="Pears beat apples."), -0.5),
+        turn("Both at once now.", "fig", 1.0, end=True, correct=winner == "black"),
+    ]
+    return JointEpisode(
+        "duel:Words-v0",
+        number,
+        seats={"white": seat_of_duel("white", "openai:tiny", white), "black": seat_of_duel("black", "random", black)},
+        agents={"white": "openai:tiny", "black": "random"},
+        order=[["white"], ["black"], ["white", "black"]],
+        group="g2",
+    )
+
+
+def broken_duel() -> JointEpisode:
+    """An episode of two agents that ended because one had no answer."""
+    error = {"error": {"kind": "agent", "message": "no route"}}
+    opponent = {"error": {"kind": "opponent", "message": "the agent at 'black' has no answer"}}
+    white = [turn("Say a word.", "apple", 0.5, **opponent)]
+    seats = {"white": seat_of_duel("white", "openai:tiny", white), "black": seat_of_duel("black", "random", [])}
+    seats["black"].info, seats["black"].first_reward = error, 2.0
+    return JointEpisode("duel:Words-v0", 5, seats=seats, order=[["white"]])
 
 
 def write_all(path: Path) -> Path:

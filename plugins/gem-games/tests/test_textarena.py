@@ -9,6 +9,7 @@ import random
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from gem_core import make
@@ -17,7 +18,7 @@ from gem_games.textarena.env import TextArenaEnv
 from gem_games.textarena.games import GAMES
 from gem_games.textarena.listing import EXTRA, textarena_specs
 
-RUNNABLE = [spec for spec in textarena_specs() if spec.requires == (EXTRA,)]
+RUNNABLE = [spec for spec in textarena_specs() if spec.requires == (EXTRA,) and not spec.seats]
 _EPISODES = """
 import json, sys
 from gem_games.textarena.env import TextArenaEnv
@@ -63,12 +64,19 @@ def test_each_runnable_game_is_the_same_in_another_process():
     assert json.loads(done.stdout) == json.loads(json.dumps(logs))
 
 
-def test_the_callers_random_state_is_left_alone():
-    before = random.getstate()
-    env = TextArenaEnv("TicTacToe-v0", players=2)
-    env.reset(seed=1)
-    env.step(env.sample_random_action())
-    assert random.getstate() == before
+@pytest.mark.parametrize("game", ["KuhnPoker-v0", "Secretary-v0", "IteratedStagHunt-v0-randomized", "SpellingBee-v0"])
+def test_global_random_state_is_neither_used_nor_changed(game):
+    """The games draw from ``random``, from a function of it that they keep, or from ``numpy.random``."""
+    env = TextArenaEnv(game, players=GAMES[game])
+    before = random.getstate(), repr(np.random.get_state())
+    dealt = env.reset(seed=1)
+    move = env.sample_random_action()
+    result = env.step(move)
+    assert (random.getstate(), repr(np.random.get_state())) == before
+    random.random()
+    np.random.random()
+    assert env.reset(seed=1) == dealt
+    assert env.step(move) == result
 
 
 def test_a_state_goes_on_in_another_instance():
@@ -140,7 +148,8 @@ import gem_core as gem
 for env_id in gem.list_envs("game:*"):
     env = gem.make(env_id)
     env.reset(seed=1)
-    env.step(env.sample_random_action())
+    seats = gem.spec(env_id).seats
+    env.step({agent: env.sample_random_action(agent) for agent in env.acting} if seats else env.sample_random_action())
 assert gem.list_envs("ta:*")
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)

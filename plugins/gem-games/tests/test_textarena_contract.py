@@ -21,8 +21,9 @@ from gem_games.textarena.listing import EXTRA, textarena_specs
 pytestmark = pytest.mark.thorough
 
 EVERY = bool(os.environ.get("GEM_EVERY_TEXTARENA_GAME"))
-RUNNABLE = {spec.id: spec for spec in textarena_specs() if spec.requires == (EXTRA,)}
+RUNNABLE = {spec.id: spec for spec in textarena_specs() if spec.requires == (EXTRA,) and not spec.seats}
 FAMILIES = list({env_id.partition("-")[0]: env_id for env_id in reversed(RUNNABLE)}.values())[::-1]
+OPEN = {spec.id.partition("-")[0]: spec.id for spec in textarena_specs() if spec.requires == (EXTRA,) and spec.seats}
 TRIED_ELSEWHERE = {
     "process-determinism": "test_textarena.py tries it for all games in one other process",
     "hostile-actions": "test_hostile_actions_are_answered tries some",
@@ -54,6 +55,11 @@ def test_the_contract_is_kept(env_id: str) -> None:
         check_env(env_id, skip=skip)
     else:
         check_env(env_id, episodes=1, max_turns=3, skip={**TRIED_ELSEWHERE, **skip})
+
+
+@pytest.mark.parametrize("env_id", OPEN.values())
+def test_the_contract_is_kept_with_all_seats_open(env_id: str) -> None:
+    check_env(env_id, episodes=1, max_turns=3, skip={"process-determinism": TRIED_ELSEWHERE["process-determinism"]})
 
 
 @pytest.mark.parametrize("env_id", list(RUNNABLE) if EVERY else FAMILIES[::6])

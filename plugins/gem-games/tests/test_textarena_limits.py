@@ -9,8 +9,9 @@ import pytest
 
 import gem_core as gem
 from gem_core.errors import ArgumentError, EnvFaultError, MissingRequirementError
-from gem_games.textarena import env as textarena_env
+from gem_games.textarena import table
 from gem_games.textarena.env import TextArenaEnv
+from gem_games.textarena.moves import SAMPLERS
 
 
 def played(env: Any, agent: Any, seed: int = 1) -> tuple[float, bool, bool, dict[str, Any], int]:
@@ -30,7 +31,7 @@ def at_random(env: Any, _: str) -> str:
 
 def sorting(env: Any, _: str) -> str:
     """In 2048: to the left or down while that changes the board."""
-    ways = textarena_env.random_move.__globals__["SAMPLERS"]["2048"](env.unwrapped.table.game, None)
+    ways = SAMPLERS["2048"](env.unwrapped.table.game, None)
     return next(way for way in ("[Left]", "[Down]", "[Right]", "[Up]") if way in ways)
 
 
@@ -70,7 +71,7 @@ def test_long_games_come_to_their_own_end(env_id: str) -> None:
 
 
 def test_a_game_without_any_limit_is_cut_off_in_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(textarena_env, "_MOST_TURNS", 12)
+    monkeypatch.setattr(table, "_MOST_TURNS", 12)
     env = gem.make("ta:DontSayIt-v0-unlimited")
     reward, terminated, truncated, info, turns = played(env, at_random)
     assert (reward, terminated, truncated, info["correct"], turns) == (0.0, False, True, False, 12)
@@ -126,7 +127,8 @@ def test_klondike_can_be_played() -> None:
 def test_a_game_with_a_judge_wants_one() -> None:
     with pytest.raises(MissingRequirementError) as caught:
         gem.make("ta:Debate-v0")
-    assert str(caught.value) == "ta:Debate-v0 cannot run here: it needs an argument: make(…, judge=…)"
+    needed = "it needs an argument: make(…, judge=…), or --set judge=… of gem run"
+    assert str(caught.value) == f"ta:Debate-v0 cannot run here: {needed}"
     env = gem.make("ta:Debate-v0", judge=lambda question: "Affirmative")
     assert env.unwrapped.spec.make().unwrapped.game == "Debate-v0"
 
@@ -182,7 +184,7 @@ def test_a_judge_that_fails_is_nobodys_fault() -> None:
     _, reward, terminated, truncated, info = env.step("Is it alive?")
     assert (reward, terminated, truncated) == (0.0, False, True)
     assert info["error"] == {"kind": "judge", "message": "JudgeError: OSError: no answer"}
-    with pytest.raises(EnvFaultError, match="ta:Debate-v0: the judge: OSError: no answer"):
+    with pytest.raises(EnvFaultError, match="Debate-v0: the judge: OSError: no answer"):
         gem.make("ta:Debate-v0", judge=judge).reset(seed=1)
 
 

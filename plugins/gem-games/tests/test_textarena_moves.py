@@ -15,7 +15,7 @@ from gem_games.textarena.moves_cards import SAMPLERS as CARDS
 from gem_games.textarena.moves_puzzles import SAMPLERS as PUZZLES
 
 SPECS = list(textarena_specs())
-RUNNABLE = [spec for spec in SPECS if spec.requires == (EXTRA,)]
+RUNNABLE = [spec for spec in SPECS if spec.requires == (EXTRA,) and not spec.seats]
 TURNS = 20
 COMES_TO_NOTHING = {
     "IndianPoker": "the ante leaves less than no chips, with which even folding is refused",

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from chat_server import KEY, ChatServer, Reply, Request, completion, error
 
+import gem_core as gem
 from gem_core import extract_code_blocks
 from gem_core.cli import main
 from gem_core.records import read_episodes
@@ -70,6 +71,19 @@ def test_options_reach_the_server(server: ChatServer, run: Run) -> None:
         "return_token_ids": True,
         "logprobs": True,
     }
+
+
+def test_two_models_and_a_random_agent_at_their_seats(server: ChatServer, run: Run) -> None:
+    """Options reach both models, and not the agent that takes none; each seat's tokens are its own."""
+    seats = ("a", "b", "c")
+    gem.register("toy:Auction-v0", "joint_toys:AuctionEnv", agents=list(seats), rounds=3, seats=seats)
+    by_seat = ["--agent", "a=openai:one", "--agent", "b=openai:two", "--agent", "c=random"]
+    code, out, _ = run("toy:Auction-v0", "-n", "2", *by_seat, "--temperature", "0.5", "--json")
+    assert code == 0
+    asked = [chat for chat in server.chats if "max_tokens" not in chat]  # that is the question at the start
+    assert sorted((chat["model"], chat["temperature"]) for chat in asked) == [("one", 0.5)] * 2 + [("two", 0.5)] * 2
+    rows = {row["agent"]: row["prompt_tokens"] for row in json.loads(out)["environments"]}
+    assert rows == {"openai:one": 14, "openai:two": 14, "random": None}
 
 
 @pytest.mark.parametrize(

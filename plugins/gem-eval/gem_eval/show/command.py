@@ -13,11 +13,13 @@ from typing import Any
 
 import click
 
+from gem_core import Episode
 from gem_core.cli import output_width
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records import ImageFolder, to_plain
+from gem_core.records import ImageFolder, Record, to_plain
+from gem_core.suggestions import did_you_mean
 from gem_eval.episode_file import Entry, EpisodeFile
-from gem_eval.filters import SORTS, ordered, parse_comparison, select
+from gem_eval.filters import SORTS, at_seat, ordered, parse_comparison, select
 from gem_eval.show.lines import episode_lines, list_lines
 from gem_eval.show.text import count, one_line
 
@@ -36,6 +38,12 @@ Examples:
   gem show runs/mine.jsonl 17                         one episode, turn by turn
   gem show runs/mine.jsonl --diff 17 21               where two episodes of one start part
   gem show runs/mine.jsonl --html mine.html           a page for the browser, in one file
+  gem show runs/games.jsonl --seat white --success    the games that white won
+  gem show runs/games.jsonl 3 --seat white            one of them as white saw it
+\b
+Of several agents, one episode is told in the order in which they acted; --success finds those in which
+one of them did, --return looks at the sum. With --seat all is that of one seat: its outcome, return,
+turns and observations.
 \b
 The number of an episode is its line in the file. In a terminal, the output is paged: '/' searches,
 'n' finds the next, 'q' leaves; PAGER names another pager, NO_COLOR switches colours off. What could
@@ -58,6 +66,7 @@ the one asked for is damaged, 2 for a wrong argument.
 )
 @click.option("--errors/--no-errors", "errors", default=None, help="Only with, or only without an error.")
 @click.option("--group", metavar="G", help="Only this group.")
+@click.option("--seat", metavar="NAME", help="Of several agents, only what the one at this seat saw and did.")
 @click.option("--grep", metavar="TEXT", help="Only with this text in an observation, response or info.")
 @click.option("--sort", type=click.Choice(list(SORTS)), help="Order of the list; the whole file is looked at first.")
 @click.option("--reverse", is_flag=True, help="The other way round.")
@@ -73,6 +82,7 @@ def command(
     number: int | None,
     option_number: int | None,
     diff: tuple[int, int] | None,
+    seat: str | None,
     html: str | None,
     full: bool,
     as_json: bool,
@@ -98,16 +108,17 @@ def command(
         if not file.size:
             raise EpisodeFileError(f"{path} is empty: it holds no episodes (yet)")
         if diff is not None:
-            _show_diff(file, diff)
+            _show_diff(file, diff, seat)
         elif number is not None and html is None:
-            _show_episode(file, number, full, as_json)
+            _show_episode(file, number, seat, full, as_json)
         else:
             # A list that grows in a terminal shows by itself how far it is.
             grows = sys.stdout.isatty() and html is None and not as_json and sort is None and not reverse
             entries = file.entries() if grows else _with_progress(file)
+            entries = entries if seat is None else at_seat(entries, seat)
             fitting = select(file, entries, **conditions) if number is None else iter([file.entry(number)])
             if html is not None:
-                _write_page(file, ordered(fitting, sort, reverse, None), html, limit or _HTML_LIMIT)
+                _write_page(file, ordered(fitting, sort, reverse, None), seat, html, limit or _HTML_LIMIT)
             else:
                 _show_list(file, ordered(fitting, sort, reverse, limit), as_json)
         _report_damage(file)
@@ -126,22 +137,45 @@ def _show_list(file: EpisodeFile, entries: Iterator[Entry], as_json: bool) -> No
             click.echo(f"gem: none of the {whole:,} episodes of {file.path} fits", err=True)
 
 
-def _show_episode(file: EpisodeFile, number: int, full: bool, as_json: bool) -> None:
-    episode = file.read(file.entry(number))
+def _show_episode(file: EpisodeFile, number: int, seat: str | None, full: bool, as_json: bool) -> None:
+    episode = _read(file, file.entry(number), seat)
     if as_json:
         click.echo(json.dumps(to_plain({"number": number, **episode.to_dict()}), indent=1))
     else:
         _write(episode_lines(episode, number, full=full))
 
 
-def _show_diff(file: EpisodeFile, numbers: tuple[int, int]) -> None:
+def _read(file: EpisodeFile, entry: Entry, seat: str | None) -> Record:
+    """Return the episode of an entry, or that of one of its seats."""
+    record = file.read(entry)
+    if seat is None:
+        return record
+    if isinstance(record, Episode):
+        raise ArgumentError(f"episode {entry.number} is of one agent, and has no seats: leave --seat out")
+    if seat not in record.seats:
+        raise ArgumentError(
+            f"episode {entry.number} has no seat {seat!r}.{did_you_mean(seat, list(record.seats))} Its seats are "
+            f"{', '.join(map(one_line, record.seats))}"
+        )
+    return record.seats[seat]
+
+
+def _show_diff(file: EpisodeFile, numbers: tuple[int, int], seat: str | None) -> None:
     from gem_eval.show.diff import diff_lines
 
-    one, other = (file.read(file.entry(number)) for number in numbers)
+    one, other = (_one_seat(file, number, seat) for number in numbers)
     _write(diff_lines(numbers, (one, other)))
 
 
-def _write_page(file: EpisodeFile, entries: Iterator[Entry], out: str, limit: int) -> None:
+def _one_seat(file: EpisodeFile, number: int, seat: str | None) -> Episode:
+    record = _read(file, file.entry(number), seat)
+    if isinstance(record, Episode):
+        return record
+    options = " or ".join(f"--seat {one_line(each)}" for each in record.seats)
+    raise ArgumentError(f"episode {number} is of several agents: --diff compares what one of them saw, with {options}")
+
+
+def _write_page(file: EpisodeFile, entries: Iterator[Entry], seat: str | None, out: str, limit: int) -> None:
     from gem_eval.show.page import PageWriter
 
     if os.path.realpath(out) == os.path.realpath(file.path):
@@ -153,7 +187,7 @@ def _write_page(file: EpisodeFile, entries: Iterator[Entry], out: str, limit: in
             left_out += 1
             continue
         try:
-            page.add(entry.number, file.read(entry))
+            page.add(entry.number, _read(file, entry, seat))
         except EpisodeFileError as error:
             click.echo(f"gem: passed over, {one_line(str(error))}", err=True)
         else:

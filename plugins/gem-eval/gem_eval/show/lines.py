@@ -11,8 +11,9 @@ from click import style
 
 from gem_core import Episode
 from gem_core.cli import Layout
-from gem_eval.show.text import count, dim, heading, highlighted, one_line, rule
-from gem_eval.turns import Part, TurnView, error_text, outcome_of, parts_of, start_of, turn_views
+from gem_core.records import Record
+from gem_eval.show.text import dim, heading, highlighted, one_line, rule
+from gem_eval.turns import Part, TurnView, error_text, figures_of, outcome_of, parts_of, start_of, turn_views
 
 if TYPE_CHECKING:
     from gem_eval.episode_file import Entry
@@ -22,14 +23,15 @@ _COLUMNS: dict[str, tuple[int, Callable[[Entry], object]]] = {
     "number": (8, lambda entry: entry.number),
     "environment": (60, lambda entry: entry.id),
     "outcome": (7, lambda entry: outcome_of(entry.success, failed=entry.error is not None)),
-    "return": (10, lambda entry: f"{entry.episode_return:.4g}"),
+    "return": (10, lambda entry: "" if len(entry.seats or ()) > 1 else f"{entry.episode_return:.4g}"),
     "turns": (6, lambda entry: entry.turns),
     "seed": (17, lambda entry: "-" if entry.seed is None else entry.seed),
     "group": (24, lambda entry: entry.group or ""),
+    "agents and returns": (100, lambda entry: _agents(entry)),
     "error": (200, lambda entry: entry.error or ""),
 }
-_TO_THE_LEFT = ("environment", "outcome", "group", "error")
-_IF_ANY = ("group", "error")
+_TO_THE_LEFT = ("environment", "outcome", "group", "agents and returns", "error")
+_IF_ANY = ("return", "group", "agents and returns", "error")
 _DISPENSABLE = ("group", "seed", "turns", "return")
 # Columns get the width of the first so many rows; a later cell may be wider.
 _ROWS_AHEAD = 200
@@ -65,33 +67,46 @@ def list_lines(entries: Iterable[Entry], width: int | None = None) -> Iterator[s
         yield from layout.row([row[name] for name in headers], {headers.index("outcome"): coloured})
 
 
-def episode_lines(episode: Episode, number: int, *, full: bool = False) -> Iterator[str]:
+def episode_lines(episode: Record, number: int, *, full: bool = False) -> Iterator[str]:
     """Yield the lines of one episode: what it started from, each turn, and how it ended.
+
+    Of several agents, each turn stands under its seat, in the order in which they acted.
 
     Args:
         episode: The episode, its images as names of files.
         number: Its number in the file.
         full: Whether what an observation repeats of the one before, and long infos, are shown as well.
     """
-    outcome = outcome_of(episode.success, failed=episode.error is not None)
-    cut_off = "" if episode.cut_off is None else f", cut off by {episode.cut_off}"
-    figures = f"return {episode.episode_return:g}, {count(episode.turns, 'turn')}{cut_off}"
-    summary = f"{style(outcome, fg=_OUTCOME_COLOURS[outcome])}, {figures}"
+    alone = isinstance(episode, Episode)
+    seats = [episode] if isinstance(episode, Episode) else list(episode)
+    summary = [_summary(each) for each in seats]
     yield heading(f"Episode {number} · {one_line(episode.id)}")
-    yield summary
+    yield from summary
     yield from _facts(start_of(episode), full)
-    if not episode.transitions:
-        yield from _section("observation", parts_of(episode.observation))
+    for each in seats:
+        if not each.transitions:
+            yield from _section(f"observation{'' if alone else _of(each)}", parts_of(each.observation))
     for turn in turn_views(episode, fold=not full):
         yield ""
-        yield rule(f"turn {turn.number} of {episode.turns}")
+        yield rule(f"turn {turn.number} of {episode.turns}{f' · {one_line(turn.seat)}' if turn.seat else ''}")
         yield from _turn_lines(turn, full)
     yield ""
     yield rule("end")
-    yield from _section("final observation", parts_of(episode.final_observation))
+    for each in seats:
+        yield from _section(f"final observation{'' if alone else _of(each)}", parts_of(each.final_observation))
     if episode.error is not None:
         yield style("error: ", fg="yellow") + one_line(error_text(episode.error))
-    yield summary
+    yield from summary
+
+
+def _summary(episode: Episode) -> str:
+    outcome = outcome_of(episode.success, failed=episode.error is not None)
+    who = "" if episode.seat is None else f"{one_line(episode.seat)}={one_line(str(episode.agent))}: "
+    return f"{who}{style(outcome, fg=_OUTCOME_COLOURS[outcome])}, {figures_of(episode)}"
+
+
+def _of(episode: Episode) -> str:
+    return f" of {one_line(str(episode.seat))}"
 
 
 def text_lines(text: str) -> Iterator[str]:
@@ -110,7 +125,8 @@ def _turn_lines(turn: TurnView, full: bool) -> Iterator[str]:
     for call in turn.calls:
         yield heading("tool call  ") + one_line(call)
     sign = "green" if turn.reward > 0 else "red" if turn.reward < 0 else None
-    yield heading("reward  ") + ", ".join([style(f"{turn.reward:g}", fg=sign), *turn.flags])
+    title = "reward up to its next turn  " if turn.seat else "reward  "
+    yield heading(title) + ", ".join([style(f"{turn.reward:g}", fg=sign), *turn.flags])
     if turn.feedback:
         yield from _section("feedback", turn.feedback)
     if turn.error:
@@ -140,3 +156,9 @@ def _facts(facts: dict[str, str], full: bool) -> Iterator[str]:
 
 def _cells(entry: Entry) -> dict[str, str]:
     return {name: one_line(str(cell(entry)), widest) for name, (widest, cell) in _COLUMNS.items()}
+
+
+def _agents(entry: Entry) -> str:
+    seats = entry.seats or {}
+    returns = {seat: f" {own.episode_return:.4g}" if len(seats) > 1 else "" for seat, own in seats.items()}
+    return ", ".join(f"{seat}={own.agent}{returns[seat]}" for seat, own in seats.items())

@@ -16,10 +16,20 @@ from typing import Any
 
 from gem_core import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records import ImageFolder
+from gem_core.records import ImageFolder, Record
 from gem_eval.files import write_whole
 from gem_eval.show.text import escaped
-from gem_eval.turns import Part, TurnView, error_text, outcome_of, parts_of, start_of, turn_views
+from gem_eval.turns import (
+    Part,
+    TurnView,
+    error_text,
+    figures_of,
+    outcome_of,
+    parts_of,
+    some_success,
+    start_of,
+    turn_views,
+)
 
 MOST_TEXT = 100_000
 """Characters of one text that go into the page; a browser is slow with more."""
@@ -46,20 +56,34 @@ class PageWriter:
         self._image_data: dict[str, str | None] = {}
         self._episodes: list[dict[str, Any]] = []
 
-    def add(self, number: int, episode: Episode) -> None:
+    def add(self, number: int, episode: Record) -> None:
         """Add an episode under its number."""
+        seats = [episode] if isinstance(episode, Episode) else list(episode)
         record = {
             "number": number,
             "id": episode.id,
-            "outcome": outcome_of(episode.success, failed=episode.error is not None),
-            "return": f"{episode.episode_return:.4g}",
+            "outcome": outcome_of(some_success(episode), failed=episode.error is not None),
+            "return": f"{sum(each.episode_return for each in seats):.4g}",
+            "returns": ", ".join(f"{each.seat}={each.agent} {each.episode_return:.4g}" for each in seats if each.seat),
+            "count": episode.turns,
             "error": error_text(episode.error),
-            "start": start_of(episode),
-            "observation": [] if episode.transitions else parts_of(episode.observation),
+            "start": {
+                **{each.seat: f"{each.agent}, {_outcome(each)}" for each in seats if each.seat},
+                **start_of(episode),
+            },
+            "observation": self._parts([each for each in seats if not each.transitions], "observation"),
             "turns": list(turn_views(episode)),
-            "final": parts_of(episode.final_observation),
+            "final": self._parts(seats, "final_observation"),
         }
         self._episodes.append(self._data(record))
+
+    def _parts(self, seats: list[Episode], name: str) -> list[Part]:
+        """Return an observation of some seats, each under the name of its seat."""
+        return [
+            part
+            for each in seats
+            for part in [*([] if each.seat is None else [Part("role", each.seat)]), *parts_of(getattr(each, name))]
+        ]
 
     def html(self) -> str:
         """Return the page."""
@@ -129,6 +153,10 @@ class PageWriter:
             return None
         self._image_bytes_left -= len(content)
         return f"data:image/png;base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def _outcome(episode: Episode) -> str:
+    return f"{outcome_of(episode.success, failed=episode.error is not None)}, {figures_of(episode)}"
 
 
 def inert_json(value: Any) -> str:

@@ -1,7 +1,8 @@
-"""Puts right how games of textarena 0.7.4 end: as it is, the first six raise when someone has won.
+"""Puts right how games of textarena 0.7.4 end: as it is, the first seven raise then.
 
 - Tak names the winner under another keyword than its state takes;
 - Checkers and FifteenPuzzle call what their state does not have, and so do Briscola and Golf with more than two seats;
+- ScenarioPlanning misspells a keyword in a draw;
 - Stratego keeps a bomb that was defused in its list of pieces, and later looks for it on the board;
 - who is eliminated in PublicGoodsGame or MarketEntryGame is asked again and again, and if all are, the search for the
   next player never ends;
@@ -30,7 +31,13 @@ def put_right(states: Any, spaces: list[dict[str, Any]]) -> None:
         def set_winner(self: Any, player_id: Any = None, reason: str = "", player_ids: Any = None) -> None:
             win(self, player_ids if player_id is None else player_id, reason)
 
+        draw = two.set_draw
+
+        def set_draw(self: Any, reason: str = "", reson: str = "") -> None:
+            draw(self, reason or reson)
+
         two.set_winner = two.set_winners = set_winner
+        two.set_draw = set_draw
         states.SinglePlayerState.set_winners = _solved
         states.FFAMultiPlayerState.set_outcome = _one_wins
         states.FFAMultiPlayerState.step = _passing_by_the_eliminated(states.FFAMultiPlayerState.step)

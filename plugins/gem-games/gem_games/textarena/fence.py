@@ -1,11 +1,12 @@
-"""``Fence``: keeps the global random state that TextArena draws from apart from everyone else's."""
+"""``Fence``: gives each game of TextArena generators of its own, in place of the global ones that it draws from."""
 
 from __future__ import annotations
 
+import copy
 import random
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -14,38 +15,64 @@ LOCK = threading.RLock()
 
 
 class Fence:
-    """The global random state of one game: put in place for each call into it, and put aside again."""
+    """The generators of one game, from which the library draws inside of it; the lock is held there."""
 
     def __init__(self, seed: int) -> None:
-        self._python = random.Random(seed).getstate()
-        self._numpy = np.random.RandomState(seed % 2**32).get_state()
+        self._seed = seed
+        self._outer: list[Fence | None] = []
+        self.python = random.Random(seed)
+
+    @cached_property
+    def numpy(self) -> np.random.RandomState:
+        """What takes the place of ``numpy.random``; made when it is first asked for, since few games do."""
+        return np.random.RandomState(self._seed % 2**32)
 
     def copy(self) -> Fence:
         """Return a fence in the same state, to try something out."""
-        other = Fence.__new__(Fence)
-        other._python, other._numpy = self._python, self._numpy
-        return other
+        return copy.deepcopy(self)
 
-    @contextmanager
-    def inside(self) -> Iterator[None]:
-        """Hold the lock and the game's random state; the caller's is put back whatever happens."""
-        with LOCK:
-            outer = random.getstate(), np.random.get_state()
-            random.setstate(self._python)
-            np.random.set_state(self._numpy)
-            try:
-                yield
-            finally:
-                self._python, self._numpy = random.getstate(), np.random.get_state()
-                random.setstate(outer[0])
-                np.random.set_state(outer[1])
+    def __enter__(self) -> None:
+        global _current
+        LOCK.acquire()
+        self._outer.append(_current)
+        _current = self
 
-    @contextmanager
-    def outside(self) -> Iterator[None]:
-        """Inside of ``inside``, run foreign code that must not draw from the game's random state."""
-        inner = random.getstate(), np.random.get_state()
-        try:
-            yield
-        finally:
-            random.setstate(inner[0])
-            np.random.set_state(inner[1])
+    def __exit__(self, *_: object) -> None:
+        global _current
+        _current = self._outer.pop()
+        LOCK.release()
+
+
+_current: Fence | None = None
+
+
+def drawn() -> Any:
+    """Return the state of what the library draws from now, to see whether something drew."""
+    python, numpy = (random, np.random) if _current is None else (_current.python, _current.numpy)
+    return python.getstate(), repr(numpy.get_state())
+
+
+class _Random:
+    """Stands for the module ``random`` in modules of the library."""
+
+    def __getattr__(self, name: str) -> Any:
+        if not hasattr(random.Random, name):
+            return getattr(random, name)
+
+        def draw(*args: Any, **kwargs: Any) -> Any:
+            # Looked up anew, since Secretary keeps the function.
+            return getattr(random if _current is None else _current.python, name)(*args, **kwargs)
+
+        setattr(self, name, draw)
+        return draw
+
+
+class _Numpy:
+    """Stands for the module ``numpy`` in modules of the library."""
+
+    def __getattr__(self, name: str) -> Any:
+        return _current.numpy if _current is not None and name == "random" else getattr(np, name)
+
+
+STAND_INS = {"random": _Random(), "np": _Numpy(), "numpy": _Numpy()}
+"""What takes the place of these names in each module of the library."""

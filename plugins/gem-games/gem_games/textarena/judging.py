@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from gem_core.background import run_sync
+from gem_core.rollouts import Context, Reading, as_agent, load_agent
+
 
 class JudgeError(Exception):
     """The judge failed, whatever the players did."""
@@ -40,6 +43,43 @@ class Judge:
         places = {option: answer.rfind(option.lower()) for option in self.options}
         chosen = max(places, key=places.__getitem__)
         return {option: float(option == chosen and places[option] >= 0) for option in self.options}
+
+
+class AgentJudge:
+    """An agent that answers as a judge; each question is a conversation of its own.
+
+    Args:
+        agent: An agent, or the name of one.
+    """
+
+    def __init__(self, agent: Any) -> None:
+        self._agent = load_agent(agent) if isinstance(agent, str) else as_agent(agent)
+
+    def ask(self, question: str, episode: str, env_id: str) -> str:
+        """Return the answer to a question.
+
+        Raises:
+            JudgeError: The agent failed.
+        """
+        reading = Reading.of(self._agent)
+        messages = [{"role": "system", "content": reading.system}] if reading.system is not None else []
+        messages.append({"role": "user", "content": question})
+        context = Context(
+            episode=episode,
+            env_id=env_id,
+            group=None,
+            turn=0,
+            info={},
+            tools=[],
+            transitions=[],
+            system=reading.system,
+            read_messages=messages.copy,
+        )
+        try:
+            answer = self._agent(context.messages if reading.reads == "messages" else question, context)
+            return str(answer if isinstance(answer, str) else run_sync(answer))
+        except Exception as error:
+            raise JudgeError(f"{type(error).__name__}: {error}"[:300]) from error
 
 
 def judges_of(game: Any) -> list[Judge]:

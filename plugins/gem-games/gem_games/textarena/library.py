@@ -5,6 +5,7 @@ What is mended was seen in textarena 0.7.4:
 - the word games load lists and a tagger through nltk, which downloads them: they get ``gem_games.words`` instead;
 - ``EnglishDictionary`` spends a second on tables whose order depends on the hash seed: it is replaced;
 - some games go through a ``set`` of words: theirs has an order;
+- the library draws from global generators: what its modules call ``random`` and ``np`` is of ``fence.py``;
 - some games print what they deal: ``print`` is silent inside the library;
 - Sokoban searches for a room without a limit of time: ``rooms.py`` makes one in milliseconds;
 - Sudoku, RushHour and WordLadder search for a second and more: ``searches.py`` finds the same in milliseconds;
@@ -22,7 +23,6 @@ import copy
 import importlib
 import importlib.util
 import inspect
-import random
 import re
 import sys
 from collections.abc import Iterator
@@ -30,11 +30,9 @@ from functools import cache
 from types import ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from gem_games import words as our_words
 from gem_games.textarena import argument_order, endings, searches
-from gem_games.textarena.fence import LOCK
+from gem_games.textarena.fence import LOCK, STAND_INS, drawn
 from gem_games.textarena.judging import Judge
 from gem_games.textarena.rooms import generate_room
 
@@ -136,10 +134,10 @@ def load(name: str, max_turns: int | None = None) -> tuple[Any, bool, int | None
         if first is not None:
             game = copied(first)
         else:
-            before = random.getstate(), np.random.get_state()
+            before = None if name in _MADE or max_turns is not None else drawn()
             game = _built(recipe, max_turns)
-            if name not in _MADE and max_turns is None:
-                _MADE[name] = copied(game) if _same_draws(before, (random.getstate(), np.random.get_state())) else None
+            if before is not None:
+                _MADE[name] = copied(game) if drawn() == before else None
     return game, recipe.brackets, recipe.clip
 
 
@@ -170,10 +168,6 @@ def copied(game: Any) -> Any:
 
 
 _LISTS = list, set, frozenset
-
-
-def _same_draws(before: tuple[Any, Any], after: tuple[Any, Any]) -> bool:
-    return bool(before[0] == after[0]) and repr(before[1]) == repr(after[1])
 
 
 @cache
@@ -252,12 +246,14 @@ def _move_in(lines: list[str], number: int) -> None:
 
 
 def _mend() -> None:
-    """Replace what the loaded modules of the library would download, or print to."""
+    """Replace what the loaded modules of the library would download, print to, or draw from."""
     spaces = [vars(module) for name, module in list(sys.modules.items()) if name.startswith("textarena.envs.")]
     endings.put_right(importlib.import_module("textarena.state"), spaces)
+    vars(importlib.import_module("textarena.core")).update(STAND_INS)  # whose reset seeds
     for space in spaces:
         space["print"] = _nothing
         space["set"] = _Ordered
+        space.update({name: stand_in for name, stand_in in STAND_INS.items() if name in space})
         if "nltk" in space:
             space["nltk"] = _NLTK
             if "words" in space:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 from gem_core.registry import EnvSpec
 from gem_games.textarena.games import GAMES
@@ -20,18 +21,35 @@ EXTRA = "package:gem-games[textarena]"
 
 
 def textarena_specs() -> Iterator[EnvSpec]:
-    """Return a record for each game. A slash in a name of TextArena becomes a hyphen."""
+    """Return a record for each game, and one with all seats open if it has several.
+
+    A slash in a name of TextArena becomes a hyphen.
+    """
     for name, players in GAMES.items():
+        family = name.partition("-")[0]
         seats = "one player" if players < 2 else f"{players} or more players" if players > 2 else "two players"
+        same: dict[str, Any] = {
+            "tags": ("game", "text", "textarena"),
+            "requires": _needs(family),
+            "deterministic": family not in _JUDGED,
+        }
+        env_id = f"ta:{name.replace('/', '-')}"
         yield EnvSpec(
-            id=f"ta:{name.replace('/', '-')}",
+            id=env_id,
             entry_point="gem_games.textarena.env:TextArenaEnv",
             kwargs={"game": name, "players": max(players, 1)},
-            summary=f"TextArena's {name.partition('-')[0]}; {seats}.",
-            tags=("game", "text", "textarena"),
-            requires=_needs(name.partition("-")[0]),
-            deterministic=name.partition("-")[0] not in _JUDGED,
+            summary=f"TextArena's {family}; {seats}.",
+            **same,
         )
+        if players > 1:
+            yield EnvSpec(
+                id=f"{env_id}-multi",
+                entry_point="gem_games.textarena.multi_agent:TextArenaMultiAgentEnv",
+                kwargs={"game": name, "players": players},
+                summary=f"TextArena's {family}; {seats}, all seats open.",
+                seats=tuple(f"player_{seat}" for seat in range(players)),
+                **same,
+            )
 
 
 def _needs(family: str) -> tuple[str, ...]:

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import sys
 from collections.abc import Callable, Sequence
+from types import NoneType
 from typing import Any, NamedTuple
 
+from gem_core.errors import ArgumentError
 from gem_core.records import without_thinking
+from gem_core.suggestions import did_you_mean
 from gem_games.textarena.fence import Fence
+from gem_games.textarena.games import GAMES
 from gem_games.textarena.judging import JudgeError, judges_of
 from gem_games.textarena.library import copied, load
 
 LONGEST_ACTION = 4_000
 """Characters; of a longer action the end is read, since some patterns of the library take quadratic time."""
-
+_MOST_TURNS = 1_000
+"""Of a seat, where neither the game nor the caller sets a higher limit."""
 
 TALK = {
     "CharacterConclave",
@@ -37,14 +43,15 @@ _MOVE = re.compile(r"\[[^\[\]]*\]")
 _ASKED = re.compile(r"\s*Player (\d+), (?:do )?you\b.*", re.DOTALL)
 _UPDATED_BOARD = " Your updated board:\n"  # Battleship
 _SHORTEST_ECHO = 20  # characters
+_PLAIN = str, int, float, bool, NoneType
 _PROGRESS = "_get_percentage_completion", "_progress", "_calculate_progress"
 
 
 class View(NamedTuple):
-    """What a seat sees: what happened since it was last asked, and the board as it stands, ``""`` if there is none."""
+    """What a seat sees: what happened since it acted last, and below it the board as it stands, if there is one."""
 
     feedback: str
-    board: str
+    suffix: str
 
 
 class Table:
@@ -62,33 +69,72 @@ class Table:
     ) -> None:
         self.name, self.players, self._max_turns, self._judge = name, players, max_turns, judge
         self._family = name.partition("-")[0]
+        self._has_board = self._family not in _NO_BOARDS
         self._fence = Fence(0)
-        with self._fence.inside():
+        with self._fence:
             self._game, self._brackets, self._clip = load(name, max_turns)
+        kinds = importlib.import_module("textarena.core").ObservationType
+        # Read once: Python 3.11 takes its time over a member of an enumeration.
+        self._prompt, self._board, self._action = kinds.PROMPT, kinds.GAME_BOARD, kinds.PLAYER_ACTION
+        self._description = kinds.GAME_ACTION_DESCRIPTION
         self.seed = 0
         self.actions: list[str] = []
         self.verdicts: list[str] = []
         """What the judge has answered."""
         self._known_verdicts: list[str] = []
-        self.done = self.unlimited = False
+        self.done = False
+        self.invalid = False
+        """Whether the last action was an invalid move."""
+        self.turns: list[int] = []
+        """How many actions each seat has taken."""
+        self.refused = 0
+        """How many invalid moves in a row the seat has made whose turn it still is."""
+        self.most_turns = _MOST_TURNS
+        """How many actions of a seat there are at most; in 2048 as many as the tile that is wanted."""
         self._boards: dict[int, str] = {}
+        self._news: list[list[str]] = []
 
     def reset(self, seed: int, verdicts: Sequence[str] = ()) -> None:
         """Deal a game; the judge is asked for nothing that these verdicts answer."""
-        self.seed, self.actions, self.done = seed, [], False
+        self.seed, self.actions, self.done, self.invalid = seed, [], False, False
+        self.turns, self.refused = [0] * self.players, 0
         self.verdicts, self._known_verdicts = [], list(verdicts)
-        self._boards = {}
+        self._boards, self._news = {}, [[] for _ in range(self.players)]
         self._fence = Fence(seed)
-        with self._fence.inside():
+        with self._fence:
             # Made anew, since some constructors draw too.
             self._game, self._brackets, self._clip = load(self.name, self._max_turns)
             for judge in judges_of(self._game):
                 judge.ask = self._ask_judge
             self._game.reset(num_players=self.players, seed=seed % 2**32)
-        self.unlimited = self._game.state.max_turns is None
-        if self.unlimited:
+        limit, tile = self._game.state.max_turns, getattr(self._game, "target_tile", 0)
+        self.most_turns = self._max_turns or max(_MOST_TURNS, limit or 0, tile)
+        if limit is None:
             # DontSayIt-v0-unlimited compares it with the turn, in textarena 0.7.4.
             self._game.state.max_turns = sys.maxsize
+        self._note_invalid_moves()
+        self._spread()
+
+    def _note_invalid_moves(self) -> None:
+        """Let the game's state tell of each invalid move."""
+        state = self._game.state
+        handle = state.set_invalid_move
+
+        def set_invalid_move(*args: Any, **kwargs: Any) -> Any:
+            self.invalid = True
+            return handle(*args, **kwargs)
+
+        state.set_invalid_move = set_invalid_move
+
+    def replay(self, seed: int, actions: Sequence[str], verdicts: Sequence[str]) -> None:
+        """Bring the game to where these actions of all seats lead."""
+        self.reset(seed, verdicts)
+        for action in actions:
+            self.act(action)
+
+    def tell(self, seat: int, text: str) -> None:
+        """Let a text be all that is new for a seat."""
+        self._news[seat] = [text]
 
     @property
     def seat(self) -> int:
@@ -101,24 +147,10 @@ class Table:
         return self._game
 
     def look(self, seat: int) -> View:
-        """Return what is new for a seat; what was seen once is not shown again, but for the board."""
-        state = self._game.state
-        messages, state.observations[seat] = state.observations.get(seat, []), []
-        texts = []
-        for sender, text, kind in messages:
-            if kind.name == "GAME_BOARD" and self._family not in _NO_BOARDS:
-                self._boards[seat] = text
-                continue
-            if kind.name != "PLAYER_ACTION":
-                text, updated, board = text.partition(_UPDATED_BOARD)
-                if updated:
-                    self._boards[seat] = board
-                # What another seat is asked.
-                text = _ASKED.sub(lambda asked: asked[0] if int(asked[1]) == seat else "", text)
-            if text:
-                who = state.role_mapping.get(sender, f"Player {sender}")
-                texts.append(text if kind.name == "PROMPT" else f"[{who}] {text}")
-        return View("\n".join(texts), self._boards.get(seat, ""))
+        """Return what a seat sees; what it knew when it acted last is not shown again, but for the board."""
+        texts = self._news[seat]
+        board = self._boards.get(seat, "")
+        return View("\n".join(texts), f"\n{board}" if board and texts else board)
 
     def act(self, action: str) -> str:
         """Play a text for the seat whose turn it is; return what of it was played.
@@ -126,20 +158,58 @@ class Table:
         Thinking blocks are no part of it. What TextArena raises comes through, and is not noted.
         """
         action = without_thinking(action)[-LONGEST_ACTION:]
-        state, mover, talk = self._game.state, self.seat, self._is_talk()
-        known = {seat: len(messages) for seat, messages in state.observations.items()}
-        errors, formed = self.errors(), self._formed(action)
-        with self._fence.inside():
-            self.done = bool(self._game.step(action=formed)[0])
+        mover, talk, self.invalid = self.seat, self._is_talk(), False
+        with self._fence:
+            self.done = bool(self._game.step(action=self._formed(action))[0])
         self.actions.append(action)
-        invalid = self.errors() > errors or bool(state.game_info.get(mover, {}).get("invalid_move"))
+        self.turns[mover] += 1
+        self.refused = self.refused + 1 if self.invalid and self.seat == mover else 0
+        self._news[mover] = []
+        self._spread(mover, action, talk=talk)
+        return action
+
+    def _spread(self, mover: int = -1, action: str = "", *, talk: bool = False) -> None:
+        """Let each seat know what the game has sent it, as far as it may."""
+        state = self._game.state
         said = [part for part in map(str.strip, _MOVE.split(action)) if len(part) >= _SHORTEST_ECHO]
         for seat, messages in state.observations.items():
-            fresh = [(sender, str(text), kind) for sender, text, kind in messages[known[seat] :]]
-            for part in said if seat == mover else ():
-                fresh = [(sender, text.replace(part, "…"), kind) for sender, text, kind in fresh]
-            messages[known[seat] :] = _heard(fresh, seat, mover, talk=talk, invalid=invalid)
-        return action
+            state.observations[seat] = []
+            for sender, message, kind in messages:
+                text = str(message)
+                if said and seat == mover:
+                    for part in said:
+                        text = text.replace(part, "…")
+                if kind is self._action:
+                    own = sender == seat or (seat == mover and sender < 0)
+                    text = "" if own else text if talk else self._move(text, messages)
+                elif kind is self._board and self._has_board:
+                    self._boards[seat] = text
+                    continue
+                else:
+                    text = self._without_board(seat, text)
+                if text:
+                    who = state.role_mapping.get(sender) or f"Player {sender}"
+                    self._news[seat].append(text if kind is self._prompt else f"[{who}] {text}")
+
+    def _move(self, action: str, messages: list[tuple[int, str, Any]]) -> str:
+        """Return what another seat hears of an action where the game is not to talk: the move alone.
+
+        Where the game describes the move, its description is enough. Of an action with several pairs of brackets only
+        the game knows which is the move, and its board shows it.
+        """
+        if self.invalid or any(kind is self._description for *_, kind in messages):
+            return ""
+        moves = set(_MOVE.findall(action))
+        return str(moves.pop()) if len(moves) == 1 else ""
+
+    def _without_board(self, seat: int, text: str) -> str:
+        """Return what a message says besides the board, and to no other seat."""
+        text, updated, board = text.partition(_UPDATED_BOARD)
+        if updated:
+            self._boards[seat] = board
+        if ", you" in text or ", do you" in text:
+            text = _ASKED.sub(lambda asked: asked[0] if int(asked[1]) == seat else "", text)
+        return text
 
     def _is_talk(self) -> bool:
         """Whether what is said now is meant for the ears of others; else only the move is."""
@@ -153,11 +223,7 @@ class Table:
     def _ask_judge(self, question: str) -> str:
         if self._judge is None:
             raise JudgeError(f"{self.name} has no judge")
-        if self._known_verdicts:
-            verdict = self._known_verdicts.pop(0)
-        else:
-            with self._fence.outside():
-                verdict = self._judge(question)
+        verdict = self._known_verdicts.pop(0) if self._known_verdicts else self._judge(question)
         self.verdicts.append(verdict)
         return verdict
 
@@ -177,7 +243,7 @@ class Table:
             return False
 
         fence = self._fence.copy()
-        with fence.inside():
+        with fence:
             try:
                 game = copied(self._game)
                 for judge in judges_of(game):
@@ -195,37 +261,39 @@ class Table:
     def progress(self) -> float:
         """Return the reward that TextArena gives for what is done of a game for one; 0 where it knows none."""
         found = (getattr(self._game, name, None) for name in _PROGRESS)
-        with self._fence.inside():
+        with self._fence:
             return next((float(progress()) for progress in found if progress is not None), 0.0)
 
     def report(self, seat: int) -> dict[str, Any]:
         """Return what TextArena says about a seat, as plain data."""
         found = self._game.state.game_info.get(seat, {})
-        return {str(key): value for key, value in found.items() if isinstance(value, str | int | float | bool | None)}
-
-    def errors(self) -> int:
-        """Return the number of invalid moves in a row by the seat whose turn it is."""
-        return int(getattr(self._game.state, "error_count", 0))
+        return {str(key): value for key, value in found.items() if isinstance(value, _PLAIN)}
 
 
-def _heard(
-    messages: list[tuple[int, str, Any]], seat: int, mover: int, *, talk: bool, invalid: bool
-) -> list[tuple[int, str, Any]]:
-    """Return what a seat is told of an action: nothing of its own, and of another seat's the move alone.
+def open_table(
+    game: str, players: int, max_turns: int | None = None, judge: Callable[[str], str] | None = None
+) -> Table:
+    """Return the table of a game, if the game can be played so.
 
-    Where the game describes the move, its description is enough. Of an action with several pairs of brackets only the
-    game knows which is the move, and its board shows it.
+    Raises:
+        ArgumentError: There is no such game, or not for so many players or with such a limit.
     """
-    described = any(kind.name == "GAME_ACTION_DESCRIPTION" for _, _, kind in messages)
-    heard = []
-    for sender, text, kind in messages:
-        if kind.name == "PLAYER_ACTION":
-            if sender == seat or (seat == mover and sender < 0):
-                continue
-            if not talk:
-                moves = set(_MOVE.findall(text))
-                if invalid or described or len(moves) != 1:
-                    continue
-                text = moves.pop()
-        heard.append((sender, text, kind))
-    return heard
+    if game not in GAMES:
+        raise ArgumentError(f"textarena has no game {game!r}.{did_you_mean(str(game), GAMES)} Run 'gem list ta'")
+    if type(players) is not int or not 1 <= players <= 15:
+        raise ArgumentError(f"players must be a whole number from 1 to 15, not {players!r}")
+    if max_turns is not None and (type(max_turns) is not int or max_turns < 1):
+        raise ArgumentError(f"max_turns must be a positive whole number, not {max_turns!r}")
+    try:
+        table = Table(game, players, max_turns, judge)
+    except AssertionError as error:
+        raise ArgumentError(f"max_turns={max_turns} is not for {game}: {error}") from error
+    usual = max(GAMES[game], 1)
+    if players != usual:
+        try:
+            table.reset(0)
+        except Exception as error:
+            raise ArgumentError(
+                f"players={players} is not for {game}, which can be played by {usual}: {error}"
+            ) from error
+    return table

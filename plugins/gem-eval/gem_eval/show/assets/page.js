@@ -24,7 +24,7 @@
         if (typeof value === "string") pieces.push(value.toLowerCase());
         else if (value && typeof value === "object") Object.values(value).forEach(gather);
       };
-      gather([episode.id, episode.error, episode.start, episode.observation, episode.turns, episode.final]);
+      gather([episode.id, episode.returns, episode.error, episode.start, episode.observation, episode.turns, episode.final]);
       episode.haystack = pieces.join("\n");
     }
     return episode.haystack;
@@ -128,10 +128,15 @@
     return element;
   }
 
+  function figures(episode) {
+    const count = episode.count;
+    return `${episode.returns || `return ${episode.return}`} · ${count} turn${count === 1 ? "" : "s"}`;
+  }
+
   function turnCard(turn, count) {
     const card = make("section", "turn");
     const head = make("header");
-    head.append(make("h3", "", `Turn ${turn.number} of ${count}`));
+    head.append(make("h3", "", `Turn ${turn.number} of ${count}${turn.seat ? ` · ${turn.seat}` : ""}`));
     turn.flags.forEach((flag) => head.append(make("span", "flag", flag)));
     const sign = turn.reward > 0 ? " success" : turn.reward < 0 ? " failure" : "";
     head.append(make("span", `reward${sign}`, `reward ${turn.rewardText}`));
@@ -166,12 +171,11 @@
       article.append(make("p", "empty", episodes.length ? "No episode fits." : "There are no episodes."));
       return;
     }
-    const count = episode.turns.length;
     const head = make("div");
     head.append(make("h2", "", `${episode.number} · ${episode.id}`));
     const line = make("div");
     line.append(make("span", `outcome ${episode.outcome}`, episode.outcome));
-    line.append(make("span", "figures", ` · return ${episode.return} · ${count} turn${count === 1 ? "" : "s"}`));
+    line.append(make("span", "figures", ` · ${figures(episode)}`));
     head.append(line);
     if (episode.turns.some((turn) => turn.reward !== 0)) head.append(bars(episode.turns, true));
     const facts = make("dl", "facts");
@@ -187,7 +191,7 @@
       article.append(card);
     };
     if (episode.observation.length) add("Observation", episode.observation);
-    episode.turns.forEach((turn) => article.append(turnCard(turn, count)));
+    episode.turns.forEach((turn) => article.append(turnCard(turn, episode.count)));
     add("Final observation", episode.final);
     article.scrollTop = 0;
     if (moveFocus) {
@@ -219,7 +223,7 @@
       && (!wanted || haystack(episode).includes(wanted)));
     const order = $("sort").value;
     if (order === "return") shown.sort((one, other) => Number(other.return) - Number(one.return) || one.number - other.number);
-    if (order === "turns") shown.sort((one, other) => other.turns.length - one.turns.length || one.number - other.number);
+    if (order === "turns") shown.sort((one, other) => other.count - one.count || one.number - other.number);
     const solved = shown.filter((episode) => episode.outcome === "success").length;
     const judged = solved + shown.filter((episode) => episode.outcome === "failure").length;
     const rate = judged ? ` · ${((100 * solved) / judged).toFixed(0)} % success` : "";
@@ -235,9 +239,8 @@
     const name = make("span", "name");
     name.append(make("b", "", String(episode.number)), episode.id);
     button.append(name, make("span", `outcome ${episode.outcome}`, episode.outcome));
-    const count = episode.turns.length;
-    button.append(make("span", "figures", `return ${episode.return} · ${count} turn${count === 1 ? "" : "s"}`));
-    if (count) button.append(bars(episode.turns, false));
+    button.append(make("span", "figures", figures(episode)));
+    if (episode.turns.length) button.append(bars(episode.turns, false));
     button.title = episode.id;
     button.addEventListener("click", () => open(episode, true));
     const item = make("li");

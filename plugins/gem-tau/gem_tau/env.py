@@ -1,0 +1,218 @@
+"""``TauEnv``: an assistant with tools, and the user whom it serves, as two agents of one environment."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from gem_core import MultiAgentEnv, Response
+from gem_core.data import chosen_index
+from gem_core.errors import DatasetError
+from gem_core.tools import CALL_CLOSE, CALL_OPEN, CallReader, Tool, ToolCall, native_calls, spoken
+from gem_core.types import TERMINAL_STATE, Info
+from gem_tau.database import changed_records, fork, restore
+from gem_tau.folders import TaskSet, read_folder
+from gem_tau.prompts import GREETING, NOTHING_SAID, STOP, STOPS, tool_instructions, user_system
+from gem_tau.rewards import reward
+from gem_tau.tasks import Action, Task
+
+ASSISTANT, USER = "assistant", "user"
+
+Verdict = tuple[dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]
+
+
+class TauEnv(MultiAgentEnv):
+    """A user asks a company's assistant for something; the assistant has tools and a policy.
+
+    The user writes first. A response of the assistant that calls a tool is answered by the tool, and the assistant acts
+    again; any other is said to the user, without its thinking. The user never sees calls and results, and the assistant
+    never sees the user's instruction. Calls are read in the forms in which models are trained to write them, and
+    natively (``Response.tool_calls``); the first call of a response is executed, and further native ones are answered
+    as not executed.
+
+    The episode ends when the user writes ``###STOP###`` or the assistant calls the tool that hands over to a human. The
+    assistant's reward is then 1.0 if the database is as the reference actions leave it and all outputs of the task were
+    told to the user, else 0.0. It is 0.0 too when both are truncated because the assistant has acted
+    ``max_assistant_steps`` times. The user's reward is always 0.0.
+
+    The first info of each seat has ``system``, which is the policy or the user's instruction; the assistant's also has
+    ``tools``. Its last one has ``correct``, and in ``tau`` the components of the reward, ``DB`` and ``COMMUNICATE``.
+
+    Args:
+        folder: Data of tau-bench or tau2-bench, see ``read_folder``, which is read once in a process;
+            ``gem_tau:sample`` is the shop of this plugin.
+        split: Only the tasks of this split, such as ``test``; None for all.
+        max_assistant_steps: Responses of the assistant after which the episode is truncated.
+
+    Raises:
+        DatasetError: The folder cannot be read, or has no task whose reward can be computed.
+
+    Source: tau-bench, arXiv:2406.12045.
+    """
+
+    possible_agents = (ASSISTANT, USER)
+
+    def __init__(self, folder: str | Path, *, split: str | None = None, max_assistant_steps: int = 30) -> None:
+        super().__init__()
+        self.task_set = _task_set(str(folder), split, Path(folder).resolve())
+        self.num_tasks = len(self.task_set.tasks)
+        if not self.num_tasks:
+            raise DatasetError(f"{folder} has no task whose reward can be computed; see 'gem tau check'")
+        self.max_assistant_steps = max_assistant_steps
+        self._tools = {schema["function"]["name"]: DescribedTool(schema["function"]) for schema in self.task_set.tools}
+        self._reader = CallReader(self._tools)
+        self._index = self._responses = 0
+
+    @property
+    def task(self) -> Task:
+        """The task of this episode."""
+        return self.task_set.tasks[self._index]
+
+    def begin_episode(self, options: dict[str, Any] | None) -> dict[str, Info]:
+        """Draw a task, or take the one of ``options={"index": i}``."""
+        count = len(self.task_set.tasks)
+        self._index = chosen_index(options, count) if options else int(self.np_random.integers(count))
+        self._database = fork(self.task_set.database)
+        self._calls: list[Action] = []
+        self._said: list[str] = []
+        self._responses = 0
+        self._shown = {ASSISTANT: TERMINAL_STATE, USER: GREETING}
+        self.agent_selector.override(USER)
+        known = {"task_id": self.task.id, "index": self._index}
+        explained = f"\n\n{tool_instructions(self.task_set.tools)}"
+        assistant = {
+            **known,
+            "system": f"{self.task_set.policy.strip()}{explained}",
+            "tools": copy.deepcopy(self.task_set.tools),
+            "tool_instructions": {"text": explained, "native": ""},
+        }
+        return {ASSISTANT: assistant, USER: {**known, "system": user_system(self.task.instruction)}}
+
+    def observe(self, agent: str) -> str:
+        """Return what was said to the agent, or what its tool returned."""
+        return self._shown[agent]
+
+    def process_actions(self, actions: dict[str, str]) -> Verdict:
+        """Say what the user says, or what the assistant says, or call a tool."""
+        if USER in actions:
+            return self._hear_user(spoken(actions[USER]))
+        response = actions[ASSISTANT]
+        self._responses += 1
+        calls = self._calls_in(response)
+        if calls:
+            return self._call(response, calls)
+        words = spoken(response)
+        self._said.append(words)
+        self._shown[USER] = words or NOTHING_SAID
+        return {}, {}, {}, {ASSISTANT: {"parsed_action": words}}
+
+    def sample_random_action(self, agent: str) -> str:  # type: ignore[override]  # an agent has to be named
+        """Return a short message, or as the assistant a call of any tool; the user stops once in five times."""
+        draw = int(self.action_random.integers(0, 5))
+        if agent == USER:
+            return "Yes, please." if draw else STOP
+        if draw < 2:
+            return "What can I do for you?"
+        tool = list(self._tools.values())[int(self.action_random.integers(0, len(self._tools)))]
+        arguments = dict.fromkeys(tool.parameters_schema().get("properties", {}), "1")
+        return f"{CALL_OPEN}{json.dumps({'name': tool.name, 'arguments': arguments})}{CALL_CLOSE}"
+
+    def _hear_user(self, words: str) -> Verdict:
+        self._shown[ASSISTANT] = words or NOTHING_SAID
+        if self._responses and any(stop in words for stop in STOPS):  # the first message ends nothing, as in tau-bench
+            return self._end({})
+        return self._truncate({}) if self._responses >= self.max_assistant_steps else ({}, {}, {}, {})
+
+    def _calls_in(self, response: str) -> list[ToolCall]:
+        calls = native_calls(response.tool_calls or [], self._tools) if isinstance(response, Response) else []
+        written = None if calls else self._reader.find(response)
+        return calls if written is None else [written]
+
+    def _call(self, response: str, calls: list[ToolCall]) -> Verdict:
+        call = calls[0]
+        result = self._execute(call)
+        failed = call.error is not None or result.startswith("Error: ")
+        self._shown[ASSISTANT] = result if call.error else f"Output of {call.name}:\n{result}"
+        info: Info = {
+            "parsed_action": _executed(response, call),
+            "tool": {"name": call.name, "arguments": dict(call.arguments), "failed": failed, "error": call.error},
+        }
+        if call.id is not None:
+            others = [(other, "Not executed: only the first call of a response is.") for other in calls[1:]]
+            info["messages"] = [
+                {"role": "tool", "tool_call_id": each.id, "content": text} for each, text in [(call, result), *others]
+            ]
+        if call.error is None and call.name in self.task_set.domain.ends:
+            return self._end(info)
+        if self._responses >= self.max_assistant_steps:
+            return self._truncate(info)
+        self.agent_selector.override(ASSISTANT)
+        return {}, {}, {}, {ASSISTANT: info}
+
+    def _execute(self, call: ToolCall) -> str:
+        if call.error is not None:
+            return f"The call could not be read: {call.error}"
+        self._calls.append(Action(call.name, dict(call.arguments)))
+        return self.task_set.domain.call(self._database, call.name, call.arguments)
+
+    def _end(self, info: Info) -> Verdict:
+        self._shown[USER] = TERMINAL_STATE
+        value, components = reward(self.task_set, self.task, self._database, self._said, self._calls)
+        info = {**info, "correct": value == 1.0, "tau": components}
+        return {ASSISTANT: value}, dict.fromkeys(self.agents, True), {}, {ASSISTANT: info}
+
+    def _truncate(self, info: Info) -> Verdict:
+        self._shown[USER] = TERMINAL_STATE
+        return {}, {}, dict.fromkeys(self.agents, True), {ASSISTANT: {**info, "correct": False}}
+
+    def _get_state(self) -> dict[str, Any]:
+        return {
+            "index": self._index,
+            "changed": copy.deepcopy(changed_records(self._database, self.task_set.database)),
+            "calls": [[call.name, copy.deepcopy(call.arguments)] for call in self._calls],
+            "said": list(self._said),
+            "shown": dict(self._shown),
+            "responses": self._responses,
+        }
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self._index = chosen_index({"index": state["index"]}, len(self.task_set.tasks))
+        self._database = restore(state["changed"], self.task_set.database)
+        self._calls = [Action(name, copy.deepcopy(arguments)) for name, arguments in state["calls"]]
+        self._said = list(state["said"])
+        self._shown = dict(state["shown"])
+        self._responses = int(state["responses"])
+
+
+class DescribedTool(Tool):
+    """A tool that is only described, so that calls of it can be read; the environment executes them.
+
+    Args:
+        function: Its name, description and parameters, as the OpenAI chat API describes functions.
+    """
+
+    def __init__(self, function: Mapping[str, Any]) -> None:
+        self.name, self.description = function["name"], function.get("description", "")
+        self._parameters = function.get("parameters", {})
+
+    def parameters_schema(self) -> dict[str, Any]:
+        """Return the JSON Schema of the arguments."""
+        schema: dict[str, Any] = copy.deepcopy(self._parameters)
+        return schema
+
+
+def _executed(response: str, call: ToolCall) -> str | None:
+    """Return what was executed of a response: up to the end of the call, or all of it where the call is native."""
+    if call.id is not None:
+        return str(response)
+    return response[: call.end] if call.end else None
+
+
+@lru_cache(maxsize=4)
+def _task_set(folder: str, split: str | None, where: Path) -> TaskSet:
+    """Read a folder once for all environments: a task set takes some 10 MB, and is never changed."""
+    return read_folder(folder, split)

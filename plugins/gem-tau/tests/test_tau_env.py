@@ -1,0 +1,344 @@
+"""``TauEnv``: turns of assistant and user, calls in all forms, what neither sees of the other, and how it ends."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import gem_core as gem
+from gem_core import Response
+from gem_core.errors import ArgumentError, DatasetError
+from gem_core.rollouts import load_agent
+from gem_core.testing import check_env, check_plugin
+from gem_tau.env import TauEnv
+from gem_tau.prompts import GREETING, STOP
+
+CANCEL = ("cancel_order", {"order_id": "#1042", "reason": "ordered by mistake"})
+"""The reference action of the first task of the sample."""
+
+
+def written(name: str, arguments: dict[str, Any]) -> str:
+    """Return a call as text."""
+    return f"<tool_call>{json.dumps({'name': name, 'arguments': arguments})}</tool_call>"
+
+
+def native(*calls: tuple[str, dict[str, Any]], text: str = "") -> Response:
+    """Return native calls, whose ids are the letters from a."""
+    functions = [{"name": name, "arguments": json.dumps(arguments)} for name, arguments in calls]
+    return Response(text, tool_calls=[{"id": chr(97 + at), "function": each} for at, each in enumerate(functions)])
+
+
+def begun(**options: Any) -> Any:
+    """Return the sample in its first task, after the user's first words."""
+    env = gem.make("tau:Sample", **options)
+    env.reset(seed=0, options={"index": 0})
+    env.step({"user": "I want to cancel order #1042."})
+    return env
+
+
+def test_user_opens_and_the_policy_and_tools_come_first() -> None:
+    """The user answers a greeting; the assistant's first info has the policy and the schemas, the user's its part."""
+    env = gem.make("tau:Sample")
+    observations, infos = env.reset(seed=0, options={"index": 0})
+    assert observations == {"user": GREETING}
+    assert "You are Ines Castro." in infos["user"]["system"]
+    assert infos["user"]["task_id"] == "sample-0"
+    observations, rewards, *_, infos = env.step({"user": "<think>They are slow.</think>Hi!"})
+    assert observations == {"assistant": "Hi!"}
+    assert rewards == {"assistant": 0.0}
+    assert infos["assistant"]["system"].startswith("# Policy of Spoke & Bell")
+    assert [tool["function"]["name"] for tool in infos["assistant"]["tools"]][:2] == ["find_customer", "get_order"]
+
+
+def test_calls_are_answered_and_words_are_said() -> None:
+    """After a call the assistant acts again; what it says without one is shown to the user, without thinking."""
+    env = begun()
+    observations, _, _, _, infos = env.step({"assistant": "Wait. " + written("get_order", {"order_id": "#1042"})})
+    assert observations["assistant"].startswith('Output of get_order:\n{"order_id": "#1042", "customer_id": "ines"')
+    assert infos["assistant"]["tool"]["arguments"] == {"order_id": "#1042"}
+    assert infos["assistant"]["parsed_action"].endswith("</tool_call>")
+    observations, *_ = env.step({"assistant": "<think>It is hers.</think>Shall I cancel it?"})
+    assert observations == {"user": "Shall I cancel it?"}
+    assert env.step({"user": ""})[0] == {"assistant": "(nothing was said)"}
+
+
+@pytest.mark.parametrize(
+    ("calls", "last_words", "reward"),
+    [
+        ([CANCEL], STOP, 1.0),
+        ([CANCEL], f"Thank you. {STOP}", 1.0),
+        ([], STOP, 0.0),
+        ([CANCEL, ("change_address", {"order_id": "#1024", "address": "x"})], STOP, 0.0),
+    ],
+)
+def test_database_decides_the_reward(calls: list[Any], last_words: str, reward: float) -> None:
+    """The user's stop word ends the episode, and the assistant is rewarded for the database that it leaves."""
+    env = begun()
+    for call in calls:
+        env.step({"assistant": written(*call)})
+    env.step({"assistant": "It is done."})
+    observations, rewards, terminations, truncations, infos = env.step({"user": last_words})
+    assert (observations, rewards) == ({}, {"assistant": reward, "user": 0.0})
+    assert (terminations, truncations) == (
+        {"assistant": True, "user": True},
+        {"assistant": False, "user": False},
+    )
+    assert infos["assistant"]["correct"] == bool(reward)
+    assert infos["assistant"]["tau"] == {"DB": reward, "COMMUNICATE": 1.0}
+    assert "correct" not in infos["user"]
+
+
+@pytest.mark.parametrize(
+    ("words", "reward"), [("It comes to 98.40.", 1.0), ("<think>98.4</think>Hello.", 0.0), ("`98.4`", 1.0)]
+)
+def test_outputs_must_be_said(words: str, reward: float) -> None:
+    """What a task asks to tell counts where it was said to the user, not where it was thought."""
+    env = gem.make("tau:Sample")
+    env.reset(seed=0, options={"index": 4})
+    env.step({"user": "What is the total?"})
+    env.step({"assistant": words})
+    _, rewards, *_, infos = env.step({"user": STOP})
+    assert rewards["assistant"] == reward
+    assert infos["assistant"]["tau"] == {"DB": 1.0, "COMMUNICATE": reward}
+
+
+def test_first_native_call_alone_is_executed() -> None:
+    """Results come back under the ids of the calls, and further calls of a response are not executed."""
+    env = begun()
+    other = ("change_address", {"order_id": "#1024", "address": "x"})
+    *_, infos = env.step({"assistant": native(CANCEL, other, text="Done!")})
+    first, second = infos["assistant"]["messages"]
+    assert (first["role"], first["tool_call_id"]) == ("tool", "a")
+    assert json.loads(first["content"])["status"] == "cancelled"
+    assert second["tool_call_id"] == "b"
+    assert second["content"] == "Not executed: only the first call of a response is."
+    env.step({"assistant": "It is cancelled."})
+    assert env.step({"user": STOP})[1]["assistant"] == 1.0
+
+
+@pytest.mark.parametrize(
+    "response",
+    [
+        written(*CANCEL),
+        '[cancel_order(order_id="#1042", reason="ordered by mistake")]',
+        "<function=cancel_order><parameter=order_id>#1042</parameter>"
+        "<parameter=reason>ordered by mistake</parameter></function>",
+        native(CANCEL),
+    ],
+)
+def test_calls_are_read_in_many_forms(response: str) -> None:
+    """In those that models are trained to write, and natively."""
+    env = begun()
+    *_, infos = env.step({"assistant": response})
+    assert infos["assistant"]["tool"] == {
+        "name": "cancel_order",
+        "arguments": CANCEL[1],
+        "failed": False,
+        "error": None,
+    }
+
+
+@pytest.mark.parametrize(
+    ("response", "told"),
+    [
+        ('<tool_call>{"name": "cancel_order"', "The call could not be read: "),
+        (native(("cancel", {})), "The call could not be read: no tool 'cancel'. Did you mean 'cancel_order'?"),
+        (native(("get_order", {})), "Output of get_order:\nError: "),
+        (native(("get_order", {"order_id": {"a": [1]}})), "Output of get_order:\nError: "),
+        (native(("cancel_order", {"order_id": "#1042", "reason": "bored"})), "Output of cancel_order:\nError: "),
+    ],
+)
+def test_failed_calls_are_told_to_the_assistant_alone(response: str, told: str) -> None:
+    """It acts again, and the user hears nothing."""
+    env = begun()
+    observations, *_, infos = env.step({"assistant": response})
+    assert observations["assistant"].startswith(told)
+    assert infos["assistant"]["tool"]["failed"]
+
+
+def test_handing_over_ends_the_episode() -> None:
+    """The tool that hands over ends it at once; the reward is computed all the same."""
+    env = begun()
+    env.step({"assistant": written(*CANCEL)})
+    observations, rewards, terminations, _, infos = env.step({"assistant": written("hand_over", {"summary": "x"})})
+    assert observations == {}
+    assert rewards == {"assistant": 1.0, "user": 0.0}
+    assert all(terminations.values())
+    assert infos["assistant"]["final_obs"] == "Output of hand_over:\nA human takes over."
+    assert infos["user"]["final_obs"] == gem.TERMINAL_STATE
+
+
+def test_assistant_is_cut_off_after_its_last_step() -> None:
+    """After ``max_assistant_steps`` both are truncated without a reward, but the user may still end the episode."""
+    call = {"assistant": written("get_order", {"order_id": "#1042"})}
+    env = begun(max_assistant_steps=2)
+    env.step(call)
+    _, rewards, terminations, truncations, infos = env.step(call)
+    assert rewards == {"assistant": 0.0, "user": 0.0}
+    assert (terminations["assistant"], truncations) == (False, {"assistant": True, "user": True})
+    assert infos["assistant"]["correct"] is False
+    for words, reward in (("And now?", 0.0), (STOP, 1.0)):
+        env = begun(max_assistant_steps=2)
+        env.step({"assistant": written(*CANCEL)})
+        env.step({"assistant": "Done."})
+        assert env.step({"user": words})[1]["assistant"] == reward
+        assert env.agents == []
+
+
+def test_first_message_of_the_user_ends_nothing() -> None:
+    """The assistant acts at least once."""
+    env = gem.make("tau:Sample")
+    env.reset(seed=0)
+    assert env.step({"user": STOP})[0] == {"assistant": STOP}
+
+
+def test_neither_seat_sees_what_is_the_others() -> None:
+    """The instruction and the reference actions stay with the user's seat, calls and results with the assistant's."""
+    env = gem.make("tau:Sample")
+    for index in range(env.num_tasks):
+        observations, infos = env.reset(seed=0, options={"index": index})
+        seen: dict[str, list[Any]] = {"assistant": [], "user": []}
+        turns = [
+            {"user": "<think>MINE</think>Hello."},
+            {"assistant": "<think>MINE</think>" + written("get_order", {"order_id": "#1042"})},
+            {"assistant": native(("get_product", {"product": "bell"}), text="Let me look.")},
+            {"assistant": "Hello. <think>MINE"},
+            {"user": "MINE</think>" + STOP},
+        ]
+        for turn in turns:
+            for agent, observation in observations.items():
+                seen[agent] += [observation, infos[agent]]
+            observations, _, _, _, infos = env.step(turn)
+        for agent, info in infos.items():
+            seen[agent].append({name: value for name, value in info.items() if name != "parsed_action"})
+        task = env.unwrapped.task
+        assistant, user = json.dumps(seen["assistant"]), json.dumps(seen["user"])
+        assert "helmet-red" in assistant  # the result of its call
+        for line in task.instruction.splitlines():
+            assert json.dumps(line)[1:-1] not in assistant
+        assert "actions" not in assistant
+        assert not [word for word in ("get_order", "tool_call", "bell-brass", "Let me look", "Policy") if word in user]
+        assert "MINE" not in user.replace(json.dumps(task.instruction), "")
+        assert "They" not in assistant
+
+
+def test_tasks_are_drawn_or_chosen() -> None:
+    """A seed draws a row; an index takes one."""
+    env = gem.make("tau:Sample")
+    drawn = [env.reset(seed=seed)[1]["user"]["task_id"] for seed in range(20)]
+    assert drawn == [env.reset(seed=seed)[1]["user"]["task_id"] for seed in range(20)]
+    assert len(set(drawn)) > 4
+    with pytest.raises(ArgumentError, match=r"^options\['index'\] must be from 0 to 9, not 10$"):
+        env.reset(options={"index": 10})
+
+
+def test_state_survives_json_in_the_middle() -> None:
+    """What was changed in the database, said and called is part of the state."""
+    env, other, untouched = begun(), gem.make("tau:Sample"), TauEnv("gem_tau:sample")
+    env.step({"assistant": written(*CANCEL)})
+    env.step({"assistant": "It is cancelled."})
+    other.set_state(json.loads(json.dumps(env.get_state())))
+    for actions in ({"user": "Thanks"}, {"assistant": written("get_order", {"order_id": "#1042"})}):
+        assert env.step(actions) == other.step(actions)
+    other.step({"assistant": "Anything else?"})
+    assert other.step({"user": STOP})[1]["assistant"] == 1.0
+    assert untouched.task_set.database["orders"]["#1042"]["status"] == "pending"
+
+
+def test_calls_decide_where_a_task_says_so() -> None:
+    """Tasks of tau2-bench may ask for the reference actions themselves; they are part of the state."""
+
+    def begun_task() -> TauEnv:
+        env = TauEnv("gem_tau:sample")
+        tasks = tuple(replace(task, reward_basis=("ACTION",)) for task in env.task_set.tasks)
+        env.task_set = replace(env.task_set, tasks=tasks)
+        env.reset(seed=0, options={"index": 0})
+        env.step({"user": "Cancel it."})
+        return env
+
+    env, other = begun_task(), begun_task()
+    env.step({"assistant": written(*CANCEL)})
+    other.set_state(json.loads(json.dumps(env.get_state())))
+    for each, reward in ((env, 1.0), (other, 1.0), (begun_task(), 0.0)):
+        each.step({"assistant": "Done."})
+        assert each.step({"user": STOP})[1]["assistant"] == reward
+
+
+def test_tools_are_explained_where_they_are_not_offered() -> None:
+    """An agent without native calls reads in the system text how to call the tools; another reads the policy alone."""
+
+    class Assistant:
+        reads = "messages"
+
+        def __init__(self, native_tools: bool) -> None:
+            self.native_tools = native_tools
+            self.read: Any = None
+
+        def __call__(self, observation: Any, context: gem.Context) -> str:
+            self.read = observation
+            return "Hello."
+
+    class User:
+        def __call__(self, observation: Any, context: gem.Context) -> str:
+            return STOP if context.turn else "Hi."
+
+    for native_tools in (False, True):
+        assistant = Assistant(native_tools)
+        (joint,) = gem.rollout("tau:Sample", agents={"assistant": assistant, "user": User()}, episodes=1)
+        assert joint.error is None
+        system, first = assistant.read
+        assert first == {"role": "user", "content": "Hi."}
+        assert ("<tool_call>" in system["content"]) is not native_tools
+
+
+def test_solo_plays_the_user_inside() -> None:
+    """An environment for the assistant alone begins with the user's words, and its infos are the assistant's."""
+    env = gem.make("tau:Sample-solo", user="tau-user:terse")
+    assert env.unwrapped.num_tasks == 10
+    observation, info = env.reset(seed=0, options={"index": 0})
+    assert observation == "Cancel an order."
+    assert info["system"].startswith("# Policy")
+    assert len(info["tools"]) == 8
+    assert env.step("What is your e-mail address?")[0] == "ines.castro@example.com."
+    assert env.step(native(CANCEL))[4]["messages"][0]["tool_call_id"] == "a"
+    *_, info = env.step("It is done.")
+    assert info["correct"]
+    (episode,) = gem.rollout("tau:Sample-solo", load_agent("tau-assistant:careful"), episodes=1)
+    assert episode.success
+
+
+def test_solo_draws_one_of_several_users() -> None:
+    """By the seed of the episode."""
+    env = gem.make("tau:Sample-solo", user=["tau-user:patient", "tau-user:terse"])
+    openings = [env.reset(seed=seed, options={"index": 0})[0] for seed in range(12)]
+    assert set(openings) == {
+        "Cancel an order.",
+        "I want to cancel an order. My email address is ines.castro@example.com. The order is #1042. "
+        "The reason is: ordered by mistake.",
+    }
+
+
+def test_folder_without_tasks_is_refused(tmp_path: Path) -> None:
+    """It could not begin an episode."""
+    for name in ("orders", "products", "users"):
+        (tmp_path / f"{name}.json").write_text("{}")
+    (tmp_path / "policy.md").write_text("Be kind.")
+    (tmp_path / "tasks_test.json").write_text("[]")
+    with pytest.raises(DatasetError, match=r" has no task whose reward can be computed; see 'gem tau check'$"):
+        TauEnv(tmp_path)
+
+
+def test_plugin_keeps_its_promises() -> None:
+    """It loads nothing heavy, and its entry points take the arguments that are registered or asked for."""
+    check_plugin("gem-tau")
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("env_id", ["tau:Sample", "tau:Sample-solo"])
+def test_environments_keep_the_contract(env_id: str) -> None:
+    """All that ``check_env`` tries."""
+    assert check_env(env_id).skipped == {}

@@ -1,0 +1,319 @@
+"""``gem run`` with several agents: who sits where, the table, resuming, and what is refused."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import shlex
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from command_calls import RunGem, subprocess_gem
+
+import gem_core as gem
+from gem_core import JointEpisode
+from gem_core.errors import ArgumentError
+from gem_core.records import read_records
+from gem_core.registry.specs import ToolSpec
+from gem_core.rollouts import load_agents
+
+HEAP, AUCTION, ALONE = "seats:Countdown-v0", "seats:Auction-v0", "seats:Alone-v0"
+
+AGENTS = r"""
+from pathlib import Path
+from gem_core.errors import RequestError
+
+def one(observation):
+    return "\\boxed{1}"
+
+def fails(observation, context):
+    if context.turn == 1 and Path("down").exists():
+        raise RequestError("the server is down")
+    return "\\boxed{1}"
+
+class Warm:
+    calls = []
+    max_concurrency = 3
+
+    def __init__(self, temperature=0.0):
+        self.calls.append(temperature)
+
+    def prepare(self):
+        self.calls.append("prepare")
+
+    def close(self):
+        self.calls.append("close")
+
+    def __call__(self, observation):
+        return "\\boxed{2}"
+"""
+
+REGISTER = f"""
+import gem_core as gem
+gem.register({HEAP!r}, "joint_toys:CountdownEnv", seats=("first", "second"))
+"""
+
+STOPPED_AGENT = """
+import os, signal
+from pathlib import Path
+# Where the tests run in the background of a shell, they inherit that Ctrl-C is ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+seen = set()
+def act(observation, context):
+    seen.add(context.episode)
+    if len(seen) > 3 and Path("stop").exists():
+        os.kill(os.getpid(), signal.SIGINT)
+    return context.sample_random_action()
+"""
+
+
+@pytest.fixture(autouse=True)
+def _registered(tmp_path: Path) -> None:
+    (tmp_path / "seat_agents.py").write_text(AGENTS)
+    if HEAP not in gem.list_envs():
+        gem.register(HEAP, "joint_toys:CountdownEnv", seats=("first", "second"))
+        gem.register(AUCTION, "joint_toys:AuctionEnv", agents=["a", "b", "c"], rounds=6, seats=("a", "b", "c"))
+        gem.register(ALONE, "toys:CountdownEnv")
+
+
+def played(path: str | Path) -> list[JointEpisode]:
+    """The joint records of a file, in the order of the plan."""
+    records = [record for record in read_records(path) if isinstance(record, JointEpisode)]
+    return sorted(records, key=lambda record: int(record.key))
+
+
+def at_first_seat(run_gem: RunGem, *arguments: str) -> list[str]:
+    """Which agent has the first seat in each of four episodes."""
+    outcome = run_gem("run", HEAP, "-n", "4", "-s", "1", "-o", "a.jsonl", "--overwrite", *arguments)
+    assert (outcome.code, outcome.err) == (0, "")
+    return [joint.agents["first"] for joint in played("a.jsonl")]
+
+
+def test_one_agent_plays_all_seats(run_gem: RunGem) -> None:
+    """By default the random one; the table has a row for each seat, and counts each episode once."""
+    outcome = run_gem("run", HEAP, "-n", "10", "-s", "1", "-o", "a.jsonl")
+    assert (outcome.code, outcome.err) == (0, "")
+    lines = outcome.out.splitlines()
+    assert [line.split()[:3] for line in lines[1:3]] == [
+        [HEAP, "first=random", "10"],
+        [HEAP, "second=random", "10"],
+    ]
+    assert lines[3].startswith("10 episodes in ")
+    assert len(played("a.jsonl")) == 10
+
+
+def test_agents_sit_where_they_are_told(run_gem: RunGem) -> None:
+    """``SEAT=AGENT`` fixes the seats, and ``--swap-seats`` lets even those change from episode to episode."""
+    by_seat = ["--agent", "second=random", "--agent", "first=seat_agents:one"]
+    assert at_first_seat(run_gem, *by_seat) == ["seat_agents:one"] * 4
+    assert at_first_seat(run_gem, *by_seat, "--swap-seats") == ["seat_agents:one", "random"] * 2
+
+
+def test_agents_without_seats_change_them(run_gem: RunGem) -> None:
+    """The first named begins in the first seat; as JSON there are the numbers of each agent at all its seats."""
+    listed = ["--agent", "seat_agents:one", "--agent", "random"]
+    assert at_first_seat(run_gem, *listed) == ["seat_agents:one", "random"] * 2
+    report = json.loads(run_gem("run", HEAP, "-n", "4", *listed, "--json").out)
+    assert (report["episodes"], report["errors"]) == (4, 0)
+    rows = {(row["seat"], row["agent"]): row for row in report["environments"]}
+    assert len(rows) == 6
+    assert {agent: rows[None, agent]["episodes"] for agent in ("random", "seat_agents:one")} == {
+        "random": 4,
+        "seat_agents:one": 4,
+    }
+    assert sum(row["total_return"] for row in rows.values()) == 0
+    won = rows["first", "random"]
+    assert won["success_rate"] == (won["mean_return"] + 1) / 2
+
+
+def test_agents_change_seats_in_each_environment(run_gem: RunGem) -> None:
+    """With several ids none is left with the same agent at its first seat."""
+    gem.register("seats:Again-v0", "joint_toys:CountdownEnv", seats=("first", "second"))
+    listed = ["--agent", "seat_agents:one", "--agent", "random"]
+    run_gem("run", HEAP, "seats:Again-v0", "-n", "2", *listed, "-o", "a.jsonl")
+    assert set(Counter((joint.id, joint.agents["first"]) for joint in played("a.jsonl")).values()) == {1}
+
+
+def test_each_agent_is_made_and_closed_once(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where it has several seats; it gets the options that it takes, and one that takes none is given none."""
+    monkeypatch.syspath_prepend(".")
+    arguments = ["-a", "a=seat_agents:Warm", "-a", "b=random", "-a", "c=seat_agents:Warm", "--temperature", "0.5"]
+    assert run_gem("run", AUCTION, "-n", "2", *arguments).code == 0
+    calls = importlib.import_module("seat_agents").Warm.calls
+    assert calls[0] == 0.5
+    assert set(calls[1:-1]) == {"prepare"}
+    assert calls[-1] == "close"
+
+
+def test_wrappers_go_around_every_seat(run_gem: RunGem) -> None:
+    """A view shows each seat its own turns."""
+    run_gem("run", HEAP, "-n", "1", "-s", "1", "-w", "concat", "-o", "a.jsonl")
+    (joint,) = played("a.jsonl")
+    assert [len(str(turn.observation).splitlines()) for turn in joint.seats["first"].transitions] == [1, 2, 3]
+
+
+def test_wrappers_and_tools_of_one_seat(run_gem: RunGem, offer: Callable[..., None]) -> None:
+    """``SEAT=NAMES`` are for one seat, names alone for all; a limit of calls goes to the seats that have tools."""
+    offer(ToolSpec(name="note", entry_point="toys:Notebook"))
+    own = ["-w", "second=concat", "-w", "episode_stats", "--tools", "first=note", "--max-tool-uses", "3"]
+    assert run_gem("run", HEAP, "-n", "1", "-s", "1", *own, "-o", "a.jsonl").code == 0
+    (joint,) = played("a.jsonl")
+    assert {seat: [name for name, _ in stack] for seat, stack in dict(joint.wrappers).items()} == {
+        "first": ["tools", "episode_stats"],
+        "second": ["concat", "episode_stats"],
+    }
+    assert (joint.seats["first"].tools, joint.seats["second"].tools) == (["note"], [])
+    refused = run_gem("run", HEAP, "-w", "secnd=concat")
+    assert refused.err == f"gem: {HEAP} has no seat 'secnd'. Did you mean 'second'? Its seats are first, second\n"
+    refused = run_gem("run", HEAP, "-w", "second=concat", "--max-tool-uses", "3")
+    assert refused.err == "gem: --max-tool-uses is a limit of tools, and there are none; name some by --tools\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            [HEAP, "-a", "frst=random", "-a", "second=random"],
+            f"{HEAP} has no seat 'frst'. Did you mean 'first'? Its seats are first, second",
+        ),
+        (
+            [HEAP, "-a", "first=random"],
+            f"{HEAP} has the seats first, second, and there is no agent for second: write --agent first=AGENT --agent "
+            "second=AGENT",
+        ),
+        (
+            [HEAP, "-a", "first=random", "-a", "random"],
+            "--agent random names no seat: write --agent first=AGENT --agent second=AGENT",
+        ),
+        (
+            [HEAP, "-a", "first=", "-a", "second=random"],
+            "--agent first= names no agent: write --agent first=AGENT --agent second=AGENT",
+        ),
+        (
+            [HEAP, "-a", "first=random", "-a", "first=random"],
+            "--agent is given twice for the seat first: write --agent first=AGENT --agent second=AGENT",
+        ),
+        (
+            [HEAP, "-a", "random", "-a", "random", "-a", "random"],
+            f"{HEAP} has the seats first, second, and 3 agents are given: give one --agent for all seats, 2 that "
+            "change seats, or --agent first=AGENT --agent second=AGENT",
+        ),
+        (
+            [HEAP, "--swap-seats"],
+            "--swap-seats goes with agents by seat, as in --agent first=AGENT --agent second=AGENT; a list changes "
+            "seats anyway",
+        ),
+        ([ALONE, "-a", "first=random"], f"{ALONE} is for one agent, and has no seats: give --agent random"),
+        (
+            [ALONE, "-a", "random", "-a", "random"],
+            f"{ALONE} is for one agent: leave a second --agent out ('gem info ID' names the seats of others)",
+        ),
+        (
+            [ALONE, "--swap-seats"],
+            f"{ALONE} is for one agent: leave --swap-seats out ('gem info ID' names the seats of others)",
+        ),
+        (
+            [HEAP, ALONE],
+            f"{ALONE} is for one agent, and {HEAP} has the seats first, second: run those of one agent and those of "
+            "several apart",
+        ),
+        (
+            [HEAP, "-a", "first=random", "-a", "second=seat_agents:one", "--temperature", "1"],
+            "none of the agents random, seat_agents:one takes the option temperature",
+        ),
+        (
+            [HEAP, "-a", "first=human", "-a", "second=random", "-k", "3"],
+            "the agent 'human' answers one episode at a time; use --num-envs 1, not 3",
+        ),
+    ],
+)
+def test_agents_that_do_not_fit_are_refused(run_gem: RunGem, arguments: list[str], message: str) -> None:
+    """In one line that names the seats and what to type, before anything is run."""
+    outcome = run_gem("run", *arguments)
+    assert (outcome.code, outcome.out, outcome.err) == (2, "", f"gem: {message}\n")
+
+
+def test_unknown_agent_is_named_before_its_options() -> None:
+    """The error is that of ``load_agent``."""
+    with pytest.raises(gem.GemError, match=r"no agent 'randm'\. Did you mean 'random'"):
+        load_agents(["randm", "random"], temperature=1)
+    with pytest.raises(ArgumentError, match="agent 'random': got an unexpected keyword argument 'temperature'"):
+        load_agents(["random", "random"], temperature=1)
+
+
+def test_glob_means_environments_of_one_kind(run_gem: RunGem) -> None:
+    """By how the agents are given; what is left out is named."""
+    alone = run_gem("run", "seats:A[l]*", "seats:Cou*", "-n", "1")
+    assert alone.code == 2  # each glob matches one kind, and they are asked for
+    outcome = run_gem("run", "seats:[AC][lo]*", "-n", "1", "--json")
+    assert outcome.err == f"gem: left out 1 of 2 for several agents: {HEAP}\n"
+    assert [row["id"] for row in json.loads(outcome.out)["environments"]] == [ALONE]
+    outcome = run_gem("run", "seats:[AC][lo]*", "-n", "1", "-a", "random", "-a", "random", "--json")
+    assert outcome.err == f"gem: left out 1 of 2 for one agent: {ALONE}\n"
+    assert {row["id"] for row in json.loads(outcome.out)["environments"]} == {HEAP}
+
+
+def test_errors_count_episodes_and_are_run_again(run_gem: RunGem) -> None:
+    """One seat without an answer is one episode with an error, however many seats it had."""
+    Path("down").touch()
+    agents = ["-a", "first=seat_agents:fails", "-a", "second=seat_agents:one"]
+    first = run_gem("run", HEAP, "-n", "3", "-s", "1", *agents, "-o", "a.jsonl")
+    assert first.code == 1
+    assert first.err.startswith(f"gem: 3 episodes had an error; the first: {HEAP}, seed ")
+    assert first.err.endswith(": the server is down\n")
+    Path("down").unlink()
+    again = run_gem("run", HEAP, "-n", "3", *agents, "--resume", "a.jsonl")
+    assert (again.code, again.err) == (0, "gem: 3 episodes with an error or cut off: run again\n")
+    assert "3 episodes in " in again.out
+    assert [joint.error for joint in played("a.jsonl")] == [None] * 3
+
+
+def test_interrupted_run_of_several_agents_goes_on(tmp_path: Path) -> None:
+    """Ctrl-C counts episodes; the command of the last line names every agent, and completes the run."""
+    (tmp_path / "mine.py").write_text(STOPPED_AGENT)
+    (tmp_path / "stop").touch()
+    options = ["-n", "12", "-k", "2", "-a", "first=mine:act", "-a", "second=random", "--swap-seats"]
+    stopped = subprocess_gem("run", HEAP, *options, "-s", "5", "-o", "a.jsonl", cwd=tmp_path, code=REGISTER)
+    count = len(played(tmp_path / "a.jsonl"))
+    assert stopped.returncode == 130
+    assert f"gem: interrupted after {count} of 12 episodes\n" in stopped.stderr
+    last = stopped.stderr.splitlines()[-1].removeprefix("gem: go on with: ")
+    assert last == (
+        f"gem run {HEAP} --agent first=mine:act --agent second=random --swap-seats --episodes 12 --num-envs 2 "
+        "--resume a.jsonl"
+    )
+    (tmp_path / "stop").unlink()
+    resumed = subprocess_gem(*shlex.split(last)[1:], cwd=tmp_path, code=REGISTER)
+    assert (resumed.returncode, resumed.stderr) == (0, "")
+    assert f"{12 - count} episodes in " in resumed.stdout
+    assert f"(seed 5), added to the {count} in a.jsonl" in resumed.stdout
+    whole = subprocess_gem("run", HEAP, *options, "-s", "5", "-o", "b.jsonl", cwd=tmp_path, code=REGISTER)
+    assert whole.returncode == 0
+    assert played(tmp_path / "a.jsonl") == played(tmp_path / "b.jsonl")
+
+
+def test_progress_tells_the_return_of_each(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By agent where there are several, and by seat in self-play; it counts episodes."""
+    told: list[tuple[int, str]] = []
+    monkeypatch.setattr("gem_core.progress.Progress.advance", lambda self, done, status="": told.append((done, status)))
+    run_gem("run", HEAP, "-n", "3", "-s", "1")
+    assert told[-1][0] == 3
+    assert told[-1][1].startswith("return of first ")
+    run_gem("run", HEAP, "-n", "3", "-s", "1", "-a", "seat_agents:one", "-a", "random")
+    assert "return of random " in told[-1][1]
+
+
+def test_info_names_the_seats_and_how_they_act(run_gem: RunGem) -> None:
+    """With what each seat that begins sees first; ``gem list --json`` names the seats as well."""
+    out = run_gem("info", HEAP).out
+    assert "  seats:        first, second\n" in out
+    _, _, acts = out.partition("\nThe agents act one after another.\n\n")
+    assert acts.startswith("The first observation of first, with seed 0:\nThe heap has ")
+    gem.register("seats:Parallel-v0", "joint_toys:AuctionEnv", agents=["a", "b"], mode="parallel", seats=("a", "b"))
+    out = run_gem("info", "seats:Parallel-v0").out
+    assert "\nThe agents act all at once.\n\nThe first observation of a, with seed 0:\nYou are a." in out
+    assert "\nThe first observation of b, with seed 0:\nYou are b." in out
+    assert json.loads(run_gem("info", HEAP, "--json").out)["seats"] == ["first", "second"]
+    assert json.loads(run_gem("list", ALONE, "--json").out)[0]["seats"] == []
