@@ -205,6 +205,21 @@ def test_malformed_beginning_is_refused(agents: list[str], told: Any, message: s
         X().reset(seed=0)
 
 
+def test_agents_may_be_a_part_of_a_tuple() -> None:
+    """Those who begin are taken in any sequence, and leave and join as always."""
+
+    class Part(AuctionEnv):
+        def begin_episode(self, options: dict[str, Any] | None) -> None:
+            super().begin_episode(options)
+            self.agents = ("a", "b")  # type: ignore[assignment]
+
+    env = Part(["a", "b", "c"])
+    env.reset(seed=0)
+    env.add_agent("c")
+    env.step({"a": "quit"})
+    assert env.agents == ["b", "c"]
+
+
 def test_turn_limit_truncates_all() -> None:
     """``max_turns`` of the record counts steps, and truncates everyone who is left."""
     gem.register("joint:Auction-v0", AuctionEnv, agents=["a", "b"], mode="parallel", seats=("a", "b"))

@@ -184,6 +184,7 @@ class MultiAgentEnv(Env):
         self.cumulative, self._unpaid = {}, {}
         self.terminations, self.truncations, self._news = {}, {}, {}
         told = self._checked_beginning(self.begin_episode(options))
+        self.agents = list(dict.fromkeys(self.agents))  # a part of possible_agents may be a tuple
         for agent in possible:
             if agent not in self.agents:
                 self.agent_selector.remove(agent)
