@@ -14,7 +14,7 @@ from joint_toys import AuctionEnv, BrokenAuctionEnv, CountdownEnv
 
 import gem_core as gem
 from gem_core import Episode, JointEpisode, League, PlanItem, Response, rollout
-from gem_core.errors import AgentError, ArgumentError, ContextOverflowError, RequestError
+from gem_core.errors import AgentError, ArgumentError, ContextOverflowError, EpisodeFileError, RequestError
 from gem_core.records import RunSummary
 from gem_core.rollouts import Context, Seated, arollout
 
@@ -101,6 +101,24 @@ def test_list_of_agents_changes_seats() -> None:
     assert [joint.agents["first"] for joint in rollout(CountdownEnv(), agents=by_seat, plan=plan[:1], seed=0)] == ["y"]
 
 
+def test_agents_change_seats_in_each_environment_of_a_plan() -> None:
+    """Environments and arguments that a plan takes in turn leave no agent at one seat."""
+    if not gem.list_envs("jointroll:Auction-v0"):
+        gem.register("jointroll:Auction-v0", AuctionEnv, agents=["first", "second"], rounds=2)
+    kinds = [
+        PlanItem("jointroll:Countdown-v0"),
+        PlanItem("jointroll:Auction-v0", kwargs={"rounds": 3}),
+        PlanItem("jointroll:Auction-v0"),
+        PlanItem("jointroll:Auction-v0", kwargs={"rounds": 4}),
+    ]
+    agents, ids = [Seated("x", take_one), Seated("y", take_one)], ["jointroll:Countdown-v0", "jointroll:Auction-v0"]
+    seen = Counter(
+        (joint.id, joint.kwargs.get("rounds"), joint.agents["first"])
+        for joint in rollout(ids, agents=agents, plan=kinds * 4, seed=0)
+    )
+    assert set(seen.values()) == {2}
+
+
 def test_league_draws_opponents_for_each_item() -> None:
     """The learner changes seats; opponents follow the weights, are the same in a group and for the same run seed."""
 
@@ -131,6 +149,9 @@ def test_league_refuses_unusable_weights() -> None:
         League(take_one, {"a": take_one}, weights={"a": -1})
     with pytest.raises(ArgumentError, match=r"^a league needs an opponent whose weight is above 0"):
         League(take_one, latest=0)
+    league = League(take_one, {"a": take_one}, latest=0)
+    with pytest.raises(ArgumentError, match=r"^a league needs an opponent whose weight is above 0"):
+        league.add("a", take_one, weight=0)
 
 
 def test_asynchronous_agents_are_asked_side_by_side() -> None:
@@ -193,6 +214,26 @@ def test_agent_without_an_answer_ends_the_episode_for_all() -> None:
     assert joint.seats["second"].error == {"kind": "opponent", "message": "the agent at 'first' has no answer"}
 
 
+def test_questions_of_an_episode_that_is_over_are_cancelled() -> None:
+    """An agent that would never answer holds no place among the open questions once another seat has failed."""
+    cancelled = []
+
+    async def hanging(observation: Any, context: Context) -> str:
+        try:
+            await asyncio.Event().wait()
+        finally:
+            cancelled.append(context.episode)
+        return ""
+
+    async def down(observation: Any) -> str:
+        raise RequestError("no route")
+
+    env = AuctionEnv(["a", "b"], mode="parallel")
+    joints = rollout(env, agents={"a": hanging, "b": down}, episodes=3, seed=0, max_requests=2)
+    assert [joint.error for joint in joints] == [{"kind": "agent", "message": "no route"}] * 3
+    assert cancelled == ["0.0", "1.0", "2.0"]
+
+
 def test_context_overflow_counts_for_its_own_seat_alone() -> None:
     """A history that is too long for one model is scored for it, and left out for the others."""
     failing = failing_at(1, ContextOverflowError("too long"))
@@ -208,6 +249,73 @@ def test_environment_that_fails_is_an_error_of_all_seats() -> None:
     (joint,) = rollout(BrokenAuctionEnv(), agents=agents, episodes=1, seed=0)
     assert joint.error == {"kind": "exception", "message": "step raised ValueError: boom"}
     assert [(episode.turns, episode.error) for episode in joint] == [(1, joint.error), (1, joint.error)]
+
+
+def test_error_at_one_seat_leaves_out_those_that_it_cut_off() -> None:
+    """A fault at one seat is no loss of another; a seat that had ended, or won, keeps what it has."""
+
+    class Faulty(gem.MultiAgentEnv):
+        possible_agents = ("early", "faulty", "other", "winner")
+
+        def observe(self, agent: str) -> str:
+            return agent
+
+        def process_actions(self, actions: dict[str, str]) -> Any:
+            if "early" in actions:
+                return {"early": 1.0, "winner": 1.0}, {"early": True, "winner": True}, {}, {}
+            cut_off = {"faulty": True, "other": True}
+            return {}, {}, cut_off, {"faulty": {"error": {"kind": "tool", "message": "gone"}}}
+
+    (joint,) = rollout(Faulty(), agents=take_one, episodes=1, seed=0)
+    assert joint.error == {"kind": "tool", "message": "gone"}
+    assert joint.seats["other"].error == {"kind": "opponent", "message": "an error at 'faulty'"}
+    assert joint.seats["early"].error is joint.seats["winner"].error is None
+
+
+def test_seat_that_ended_before_it_acted_has_no_turn() -> None:
+    """A failure later in the episode adds nothing to it."""
+
+    class Early(BrokenAuctionEnv):
+        def process_actions(self, actions: dict[str, str]) -> Any:
+            super().process_actions(actions)
+            return {}, {"b": True}, {}, {}
+
+    answers = iter(["1", "boom"])
+    (joint,) = rollout(Early(), agents=lambda observation: next(answers), episodes=1, seed=0)
+    assert joint.error is not None
+    assert [(episode.turns, episode.error is None) for episode in joint] == [(2, False), (0, True)]
+
+
+class ClosedAgent:
+    """Counts how often it was closed."""
+
+    closed = 0
+
+    def __call__(self, observation: Any) -> str:
+        """Take one."""
+        return "\\boxed{1}"
+
+    async def aclose(self) -> None:
+        """Count."""
+        type(self).closed += 1
+
+
+@pytest.mark.parametrize("many", [lambda name: name, lambda name: [name, name], lambda name: {"second": name}])
+def test_agents_given_by_name_are_closed(many: Any) -> None:
+    """What the run made is closed at its end; an agent that was given stays open."""
+    agents = many(f"{__name__}:ClosedAgent")
+    before, made = ClosedAgent.closed, len(agents) if isinstance(agents, list) else 1
+    if isinstance(agents, dict):
+        agents["first"] = ClosedAgent()
+    list(rollout(CountdownEnv(), agents=agents, episodes=1, seed=0))
+    assert ClosedAgent.closed == before + made
+
+    async def run() -> None:
+        async for _ in arollout(CountdownEnv(), agents=agents, episodes=1, seed=0):
+            pass
+
+    asyncio.run(run())
+    assert ClosedAgent.closed == before + 2 * made
 
 
 def test_wrong_agents_are_refused() -> None:
@@ -251,6 +359,23 @@ def test_records_survive_a_file(tmp_path: Path) -> None:
     ]
     assert path.read_text().count('"kwargs"') == 3
     assert all(isinstance(episode, Episode) for episode in gem.read_episodes(path))
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"order": [["first"], ["nobody"]]}, "the order names a seat without an episode"),
+        ({"seats": {"first": {"first_reward": "much"}}}, "first_reward is 'much'"),
+    ],
+)
+def test_damaged_record_is_refused(change: dict[str, Any], problem: str) -> None:
+    """What somebody changed in a file is found when it is read, not when it is used."""
+    (joint,) = rollout(CountdownEnv(), agents=take_one, episodes=1, seed=0)
+    record = joint.to_dict()
+    for seat, fields in change.pop("seats", {}).items():
+        record["seats"][seat].update(fields)
+    with pytest.raises(EpisodeFileError, match=problem):
+        JointEpisode.from_dict({**record, **change})
 
 
 def test_records_name_the_wrappers_of_each_seat(tmp_path: Path) -> None:

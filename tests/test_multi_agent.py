@@ -157,6 +157,7 @@ def test_step_outside_an_episode_is_refused() -> None:
         (None, r"X: process_actions must return \(rewards, terminations, truncations, infos\), not None"),
         (({"b": 1.0}, {}, {}, {}), "X: process_actions names 'b', and 'a' take part"),
         (({"a": float("nan")}, {}, {}, {}), "X: the reward of 'a' must be a finite number, not nan"),
+        (({"a": None}, {}, {}, {}), "X: the reward of 'a' must be a finite number, not None"),
         (({}, {}, {}, {"a": 1}), "X: the info of 'a' must be a dictionary, not int"),
     ],
 )
@@ -178,18 +179,71 @@ def test_malformed_verdict_is_refused(verdict: Any, message: str) -> None:
         env.step({"a": "1"})
 
 
+@pytest.mark.parametrize(
+    ("agents", "told", "message"),
+    [
+        ([], None, r"X: begin_episode must leave some of 'a', 'b' in self.agents, not \[\]"),
+        (["c"], None, r"X: begin_episode must leave some of 'a', 'b' in self.agents, not \['c'\]"),
+        (["a"], ("observation", {}), r"X: begin_episode must return {agent: info} or None, not \('observation', {}\)"),
+        (["a"], {"b": {"role": "spy"}}, "X: begin_episode has an info for 'b', and 'a' take part"),
+    ],
+)
+def test_malformed_beginning_is_refused(agents: list[str], told: Any, message: str) -> None:
+    """A mistake of the author in ``begin_episode`` is an error that names it."""
+
+    class X(MultiAgentEnv):
+        possible_agents = ("a", "b")
+
+        def begin_episode(self, options: dict[str, Any] | None) -> Any:
+            self.agents = agents
+            return told
+
+        def observe(self, agent: str) -> str:
+            return ""
+
+    with pytest.raises((TypeError, ValueError), match=f"^{message}$"):
+        X().reset(seed=0)
+
+
+def test_agents_may_be_a_part_of_a_tuple() -> None:
+    """Those who begin are taken in any sequence, and leave and join as always."""
+
+    class Part(AuctionEnv):
+        def begin_episode(self, options: dict[str, Any] | None) -> None:
+            super().begin_episode(options)
+            self.agents = ("a", "b")  # type: ignore[assignment]
+
+    env = Part(["a", "b", "c"])
+    env.reset(seed=0)
+    env.add_agent("c")
+    env.step({"a": "quit"})
+    assert env.agents == ["b", "c"]
+
+
 def test_turn_limit_truncates_all() -> None:
     """``max_turns`` of the record counts steps, and truncates everyone who is left."""
     gem.register("joint:Auction-v0", AuctionEnv, agents=["a", "b"], mode="parallel", seats=("a", "b"))
     spec = gem.spec("joint:Auction-v0")
     assert spec.seats == ("a", "b")
-    env: Any = gem.make(gem.EnvSpec(id="joint:Short-v0", entry_point=AuctionEnv, kwargs={**spec.kwargs}, max_turns=2))
+    made: Any = gem.make(gem.EnvSpec(id="joint:Short-v0", entry_point=AuctionEnv, kwargs={**spec.kwargs}, max_turns=2))
+    for env in made, made.spawn():
+        env.reset(seed=0)
+        env.step({"a": "1", "b": "2"})
+        _, _, terminations, truncations, _ = env.step({"a": "1", "b": "2"})
+        assert terminations == {"a": False, "b": False}
+        assert truncations == {"a": True, "b": True}
+        assert env.agents == []
+
+
+def test_make_keeps_the_limit_of_a_class() -> None:
+    """``max_steps`` of the class holds where the record says nothing."""
+
+    class Brief(AuctionEnv):
+        max_steps = 1
+
+    env: Any = gem.make(gem.EnvSpec(id="joint:Brief-v0", entry_point=Brief, kwargs={"agents": ["a", "b"]}))
     env.reset(seed=0)
-    env.step({"a": "1", "b": "2"})
-    _, _, terminations, truncations, _ = env.step({"a": "1", "b": "2"})
-    assert terminations == {"a": False, "b": False}
-    assert truncations == {"a": True, "b": True}
-    assert env.agents == []
+    assert env.step({"a": "1"})[3] == {"a": True, "b": True}
 
 
 def test_state_survives_json_in_the_middle_of_an_episode() -> None:
@@ -247,6 +301,14 @@ def test_parallel_selector_takes_all_but_the_skipped() -> None:
     selector = AgentSelector(["a", "b"], mode="parallel")
     selector.skip("a")
     assert [selector.next() for _ in range(2)] == [["b"], ["a", "b"]]
+
+
+def test_selector_of_a_class_is_refused() -> None:
+    """Environments of one class would take each other's turns."""
+    with pytest.raises(TypeError, match=r"^Shared sets agent_selector in the class, .*; set self.agent_selector in"):
+
+        class Shared(AuctionEnv):
+            agent_selector = AgentSelector(mode="parallel")
 
 
 def test_own_selector_decides() -> None:

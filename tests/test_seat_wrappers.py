@@ -185,6 +185,17 @@ def test_a_seat_that_its_wrapper_ends_ends_the_episode() -> None:
         env.step({"a": "1"})
 
 
+def test_seats_that_end_by_the_task_and_by_a_wrapper_in_one_step() -> None:
+    """One quits the task in the step in which another is out of turns: each ends for its own reason, and is paid."""
+    env = auction({"b": [("turn_limit", {"max_turns": 1})]}, ("a", "b", "c"))
+    env.reset(seed=0)
+    _, rewards, terminations, truncations, _ = env.step({"a": "quit", "b": "5", "c": "3"})
+    assert rewards == env.cumulative == {"a": -5.0, "b": 2.0, "c": 3.0}
+    assert terminations == {"a": True, "b": False, "c": False}
+    assert truncations == {"a": False, "b": True, "c": True}
+    assert env.agents == []
+
+
 def test_a_failed_tool_ends_the_episode() -> None:
     """A fault of the machinery is in the info of its seat; a response that was held is not carried out."""
 
@@ -243,6 +254,12 @@ def test_wrappers_that_are_no_hooks_are_refused(wrapper: Any) -> None:
         r"gem_core.single_agent\(env, seat, others\)$",
     ):
         auction([wrapper])
+
+
+def test_a_wrapper_around_the_whole_is_refused() -> None:
+    """The error says how it gets around a seat."""
+    with pytest.raises(ArgumentError, match=r"^Silent goes around a seat, .* make\(id, wrappers={'a': \[Silent\]}\)$"):
+        Silent(auction(()))
 
 
 def test_unknown_seats_are_refused() -> None:

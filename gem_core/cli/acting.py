@@ -23,12 +23,10 @@ class Acting(NamedTuple):
     Args:
         agents: Every agent once, by name.
         options: What ``rollout`` takes: ``agent``, or ``agents`` where several act.
-        rotates: Whether the agents change seats from episode to episode.
     """
 
     agents: Mapping[str, Agent]
     options: dict[str, Any]
-    rotates: bool = False
 
     @property
     def interactive(self) -> str | None:
@@ -77,7 +75,7 @@ def load_acting(
     agents = load_agents(names, **agent_options)
     seated = [Seated(name, agents[name]) for name in names]
     if by_seat is None or swap_seats:
-        return Acting(agents, {"agents": as_seating(seated)}, rotates=True)
+        return Acting(agents, {"agents": as_seating(seated)})
     return Acting(agents, {"agents": as_seating(dict(zip(envs[0].seats, seated, strict=True)))})
 
 

@@ -186,7 +186,7 @@ def command(
     with closing(
         make_vec(chosen, slots, seed=run_seed, backend=backend, wrappers=stack, step_timeout=step_timeout)
     ) as vector:
-        plan = default_plan(vector, episodes, rotate=acting.rotates)
+        plan = default_plan(vector, episodes)
         summary = RunSummary(env_ids)
         if resumed is not None:
             resumed.begin(EpisodeQueue(plan, vector.seed), summary)

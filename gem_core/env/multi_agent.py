@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NoReturn, cast
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from gem_core.env.agent_selector import AgentSelector
 from gem_core.env.base import Env
+from gem_core.env.results import checked_reward
 from gem_core.env.spaces import Text
 from gem_core.errors import ArgumentError, ResetNeededError, SamplingNotSupported, StateError
 from gem_core.suggestions import did_you_mean
@@ -74,7 +74,7 @@ class MultiAgentEnv(Env):
     """Those who take part now; empty when the episode is over."""
 
     max_steps: int | None = None
-    """Number of steps after which all agents are truncated; None for no limit."""
+    """Number of steps after which all agents are truncated; None for no limit. A record's ``max_turns`` goes first."""
 
     cumulative: dict[str, float]
     """The sum of each agent's rewards in this episode, those included that ``step`` has not returned yet."""
@@ -88,6 +88,15 @@ class MultiAgentEnv(Env):
     _in_episode = False
     _unpaid: dict[str, float]
     _news: dict[str, Info]
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Refuse a selector of the class, which all its environments would share."""
+        super().__init_subclass__(**kwargs)
+        if isinstance(vars(cls).get("agent_selector"), AgentSelector):
+            raise TypeError(
+                f"{cls.__name__} sets agent_selector in the class, where all its environments would share it; "
+                "set self.agent_selector in __init__"
+            )
 
     @cached_property
     def agent_selector(self) -> AgentSelector:
@@ -174,7 +183,8 @@ class MultiAgentEnv(Env):
         self._steps = 0
         self.cumulative, self._unpaid = {}, {}
         self.terminations, self.truncations, self._news = {}, {}, {}
-        told = self.begin_episode(options) or {}
+        told = self._checked_beginning(self.begin_episode(options))
+        self.agents = list(dict.fromkeys(self.agents))  # a part of possible_agents may be a tuple
         for agent in possible:
             if agent not in self.agents:
                 self.agent_selector.remove(agent)
@@ -208,8 +218,7 @@ class MultiAgentEnv(Env):
             self._unpaid[agent] += reward
             self.cumulative[agent] += reward
         self._inform(told)
-        out_of_steps = self.max_steps is not None and self._steps >= self.max_steps
-        return self._result(self._take_out(terminations, truncations, cut_off=out_of_steps))
+        return self._result(self._take_out(terminations, truncations, cut_off=self._is_out_of_steps()))
 
     def truncate_all(self) -> JointStepResult:
         """End the episode from outside: all who take part are truncated.
@@ -246,12 +255,6 @@ class MultiAgentEnv(Env):
                 "call reset(), or give a state that get_state() returned"
             ) from error
 
-    def spawn(self, same_state: bool = False, **overrides: Any) -> Env:
-        """Return a sibling with the same limit of steps; see ``Env.spawn``."""
-        sibling = super().spawn(same_state, **overrides)
-        cast("MultiAgentEnv", sibling).max_steps = self.max_steps
-        return sibling
-
     @property
     def _name(self) -> str:
         return self.env_id or type(self).__name__
@@ -272,6 +275,11 @@ class MultiAgentEnv(Env):
             rewards[agent], self._unpaid[agent] = self._unpaid[agent], 0.0
             infos[agent] = self._infos_of(agent)
         return self._observations(acting), rewards, dict(self.terminations), dict(self.truncations), infos
+
+    def _is_out_of_steps(self) -> bool:
+        record = None if self.spec is None else self.spec.record
+        limit = self.max_steps if record is None or record.max_turns is None else record.max_turns
+        return limit is not None and self._steps >= limit
 
     def _check_in_episode(self) -> None:
         if not self.acting:
@@ -299,6 +307,29 @@ class MultiAgentEnv(Env):
     def _who_acts(self) -> str:
         return f"{self._named(self.acting)} {'acts' if len(self.acting) == 1 else 'act'} now"
 
+    def _checked_beginning(self, told: Any) -> Mapping[str, Info]:
+        """Return the infos of ``begin_episode``, if they and ``agents`` are well-formed.
+
+        Raises:
+            TypeError: It returned something else.
+            ValueError: Nobody takes part, or somebody who is no possible agent; or an info is for nobody who does.
+        """
+        if not self.agents or not set(self.agents) <= set(self.possible_agents):
+            raise ValueError(
+                f"{self._name}: begin_episode must leave some of {self._named(self.possible_agents)} in self.agents, "
+                f"not {self.agents!r:.200}"
+            )
+        if told is None:
+            return {}
+        if not isinstance(told, Mapping) or not all(isinstance(info, dict) for info in told.values()):
+            self._refuse(f"begin_episode must return {{agent: info}} or None, not {told!r:.200}")
+        for agent in told:
+            if agent not in self.agents:
+                raise ValueError(
+                    f"{self._name}: begin_episode has an info for {agent!r}, and {self._named(self.agents)} take part"
+                )
+        return told
+
     def _checked(self, result: object) -> tuple[dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]:
         """Return what ``process_actions`` returned, if it is well-formed.
 
@@ -317,14 +348,14 @@ class MultiAgentEnv(Env):
                 raise ValueError(
                     f"{self._name}: process_actions names {agent!r}, and {self._named(self.agents)} take part"
                 )
-        for agent, reward in rewards.items():
-            if isinstance(reward, str | bytes) or not math.isfinite(reward):
-                self._refuse(f"the reward of {agent!r} must be a finite number, not {reward!r:.200}")
         for agent, info in infos.items():
             if not isinstance(info, dict):
                 self._refuse(f"the info of {agent!r} must be a dictionary, not {type(info).__name__}")
         return (
-            {agent: float(reward) for agent, reward in rewards.items()},
+            {
+                agent: checked_reward(reward, f"{self._name}: the reward of {agent!r}")
+                for agent, reward in rewards.items()
+            },
             {agent: bool(flag) for agent, flag in terminations.items()},
             {agent: bool(flag) for agent, flag in truncations.items()},
             dict(infos),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -25,14 +25,25 @@ def checked_result(result: object) -> StepResult:
     if not isinstance(result, tuple) or len(result) != 5:
         raise TypeError(f"step must return (observation, reward, terminated, truncated, info), not {result!r:.200}")
     observation, reward, terminated, truncated, info = result
+    number = checked_reward(reward)
+    _check_types(observation, info)
+    return observation, number, _flag("terminated", terminated), _flag("truncated", truncated), info.copy()
+
+
+def checked_reward(reward: Any, whose: str = "the reward") -> float:
+    """Return a reward as a number.
+
+    Raises:
+        TypeError: It is none.
+        ValueError: It is not finite.
+    """
     try:
         number = math.nan if isinstance(reward, str | bytes) else float(reward)
     except (TypeError, ValueError, OverflowError) as error:
-        raise TypeError(f"the reward must be a finite number, not {reward!r:.200}") from error
+        raise TypeError(f"{whose} must be a finite number, not {reward!r:.200}") from error
     if not math.isfinite(number):
-        raise ValueError(f"the reward must be a finite number, not {reward!r:.200}")
-    _check_types(observation, info)
-    return observation, number, _flag("terminated", terminated), _flag("truncated", truncated), info.copy()
+        raise ValueError(f"{whose} must be a finite number, not {reward!r:.200}")
+    return number
 
 
 def checked_reset(result: object) -> ResetResult:

@@ -196,7 +196,7 @@ class SeatWrappers(MultiAgentEnv):
         self._held = {}
         joint = await calls.truncate_all(self.env)
         for agent in results:
-            del joint[1][agent]  # it has heard all that there is
+            joint[1].pop(agent, None)  # it has heard all that there is; one that has ended is not there
         cut_off = {
             agent: (observation, reward, terminated, truncated or not terminated, info)
             for agent, (observation, reward, terminated, truncated, info) in results.items()

@@ -11,6 +11,7 @@ import gymnasium
 from gem_core.arguments import RemembersArguments, signature_of
 from gem_core.background import in_thread, on_library_loop, run_sync
 from gem_core.env.base import AsyncEnv, Env, reset_arguments
+from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.results import refuse_action
 from gem_core.env.spec import EnvRecipe
 from gem_core.errors import ArgumentError, GemError, StateError, StateNotSupported
@@ -47,6 +48,14 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
     env: AnyEnv
     made_as: tuple[str, dict[str, Any]] | None = None
     _plain_only = False
+
+    def __init__(self, env: AnyEnv) -> None:
+        if isinstance(env, MultiAgentEnv) and type(self).step is Wrapper.step:  # its hooks take one agent's results
+            raise ArgumentError(
+                f"{type(self).__name__} goes around a seat, and several agents act here; give wrappers to make, as in "
+                f"make(id, wrappers={{{next(iter(env.possible_agents), 'seat')!r}: [{type(self).__name__}]}})"
+            )
+        super().__init__(env)
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Record whether a subclass overrides ``reset`` or ``step`` itself, as in Gymnasium."""

@@ -101,7 +101,6 @@ def _finish_env(env: AnyEnv, record: EnvSpec, arguments: dict[str, Any], render_
         arguments = {**arguments, "render_mode": render_mode}
     task.spec = _made_spec(record, arguments)
     if isinstance(task, MultiAgentEnv):
-        task.max_steps = record.max_turns
         return env
     guarded: AnyEnv = Guard(env)
     if record.max_turns is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sized
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Protocol, cast
+from typing import Any, Literal, Protocol
 
 from gem_core.errors import EpisodeFileError
 from gem_core.records.conversation import Conversation
@@ -208,8 +208,8 @@ class Episode:
         return episode
 
     def _check(self) -> None:
-        for name, types in (("id", str), ("info", dict), ("observation", (str, list)), ("kwargs", dict)):
-            if not isinstance(getattr(self, name), cast("type", types)):
+        for name, types in _TYPES.items():
+            if not isinstance(getattr(self, name), types):
                 raise EpisodeFileError(f"the record of an episode is damaged: {name} is {getattr(self, name)!r:.100}")
 
     def __eq__(self, other: object) -> bool:
@@ -218,6 +218,9 @@ class Episode:
 
     __hash__ = None  # type: ignore[assignment]  # records are mutable
 
+
+_TYPES = {"id": str, "info": dict, "observation": str | list, "kwargs": dict, "first_reward": int | float}
+"""Of the fields that reading an episode needs."""
 
 _FIELDS = tuple(name for name in Episode.__dataclass_fields__ if name != "transitions")
 

@@ -128,10 +128,13 @@ class JointEpisode:
             seats = {
                 str(seat): Episode.from_dict({**shared, **episode}, images) for seat, episode in record["seats"].items()
             }
+            order = [[str(seat) for seat in acted] for acted in record["order"]]
+            if not seats.keys() >= set().union(*order):
+                raise ValueError("the order names a seat without an episode")
             return cls(
                 seats=seats,
                 agents={str(seat): str(agent) for seat, agent in record["agents"].items()},
-                order=[[str(seat) for seat in acted] for acted in record["order"]],
+                order=order,
                 failure=record["failure"],
                 **{name: getattr(start, name) for name in _OF_START},
             )

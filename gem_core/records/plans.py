@@ -10,6 +10,7 @@ import copy
 import math
 import threading
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -32,7 +33,7 @@ class PlanItem:
             where ``repeat`` is over 1.
         repeat: Number of episodes that start alike.
         rotation: By how many places the agents of a joint episode move on from the seats that they were named for; None
-            for as many as the item's place in the plan if they were given as a list, and none if by seat.
+            for as many as items of its environment come before it if they were given as a list, and none if by seat.
     """
 
     id: str | None = None
@@ -58,6 +59,8 @@ class EpisodeStart:
         repeat: Which of the item's episodes it is, from 0.
         seed: Seed of the episode, shared by the item's repeats.
         run_seed: Seed of the run.
+        number: How many items of the same environment are before it in the plan, or in the slot where there is none; 0
+            for an episode that was looked up.
     """
 
     item: PlanItem
@@ -65,6 +68,7 @@ class EpisodeStart:
     repeat: int
     seed: int
     run_seed: int
+    number: int = field(default=0, compare=False)
 
     @property
     def key(self) -> str:
@@ -104,7 +108,8 @@ class EpisodeQueue:
         self._next_index = 0
         self._item: tuple[int, PlanItem] | None = None
         self._next_repeat = 0
-        self._counts: dict[int, int] = {}
+        self._counts: Counter[Any] = Counter()
+        """Items drawn so far, by environment; without a plan by slot."""
 
     @property
     def total(self) -> int | None:
@@ -162,9 +167,9 @@ class EpisodeQueue:
                 while (start := self._next_of_plan()) is not None and self._is_done(start):
                     pass
                 return start
-            count = self._counts.get(slot, 0)
-            self._counts[slot] = count + 1
-            return EpisodeStart(_NO_ITEM, (slot, count), 0, seed_at(self._seeds, (slot, count)), self.seed)
+            count = self._counts[slot]
+            self._counts[slot] += 1
+            return EpisodeStart(_NO_ITEM, (slot, count), 0, seed_at(self._seeds, (slot, count)), self.seed, count)
 
     def _next_of_plan(self) -> EpisodeStart | None:
         if self._item is None or self._next_repeat == self._item[1].repeat:
@@ -174,9 +179,12 @@ class EpisodeQueue:
                 return None
             self._next_repeat = 0
             self._item = found[0], _checked_item(*found)
+            self._counts[_environment(self._item[1])] += 1
         repeat = self._next_repeat
         self._next_repeat = repeat + 1
-        return self._start(*self._item, repeat)
+        start = self._start(*self._item, repeat)
+        start.number = self._counts[_environment(start.item)] - 1
+        return start
 
     def _next_item(self) -> tuple[int, PlanItem] | None:
         if not isinstance(self._plan, Sequence):
@@ -190,6 +198,12 @@ class EpisodeQueue:
     def _start(self, index: int, item: PlanItem, repeat: int) -> EpisodeStart:
         seed = seed_at(self._seeds, (index,)) if item.seed is None else item.seed
         return EpisodeStart(item, (index,), repeat, seed, self.seed)
+
+
+def _environment(item: PlanItem) -> Any:
+    """Return what tells the environment of an item from others: its id, and arguments that are numbers or text."""
+    arguments = sorted(item.kwargs.items(), key=lambda each: each[0]) if item.kwargs else ()
+    return item.id, tuple((name, value) for name, value in arguments if isinstance(value, str | int | float))
 
 
 def _checked_item(index: int, item: object) -> PlanItem:
@@ -248,11 +262,6 @@ def interleaved(parts: Sequence[Sequence[PlanItem]]) -> Sequence[PlanItem]:
         return present[place - before(row)][row]
 
     return LazyPlan(sum(lengths), item)
-
-
-def rotating(plan: Sequence[PlanItem]) -> Sequence[PlanItem]:
-    """Return a plan whose agents move on by one seat from item to item."""
-    return LazyPlan(len(plan), lambda place: replace(plan[place], rotation=place))
 
 
 def count_plan(

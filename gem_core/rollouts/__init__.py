@@ -15,7 +15,7 @@ from gem_core.rollouts.agent import (
 from gem_core.rollouts.drivers import arollout, default_plan, rollout
 from gem_core.rollouts.one_seat import SingleAgentEnv, single_agent
 from gem_core.rollouts.resume import FinishedEpisodes
-from gem_core.rollouts.seat import RunningSeat, new_episode
+from gem_core.rollouts.seat import new_episode
 from gem_core.rollouts.seating import League, Seated, Seating, as_seating
 
 __all__ = [
@@ -25,7 +25,6 @@ __all__ = [
     "FinishedEpisodes",
     "League",
     "Reading",
-    "RunningSeat",
     "Seated",
     "Seating",
     "SingleAgentEnv",

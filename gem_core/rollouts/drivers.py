@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 import itertools
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AsyncExitStack, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,8 +19,8 @@ from gem_core.errors import ArgumentError
 from gem_core.progress import Progress
 from gem_core.records.episode import Episode
 from gem_core.records.joint import JointEpisode, Record
-from gem_core.records.plans import EpisodeQueue, PlanItem, count_plan, cover_plan, interleaved, rotating
-from gem_core.rollouts.agent import Agent, as_agent, is_asynchronous, prepare_agent
+from gem_core.records.plans import EpisodeQueue, PlanItem, count_plan, cover_plan, interleaved
+from gem_core.rollouts.agent import Agent, as_agent, close_agent, is_asynchronous, prepare_agent
 from gem_core.rollouts.loop import EpisodeLoop
 from gem_core.rollouts.requests import AgentRequests
 from gem_core.rollouts.resume import FinishedEpisodes, finished_episodes
@@ -87,7 +87,7 @@ def rollout(
         agents: Instead of ``agent``, for environments in which several agents act: ``{seat: agent}``; or a list of as
             many agents as there are seats, which move on by one seat from item to item of the plan, so that each begins
             as often as the others; or one agent for all seats, as in self-play; or a ``League``. An agent may also be
-            given by name, as ``load_agent`` takes it: ``"random"``, ``"openai:MODEL"``.
+            given by name, as ``load_agent`` takes it: ``"random"``, ``"openai:MODEL"``; it is then closed at the end.
         plan: What episodes start from; see ``gem_core.records.plans``.
         episodes: Instead of a plan, the number of episodes for each environment; a data set gives its first rows. With
             neither, the vector environment's own plan is taken from the beginning; where it has none, each row of a
@@ -116,7 +116,9 @@ def rollout(
     What stops a run is raised after the episodes that had finished by then.
     """
     acting = _who_acts(agent, agents)
-    return _drive(_Run(env, acting, plan, episodes, seed, num_envs, max_requests, resume, progress))
+    return _drive(
+        _Run(env, acting, plan, episodes, seed, num_envs, max_requests, resume, progress, _loaded(acting, agents))
+    )
 
 
 @overload
@@ -157,18 +159,13 @@ def arollout(
         progress: Show how far the run is.
     """
     acting = _who_acts(agent, agents)
-    return _drive_async(_Run(env, acting, plan, episodes, seed, num_envs, max_requests, resume, progress))
+    return _drive_async(
+        _Run(env, acting, plan, episodes, seed, num_envs, max_requests, resume, progress, _loaded(acting, agents))
+    )
 
 
-def default_plan(vector: VectorEnv, episodes: int | None = None, *, rotate: bool = False) -> Sequence[PlanItem]:
-    """Return the plan of ``rollout`` without one: rows in order for data sets, a number of episodes for the rest.
-
-    Args:
-        vector: Where the episodes run.
-        episodes: Number of episodes for each environment.
-        rotate: Let agents change seats from item to item of each environment. By the place in the plan, of which an
-            environment may have only every other item, the same agent might always begin.
-    """
+def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[PlanItem]:
+    """Return the plan of ``rollout`` without one: rows in order for data sets, a number of episodes for the rest."""
     parts: list[Sequence[PlanItem]] = []
     for env_id, kwargs in vector.entries:
         rows = vector.num_tasks(env_id, kwargs)
@@ -178,8 +175,6 @@ def default_plan(vector: VectorEnv, episodes: int | None = None, *, rotate: bool
             parts.append(cover_plan(env_id, rows, episodes=episodes, endless=endless, kwargs=kwargs))
         else:
             parts.append(count_plan([env_id], DEFAULT_EPISODES if episodes is None else episodes, kwargs=kwargs))
-    if rotate:
-        parts = [rotating(part) for part in parts]
     # Taken in turn, so that a run that is stopped has some of each.
     return interleaved(parts)
 
@@ -197,6 +192,8 @@ class _Run:
     max_requests: int | None
     resume: Resume
     progress: bool | OnProgress
+    loaded: Sequence[Agent] = ()
+    """Agents that were given by name, which are closed at the end."""
 
     def __post_init__(self) -> None:
         if self.plan is not None and self.episodes is not None:
@@ -237,8 +234,7 @@ class _Run:
         if self.plan is None and self.episodes is None and vector.own_source.planned:
             queue = vector.own_source.restarted(seed)
         else:
-            rotate = isinstance(self.acting, Seating) and self.acting.rotates
-            plan = default_plan(vector, self.episodes, rotate=rotate) if self.plan is None else self.plan
+            plan = default_plan(vector, self.episodes) if self.plan is None else self.plan
             queue = EpisodeQueue(plan, vector.seed if seed is None else seed)
         finished.leave_out_of(queue)
         return queue
@@ -263,6 +259,8 @@ def _drive(run: _Run) -> Iterator[Record]:
     with ExitStack() as at_end:
         if vector is not run.env:
             at_end.callback(vector.close)
+        for agent in run.loaded:
+            at_end.callback(close_agent, agent)
         at_end.callback(requests.close)
         for agent in run.agents:
             prepare_agent(agent)
@@ -284,6 +282,8 @@ async def _drive_async(run: _Run) -> AsyncIterator[Record]:
     async with AsyncExitStack() as at_end:
         if vector is not run.env:
             at_end.push_async_callback(in_thread, vector.close)
+        for agent in run.loaded:
+            at_end.push_async_callback(in_thread, close_agent, agent)
         at_end.push_async_callback(requests.aclose)
         for agent in run.agents:
             prepared = getattr(agent, "prepare", lambda: None)()
@@ -304,6 +304,14 @@ def _who_acts(agent: Any, agents: Any) -> Agent | Seating:
     if (agent is None) == (agents is None):
         raise ArgumentError("give either agent, who acts alone, or agents, where several act")
     return as_agent(agent) if agents is None else as_seating(agents)
+
+
+def _loaded(acting: Agent | Seating, agents: Any) -> list[Agent]:
+    """Return those of ``agents`` that were given by name."""
+    if not isinstance(acting, Seating) or acting is agents:
+        return []
+    given = agents.values() if isinstance(agents, Mapping) else agents if isinstance(agents, list | tuple) else [agents]
+    return [agent for name, agent in zip(given, acting.everyone(), strict=False) if isinstance(name, str)]
 
 
 def _asked_at_once(agents: Iterable[Agent], max_requests: int | None) -> int | None:

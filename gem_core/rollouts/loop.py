@@ -63,7 +63,7 @@ class EpisodeLoop:
         actions: dict[int, Action] = {}
         for (running, seat), reply in self._requests.replies():
             if self._running.get(running.slot) is not running:
-                continue  # another seat ended the episode while this agent was thinking
+                continue  # another seat has just ended the episode
             if isinstance(reply, Response):
                 action = running.answer(seat, reply)
                 if action is not None:
@@ -132,9 +132,9 @@ class EpisodeLoop:
             error = {"kind": "exception" if of_env else "agent", "message": message}
             reported = {"error": error}
         running.cut_off(seat, reported)
-        self._requests.forget(running)
         self._finished.append(running.record)
         self._vector.give_up(running.slot, error)
+        self._requests.forget(running)
 
 
 def _failed_reset(failed: Mapping[str, Any], *, joint: bool) -> Record:

@@ -49,7 +49,7 @@ class AgentRequests:
         self._loop = loop
         self._waiting: deque[tuple[Asked, Agent, Observation, Context]] = deque()
         self._open: set[Asked] = set()
-        self._tasks: set[asyncio.Future[str]] = set()  # used in the thread of the loop only
+        self._tasks: dict[asyncio.Future[str], RunningEpisode] = {}  # used in the thread of the loop only
         self._ready: deque[tuple[Asked, Response | BaseException]] = deque()
 
     def ask(self, asked: Asked, agent: Agent, observation: Observation, context: Context) -> None:
@@ -58,8 +58,13 @@ class AgentRequests:
         self._ask_waiting()
 
     def forget(self, running: RunningEpisode) -> None:
-        """Drop the questions of an episode that still wait for a free place."""
+        """Cancel the questions of an episode, and ask those that wait for their places."""
         self._waiting = deque(question for question in self._waiting if question[0][0] is not running)
+        cancelled = {asked for asked in self._open if asked[0] is running}
+        if cancelled:
+            self._open = self._open - cancelled
+            self._on_loop(self._cancel_questions_of, running)
+        self._ask_waiting()
 
     def is_ready(self) -> bool:
         """Tell whether there is a reply."""
@@ -84,7 +89,7 @@ class AgentRequests:
     def close(self) -> None:
         """Cancel the open questions, and wait in plain code until their tasks have ended."""
         self._waiting.clear()
-        if self._open:
+        if self._open or self._tasks:
             run_sync(self._cancel())
 
     async def aclose(self) -> None:
@@ -104,25 +109,34 @@ class AgentRequests:
                 self._ready.append((asked, _response(answer)))
                 continue
             self._open.add(asked)
-            if self._loop is None:
-                background_loop().call_soon_threadsafe(self._start, asked, answer)
-            else:
-                self._start(asked, answer)
+            self._on_loop(self._start, asked, answer)
+
+    def _on_loop(self, function: Callable[..., None], *args: object) -> None:
+        if self._loop is None:
+            background_loop().call_soon_threadsafe(function, *args)
+        else:
+            function(*args)
 
     def _start(self, asked: Asked, answer: Awaitable[str]) -> None:
         task = asyncio.ensure_future(answer)
-        self._tasks.add(task)
+        self._tasks[task] = asked[0]
         task.add_done_callback(lambda _: self._end(asked, task))
 
+    def _cancel_questions_of(self, running: RunningEpisode) -> None:
+        for task, asked_for in self._tasks.items():
+            if asked_for is running:
+                task.cancel()
+
     def _end(self, asked: Asked, task: asyncio.Future[str]) -> None:
-        self._tasks.discard(task)
+        del self._tasks[task]
         reply: Response | BaseException
         if task.cancelled():
             reply = AgentError("the agent's coroutine was cancelled; an agent must not cancel its own task")
         else:
             reply = task.exception() or _response(task.result())
-        self._ready.append((asked, reply))
-        self._notify()
+        if asked in self._open:  # nobody waits for it otherwise
+            self._ready.append((asked, reply))
+            self._notify()
 
     async def _cancel(self) -> None:
         for task in self._tasks:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, Protocol, cast
 
@@ -93,6 +93,7 @@ class SharedEpisode:
         self._start = start
         self._readings = {seat: Reading.of(one.agent) for seat, one in seated.items()}
         self._running: dict[str, RunningSeat] = {}
+        self._ended: set[str] = set()
         self._acting: list[str] = []
         self._responses: dict[str, Response] = {}
 
@@ -130,14 +131,25 @@ class SharedEpisode:
             else:
                 own = {name: value for name, value in own.items() if name != "final_obs"}
                 running.add(reward[seat], info["terminations"][seat], info["truncations"][seat], seen, own)
+            if info["terminations"][seat] or info["truncations"][seat]:
+                self._ended.add(seat)
+        if "error" in info:
+            self._leave_out([seat for seat in info["agents"] if info["truncations"][seat]])
 
     def cut_off(self, seat: str, reported: Info) -> None:
         """End the episode for everybody; the others could not finish it, and do not count."""
         for each, running in self._running.items():
             if each == seat:
                 running.cut_off(reported)
-            elif self._is_open(each):
+            elif each not in self._ended:
                 running.cut_off({"error": {"kind": "opponent", "message": f"the agent at {seat!r} has no answer"}})
+
+    def _leave_out(self, seats: Sequence[str]) -> None:
+        """Mark those whose episode was cut off by an error at another seat."""
+        failed = next((repr(seat) for seat in seats if self._running[seat].episode.error is not None), "another seat")
+        for seat in seats:
+            if self._running[seat].episode.error is None:
+                self._running[seat].cut_off({"error": {"kind": "opponent", "message": f"an error at {failed}"}})
 
     def _first_seen(self, seat: str, observation: Observation, reward: float, info: Info) -> None:
         joint = self._joint
@@ -152,12 +164,8 @@ class SharedEpisode:
     def _lose(self, info: Info) -> None:
         self._joint.failure = info["error"]
         for seat, running in self._running.items():
-            if self._is_open(seat):
+            if seat not in self._ended:
                 running.add(0.0, False, True, TERMINAL_STATE, {"error": info["error"]})
-
-    def _is_open(self, seat: str) -> bool:
-        transitions = self._running[seat].episode.transitions
-        return not transitions or not (transitions[-1].terminated or transitions[-1].truncated)
 
 
 def begin_solo(

@@ -29,9 +29,6 @@ class Seated(NamedTuple):
 class Seating(ABC):
     """Decides which agents act in each episode; a subclass is taken as the ``agents`` of ``rollout``."""
 
-    rotates = True
-    """Whether agents change seats from item to item of the plan."""
-
     @abstractmethod
     def everyone(self) -> Iterable[Agent]:
         """Return every agent that may act, to be prepared before the first episode."""
@@ -55,8 +52,6 @@ class NamedSeats(Seating):
     Args:
         agents: ``{seat: agent}``.
     """
-
-    rotates = False
 
     def __init__(self, agents: Mapping[str, Any]) -> None:
         self._agents = {seat: seated(agent) for seat, agent in agents.items()}
@@ -94,7 +89,7 @@ class TakingTurns(Seating):
         if len(agents) != len(seats):
             raise ArgumentError(f"the {len(seats)} seats are {_named(seats)}, and {len(agents)} agents are given")
         rotation = start.item.rotation
-        return _rotated(seats, agents, start.place[-1] if rotation is None else rotation)
+        return _rotated(seats, agents, start.number if rotation is None else rotation)
 
 
 class League(Seating):
@@ -132,23 +127,30 @@ class League(Seating):
         self._put(Seated(self.LATEST, self._learner.agent), latest)
         weights = dict(weights or {})
         for each, agent in (opponents or {}).items():
-            self.add(each, agent, weight=weights.pop(each, 1.0))
+            self._put(Seated(each, seated(agent).agent), weights.pop(each, 1.0))
         if weights:
             raise ArgumentError(f"weights names {_named(weights)}, and the opponents are {_named(opponents or {})}")
-        if not any(weight for _, weight in self._pool.values()):
-            raise ArgumentError("a league needs an opponent whose weight is above 0; the learner's own is 'latest'")
+        self._check_weights()
 
     def add(self, name: str, agent: Any, *, weight: float = 1.0) -> None:
         """Take an agent into the pool of opponents, or give one of that name another agent and weight.
 
         It takes part in the episodes that begin from now on.
+
+        Raises:
+            ArgumentError: Its weight is negative, or all are 0.
         """
         self._put(Seated(name, seated(agent).agent), weight)
+        self._check_weights()
 
     def _put(self, one: Seated, weight: float) -> None:
         if not 0 <= weight < float("inf"):
             raise ArgumentError(f"the weight of {one.name!r} must be a number from 0 up, not {weight!r}")
         self._pool[one.name] = one, weight
+
+    def _check_weights(self) -> None:
+        if not any(weight for _, weight in self._pool.values()):
+            raise ArgumentError("a league needs an opponent whose weight is above 0; the learner's own is 'latest'")
 
     def everyone(self) -> Iterable[Agent]:
         """Return the learner and the pool."""
@@ -162,7 +164,7 @@ class League(Seating):
         drawn = draws.choice(len(pool), size=len(seats) - 1, p=weights / weights.sum())
         rotation = start.item.rotation
         agents = [self._learner, *(pool[int(place)][0] for place in drawn)]
-        return _rotated(seats, agents, start.place[-1] if rotation is None else rotation)
+        return _rotated(seats, agents, start.number if rotation is None else rotation)
 
 
 def as_seating(agents: Any) -> Seating:

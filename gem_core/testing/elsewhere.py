@@ -19,8 +19,9 @@ from gem_core.testing.comparing import record_of
 from gem_core.testing.findings import NotTriedError
 from gem_core.testing.hostile import hostile_actions
 from gem_core.testing.interpreter import CallError, Interpreter
-from gem_core.testing.joint import Action, approach, fitted, say_as
+from gem_core.testing.joint import approach, fitted, say_as
 from gem_core.testing.remaking import guarded
+from gem_core.types import Action
 
 
 class EnvElsewhere:

@@ -8,11 +8,8 @@ from typing import Any, NamedTuple, cast
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.wrapper import AnyEnv, Wrapper, step_async
 from gem_core.testing.findings import shown
-from gem_core.types import ResetResult, StepResult
+from gem_core.types import Action, ResetResult, StepResult
 from gem_core.vector.joint import joint_reset, joint_step
-
-Action = str | Mapping[str, str]
-"""What ``step`` takes: a response, or in an environment of several agents the response of each who acts."""
 
 _PATIENCE = 200
 """Steps within which an agent has to have its turn."""

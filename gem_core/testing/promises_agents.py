@@ -14,9 +14,9 @@ from gem_core.errors import ArgumentError
 from gem_core.testing.comparing import differences, plain, record_of
 from gem_core.testing.contract import promise
 from gem_core.testing.findings import shown
-from gem_core.testing.joint import Action, acting, fitted, say, seats_of
+from gem_core.testing.joint import acting, fitted, say, seats_of
 from gem_core.testing.subject import CLUMSY_ACTIONS, PlainResult, Subject
-from gem_core.types import Response
+from gem_core.types import Action, Response
 
 
 @promise(

@@ -16,8 +16,9 @@ from gem_core.testing.contract import promise
 from gem_core.testing.findings import NotTriedError, shown
 from gem_core.testing.interpreter import CallError
 from gem_core.testing.isolation import global_random_state, scramble
-from gem_core.testing.joint import Action, fitted, step_label
+from gem_core.testing.joint import fitted, step_label
 from gem_core.testing.subject import PlainResult, Script, Subject
+from gem_core.types import Action
 
 _FROM_NP_RANDOM = "draw only from self.np_random, and make everything of an episode anew in reset."
 

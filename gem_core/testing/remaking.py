@@ -10,7 +10,6 @@ import gymnasium
 
 from gem_core.env.base import Env
 from gem_core.env.guard import Guard
-from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.seat_wrappers import SeatWrappers
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.testing.joint import JointView, is_joint
@@ -54,8 +53,6 @@ def remaker(env: AnyEnv) -> Callable[[], AnyEnv]:
     else:
         args, kwargs = env._init_args if isinstance(env, Env) else ((), {})
         set_by_make = {"spec": env.spec, "render_mode": env.render_mode}
-        if isinstance(env, MultiAgentEnv):
-            set_by_make["max_steps"] = env.max_steps
         return partial(_remade, type(env), None, args, kwargs, set_by_make)
     args, kwargs = (None, *args[1:]) if args else (), {name: kwargs[name] for name in kwargs if name != "env"}
     return partial(_remade, type(env), remaker(env.env), args, kwargs, set_by_make)

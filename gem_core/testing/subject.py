@@ -22,8 +22,9 @@ from gem_core.testing.comparing import play
 from gem_core.testing.elsewhere import OTHER_PROCESS, EnvElsewhere
 from gem_core.testing.findings import NotTriedError, place_of, shown
 from gem_core.testing.isolation import Watch
-from gem_core.testing.joint import Action, SeenByOne, fitted, is_joint, responses, say, split, step_label
+from gem_core.testing.joint import SeenByOne, fitted, is_joint, responses, say, split, step_label
 from gem_core.testing.remaking import guarded, layers_of, remaker
+from gem_core.types import Action
 
 PlainResult = dict[str, Any]
 """What one reset or step gave, as plain data."""
