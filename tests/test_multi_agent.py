@@ -220,6 +220,21 @@ def test_agents_may_be_a_part_of_a_tuple() -> None:
     assert env.agents == ["b", "c"]
 
 
+def test_private_names_of_an_author_are_free() -> None:
+    """A subclass may call its own attributes and methods what it likes."""
+
+    class Mine(AuctionEnv):
+        def begin_episode(self, options: Any) -> None:
+            super().begin_episode(options)
+            self._turns = self._steps = self._name = self._news = self._unpaid = "mine"
+            self._result = self._checked = self._enter = self._go_on = "mine"
+
+    mine, plain = Mine(["a", "b"]), AuctionEnv(["a", "b"])
+    assert mine.reset(seed=1) == plain.reset(seed=1)
+    for agent, bid in (("a", "3"), ("b", "4"), ("a", "quit")):
+        assert mine.step({agent: bid}) == plain.step({agent: bid})
+
+
 def test_turn_limit_truncates_all() -> None:
     """``max_turns`` of the record counts steps, and truncates everyone who is left."""
     gem.register("joint:Auction-v0", AuctionEnv, agents=["a", "b"], mode="parallel", seats=("a", "b"))

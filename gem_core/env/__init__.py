@@ -5,7 +5,8 @@ from __future__ import annotations
 from gem_core.env.agent_selector import AgentSelector
 from gem_core.env.base import AsyncEnv, Env
 from gem_core.env.guard import Guard
-from gem_core.env.multi_agent import MultiAgentEnv, Verdict
+from gem_core.env.joint_checks import Verdict
+from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.observations import is_messages, join_observations, observation_from, split_observation, texts_of
 from gem_core.env.seat_wrappers import SeatWrappers
 from gem_core.env.seeding import stable_hash

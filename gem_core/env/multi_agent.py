@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 from gem_core.env.agent_selector import AgentSelector
 from gem_core.env.base import Env
-from gem_core.env.results import checked_reward
+from gem_core.env.joint_checks import (
+    Verdict,
+    check_actions,
+    check_in_episode,
+    checked_beginning,
+    checked_observation,
+    checked_verdict,
+    named,
+)
 from gem_core.env.spaces import Text
-from gem_core.errors import ArgumentError, ResetNeededError, SamplingNotSupported, StateError
-from gem_core.suggestions import did_you_mean
+from gem_core.errors import ArgumentError, SamplingNotSupported, StateError
 from gem_core.types import Info, Observation
 
 if TYPE_CHECKING:
@@ -23,9 +31,6 @@ JointResetResult = tuple[dict[str, Observation], dict[str, Info]]
 
 JointStepResult = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]
 """``(observations, rewards, terminations, truncations, infos)``; see ``MultiAgentEnv.step``."""
-
-Verdict = tuple[Mapping[str, float], Mapping[str, bool], Mapping[str, bool], Mapping[str, Info]]
-"""``(rewards, terminations, truncations, infos)``; an agent that is left out gets 0.0, False, False and no news."""
 
 
 class MultiAgentEnv(Env):
@@ -85,10 +90,6 @@ class MultiAgentEnv(Env):
     truncations: dict[str, bool]
     """Whether each agent that has taken part in this episode was cut off."""
 
-    _in_episode = False
-    _unpaid: dict[str, float]
-    _news: dict[str, Info]
-
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Refuse a selector of the class, which all its environments would share."""
         super().__init_subclass__(**kwargs)
@@ -102,6 +103,10 @@ class MultiAgentEnv(Env):
     def agent_selector(self) -> AgentSelector:
         """Who acts next: one after another in the order of ``possible_agents``, unless a subclass sets its own."""
         return AgentSelector()
+
+    @cached_property
+    def __turns(self) -> _Turns:
+        return _Turns()
 
     # What a subclass writes.
 
@@ -156,14 +161,14 @@ class MultiAgentEnv(Env):
             ArgumentError: It is no possible agent, or has taken part already.
         """
         if agent not in self.possible_agents:
-            raise ArgumentError(f"{agent!r} is not among the possible agents {self._named(self.possible_agents)}")
+            raise ArgumentError(f"{agent!r} is not among the possible agents {named(self.possible_agents)}")
         if agent in self.terminations:
             raise ArgumentError(f"{agent!r} has taken part in this episode already, and cannot join it again")
         self.agents.append(agent)
-        self._enter(agent)
+        self.__enter(agent)
         self.agent_selector.add(agent)
 
-    # What is kept here.
+    # What is kept here. Names with two underscores are out of the way of a subclass's own.
 
     def reset(  # type: ignore[override]  # dictionaries by agent
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -173,27 +178,25 @@ class MultiAgentEnv(Env):
         Returns:
             The observations of those who act first, and their infos.
         """
-        self._in_episode = False
+        self.__turns = _Turns()
         super().reset(seed=seed)
         possible = list(self.possible_agents)
+        name = self.env_id or type(self).__name__
         if not possible or len(set(possible)) < len(possible):
-            raise TypeError(f"{self._name} must set possible_agents to names that differ, not {possible!r}")
+            raise TypeError(f"{name} must set possible_agents to names that differ, not {possible!r}")
         self.agents = possible.copy()
         self.agent_selector.reset(possible)
-        self._steps = 0
-        self.cumulative, self._unpaid = {}, {}
-        self.terminations, self.truncations, self._news = {}, {}, {}
-        told = self._checked_beginning(self.begin_episode(options))
+        self.cumulative, self.terminations, self.truncations = {}, {}, {}
+        told = self.begin_episode(options)
+        told = checked_beginning(name, possible, self.agents, told)
         self.agents = list(dict.fromkeys(self.agents))  # a part of possible_agents may be a tuple
         for agent in possible:
             if agent not in self.agents:
                 self.agent_selector.remove(agent)
         for agent in self.agents:
-            self._enter(agent)
-        self._inform(told)
-        self._in_episode = True
-        acting = self._next_to_act()
-        return self._observations(acting), {agent: self._infos_of(agent) for agent in acting}
+            self.__enter(agent)
+        observations, _, _, _, infos = self.__go_on(told, [])
+        return observations, infos
 
     def step(self, actions: Mapping[str, str]) -> JointStepResult:  # type: ignore[override]
         """Answer the responses of all who act now.
@@ -210,15 +213,18 @@ class MultiAgentEnv(Env):
             ArgumentError: An action is missing, is of an agent that does not act now, or is no text.
             ResetNeededError: The episode is over or has not begun.
         """
-        self._check_actions(actions)
+        name, turns = self.env_id or type(self).__name__, self.__turns
+        check_actions(name, self.acting, actions)
         result = self.process_actions(dict(actions))
-        rewards, terminations, truncations, told = self._checked(result)
-        self._steps += 1
+        rewards, terminations, truncations, told = checked_verdict(name, self.agents, result)
+        turns.steps += 1
         for agent, reward in rewards.items():
-            self._unpaid[agent] += reward
+            turns.unpaid[agent] += reward
             self.cumulative[agent] += reward
-        self._inform(told)
-        return self._result(self._take_out(terminations, truncations, cut_off=self._is_out_of_steps()))
+        record = None if self.spec is None else self.spec.record
+        limit = self.max_steps if record is None or record.max_turns is None else record.max_turns
+        out_of_steps = limit is not None and turns.steps >= limit
+        return self.__go_on(told, self.__take_out(terminations, truncations, cut_off=out_of_steps))
 
     def truncate_all(self) -> JointStepResult:
         """End the episode from outside: all who take part are truncated.
@@ -229,146 +235,40 @@ class MultiAgentEnv(Env):
         Raises:
             ResetNeededError: The episode is over or has not begun.
         """
-        self._check_in_episode()
-        return self._result(self._take_out({}, {}, cut_off=True))
+        check_in_episode(self.env_id or type(self).__name__, self.acting)
+        return self.__go_on({}, self.__take_out({}, {}, cut_off=True))
 
     @property
     def acting(self) -> tuple[str, ...]:
         """Who has to act now; nobody outside an episode."""
-        return tuple(self.agent_selector.selected) if self._in_episode else ()
+        return tuple(self.agent_selector.selected) if self.__turns.live else ()
 
     def get_state(self) -> dict[str, Any]:
         """Return all that decides how the episode goes on; see ``Env.get_state``."""
-        state = super().get_state()
-        kept = {name: copy.deepcopy(value) for name, value in vars(self).items() if name in _KEPT}
-        return {**state, "turns": kept, "selector": self.agent_selector.get_state()}
+        shown = {name: value for name, value in vars(self).items() if name in _SHOWN}
+        turns = copy.deepcopy({**shown, **asdict(self.__turns)})
+        return {**super().get_state(), "turns": turns, "selector": self.agent_selector.get_state()}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Restore a state that ``get_state`` of an instance of this environment returned; see ``Env.set_state``."""
         super().set_state(state)
         try:
             self.agent_selector.set_state(state["selector"])
-            vars(self).update({name: copy.deepcopy(state["turns"][name]) for name in _KEPT if name in state["turns"]})
-        except (LookupError, TypeError, AttributeError) as error:
+            turns = copy.deepcopy(dict(state["turns"]))
+            vars(self).update({name: turns.pop(name) for name in _SHOWN if name in turns})
+            self.__turns = _Turns(**turns)
+        except (LookupError, TypeError, ValueError, AttributeError) as error:
             raise StateError(
-                f"the state of {self._name!r} is damaged ({type(error).__name__}: {error}); "
+                f"the state of {self.env_id or type(self).__name__!r} is damaged ({type(error).__name__}: {error}); "
                 "call reset(), or give a state that get_state() returned"
             ) from error
 
-    @property
-    def _name(self) -> str:
-        return self.env_id or type(self).__name__
-
-    def _enter(self, agent: str) -> None:
-        self.cumulative[agent] = self._unpaid[agent] = 0.0
+    def __enter(self, agent: str) -> None:
+        self.cumulative[agent] = self.__turns.unpaid[agent] = 0.0
         self.terminations[agent] = self.truncations[agent] = False
-        self._news[agent] = {"seed": self._np_random_seed}
+        self.__turns.news[agent] = {"seed": self.np_random_seed}
 
-    def _result(self, ended: list[str]) -> JointStepResult:
-        """Return the result of a step in which some agents ended."""
-        acting = self._next_to_act() if self.agents else []
-        self._in_episode = bool(self.agents)
-        for agent in ended:
-            self._news[agent]["final_obs"] = self._observation(agent)
-        rewards, infos = {}, {}
-        for agent in (*acting, *ended):
-            rewards[agent], self._unpaid[agent] = self._unpaid[agent], 0.0
-            infos[agent] = self._infos_of(agent)
-        return self._observations(acting), rewards, dict(self.terminations), dict(self.truncations), infos
-
-    def _is_out_of_steps(self) -> bool:
-        record = None if self.spec is None else self.spec.record
-        limit = self.max_steps if record is None or record.max_turns is None else record.max_turns
-        return limit is not None and self._steps >= limit
-
-    def _check_in_episode(self) -> None:
-        if not self.acting:
-            raise ResetNeededError(
-                f"{self._name}: the episode is over or has not begun; call reset() before the next step()"
-            )
-
-    def _check_actions(self, actions: Mapping[str, str]) -> None:
-        self._check_in_episode()
-        acting = self.acting
-        if not isinstance(actions, _MAPPING):
-            raise ArgumentError(f"actions are {{agent: response}}, here of {self._named(acting)}, not {actions!r:.100}")
-        for agent in acting:
-            if agent not in actions:
-                raise ArgumentError(f"the action of {agent!r} is missing; {self._who_acts()}")
-        for agent, action in actions.items():
-            if agent not in acting:
-                raise ArgumentError(f"there is an action of {agent!r}, which does not act now; {self._who_acts()}")
-            if not isinstance(action, str):
-                raise ArgumentError(
-                    f"an action is a str or a Response, and that of {agent!r} is {action!r:.100} of type "
-                    f"{type(action).__name__}"
-                )
-
-    def _who_acts(self) -> str:
-        return f"{self._named(self.acting)} {'acts' if len(self.acting) == 1 else 'act'} now"
-
-    def _checked_beginning(self, told: Any) -> Mapping[str, Info]:
-        """Return the infos of ``begin_episode``, if they and ``agents`` are well-formed.
-
-        Raises:
-            TypeError: It returned something else.
-            ValueError: Nobody takes part, or somebody who is no possible agent; or an info is for nobody who does.
-        """
-        if not self.agents or not set(self.agents) <= set(self.possible_agents):
-            raise ValueError(
-                f"{self._name}: begin_episode must leave some of {self._named(self.possible_agents)} in self.agents, "
-                f"not {self.agents!r:.200}"
-            )
-        if told is None:
-            return {}
-        if not isinstance(told, Mapping) or not all(isinstance(info, dict) for info in told.values()):
-            self._refuse(f"begin_episode must return {{agent: info}} or None, not {told!r:.200}")
-        for agent in told:
-            if agent not in self.agents:
-                raise ValueError(
-                    f"{self._name}: begin_episode has an info for {agent!r}, and {self._named(self.agents)} take part"
-                )
-        return told
-
-    def _checked(self, result: object) -> tuple[dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]:
-        """Return what ``process_actions`` returned, if it is well-formed.
-
-        Raises:
-            TypeError: It is not four or five dictionaries, or a value has a wrong type.
-            ValueError: A reward is not finite, or is for an agent that does not take part.
-        """
-        parts = result[-4:] if isinstance(result, tuple) and len(result) in (4, 5) else ()
-        if not parts or not all([isinstance(part, _MAPPING) for part in parts]):
-            self._refuse(
-                f"process_actions must return (rewards, terminations, truncations, infos), not {result!r:.200}"
-            )
-        rewards, terminations, truncations, infos = parts
-        for agent in {**rewards, **terminations, **truncations, **infos}:
-            if agent not in self.agents:
-                raise ValueError(
-                    f"{self._name}: process_actions names {agent!r}, and {self._named(self.agents)} take part"
-                )
-        for agent, info in infos.items():
-            if not isinstance(info, dict):
-                self._refuse(f"the info of {agent!r} must be a dictionary, not {type(info).__name__}")
-        return (
-            {
-                agent: checked_reward(reward, f"{self._name}: the reward of {agent!r}")
-                for agent, reward in rewards.items()
-            },
-            {agent: bool(flag) for agent, flag in terminations.items()},
-            {agent: bool(flag) for agent, flag in truncations.items()},
-            dict(infos),
-        )
-
-    def _refuse(self, problem: str) -> NoReturn:
-        raise TypeError(f"{self._name}: {problem}")
-
-    def _inform(self, told: Mapping[str, Info]) -> None:
-        for agent, info in told.items():
-            self._news[agent].update(info)
-
-    def _take_out(
+    def __take_out(
         self, terminations: Mapping[str, bool], truncations: Mapping[str, bool], *, cut_off: bool
     ) -> list[str]:
         """Take those who ended out of the episode, and return them."""
@@ -383,52 +283,45 @@ class MultiAgentEnv(Env):
                 ended.append(agent)
         return ended
 
-    def _next_to_act(self) -> list[str]:
-        acting = self.agent_selector.next()
+    def __go_on(self, told: Mapping[str, Info], ended: list[str]) -> JointStepResult:
+        """Choose who acts next; return what they and those who ended are given."""
+        name, turns = self.env_id or type(self).__name__, self.__turns
+        for agent, info in told.items():
+            turns.news[agent].update(info)
+        acting = self.agent_selector.next() if self.agents else []
         wrong = [agent for agent in acting if agent not in self.agents]
-        if wrong or not acting:
+        if wrong or (self.agents and not acting):
             raise RuntimeError(
-                f"{self._name}: the agent_selector chose {self._named(wrong) or 'nobody'} to act next, and "
-                f"{self._named(self.agents)} take part"
+                f"{name}: the agent_selector chose {named(wrong) or 'nobody'} to act next, and "
+                f"{named(self.agents)} take part"
             )
-        return acting
-
-    def _observations(self, agents: Iterable[str]) -> dict[str, Observation]:
-        return {agent: self._observation(agent) for agent in agents}
-
-    def _observation(self, agent: str) -> Observation:
-        observation = self.observe(agent)
-        if not isinstance(observation, str | list):
-            self._refuse(f"an observation must be text or a list, and that of {agent!r} is {observation!r:.100}")
-        return observation
-
-    def _infos_of(self, agent: str) -> Info:
-        news, self._news[agent] = self._news[agent], {}
-        return news
-
-    @staticmethod
-    def _named(agents: Iterable[str]) -> str:
-        return ", ".join(map(repr, agents))
+        turns.live = bool(self.agents)
+        for agent in ended:
+            turns.news[agent]["final_obs"] = checked_observation(name, agent, self.observe(agent))
+        rewards, infos = {}, {}
+        for agent in (*acting, *ended):
+            rewards[agent], turns.unpaid[agent] = turns.unpaid[agent], 0.0
+            infos[agent], turns.news[agent] = turns.news[agent], {}
+        observations = {agent: checked_observation(name, agent, self.observe(agent)) for agent in acting}
+        return observations, rewards, dict(self.terminations), dict(self.truncations), infos
 
 
-def check_seats(named: Iterable[str], seats: Sequence[str]) -> None:
-    """Raise an error for a name that is no seat.
+@dataclass
+class _Turns:
+    """What the base class keeps of an episode beside its public attributes.
 
     Args:
-        named: What is checked.
-        seats: The ``possible_agents`` of an environment.
-
-    Raises:
-        ArgumentError: Names the seats that there are.
+        live: Whether the episode is under way.
+        steps: Number of steps.
+        unpaid: Rewards that ``step`` has not returned yet, by agent.
+        news: Infos that it has not returned yet.
     """
-    for name in named:
-        if name not in seats:
-            hint = did_you_mean(str(name), seats)
-            raise ArgumentError(f"there is no seat {name!r}.{hint} The seats are: {', '.join(map(repr, seats))}")
+
+    live: bool = False
+    steps: int = 0
+    unpaid: dict[str, float] = field(default_factory=dict)
+    news: dict[str, Info] = field(default_factory=dict)
 
 
-_KEPT = ("agents", "cumulative", "terminations", "truncations", "_unpaid", "_news", "_steps", "_in_episode")
-"""Attributes that are part of the state."""
-
-_MAPPING = dict, Mapping
-"""Most are dictionaries, which is soon seen; to ask the abstract class of each takes longer than all else here."""
+_SHOWN = ("agents", "cumulative", "terminations", "truncations")
+"""Public attributes that are part of the state."""

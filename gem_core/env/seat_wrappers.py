@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, cast
 from gem_core.background import finish_now
 from gem_core.env.base import Env
 from gem_core.env.joint_calls import AwaitedCalls, PlainCalls, of_env
-from gem_core.env.multi_agent import JointResetResult, JointStepResult, MultiAgentEnv, check_seats
+from gem_core.env.joint_checks import check_actions, check_in_episode, check_seats
+from gem_core.env.multi_agent import JointResetResult, JointStepResult, MultiAgentEnv
 from gem_core.env.seat_stack import SeatEnv, SeatStack, restored_response, saved_response
 from gem_core.env.spec import EnvRecipe
 from gem_core.env.wrapper import AnyEnv, concurrency_of, most_demanding
@@ -151,7 +152,7 @@ class SeatWrappers(MultiAgentEnv):
         return observations, infos
 
     async def _step(self, actions: Mapping[str, str], calls: PlainCalls) -> JointStepResult:
-        self._check_actions(actions)
+        check_actions(self.env_id or type(self.unwrapped).__name__, self.acting, actions)
         jobs = {agent: self._stacks[agent].respond(action, calls) for agent, action in actions.items()}
         results: dict[str, StepResult] = {}
         for agent, outcome in (await calls.together(jobs)).items():
@@ -183,7 +184,7 @@ class SeatWrappers(MultiAgentEnv):
 
     def truncate_all(self) -> JointStepResult:
         """End the episode from outside; see ``MultiAgentEnv.truncate_all``."""
-        self._check_in_episode()
+        check_in_episode(self.env_id or type(self.unwrapped).__name__, self.acting)
         return self._joined(finish_now(self._truncated({}, PlainCalls())))
 
     async def _truncated(self, results: Mapping[str, StepResult], calls: PlainCalls) -> dict[str, StepResult]:
@@ -240,8 +241,9 @@ class SeatWrappers(MultiAgentEnv):
         except GemError:
             raise
         except (LookupError, TypeError, ValueError, AttributeError) as error:
+            name = self.env_id or type(self.unwrapped).__name__
             raise StateError(
-                f"this is no state of {self._name!r} with wrappers around its seats ({type(error).__name__}: {error}); "
+                f"this is no state of {name!r} with wrappers around its seats ({type(error).__name__}: {error}); "
                 "call reset(), or give a state that get_state() returned"
             ) from error
         self.env.set_state(inner)

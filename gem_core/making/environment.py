@@ -12,7 +12,8 @@ import gymnasium
 
 from gem_core.arguments import check_arguments
 from gem_core.env.guard import Guard
-from gem_core.env.multi_agent import MultiAgentEnv, check_seats
+from gem_core.env.joint_checks import check_seats
+from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.seat_wrappers import SeatWrappers
 from gem_core.env.spec import EnvRecipe
 from gem_core.env.wrapper import AnyEnv, Wrapper

@@ -12,7 +12,8 @@ from typing import Any, cast
 from gem_core.background import finish_now, finish_or_start
 from gem_core.env.base import Env
 from gem_core.env.joint_calls import AwaitedCalls, PlainCalls, of_env
-from gem_core.env.multi_agent import JointStepResult, MultiAgentEnv, check_seats
+from gem_core.env.joint_checks import check_seats
+from gem_core.env.multi_agent import JointStepResult, MultiAgentEnv
 from gem_core.env.results import refuse_action
 from gem_core.env.seat_stack import restored_response, saved_response
 from gem_core.env.seeding import stable_hash
