@@ -66,6 +66,7 @@ class Episode:
         seat: Name of the agent's seat among several; None where it was alone. See ``JointEpisode``.
         agent: Name of the agent that sat there; None where it was alone.
         first_reward: Reward that came with the first observation, for what others had done; 0 for an agent alone.
+        ended_first: Whether the task was over for a seat among several before it ever acted.
         schema_version: Version of this record's form.
     """
 
@@ -90,6 +91,7 @@ class Episode:
     seat: str | None = None
     agent: str | None = None
     first_reward: float = 0.0
+    ended_first: bool = False
     schema_version: int = SCHEMA_VERSION
 
     @property
@@ -136,8 +138,7 @@ class Episode:
             return None
         if correct is not None:
             return bool(correct)
-        ended = bool(self.transitions) and self.transitions[-1].terminated
-        return None if ended or self.info.get("correct", False) is None else False
+        return None if self._ended or self.info.get("correct", False) is None else False
 
     @property
     def cut_off(self) -> Literal["turns", "tokens"] | None:
@@ -149,10 +150,14 @@ class Episode:
         if self.error is not None:
             return None
         last = self.transitions[-1] if self.transitions else None
-        ended = last is not None and last.terminated
-        if (last is not None and last.action.cut_off) or (not ended and self.final_info.get("context_overflow")):
+        if (last is not None and last.action.cut_off) or (not self._ended and self.final_info.get("context_overflow")):
             return "tokens"
-        return None if ended else "turns"
+        return None if self._ended else "turns"
+
+    @property
+    def _ended(self) -> bool:
+        """Whether the task itself was over at the end."""
+        return self.transitions[-1].terminated if self.transitions else self.ended_first
 
     @property
     def error(self) -> dict[str, Any] | None:

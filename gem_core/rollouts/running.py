@@ -128,6 +128,7 @@ class SharedEpisode:
             running = self._running.get(seat)
             if running is None:
                 self._first_seen(seat, seen, reward[seat], own)
+                self._running[seat].episode.ended_first = info["terminations"][seat]
             else:
                 own = {name: value for name, value in own.items() if name != "final_obs"}
                 running.add(reward[seat], info["terminations"][seat], info["truncations"][seat], seen, own)
