@@ -375,3 +375,10 @@ def test_what_was_made_for_the_run_is_closed_and_what_was_given_is_not(monkeypat
     assert closed == []
     list(gem.rollout(COUNTDOWN, sampling_agent, episodes=1))
     assert closed == ["closed"]
+
+
+def test_an_agent_may_be_given_by_name() -> None:
+    """As in ``gem run``; a name that nobody has is an error that lists those there are."""
+    assert all(episode.error is None for episode in gem.rollout(COUNTDOWN, "random", episodes=2, seed=1))
+    with pytest.raises(gem.errors.UnknownAgentError, match=r"^no agent 'randon'\. Did you mean 'random'\?"):
+        gem.rollout(COUNTDOWN, "randon", episodes=2)

@@ -64,6 +64,8 @@ def test_random_actions_of_a_seat_are_its_own() -> None:
     for order in (["first", "second"], ["second", "first"]):
         with gem.make_vec("jointvec:Countdown-v0", 1, backend="sync", seed=1) as vector:
             vector.reset()
+            with pytest.raises(ArgumentError, match=r"^several agents act in slot 0: name one of 'first'$"):
+                vector.sample_random_action(0)
             drawn.append({agent: [vector.sample_random_action(0, agent) for _ in range(5)] for agent in order})
     assert drawn[0] == drawn[1]
     assert drawn[0]["first"] != drawn[0]["second"]

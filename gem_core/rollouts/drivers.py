@@ -20,7 +20,7 @@ from gem_core.progress import Progress
 from gem_core.records.episode import Episode
 from gem_core.records.joint import JointEpisode, Record
 from gem_core.records.plans import EpisodeQueue, PlanItem, count_plan, cover_plan, interleaved
-from gem_core.rollouts.agent import Agent, as_agent, close_agent, is_asynchronous, prepare_agent
+from gem_core.rollouts.agent import Agent, as_agent, close_agent, is_asynchronous, load_agent, prepare_agent
 from gem_core.rollouts.loop import EpisodeLoop
 from gem_core.rollouts.requests import AgentRequests
 from gem_core.rollouts.resume import FinishedEpisodes, finished_episodes
@@ -83,11 +83,12 @@ def rollout(
         env: A vector environment, an environment, an id or several. What was made here is closed at the end; what was
             given is left open.
         agent: Called as ``agent(observation, context)``, or with the observation alone; plain or a coroutine function.
-            It returns a ``str`` or a ``Response``.
+            It returns a ``str`` or a ``Response``. Or the name of an agent, as ``load_agent`` takes it, ``"random"`` or
+            ``"openai:MODEL"``, which is then closed at the end.
         agents: Instead of ``agent``, for environments in which several agents act: ``{seat: agent}``; or a list of as
             many agents as there are seats, which move on by one seat from item to item of the plan, so that each begins
-            as often as the others; or one agent for all seats, as in self-play; or a ``League``. An agent may also be
-            given by name, as ``load_agent`` takes it: ``"random"``, ``"openai:MODEL"``; it is then closed at the end.
+            as often as the others; or one agent for all seats, as in self-play; or a ``League``. Each may be given
+            by name, as ``agent`` may.
         plan: What episodes start from; see ``gem_core.records.plans``.
         episodes: Instead of a plan, the number of episodes for each environment; a data set gives its first rows. With
             neither, the vector environment's own plan is taken from the beginning; where it has none, each row of a
@@ -115,10 +116,8 @@ def rollout(
 
     What stops a run is raised after the episodes that had finished by then.
     """
-    acting = _who_acts(agent, agents)
-    return _drive(
-        _Run(env, acting, plan, episodes, seed, num_envs, max_requests, resume, progress, _loaded(acting, agents))
-    )
+    acting, loaded = _who_acts(agent, agents)
+    return _drive(_Run(env, acting, loaded, plan, episodes, seed, num_envs, max_requests, resume, progress))
 
 
 @overload
@@ -158,10 +157,8 @@ def arollout(
         resume: Episodes of this run that are there already.
         progress: Show how far the run is.
     """
-    acting = _who_acts(agent, agents)
-    return _drive_async(
-        _Run(env, acting, plan, episodes, seed, num_envs, max_requests, resume, progress, _loaded(acting, agents))
-    )
+    acting, loaded = _who_acts(agent, agents)
+    return _drive_async(_Run(env, acting, loaded, plan, episodes, seed, num_envs, max_requests, resume, progress))
 
 
 def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[PlanItem]:
@@ -185,6 +182,8 @@ class _Run:
 
     env: Environments
     acting: Agent | Seating
+    loaded: list[Agent]
+    """Agents that were given by name, which are closed at the end."""
     plan: Iterable[PlanItem] | None
     episodes: int | None
     seed: int | None
@@ -192,8 +191,6 @@ class _Run:
     max_requests: int | None
     resume: Resume
     progress: bool | OnProgress
-    loaded: Sequence[Agent] = ()
-    """Agents that were given by name, which are closed at the end."""
 
     def __post_init__(self) -> None:
         if self.plan is not None and self.episodes is not None:
@@ -300,18 +297,21 @@ async def _drive_async(run: _Run) -> AsyncIterator[Record]:
                 yield episode
 
 
-def _who_acts(agent: Any, agents: Any) -> Agent | Seating:
+def _who_acts(agent: Any, agents: Any) -> tuple[Agent | Seating, list[Agent]]:
+    """Return who acts, and those of them that were given by name."""
     if (agent is None) == (agents is None):
         raise ArgumentError("give either agent, who acts alone, or agents, where several act")
-    return as_agent(agent) if agents is None else as_seating(agents)
-
-
-def _loaded(acting: Agent | Seating, agents: Any) -> list[Agent]:
-    """Return those of ``agents`` that were given by name."""
-    if not isinstance(acting, Seating) or acting is agents:
-        return []
+    if isinstance(agent, str):
+        loaded = load_agent(agent)
+        return loaded, [loaded]
+    if agents is None:
+        return as_agent(agent), []
+    acting = as_seating(agents)
+    if acting is agents:
+        return acting, []
     given = agents.values() if isinstance(agents, Mapping) else agents if isinstance(agents, list | tuple) else [agents]
-    return [agent for name, agent in zip(given, acting.everyone(), strict=False) if isinstance(name, str)]
+    by_name = [one for name, one in zip(given, acting.everyone(), strict=False) if isinstance(name, str)]
+    return acting, by_name
 
 
 def _asked_at_once(agents: Iterable[Agent], max_requests: int | None) -> int | None:

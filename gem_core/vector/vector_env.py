@@ -183,12 +183,15 @@ class VectorEnv:
             agent: Whose action, where several agents act.
 
         Raises:
-            ArgumentError: There is no such slot.
+            ArgumentError: There is no such slot, or several agents act there and none of them is named.
             SamplingNotSupported: The environment cannot sample actions.
             EnvFaultError: The environment failed.
         """
         slot = checked_slot(slot, self.num_envs)
         current = self._slots[slot]
+        if current.is_joint and agent is None:
+            acting = ", ".join(map(repr, current.result[0]))
+            raise ArgumentError(f"several agents act in slot {slot}: name one of {acting}")
         seed = None if current.episode is None else current.episode.action_seed
         try:
             with self._call():
