@@ -205,14 +205,19 @@ def test_wrappers_and_tools_of_one_seat(run_gem: RunGem, offer: Callable[..., No
             "--swap-seats goes with agents by seat, as in --agent first=AGENT --agent second=AGENT; a list changes "
             "seats anyway",
         ),
-        ([ALONE, "-a", "first=random"], f"{ALONE} is for one agent, and has no seats: give --agent random"),
+        (
+            [ALONE, "-a", "first=random"],
+            f"{ALONE} is registered without seats, as for one agent: give --agent random",
+        ),
         (
             [ALONE, "-a", "random", "-a", "random"],
-            f"{ALONE} is for one agent: leave a second --agent out ('gem info ID' names the seats of others)",
+            f"{ALONE} is registered without seats, as for one agent: leave a second --agent out ('gem info ID' names "
+            "the seats of others)",
         ),
         (
             [ALONE, "--swap-seats"],
-            f"{ALONE} is for one agent: leave --swap-seats out ('gem info ID' names the seats of others)",
+            f"{ALONE} is registered without seats, as for one agent: leave --swap-seats out ('gem info ID' names the "
+            "seats of others)",
         ),
         (
             [HEAP, ALONE],

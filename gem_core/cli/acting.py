@@ -108,10 +108,15 @@ def _only_agent(given: Sequence[str], env_id: str, *, swap_seats: bool) -> str:
     """Return the name of the agent that acts alone."""
     if swap_seats or len(given) > 1:
         option = "--swap-seats" if swap_seats else "a second --agent"
-        raise ArgumentError(f"{env_id} is for one agent: leave {option} out ('gem info ID' names the seats of others)")
+        raise ArgumentError(
+            f"{env_id} is registered without seats, as for one agent: leave {option} out ('gem info ID' names the "
+            "seats of others)"
+        )
     at_seat = _AT_SEAT.fullmatch(given[0])
     if at_seat is not None:
-        raise ArgumentError(f"{env_id} is for one agent, and has no seats: give --agent {at_seat[2] or 'AGENT'}")
+        raise ArgumentError(
+            f"{env_id} is registered without seats, as for one agent: give --agent {at_seat[2] or 'AGENT'}"
+        )
     return given[0]
 
 

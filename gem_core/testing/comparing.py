@@ -86,7 +86,7 @@ def differences(what: str, expected: Sequence[Any], found: Sequence[Any], first_
         first_step: Number of the step that the first record belongs to; 0 is the reset.
     """
     for index, (left, right) in enumerate(zip(expected, found, strict=False), first_step):
-        where = _difference(left, right, "")
+        where = difference(left, right)
         if where is not None:
             yield f"{what} at {f'step {index}' if index else 'reset'}{where}"
             return
@@ -120,12 +120,13 @@ def mutable_parts(value: Any) -> Iterator[Any]:
         yield value
 
 
-def _difference(left: Any, right: Any, path: str) -> str | None:
+def difference(left: Any, right: Any, path: str = "") -> str | None:
+    """Return where two pieces of plain data first differ, and the values there; None where they are equal."""
     if isinstance(left, dict) and isinstance(right, dict):
         for key in [*left, *(key for key in right if key not in left)]:
             if key not in left or key not in right:
                 return f"{path} {key!r} is there only once"
-            found = _difference(left[key], right[key], f"{path} {key}")
+            found = difference(left[key], right[key], f"{path} {key}")
             if found is not None:
                 return found
         return None

@@ -10,7 +10,7 @@ from typing import Any, cast
 from gem_core.env.base import Env
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import StateNotSupported
-from gem_core.testing.comparing import differences, json_loss, plain
+from gem_core.testing.comparing import difference, differences, json_loss, plain
 from gem_core.testing.contract import promise
 from gem_core.testing.findings import NotTriedError, shown
 from gem_core.testing.interpreter import CallError
@@ -31,8 +31,9 @@ def state_json(subject: Subject) -> Iterator[str]:
                 yield f"in the state after {len(kept)} steps, {loss}"
             kept.append((state, copy.deepcopy(plain(state))))
         for steps, (state, before) in enumerate(kept):
-            if plain(state) != before:
-                yield f"the state after {steps} steps was changed by later ones: {shown(before)}, then {shown(state)}"
+            where = difference(before, plain(state))
+            if where is not None:
+                yield f"the state after {steps} steps was changed by later ones, at{where}"
 
 
 @promise("put all that decides the rest of the episode into _get_state, and copy it in _set_state.")

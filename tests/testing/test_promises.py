@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from broken_envs import BROKEN, BacktrackingEnv, DyingEnv, NullHangsEnv, RaisingEnv, UnrepeatableEnv
+from broken_envs import BROKEN, BacktrackingEnv, DyingEnv, LiveStateEnv, NullHangsEnv, RaisingEnv, UnrepeatableEnv
 from reference_envs import CountingWrapper, GoodAsyncEnv, GoodEnv, PictureEnv, ReverseStringEnv, ThreadEnv
 
 from gem_core import register
@@ -104,6 +104,11 @@ def test_state_that_is_not_supported_is_skipped() -> None:
     with pytest.raises(ContractError) as caught:
         check_env(ReverseStringEnv)
     assert "cannot save its state" in caught.value.report.skipped["state-json"]
+
+
+def test_state_that_changes_later_is_shown_where_it_does() -> None:
+    """Not the beginning of two long states that look the same."""
+    assert "was changed by later ones, at env task guesses: [], then [" in broken_by(LiveStateEnv)["state-json"]
 
 
 def test_environment_by_id_keeps_its_promises_in_another_process_too() -> None:
