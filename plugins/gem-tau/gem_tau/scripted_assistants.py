@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from gem_core import Response
-from gem_core.errors import ArgumentError
+from gem_core.errors import AgentError, ArgumentError
 
 if TYPE_CHECKING:
     from gem_core.rollouts import Context
@@ -318,6 +318,8 @@ class ScriptedAssistant:
 
     def __call__(self, observation: Observation, context: Context) -> Response:
         """Say something, or call a tool."""
+        if context.seat == "user":
+            raise AgentError("a tau-assistant plays only the assistant, as in --agent assistant=tau-assistant:careful")
         act = self._act(Talk.read(context.messages))
         if isinstance(act, str):
             return Response(act)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from gem_core.errors import ArgumentError
+from gem_core.errors import AgentError, ArgumentError
 from gem_tau.prompts import STOP, part_of
 
 if TYPE_CHECKING:
@@ -90,6 +90,8 @@ class ScriptedUser:
 
     def __call__(self, observation: Observation, context: Context) -> str:
         """Answer what the assistant said last."""
+        if context.seat != "user":
+            raise AgentError("a tau-user plays only the user, as in --agent user=tau-user:patient")
         messages = context.messages
         instruction = part_of(str(messages[0]["content"]))
         said = [str(message["content"]) for message in messages if message["role"] == "assistant"]

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 import gem_core as gem
-from gem_core.errors import ArgumentError
+from gem_core.errors import AgentError, ArgumentError
 from gem_core.rollouts import load_agent
 from gem_tau.command import command
 from gem_tau.heatmap import heat_map, svg
@@ -56,6 +56,15 @@ def test_unknown_characters_are_refused() -> None:
         load_agent("tau-user:rude")
     with pytest.raises(ArgumentError, match=r"^there is no tau-assistant:lazy; there are: careful, hasty, passive$"):
         load_agent("tau-assistant:lazy")
+
+
+@pytest.mark.parametrize(
+    ("agent", "message"), [(USERS[0], "plays only the user"), (ASSISTANTS[0], "plays only the assistant")]
+)
+def test_scripted_agents_keep_to_their_seat(agent: str, message: str) -> None:
+    """One agent for both seats would score 0 without a word."""
+    with pytest.raises(AgentError, match=message):
+        list(gem.rollout("tau:Sample", agents=agent, episodes=1))
 
 
 def test_heatmap_prints_and_writes(tmp_path: Path) -> None:
