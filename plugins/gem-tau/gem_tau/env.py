@@ -40,7 +40,8 @@ class TauEnv(MultiAgentEnv):
     ``max_assistant_steps`` times. The user's reward is always 0.0.
 
     The first info of each seat has ``system``, which is the policy or the user's instruction; the assistant's also has
-    ``tools``. Its last one has ``correct``, and in ``tau`` the components of the reward, ``DB`` and ``COMMUNICATE``.
+    ``tools``. The assistant's last one has ``correct``, and in ``tau`` the components of the reward, ``DB`` and
+    ``COMMUNICATE``. The user is never judged: its first one has ``correct`` None.
 
     Args:
         folder: Data of tau-bench or tau2-bench, see ``read_folder``, which is read once in a process;
@@ -90,7 +91,8 @@ class TauEnv(MultiAgentEnv):
             "tools": copy.deepcopy(self.task_set.tools),
             "tool_instructions": {"text": explained, "native": ""},
         }
-        return {ASSISTANT: assistant, USER: {**known, "system": user_system(self.task.instruction)}}
+        # The user is never judged, not even where an episode is cut off.
+        return {ASSISTANT: assistant, USER: {**known, "system": user_system(self.task.instruction), "correct": None}}
 
     def observe(self, agent: str) -> str:
         """Return what was said to the agent, or what its tool returned."""

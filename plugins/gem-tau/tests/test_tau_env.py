@@ -189,6 +189,13 @@ def test_assistant_is_cut_off_after_its_last_step() -> None:
         assert env.agents == []
 
 
+def test_user_is_never_judged() -> None:
+    """Where an episode is cut off, its success is unknown too, as of one that ends."""
+    env = gem.make("tau:Sample", max_assistant_steps=1)
+    (joint,) = gem.rollout(env, agents=lambda observation: "Yes?", episodes=1, seed=0)
+    assert {episode.seat: episode.success for episode in joint} == {"assistant": False, "user": None}
+
+
 def test_first_message_of_the_user_ends_nothing() -> None:
     """The assistant acts at least once."""
     env = gem.make("tau:Sample")
