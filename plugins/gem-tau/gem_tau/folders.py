@@ -57,7 +57,7 @@ class TaskSet:
     """Computes the hash of a database."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "digest", Digest(self.database, self.domain.hashed))
+        object.__setattr__(self, "digest", Digest(self.database, "json" if self.domain.tau2 else "tuples"))
 
 
 def read_folder(folder: str | Path, split: str | None = None) -> TaskSet:

@@ -51,7 +51,7 @@ def test_user_opens_and_the_policy_and_tools_come_first() -> None:
     assert observations == {"assistant": "Hi!"}
     assert rewards == {"assistant": 0.0}
     assert infos["assistant"]["system"].startswith("# Policy of Spoke & Bell")
-    assert [tool["function"]["name"] for tool in infos["assistant"]["tools"]][:2] == ["find_customer", "get_order"]
+    assert [tool["function"]["name"] for tool in infos["assistant"]["tools"]][:2] == ["cancel_order", "change_address"]
 
 
 def test_calls_are_answered_and_words_are_said() -> None:
