@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from gem_core import MultiAgentEnv, Response
+from gem_core import Env, MultiAgentEnv, Response, single_agent
 from gem_core.data import chosen_index
 from gem_core.errors import DatasetError
 from gem_core.tools import CALL_CLOSE, CALL_OPEN, CallReader, Tool, ToolCall, native_calls, spoken
@@ -186,6 +186,22 @@ class TauEnv(MultiAgentEnv):
         self._said = list(state["said"])
         self._shown = dict(state["shown"])
         self._responses = int(state["responses"])
+
+
+def solo(
+    folder: str | Path, *, split: str | None = None, user: Any = "tau-user:patient", max_assistant_steps: int = 30
+) -> Env:
+    """Make a ``TauEnv`` for the assistant alone.
+
+    Args:
+        folder: Of ``TauEnv``, as are ``split`` and ``max_assistant_steps``.
+        split: One of the folder's.
+        user: Who plays the user: an agent or the name of one, as ``openai:MODEL``; of a list, one is drawn for each
+            episode.
+        max_assistant_steps: Responses after which the episode is truncated.
+    """
+    env = TauEnv(folder, split=split, max_assistant_steps=max_assistant_steps)
+    return single_agent(env, ASSISTANT, {USER: user})
 
 
 class DescribedTool(Tool):

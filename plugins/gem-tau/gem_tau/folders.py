@@ -14,8 +14,7 @@ from gem_core.errors import DatasetError
 from gem_tau.database import Database, Digest
 from gem_tau.domains import SAMPLE, TAU2_AIRLINE, TAU2_RETAIL, TAU_RETAIL, Domain
 from gem_tau.records import Airline, Order, Product, Shop, TauUser
-from gem_tau.task_files import Tau2Task, TauTask, read_python_tasks
-from gem_tau.tasks import Task
+from gem_tau.tasks import Task, Tau2Task, TauTask, read_python_tasks
 
 T = TypeVar("T")
 

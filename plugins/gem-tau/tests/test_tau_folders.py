@@ -20,7 +20,7 @@ def test_a_folder_of_tau_bench(tmp_path: Path) -> None:
     assert [task.id for task in task_set.tasks] == ["dev-0", "test-0", "test-1"]
     assert [task.id for task in read_folder(tmp_path, split="dev").tasks] == ["dev-0"]
     task = task_set.tasks[1]
-    assert (task.instruction, task.outputs, task.user_id) == ("You are Ann.", ("30.1",), "ann_lee_1")
+    assert (task.instruction, task.outputs) == ("You are Ann.", ("30.1",))
     assert task.actions == (Action("cancel_pending_order", {"order_id": "#W1", "reason": "no longer needed"}),)
     assert (task_set.policy, len(task_set.tools), task_set.domain.name) == ("Be kind.", 16, "tau-retail")
 
