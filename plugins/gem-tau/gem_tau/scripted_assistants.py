@@ -21,9 +21,9 @@ _WISHES = {
     "swap": r"\bswap\b|\bexchange\b",
     "total": r"\btotal\b|\bcosts?\b",
 }
-_EMAIL = re.compile(r"[\w.+-]+@[\w-]+\.[\w.]*\w")
+_EMAIL = re.compile(r"(?<![\w.+-])[\w.+-]+@[\w-]+\.[\w.]{0,200}\w")
 _NUMBER = re.compile(r"#\d{4}")
-_ADDRESS = re.compile(r"\d+ [^\W\d_][\w ]*, [^\W\d_][\w ]* \d{4,5}")
+_ADDRESS = re.compile(r"\b\d{1,5} [^\W\d_][\w ]{0,60}, [^\W\d_][\w ]{0,60} \d{4,5}")
 _REASON = re.compile(r"no longer needed|ordered by mistake", re.IGNORECASE)
 _REFUND = re.compile(r"gift card|original payment", re.IGNORECASE)
 _PRODUCT = re.compile(r"helmet|bell|floor pump|saddle|light set", re.IGNORECASE)
