@@ -189,6 +189,13 @@ def test_assistant_is_cut_off_after_its_last_step() -> None:
         assert env.agents == []
 
 
+@pytest.mark.parametrize("steps", [0, "ten", True])
+def test_limit_of_steps_is_a_number(steps: Any) -> None:
+    """It is refused when the environment is made, not in the middle of an episode."""
+    with pytest.raises(ArgumentError, match=r"^max_assistant_steps must be a positive whole number, not "):
+        TauEnv("gem_tau:sample", max_assistant_steps=steps)
+
+
 def test_first_message_of_the_user_ends_nothing() -> None:
     """The assistant acts at least once."""
     env = gem.make("tau:Sample")
