@@ -104,7 +104,8 @@ class RetailTools(Toolkit):
         Tell the user the details first, and get an explicit yes.
         """
         self._order(order_id, "pending", "cancelled")
-        if reason not in ["no longer needed", "ordered by mistake"]:
+        reasons = ["no longer needed", "ordered by mistake"]
+        if reason not in (set(reasons) if self._tau2 else reasons):  # a reason that cannot be hashed is another error
             raise self._refusal("invalid reason")
         order = own(self._database, "orders", order_id)
         refunds = []
