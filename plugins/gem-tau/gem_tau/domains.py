@@ -29,9 +29,8 @@ _FAILURES = (
 """What a tool may raise on arguments that a model made up."""
 
 _MAX_DEPTH = 20
-
-
 _WRITES = ("book_", "cancel_", "change_", "exchange_", "modify_", "return_", "send_", "swap_", "update_")
+"""How the names of the tools begin that change the database."""
 
 
 @dataclass(frozen=True)
