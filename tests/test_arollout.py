@@ -122,8 +122,8 @@ def test_episodes_are_those_of_rollout_in_every_backend(backend: str, agent: Any
         assert by_key(list(gem.rollout(vector, agent, episodes=6))) == expected
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.few(2)
 def test_an_id_several_ids_and_an_environment_are_taken(kind: str) -> None:
     """As by ``rollout``; the environment that was given stays open."""
     expected = by_key(list(gem.rollout(KINDS[kind], sampling_agent, episodes=3, seed=2)))

@@ -43,6 +43,7 @@ def sites(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {case: install(case, target) for case in ("fine", "hook_raises", "taken_id", "heavy_neighbour")}
 
 
+@pytest.mark.thorough
 def test_nothing_broken_exits_with_0(sites: dict[str, Path]) -> None:
     """A fine installation, with whatever requirements unmet."""
     done = doctor(paths=[sites["fine"]])

@@ -76,6 +76,7 @@ def programmed(ids: str, programs: dict[str, str], **run: Any) -> list[Any]:
         return list(gem.rollout(vector, Programmer(programs), **run))
 
 
+@pytest.mark.thorough
 def test_an_agent_solves_problems_of_the_sample_with_the_python_tool() -> None:
     """The 40 problems of eight families, in two turns each; what it has no program for, it does not solve."""
     with gem.make("math:Sample") as env:

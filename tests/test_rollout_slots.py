@@ -142,6 +142,7 @@ def test_the_mode_of_autoreset_changes_no_episode(mode: Any, backend: str) -> No
 # Faults.
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("backend", ["sync", "async", "process"])
 @pytest.mark.parametrize("asynchronous", [True, False], ids=["asynchronous", "plain"])
 def test_an_action_that_cannot_be_sampled_costs_its_episode_alone(backend: str, asynchronous: bool) -> None:

@@ -286,10 +286,9 @@ def is_gone(pid: int) -> bool:
         return True
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("driver", ["rollout", "rollout_async", "arollout", "send_and_recv"])
 @pytest.mark.parametrize("home", HOMES)
-@pytest.mark.few(2)
 def test_every_episode_is_accounted_for_exactly_once(home: str, driver: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each is right to the letter, or marked with an error; and nothing is left behind."""
     monkeypatch.setattr(FaultBudget, "spend", lambda *args: None)  # it is the accounting that is looked at here

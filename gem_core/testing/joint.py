@@ -127,7 +127,8 @@ def approach(env: AnyEnv, seat: str, *, over: bool, seed: int) -> bool:
             env.reset(seed=seed + number)
         if not is_joint(env) or seat in acting(env):
             return True
-        over = bool(env.step(say_as(env, "", ""))[2])  # type: ignore[arg-type]  # an action of several agents
+        result = env.step(say_as(env, "", ""))  # type: ignore[arg-type]  # an action of several agents
+        over = bool(result[2] or result[3])
     return False
 
 

@@ -55,6 +55,20 @@ def test_good_environment_keeps_every_promise(target: Any) -> None:
     assert report.notes == ()
 
 
+class InterruptedEnv(GoodJointEnv):
+    """In every other episode all are truncated before the second one acts."""
+
+    def process_actions(self, actions: dict[str, str]) -> Any:
+        rewards, terminations, truncations, infos = super().process_actions(actions)
+        return rewards, terminations, truncations | dict.fromkeys(self.agents, self.secret % 2 == 0), infos
+
+
+def test_episodes_that_are_truncated_before_an_agent_acts() -> None:
+    """Another episode is begun in order to try that agent."""
+    report = check_env(InterruptedEnv)
+    assert HOSTILE in report.kept
+
+
 def name_of(target: Any) -> str:
     return str(getattr(target, "__name__", "record"))
 

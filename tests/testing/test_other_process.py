@@ -42,6 +42,7 @@ def test_prints_do_not_disturb_it() -> None:
     assert "process-determinism" in report.kept
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("deed", "seen"),
     [

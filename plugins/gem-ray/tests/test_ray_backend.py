@@ -216,6 +216,7 @@ def test_close_leaves_no_actor_and_keeps_the_connection(
     assert [actors(actor_id=each)["State"] for each in ids] == ["DEAD", "DEAD"]
 
 
+@pytest.mark.thorough
 def test_there_are_no_more_actors_than_slots(vec: Callable[..., gem.VectorEnv], executors: list[Any]) -> None:
     """By default, and when more are asked for."""
     for number in (None, 9):

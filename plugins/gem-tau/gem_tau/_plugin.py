@@ -39,7 +39,7 @@ def _both(env_id: str, kwargs: dict[str, object], summary: str) -> Iterable[EnvS
     )
     yield EnvSpec(
         id=f"{env_id}-solo",
-        entry_point="gem_tau.solo_env:solo",
+        entry_point="gem_tau.env:solo",
         kwargs=kwargs,
         summary=f"{summary}; the user is simulated inside.",
         tags=tags,

@@ -6,12 +6,15 @@ import inspect
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, get_type_hints
+from functools import partial
+from typing import Any, get_type_hints
 
 from pydantic import create_model
 
-from gem_tau import retail, sample, tau2_airline, tau2_retail
+from gem_tau.airline import AirlineTools
 from gem_tau.database import Database
+from gem_tau.retail import RetailTools
+from gem_tau.sample import SampleTools
 
 _FAILURES = (
     ArithmeticError,
@@ -26,6 +29,8 @@ _FAILURES = (
 """What a tool may raise on arguments that a model made up."""
 
 _MAX_DEPTH = 20
+_WRITES = ("book_", "cancel_", "change_", "exchange_", "modify_", "return_", "send_", "swap_", "update_")
+"""How the names of the tools begin that change the database."""
 
 
 @dataclass(frozen=True)
@@ -33,25 +38,24 @@ class Domain:
     """The tools of one kind of shop, and the rules that come with them."""
 
     name: str
-    """``tau-retail``, ``tau2-retail`` or ``tau2-airline``."""
+    """``tau-retail``, ``tau2-retail``, ``tau2-airline`` or ``sample``."""
+
+    toolkit: Callable[[Database], object]
+    """Takes a database; the result has the tools as methods, and what they raise is what the assistant reads."""
 
     tools: Mapping[str, Callable[..., Any]]
-    """Name to function of a database and keyword arguments; what it raises is what the assistant reads as an error."""
+    """The methods, by name."""
 
-    writes: frozenset[str]
-    """Tools that change the database."""
-
-    ends: frozenset[str]
+    ends: frozenset[str] = frozenset()
     """Tools that end the conversation."""
 
-    hashed: Literal["tuples", "json"]
-    """What a database's hash is computed from; see ``Digest``."""
+    tau2: bool = True
+    """Whether hashes and messages are as in tau2-bench, else as in tau-bench."""
 
-    unknown_tool: str
-    """What is answered to a call of a tool that does not exist."""
-
-    signature: Callable[[str], str]
-    """What the original's messages about wrong arguments call a tool."""
+    @property
+    def writes(self) -> frozenset[str]:
+        """Names of the tools that change the database."""
+        return frozenset(name for name in self.tools if name.startswith(_WRITES))
 
     def call(self, database: Database, name: str, arguments: Mapping[str, Any]) -> str:
         """Call a tool, which may change the database, and return what the assistant reads.
@@ -61,20 +65,22 @@ class Domain:
             name: Name of the tool.
             arguments: Its arguments, as the model wrote them; any JSON.
         """
-        tool = self.tools.get(name)
-        if tool is None:
-            return self.unknown_tool.format(name=name)
+        if name not in self.tools:
+            return f"Error: Tool '{name}' not found." if self.tau2 else f"Unknown action {name}"
         if _depth(arguments) > _MAX_DEPTH:
             return f"Error: the arguments are nested more than {_MAX_DEPTH} levels deep"
+        kit = self.toolkit(database)
         try:
-            result = tool(database, **arguments)
+            result = getattr(kit, name)(**arguments)
             return result if isinstance(result, str) else json.dumps(result)
         except _FAILURES as error:
-            return f"Error: {error}".replace(f"{name}()", self.signature(name))
+            # Python's messages about wrong arguments name the function, which has another name in the originals.
+            original = f"{type(kit).__name__}.{name}" if self.tau2 else f"{name.title().replace('_', '')}.invoke"
+            return f"Error: {error}".replace(f"{self.tools[name].__qualname__}()", f"{original}()")
 
     def schemas(self) -> list[dict[str, Any]]:
-        """Return descriptions of the tools, as chat servers take them, from the functions' type hints."""
-        return [_schema(name, function) for name, function in self.tools.items()]
+        """Return descriptions of the tools, as chat servers take them, from the methods' type hints."""
+        return [_schema(name, method) for name, method in self.tools.items()]
 
 
 def _depth(value: object) -> int:
@@ -93,8 +99,7 @@ def _depth(value: object) -> int:
 
 def _schema(name: str, function: Callable[..., Any]) -> dict[str, Any]:
     hints = get_type_hints(function, include_extras=True)
-    names = [each.name for each in inspect.signature(function).parameters.values() if each.kind != each.POSITIONAL_ONLY]
-    fields: dict[str, Any] = {each: (hints[each], ...) for each in names}
+    fields: dict[str, Any] = {name: (hint, ...) for name, hint in hints.items() if name != "return"}
     schema = _without_titles(create_model(name, **fields).model_json_schema())
     description = inspect.getdoc(function) or ""
     return {
@@ -114,43 +119,18 @@ def _without_titles(schema: Any) -> Any:
     }
 
 
-def _class_name(tool: str) -> str:
-    return "".join(word.capitalize() for word in tool.split("_"))
+def _methods(toolkit: type[object], *, without: str = "") -> dict[str, Callable[..., Any]]:
+    methods = inspect.getmembers(toolkit, inspect.isfunction)
+    return {name: method for name, method in methods if not name.startswith("_") and name != without}
 
 
 TAU_RETAIL = Domain(
     name="tau-retail",
-    tools={tool.__name__: tool for tool in retail.TOOLS},
-    writes=retail.WRITES,
+    toolkit=partial(RetailTools, tau2=False),
+    tools=_methods(RetailTools, without="get_item_details"),
     ends=frozenset({"transfer_to_human_agents"}),
-    hashed="tuples",
-    unknown_tool="Unknown action {name}",
-    signature=lambda tool: f"{_class_name(tool)}.invoke()",
+    tau2=False,
 )
-TAU2_RETAIL = Domain(
-    name="tau2-retail",
-    tools={tool.__name__: tool for tool in tau2_retail.TOOLS},
-    writes=tau2_retail.WRITES,
-    ends=frozenset(),
-    hashed="json",
-    unknown_tool="Error: Tool '{name}' not found.",
-    signature=lambda tool: f"RetailTools.{tool}()",
-)
-TAU2_AIRLINE = Domain(
-    name="tau2-airline",
-    tools={tool.__name__: tool for tool in tau2_airline.TOOLS},
-    writes=tau2_airline.WRITES,
-    ends=frozenset(),
-    hashed="json",
-    unknown_tool="Error: Tool '{name}' not found.",
-    signature=lambda tool: f"AirlineTools.{tool}()",
-)
-SAMPLE = Domain(
-    name="sample",
-    tools={tool.__name__: tool for tool in sample.TOOLS},
-    writes=frozenset({"cancel_order", "change_address", "return_item", "swap_item"}),
-    ends=frozenset({"hand_over"}),
-    hashed="json",
-    unknown_tool="Error: there is no tool {name}",
-    signature=lambda tool: f"{tool}()",
-)
+TAU2_RETAIL = Domain("tau2-retail", RetailTools, _methods(RetailTools, without="think"))
+TAU2_AIRLINE = Domain("tau2-airline", AirlineTools, _methods(AirlineTools))
+SAMPLE = Domain("sample", SampleTools, _methods(SampleTools), ends=frozenset({"hand_over"}))

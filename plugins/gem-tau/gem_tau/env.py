@@ -9,9 +9,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from gem_core import MultiAgentEnv, Response
+from gem_core import Env, MultiAgentEnv, Response, single_agent
 from gem_core.data import chosen_index
-from gem_core.errors import DatasetError
+from gem_core.errors import ArgumentError, DatasetError
 from gem_core.tools import CALL_CLOSE, CALL_OPEN, CallReader, Tool, ToolCall, native_calls, spoken
 from gem_core.types import TERMINAL_STATE, Info
 from gem_tau.database import changed_records, fork, restore
@@ -50,6 +50,7 @@ class TauEnv(MultiAgentEnv):
         max_assistant_steps: Responses of the assistant after which the episode is truncated.
 
     Raises:
+        ArgumentError: ``max_assistant_steps`` is no positive whole number.
         DatasetError: The folder cannot be read, or has no task whose reward can be computed.
 
     Source: tau-bench, arXiv:2406.12045.
@@ -59,6 +60,8 @@ class TauEnv(MultiAgentEnv):
 
     def __init__(self, folder: str | Path, *, split: str | None = None, max_assistant_steps: int = 30) -> None:
         super().__init__()
+        if type(max_assistant_steps) is not int or max_assistant_steps < 1:
+            raise ArgumentError(f"max_assistant_steps must be a positive whole number, not {max_assistant_steps!r}")
         self.task_set = _task_set(str(folder), split, Path(folder).resolve())
         self.num_tasks = len(self.task_set.tasks)
         if not self.num_tasks:
@@ -188,6 +191,22 @@ class TauEnv(MultiAgentEnv):
         self._said = list(state["said"])
         self._shown = dict(state["shown"])
         self._responses = int(state["responses"])
+
+
+def solo(
+    folder: str | Path, *, split: str | None = None, user: Any = "tau-user:patient", max_assistant_steps: int = 30
+) -> Env:
+    """Make a ``TauEnv`` for the assistant alone.
+
+    Args:
+        folder: See ``TauEnv``.
+        split: See ``TauEnv``.
+        user: Who plays the user: an agent or the name of one, as ``openai:MODEL``; of a list, one is drawn for each
+            episode.
+        max_assistant_steps: See ``TauEnv``.
+    """
+    env = TauEnv(folder, split=split, max_assistant_steps=max_assistant_steps)
+    return single_agent(env, ASSISTANT, {USER: user})
 
 
 class DescribedTool(Tool):

@@ -8,14 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from gem_core.errors import DatasetError
 from gem_tau.database import Database, Digest
 from gem_tau.domains import SAMPLE, TAU2_AIRLINE, TAU2_RETAIL, TAU_RETAIL, Domain
 from gem_tau.records import Airline, Order, Product, Shop, TauUser
-from gem_tau.task_files import Tau2Task, TauTask, read_python_tasks
-from gem_tau.tasks import Task
+from gem_tau.tasks import Task, Tau2Task, TauTask, read_python_tasks
 
 T = TypeVar("T")
 
@@ -29,6 +28,20 @@ _TAU_TABLES: dict[str, type[Any]] = {
     "products": dict[str, Product],
     "users": dict[str, TauUser],
 }
+
+
+class Function(BaseModel):
+    """A function, as chat servers describe it."""
+
+    name: str
+    description: str = ""
+    parameters: dict[str, Any] = Field(default_factory=dict)
+
+
+class ToolSchema(BaseModel):
+    """A tool in ``tools.json``."""
+
+    function: Function
 
 
 @dataclass(frozen=True)
@@ -57,7 +70,7 @@ class TaskSet:
     """Computes the hash of a database."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "digest", Digest(self.database, self.domain.hashed))
+        object.__setattr__(self, "digest", Digest(self.database, "json" if self.domain.tau2 else "tuples"))
 
 
 def read_folder(folder: str | Path, split: str | None = None) -> TaskSet:
@@ -118,17 +131,24 @@ def _read_tau(path: Path, split: str | None) -> TaskSet:
         domain=TAU_RETAIL,
         database=database,
         policy=_text(wiki if wiki.is_file() else path / "policy.md"),
-        tools=_read_checked(list[dict[str, Any]], tools) if tools.is_file() else TAU_RETAIL.schemas(),
+        tools=_tools(tools) if tools.is_file() else TAU_RETAIL.schemas(),
         tasks=tuple(tasks),
     )
+
+
+def _tools(path: Path) -> list[dict[str, Any]]:
+    tools: list[dict[str, Any]] = _json(path)
+    _checked(list[ToolSchema], tools, path)
+    return tools
 
 
 def _tasks(path: Path) -> Any:
     if path.suffix == ".json":
         return _json(path)
+    text = _text(path)
     try:
-        return read_python_tasks(_text(path))
-    except (ValueError, SyntaxError, RecursionError) as error:
+        return read_python_tasks(text)
+    except (ValueError, TypeError, SyntaxError, RecursionError, MemoryError) as error:
         raise DatasetError(f"{path} has other code than a list of Task(...): {error}") from error
 
 
@@ -141,14 +161,13 @@ def _read_tau2(path: Path, split: str | None) -> TaskSet:
         splits = _read_checked(dict[str, list[str]], splits_file) if splits_file.is_file() else {}
         _check_split(path, split, splits)
         tasks = [task for task in tasks if task.id in splits[split]]
-    left_out = {task.id: reason for task in tasks if (reason := task.left_out())}
     return TaskSet(
         domain=domain,
         database=_checked(form, raw, path / "db.json").model_dump(),
         policy=_text(path / "policy.md"),
         tools=domain.schemas(),
-        tasks=tuple(task.task() for task in tasks if task.id not in left_out),
-        left_out=left_out,
+        tasks=tuple(task.task() for task in tasks if not task.left_out()),
+        left_out={task.id: reason for task in tasks if (reason := task.left_out())},
     )
 
 
@@ -167,8 +186,9 @@ def _text(path: Path) -> str:
 
 
 def _json(path: Path) -> Any:
+    text = _text(path)
     try:
-        return json.loads(_text(path))
+        return json.loads(text)
     except (ValueError, RecursionError) as error:
         raise DatasetError(f"{path} is not JSON: {error}") from error
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from gem_core import Response
 from gem_core.errors import AgentError, ArgumentError
@@ -22,27 +21,26 @@ _WISHES = {
     "swap": r"\bswap\b|\bexchange\b",
     "total": r"\btotal\b|\bcosts?\b",
 }
-_EMAIL = re.compile(r"[\w.+-]+@[\w-]+\.[\w.]*\w")
+_EMAIL = re.compile(r"(?<![\w.+-])[\w.+-]+@[\w-]+\.[\w.]{0,200}\w")
 _NUMBER = re.compile(r"#\d{4}")
-_ADDRESS = re.compile(r"\d+ [^\W\d_][\w ]*, [^\W\d_][\w ]* \d{4,5}")
+_ADDRESS = re.compile(r"\b\d{1,5} [^\W\d_][\w ]{0,60}, [^\W\d_][\w ]{0,60} \d{4,5}")
 _REASON = re.compile(r"no longer needed|ordered by mistake", re.IGNORECASE)
 _REFUND = re.compile(r"gift card|original payment", re.IGNORECASE)
 _PRODUCT = re.compile(r"helmet|bell|floor pump|saddle|light set", re.IGNORECASE)
 _COLOUR = re.compile(r"red|blue|black|brass|grey|brown|white|green", re.IGNORECASE)
 
+_SORRY = "I am sorry, that cannot be done."
 _MORE = "Is there anything else that I can do for you?"
 
 
-@dataclass
-class Call:
+class Call(NamedTuple):
     """A call of a tool."""
 
     name: str
     arguments: dict[str, str]
 
 
-@dataclass
-class Plan:
+class Plan(NamedTuple):
     """A change that an assistant is about to make."""
 
     words: str
@@ -51,80 +49,74 @@ class Plan:
     call: Call
 
 
-@dataclass
+class UnknownYetError(Exception):
+    """The assistant needs the result of a call before it can go on."""
+
+    def __init__(self, call: Call) -> None:
+        super().__init__(call.name)
+        self.call = call
+
+
 class Talk:
-    """What an assistant knows: what was said, and what its tools returned."""
+    """What an assistant knows: what was said, and what its tools returned.
 
-    heard: list[str] = field(default_factory=list)
-    said: list[str] = field(default_factory=list)
-    results: list[tuple[Call, Any]] = field(default_factory=list)
-    """Calls in order, each with the record that came back; None where it failed."""
+    Args:
+        messages: What the agent is sent.
+    """
 
-    wish_began: int = 0
-    """Number of results when the user told the present wish."""
-
-    wish: str | None = None
-    text: str = ""
-    """All that the user said since then."""
-
-    @classmethod
-    def read(cls, messages: list[dict[str, Any]]) -> Talk:
-        """Read the messages that an agent is sent."""
-        talk, calls = cls(), {}
+    def __init__(self, messages: list[dict[str, Any]]) -> None:
+        self.heard: list[str] = []
+        self.said: list[str] = []
+        self.wish: str | None = None
+        self.text = ""  # all that the user said since telling the present wish
+        self.worked: bool | None = None  # whether the last change for this wish did; None before one is tried
+        self._results: dict[str, Any] = {}
+        calls: dict[str, Any] = {}
         for message in messages:
             content = str(message.get("content") or "")
             if message["role"] == "user":
-                talk._hear(content)
+                self._hear(content)
             elif message["role"] == "assistant":
-                if content:
-                    talk.said.append(content)
-                for call in message.get("tool_calls") or ():
-                    calls[call["id"]] = call["function"]
+                self.said += [content] if content else []
+                calls |= {call["id"]: call["function"] for call in message.get("tool_calls") or ()}
             elif message["role"] == "tool":
-                made = calls[message["tool_call_id"]]
-                failed = content.startswith(("Error: ", "The call could not"))
-                result = content if made["name"] == "hand_over" or failed else json.loads(content)
-                talk.results.append((Call(made["name"], json.loads(made["arguments"])), None if failed else result))
-        return talk
+                self._read_result(calls[message["tool_call_id"]], content)
 
     def _hear(self, text: str) -> None:
         self.heard.append(text)
         wish = next((name for name, words in _WISHES.items() if re.search(words, text, re.IGNORECASE)), None)
         if wish is not None:
-            self.wish, self.text, self.wish_began = wish, "", len(self.results)
+            self.wish, self.text, self.worked = wish, "", None
         self.text += f"\n{text}"
 
-    @property
-    def email(self) -> str | None:
-        """The email address that the user gave last."""
-        return _last(_EMAIL, "\n".join(self.heard))
+    def _read_result(self, called: dict[str, str], content: str) -> None:
+        failed = content.startswith(("Error: ", "The call could not"))
+        self._results[called["name"] + called["arguments"]] = None if failed else json.loads(content)
+        if called["name"] in ("cancel_order", "return_item", "swap_item", "change_address"):
+            self.worked = not failed
 
-    @property
-    def order_id(self) -> str | None:
-        """The order number that the user gave last."""
-        return _last(_NUMBER, "\n".join(self.heard))
+    def look_up(self, name: str, **arguments: str) -> Any:
+        """Return the record that a tool returned; None where it failed.
+
+        Raises:
+            UnknownYetError: It was not called yet.
+        """
+        key = name + json.dumps(arguments)
+        if key not in self._results:
+            raise UnknownYetError(Call(name, arguments))
+        return self._results[key]
+
+    def last(self, pattern: re.Pattern[str]) -> str | None:
+        """Return what a pattern matches last in what the user said."""
+        return _last(pattern, "\n".join(self.heard))
 
     def detail(self, pattern: re.Pattern[str]) -> str | None:
         """Return a detail of the present wish, in small letters where it is a word of the shop."""
         found = _last(pattern, self.text)
         return found.lower() if found and pattern is not _ADDRESS else found
 
-    def result(self, name: str, **arguments: str) -> tuple[bool, Any]:
-        """Return whether a call was made, and the newest result of it."""
-        for call, result in reversed(self.results):
-            if call.name == name and call.arguments == arguments:
-                return True, result
-        return False, None
-
-    def written(self) -> tuple[bool, bool]:
-        """Return whether something was changed for the present wish, or tried to be, and whether that worked."""
-        writes = ("cancel_order", "return_item", "swap_item", "change_address")
-        results = [result for call, result in self.results[self.wish_began :] if call.name in writes]
-        return bool(results), bool(results and results[-1] is not None)
-
 
 def _last(pattern: re.Pattern[str], text: str) -> str | None:
-    """Return what a pattern matches last."""
     found = pattern.findall(text)
     return found[-1] if found else None
 
@@ -133,60 +125,52 @@ def careful(talk: Talk) -> str | Call:
     """Identify the customer, look everything up, keep the policy, ask for a yes, then act."""
     if talk.wish is None:
         return "Hello! What can I do for you?"
-    tried, worked = talk.written()
-    if tried:
-        return f"Done. {_MORE}" if worked else f"I am sorry, that cannot be done. {_MORE}"
-    email = talk.email
+    if talk.worked is not None:
+        return f"{'Done.' if talk.worked else _SORRY} {_MORE}"
+    email = talk.last(_EMAIL)
     if email is None:
-        return f"What is the email address of your account{'' if talk.order_id else ', and the order number'}?"
-    found, customer = talk.result("find_customer", email=email)
-    if not found:
-        return Call("find_customer", {"email": email})
+        return f"What is the email address of your account{'' if talk.last(_NUMBER) else ', and the order number'}?"
+    customer = talk.look_up("find_customer", email=email)
     if customer is None:
         return f"I find no account with {email}. What is the right email address?"
     order = _order_of(talk, customer)
-    if not isinstance(order, dict):
+    if isinstance(order, str):
         return order
     order_id = order["order_id"]
     if talk.wish == "total":
         return f"Order {order_id} comes to {order['total']}. {_MORE}"
     if order["status"] != _STATUS[talk.wish]:
         return f"I am sorry, that cannot be done: order {order_id} is {order['status']}. {_MORE}"
-    step = _PLANNERS[talk.wish](talk, order, guess=False)
-    if not isinstance(step, Plan):
-        return step
-    question = f"I will {step.words}. Is that right? Please answer yes or no."
+    plan = _PLANNERS[talk.wish](talk, order, guess=False)
+    if isinstance(plan, str):
+        return plan
+    question = f"I will {plan.words}. Is that right? Please answer yes or no."
     agreed = talk.said[-1:] == [question] and talk.heard[-1].lower().startswith("yes")
-    return step.call if agreed else question
+    return plan.call if agreed else question
 
 
 def hasty(talk: Talk) -> str | Call:
     """Act at once on what was said, and guess the rest."""
     if talk.wish is None:
         return "What do you want?"
-    tried, worked = talk.written()
-    if tried:
-        return "Done." if worked else "I am sorry, that cannot be done."
-    order_id = talk.order_id
+    if talk.worked is not None:
+        return "Done." if talk.worked else _SORRY
+    order_id = talk.last(_NUMBER)
     if order_id is None:
-        email = talk.email
+        email = talk.last(_EMAIL)
         if email is None:
             return "What is your email address?"
-        found, customer = talk.result("find_customer", email=email)
-        if not found:
-            return Call("find_customer", {"email": email})
+        customer = talk.look_up("find_customer", email=email)
         if customer is None:
-            return "I am sorry, that cannot be done."
+            return _SORRY
         order_id = customer["orders"][0]
-    found, order = talk.result("get_order", order_id=order_id)
-    if not found:
-        return Call("get_order", {"order_id": order_id})
+    order = talk.look_up("get_order", order_id=order_id)
     if order is None:
-        return "I am sorry, that cannot be done."
+        return _SORRY
     if talk.wish == "total":
         return f"It comes to {order['total']}."
-    step = _PLANNERS[talk.wish](talk, order, guess=True)
-    return step.call if isinstance(step, Plan) else step
+    plan = _PLANNERS[talk.wish](talk, order, guess=True)
+    return plan if isinstance(plan, str) else plan.call
 
 
 def passive(talk: Talk) -> str | Call:
@@ -197,39 +181,32 @@ def passive(talk: Talk) -> str | Call:
     return Call("hand_over", {"summary": talk.heard[0]})
 
 
-def _order_of(talk: Talk, customer: dict[str, Any]) -> dict[str, Any] | str | Call:
-    """Return the order that the customer means, or how to find it."""
-    order_id = talk.order_id
+def _order_of(talk: Talk, customer: dict[str, Any]) -> dict[str, Any] | str:
+    """Return the order that the customer means, or what to ask."""
+    order_id = talk.last(_NUMBER)
     if order_id is not None:
-        found, order = talk.result("get_order", order_id=order_id)
-        if not found:
-            return Call("get_order", {"order_id": order_id})
+        order: dict[str, Any] | None = talk.look_up("get_order", order_id=order_id)
         if order is None or order_id not in customer["orders"]:
             return f"There is no order {order_id} in your account. What is the right order number?"
-        return dict(order)
+        return order
     if "not know" not in talk.text:
         return "What is the order number?"
-    orders = []
-    for each in customer["orders"]:
-        found, order = talk.result("get_order", order_id=each)
-        if not found:
-            return Call("get_order", {"order_id": each})
-        orders.append(order)
+    orders = [talk.look_up("get_order", order_id=each) for each in customer["orders"]]
     product = talk.detail(_PRODUCT)
     if product is None:
         return "Which item is in it?"
-    fitting = [
+    fitting: list[dict[str, Any]] = [
         order
         for order in orders
         if order["status"] == _STATUS.get(str(talk.wish), order["status"])
         and any(item["product"] == product for item in order["items"])
     ]
     if len(fitting) == 1:
-        return dict(fitting[0])
+        return fitting[0]
     return "I cannot tell which of your orders that is. What is the order number?"
 
 
-def _cancel(talk: Talk, order: dict[str, Any], *, guess: bool) -> Plan | str | Call:
+def _cancel(talk: Talk, order: dict[str, Any], *, guess: bool) -> Plan | str:
     reason = talk.detail(_REASON) or ("no longer needed" if guess else None)
     if reason is None:
         return "What is the reason: is it no longer needed, or was it ordered by mistake?"
@@ -238,7 +215,7 @@ def _cancel(talk: Talk, order: dict[str, Any], *, guess: bool) -> Plan | str | C
     return Plan(f"cancel order {order_id}, with the reason '{reason}'", call)
 
 
-def _move(talk: Talk, order: dict[str, Any], *, guess: bool) -> Plan | str | Call:
+def _move(talk: Talk, order: dict[str, Any], *, guess: bool) -> Plan | str:
     address = talk.detail(_ADDRESS)
     if address is None:
         return "What is the new address?"
@@ -247,7 +224,7 @@ def _move(talk: Talk, order: dict[str, Any], *, guess: bool) -> Plan | str | Cal
     return Plan(f"send order {order_id} to {address}", call)
 
 
-def _take_back(talk: Talk, order: dict[str, Any], *, guess: bool) -> Plan | str | Call:
+def _take_back(talk: Talk, order: dict[str, Any], *, guess: bool) -> Plan | str:
     item = _item_of(talk, order, guess=guess)
     if item is None:
         return "Which item of the order is it?"
@@ -261,13 +238,11 @@ def _take_back(talk: Talk, order: dict[str, Any], *, guess: bool) -> Plan | str 
     return Plan(f"take back the {item['product']} of order {order_id}, and send the money to the {refund}", call)
 
 
-def _swap(talk: Talk, order: dict[str, Any], *, guess: bool) -> Plan | str | Call:
+def _swap(talk: Talk, order: dict[str, Any], *, guess: bool) -> Plan | str:
     item = _item_of(talk, order, guess=guess)
     if item is None:
         return "Which item of the order is it?"
-    found, product = talk.result("get_product", product=item["product"])
-    if not found:
-        return Call("get_product", {"product": item["product"]})
+    product = talk.look_up("get_product", product=item["product"])
     others = [each for each in product["variants"].values() if each["item_id"] != item["item_id"]]
     colour = talk.detail(_COLOUR) or (others[0]["colour"] if guess and others else None)
     if colour is None:
@@ -320,7 +295,10 @@ class ScriptedAssistant:
         """Say something, or call a tool."""
         if context.seat == "user":
             raise AgentError("a tau-assistant plays only the assistant, as in --agent assistant=tau-assistant:careful")
-        act = self._act(Talk.read(context.messages))
+        try:
+            act = self._act(Talk(context.messages))
+        except UnknownYetError as missing:
+            act = missing.call
         if isinstance(act, str):
             return Response(act)
         function = {"name": act.name, "arguments": json.dumps(act.arguments)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gem_core.errors import AgentError, ArgumentError
 from gem_tau.prompts import STOP, part_of
@@ -215,7 +215,7 @@ def _words(text: str) -> set[str]:
     return set(re.findall(r"[a-z]{4,}", text.lower()))
 
 
-_FIRST_PERSON: dict[str, Any] = {
+_FIRST_PERSON = {
     "you are": "I am",
     "you're": "I'm",
     "yourself": "myself",

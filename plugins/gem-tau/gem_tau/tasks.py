@@ -1,9 +1,12 @@
-"""A task: what the simulated user wants, the reference actions, and what the reward looks at."""
+"""Tasks, and the files of tau-bench and tau2-bench that they are read from."""
 
 from __future__ import annotations
 
+import ast
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
+
+from pydantic import BaseModel, Field
 
 
 @dataclass(frozen=True)
@@ -44,5 +47,144 @@ class Task:
     reward_basis: tuple[str, ...] = ("DB", "COMMUNICATE")
     """Components whose product is the reward, of ``DB``, ``COMMUNICATE``, ``ACTION``."""
 
-    user_id: str | None = None
-    """The user's id in the database, where the file has it."""
+
+class TauAction(BaseModel):
+    """A reference action of tau-bench."""
+
+    name: str
+    kwargs: dict[str, Any]
+
+
+class TauTask(BaseModel):
+    """A task of tau-bench."""
+
+    instruction: str
+    actions: list[TauAction]
+    outputs: list[str] = Field(default_factory=list)
+
+    def task(self, task_id: str) -> Task:
+        """Return it as a task of ours."""
+        return Task(
+            id=task_id,
+            instruction=self.instruction,
+            actions=tuple(Action(each.name, each.kwargs) for each in self.actions),
+            outputs=tuple(self.outputs),
+        )
+
+
+def read_python_tasks(code: str) -> list[Any]:
+    """Return the tasks of one of tau-bench's Python files as plain data, without running it.
+
+    Args:
+        code: A module that assigns one list of ``Task(…)`` with literal arguments.
+
+    Raises:
+        ValueError: It has no such list, or there is something else in it.
+        SyntaxError: It is no Python.
+    """
+    lists = [node.value for node in ast.parse(code).body if isinstance(node, ast.Assign)]
+    if len(lists) != 1:
+        raise ValueError(f"{len(lists)} assignments in place of one")
+    tasks: list[Any] = _plain(lists[0])
+    return tasks
+
+
+def _plain(node: ast.expr) -> Any:
+    match node:
+        case ast.Call(func=ast.Name(id="Task" | "Action"), args=[]):
+            return {each.arg: _plain(each.value) for each in node.keywords}
+        case ast.List():
+            return [_plain(each) for each in node.elts]
+    return ast.literal_eval(node)
+
+
+class Tau2Action(BaseModel):
+    """A reference action of tau2-bench."""
+
+    name: str
+    arguments: dict[str, Any]
+    requestor: Literal["assistant", "user"] = "assistant"
+    compare_args: list[str] | None = None
+
+
+class Criteria(BaseModel):
+    """What the reward of a task of tau2-bench looks at."""
+
+    actions: list[Tau2Action] | None = None
+    env_assertions: list[Any] | None = None
+    communicate_info: list[str] | None = None
+    nl_assertions: list[str] | None = None
+    reward_basis: tuple[Literal["DB", "ENV_ASSERTION", "COMMUNICATE", "NL_ASSERTION", "ACTION"], ...] = (
+        "DB",
+        "COMMUNICATE",
+    )
+
+
+class Instructions(BaseModel):
+    """What a simulated user of tau2-bench knows and wants."""
+
+    reason_for_call: str
+    task_instructions: str
+    known_info: str | None = None
+    unknown_info: str | None = None
+
+
+class Scenario(BaseModel):
+    """The simulated user of a task of tau2-bench."""
+
+    instructions: Instructions | str
+    persona: str | None = None
+
+    def text(self) -> str:
+        """Return what the simulated user is told."""
+        told = self.instructions
+        parts = {"Who you are": self.persona}
+        if isinstance(told, str):
+            parts["What you want"] = told
+        else:
+            parts |= {
+                "Why you write": told.reason_for_call,
+                "What you know": told.known_info,
+                "What you do not know": told.unknown_info,
+                "How you behave": told.task_instructions,
+            }
+        return "\n\n".join(f"{title}:\n{text.strip()}" for title, text in parts.items() if text)
+
+
+class Tau2Task(BaseModel):
+    """A task of tau2-bench."""
+
+    id: str
+    user_scenario: Scenario
+    initial_state: dict[str, Any] | None = None
+    evaluation_criteria: Criteria | None = None
+
+    def left_out(self) -> str:
+        """Return why the reward cannot be computed here; empty where it can."""
+        criteria = self.evaluation_criteria or Criteria()
+        if "NL_ASSERTION" in criteria.reward_basis and criteria.nl_assertions:
+            return "a model would have to judge it (nl_assertions)"
+        if "ENV_ASSERTION" in criteria.reward_basis and criteria.env_assertions:
+            return "it asserts what the tools of its domain do not tell (env_assertions)"
+        if any(action.requestor == "user" for action in criteria.actions or []):
+            return "its user has tools"
+        if any((self.initial_state or {}).values()):
+            return "it begins in a state of its own (initial_state)"
+        return ""
+
+    def task(self) -> Task:
+        """Return it as a task of ours."""
+        criteria = self.evaluation_criteria or Criteria(reward_basis=())
+        basis = [name for name in ("DB", "COMMUNICATE", "ACTION") if name in criteria.reward_basis]
+        if criteria.actions is None and criteria.env_assertions is None:
+            basis = [name for name in basis if name != "DB"]  # there is no database to compare with
+        return Task(
+            id=self.id,
+            instruction=self.user_scenario.text(),
+            actions=tuple(
+                Action(each.name, each.arguments, None if each.compare_args is None else tuple(each.compare_args))
+                for each in criteria.actions or []
+            ),
+            outputs=tuple(criteria.communicate_info or ()),
+            reward_basis=tuple(basis),
+        )

@@ -51,7 +51,7 @@ def test_user_opens_and_the_policy_and_tools_come_first() -> None:
     assert observations == {"assistant": "Hi!"}
     assert rewards == {"assistant": 0.0}
     assert infos["assistant"]["system"].startswith("# Policy of Spoke & Bell")
-    assert [tool["function"]["name"] for tool in infos["assistant"]["tools"]][:2] == ["find_customer", "get_order"]
+    assert [tool["function"]["name"] for tool in infos["assistant"]["tools"]][:2] == ["cancel_order", "change_address"]
 
 
 def test_calls_are_answered_and_words_are_said() -> None:
@@ -194,6 +194,13 @@ def test_user_is_never_judged() -> None:
     env = gem.make("tau:Sample", max_assistant_steps=1)
     (joint,) = gem.rollout(env, agents=lambda observation: "Yes?", episodes=1, seed=0)
     assert {episode.seat: episode.success for episode in joint} == {"assistant": False, "user": None}
+
+
+@pytest.mark.parametrize("steps", [0, "ten", True])
+def test_limit_of_steps_is_a_number(steps: Any) -> None:
+    """It is refused when the environment is made, not in the middle of an episode."""
+    with pytest.raises(ArgumentError, match=r"^max_assistant_steps must be a positive whole number, not "):
+        TauEnv("gem_tau:sample", max_assistant_steps=steps)
 
 
 def test_first_message_of_the_user_ends_nothing() -> None:

@@ -20,7 +20,7 @@ def test_a_folder_of_tau_bench(tmp_path: Path) -> None:
     assert [task.id for task in task_set.tasks] == ["dev-0", "test-0", "test-1"]
     assert [task.id for task in read_folder(tmp_path, split="dev").tasks] == ["dev-0"]
     task = task_set.tasks[1]
-    assert (task.instruction, task.outputs, task.user_id) == ("You are Ann.", ("30.1",), "ann_lee_1")
+    assert (task.instruction, task.outputs) == ("You are Ann.", ("30.1",))
     assert task.actions == (Action("cancel_pending_order", {"order_id": "#W1", "reason": "no longer needed"}),)
     assert (task_set.policy, len(task_set.tools), task_set.domain.name) == ("Be kind.", 16, "tau-retail")
 
@@ -92,6 +92,13 @@ def test_tasks_of_tau2_bench_that_cannot_be_judged_are_left_out_and_named(tmp_pa
     }
 
 
+def test_tasks_of_one_id_are_read_or_left_out_each_by_itself(tmp_path: Path) -> None:
+    """The reason of one is not that of the other."""
+    judged = tau2_task("a", nl_assertions=["It is polite."], reward_basis=["NL_ASSERTION"])
+    task_set = read_folder(write_tau2(tmp_path, tau2_task("a", CANCEL), judged))
+    assert ([task.id for task in task_set.tasks], list(task_set.left_out)) == (["a"], ["a"])
+
+
 def test_a_folder_that_is_not_there_or_has_no_data(tmp_path: Path) -> None:
     """The error says what a folder should have."""
     with pytest.raises(DatasetError, match=r"there is no folder .*nowhere; a folder of tau-bench's retail has orders"):
@@ -111,17 +118,25 @@ def test_a_folder_that_is_not_there_or_has_no_data(tmp_path: Path) -> None:
         ("orders.json", '{"#W1": {}}', "orders.json: #W1.order_id: Field required"),
         ("users.json", "[]", "users.json: Input should be a valid dictionary"),
         ("tasks_test.json", '[{"user_id": "a"}]', "tasks_test.json: 0.instruction: Field required"),
+        ("tasks_dev.py", "TASKS = [Task(actions={[]: 1})]", "tasks_dev.py has other code than a list of Task(...): "),
+        ("tasks_dev.py", "TASKS = " + "-" * 100_000 + "1", "tasks_dev.py has other code than a list of Task(...)"),
+        ("tools.json", '[{"function": {}}]', "tools.json: 0.function.name: Field required"),
+        (
+            "tools.json",
+            '[{"function": {"name": "think", "parameters": 5}}]',
+            "tools.json: 0.function.parameters: Input",
+        ),
         ("tasks_test.json", None, "has no tasks_test.json, tasks_train.json or tasks_dev.json"),
     ],
 )
 def test_a_malformed_file_is_named(tmp_path: Path, file: str, text: str | bytes | None, expected: str) -> None:
     write_tau(tmp_path)
-    (tmp_path / file).unlink()
+    (tmp_path / file).unlink(missing_ok=True)
     if text is not None:
         (tmp_path / file).write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(DatasetError) as caught:
         read_folder(tmp_path)
-    assert expected in str(caught.value)
+    assert str(caught.value).removeprefix(str(tmp_path)).lstrip("/ ").startswith(expected)
 
 
 def test_a_split_that_a_folder_does_not_have(tmp_path: Path) -> None:

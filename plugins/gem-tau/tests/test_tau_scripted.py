@@ -14,6 +14,7 @@ from gem_core.errors import AgentError, ArgumentError
 from gem_core.rollouts import load_agent
 from gem_tau.command import command
 from gem_tau.heatmap import heat_map, svg
+from gem_tau.prompts import STOP
 
 USERS = ["tau-user:patient", "tau-user:forgetful", "tau-user:terse"]
 ASSISTANTS = ["tau-assistant:careful", "tau-assistant:hasty", "tau-assistant:passive"]
@@ -65,6 +66,18 @@ def test_scripted_agents_keep_to_their_seat(agent: str, message: str) -> None:
     """One agent for both seats would score 0 without a word."""
     with pytest.raises(AgentError, match=message):
         list(gem.rollout("tau:Sample", agents=agent, episodes=1))
+
+
+@pytest.mark.parametrize("text", ["a" * 500_000, "1" * 500_000, "1 a " * 100_000, "a@a" + "." * 500_000])
+def test_long_messages_of_a_user_are_read_soon(text: str) -> None:
+    """Whatever is in them: reading takes time in proportion to their length."""
+
+    def user(observation: str, context: gem.Context) -> str:
+        return STOP if context.turn else f"Change the address to {text}"
+
+    agents = {"assistant": "tau-assistant:careful", "user": user}
+    (joint,) = gem.rollout("tau:Sample", agents=agents, episodes=1)
+    assert joint.error is None
 
 
 def test_heatmap_prints_and_writes(tmp_path: Path) -> None:

@@ -92,6 +92,7 @@ def test_a_file_on_the_way_to_files_is_the_agents_doing(machine: DockerMachine) 
     assert caught.value.by_agent is True
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("here", ["/app", "/opt/other/place"])
 def test_saved_files_stand_elsewhere_as_they_were(
     backend: DockerBackend, task: Task, machine: DockerMachine, here: str

@@ -107,6 +107,7 @@ def test_a_network_may_be_overruled(backend: LocalBackend, tmp_path: Path) -> No
         backend.start(write_task(tmp_path), Limits(network="public"))
 
 
+@pytest.mark.thorough
 def test_a_verifiers_own_environment_is_prepared_and_started(backend: LocalBackend, tmp_path: Path) -> None:
     own = write_task(tmp_path, "echo own > /which", name="task/own").environment
     task = write_task(tmp_path, "echo agent > /which")

@@ -258,6 +258,7 @@ def test_typing_ends_though_nobody_reads(machine: LocalMachine) -> None:
     terminal.close()
 
 
+@pytest.mark.thorough
 def test_several_threads_may_use_a_machine(machine: LocalMachine) -> None:
     found: list[bytes] = []
 

@@ -165,10 +165,10 @@ def test_attack_is_stopped_where_the_table_says_so(
     assert verdict.problem is None or verdict.blame == "agent", verdict
 
 
+@pytest.mark.few(1)
 @needs_engine
 @pytest.mark.parametrize("where", ["machine", "judge"])
 @pytest.mark.parametrize("check", CHECKS)
-@pytest.mark.few(2)
 def test_right_answer_passes_and_a_wrong_one_does_not(
     backend: DockerBackend, tmp_path: Path, check: str, where: Where
 ) -> None:

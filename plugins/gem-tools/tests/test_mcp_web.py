@@ -29,6 +29,7 @@ def test_a_server_over_http():
         assert server.known == set()  # each was ended
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("tool", "message"),
     [
@@ -40,7 +41,6 @@ def test_a_server_over_http():
         ("drop", "The connection to the server web was lost during the call: the connection broke"),
     ],
 )
-@pytest.mark.few(2)
 def test_a_call_that_fails_costs_only_itself(tool, message):
     """Nothing is repeated, and the next call is answered."""
     with WebServer() as server:

@@ -46,6 +46,7 @@ except OSError as error:
     assert attack(watched, code).stdout == "ENOSPC 16\nENOSPC True\nENOSPC\n"
 
 
+@pytest.mark.few(1)
 @pytest.mark.root
 def test_writing_and_deleting_outside_the_folder(watched: Watched, tmp_path: Path) -> None:
     """Neither the system's files nor those of whoever runs this change."""

@@ -34,6 +34,7 @@ def watched(request: pytest.FixtureRequest) -> Iterator[Watched]:
         pool.close()
 
 
+@pytest.mark.few(1)
 @pytest.mark.root
 def test_shared_memory_of_many_processes(watched: Watched) -> None:
     """Twelve with 24 MB each are 288, not 24."""

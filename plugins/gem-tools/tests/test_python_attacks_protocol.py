@@ -31,7 +31,7 @@ def everywhere(data):
 """
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "data",
     [

@@ -112,6 +112,7 @@ print("left one")
     assert attack(watched, code).stdout == "left one\n"
 
 
+@pytest.mark.few(1)
 @pytest.mark.root
 def test_daemons_that_fork_without_an_end(watched: Watched) -> None:
     """Each new process has lost its parent before it can be found: none is left when the call, or a session, rests."""

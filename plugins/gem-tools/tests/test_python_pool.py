@@ -179,6 +179,7 @@ def test_a_cancelled_call_is_ended(pool: Pool) -> None:
 # Sessions.
 
 
+@pytest.mark.few(1)
 def test_sessions_keep_their_variables_apart(pool: Pool) -> None:
     """Many at once, in a few sandboxes."""
     sessions = [pool.session(Limits(wall_s=30)) for _ in range(20)]
@@ -253,6 +254,7 @@ def test_a_session_whose_code_ends_its_process(pool: Pool) -> None:
 # Faults of the machinery.
 
 
+@pytest.mark.few(1)
 def test_a_sandbox_that_dies_is_replaced(pool: Pool) -> None:
     """Calls in it fail as faults of the machinery, whatever the code; others go on."""
     outcomes: list[object] = []
