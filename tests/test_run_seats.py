@@ -275,6 +275,15 @@ def test_errors_count_episodes_and_are_run_again(run_gem: RunGem) -> None:
     assert [joint.error for joint in played("a.jsonl")] == [None] * 3
 
 
+def test_resumed_run_has_the_same_agents(run_gem: RunGem) -> None:
+    """Games of others would be counted as finished ones of these."""
+    run_gem("run", HEAP, "-n", "2", "-s", "1", "-a", "random", "-a", "seat_agents:one", "-o", "a.jsonl")
+    outcome = run_gem("run", HEAP, "-n", "3", "-a", "random", "--resume", "a.jsonl")
+    message = "--resume: a.jsonl has games of random, seat_agents:one, and the agents given are random: name the same"
+    assert (outcome.code, outcome.out, outcome.err) == (2, "", f"gem: {message}\n")
+    assert len(played("a.jsonl")) == 2
+
+
 def test_interrupted_run_of_several_agents_goes_on(tmp_path: Path) -> None:
     """Ctrl-C counts episodes; the command of the last line names every agent, and completes the run."""
     (tmp_path / "mine.py").write_text(STOPPED_AGENT)

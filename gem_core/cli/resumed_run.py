@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Collection
 from pathlib import Path
 
 import click
@@ -11,6 +12,7 @@ import click
 from gem_core.cli.layout import counted
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records.files import EpisodeLine, episode_lines
+from gem_core.records.joint import JointEpisode
 from gem_core.records.plans import EpisodeQueue
 from gem_core.records.summary import RunSummary
 from gem_core.rollouts.resume import FinishedEpisodes
@@ -21,25 +23,36 @@ class ResumedRun:
 
     Args:
         path: The file.
+        agents: Names of the agents that act now.
 
     Raises:
-        ArgumentError: It is not there, or does not say of which run it is.
+        ArgumentError: It is not there, does not say of which run it is, or has games of other agents. Records of one
+            agent do not name it.
         EpisodeFileError: It cannot be read.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, agents: Collection[str]) -> None:
         self.path = path
         self.done = FinishedEpisodes()
         self._again = 0
         if not path.exists():
             raise ArgumentError(f"--resume: there is no file {path}; a run that begins takes --out")
+        seated: set[str] = set()
         for line in episode_lines(path):
             if line.episode is not None:
                 self.done.add(line.episode)
             self._again += not _stays(line)
+            if _stays(line) and isinstance(line.episode, JointEpisode):
+                seated.update(line.episode.agents.values())
         if self.done and not self.done.run_seeds:
             raise ArgumentError(
                 f"--resume: {path} does not say from which seed its run was started, since an earlier version wrote it"
+            )
+
+        if seated and seated != set(agents):
+            found, given = (", ".join(sorted(names)) for names in (seated, agents))
+            raise ArgumentError(
+                f"--resume: {path} has games of {found}, and the agents given are {given}: name the same"
             )
 
     @property

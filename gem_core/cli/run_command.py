@@ -178,7 +178,7 @@ def command(
     acting = load_acting(agents, [record for record, _ in envs], given(options), swap_seats=swap_seats)
     stack = wrapper_stacks(wrappers, tools, max_tool_uses, max_turns, envs[0][0])
     slots = _slots(acting, num_envs, len(chosen), episodes)
-    resumed = None if resume is None else ResumedRun(Path(resume))
+    resumed = None if resume is None else ResumedRun(Path(resume), acting.agents)
     run_seed = seed if resumed is None else resumed.seed
     for agent in acting.agents.values():
         prepare_agent(agent)  # it says at the start what would fail later
