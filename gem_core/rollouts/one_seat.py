@@ -301,6 +301,8 @@ class SingleAgentEnv(Env):
         rest = [agent for agent in self.env.possible_agents if agent != self.seat]
         if not isinstance(others, Mapping):
             others = dict.fromkeys(rest, others)
+        if self.seat in others:
+            raise ArgumentError(f"others names {self.seat!r}, the seat of the agent itself; leave it out")
         check_seats(others, rest)
         return {agent: self._candidates(others.get(agent, "random")) for agent in rest}
 
