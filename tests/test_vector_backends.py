@@ -199,9 +199,10 @@ def test_send_and_recv_give_the_same_episodes(planned: bool) -> None:
 
 
 @pytest.mark.thorough
-def test_rollouts_give_the_same_episodes() -> None:
-    """With every registered environment, by key."""
-    ids = registered()
+@pytest.mark.parametrize("who", ["agent", "agents"])
+def test_rollouts_give_the_same_episodes(who: str) -> None:
+    """With every registered environment, of one agent or of several, by key."""
+    ids = [env_id for env_id in registered() if bool(gem.spec(env_id).seats) == (who == "agents")]
     plan = [PlanItem(id=env_id) for env_id in ids]
 
     def agent(observation: Any, context: Any) -> str:
@@ -213,7 +214,7 @@ def test_rollouts_give_the_same_episodes() -> None:
     results = []
     for backend in ["sync", *BACKENDS]:
         with gem.make_vec(ids[:3], 4, backend=backend, seed=9, wrappers=[("turn_limit", {"max_turns": 8})]) as vector:
-            came = list(gem.rollout(vector, agent, plan=plan))
+            came: list[Any] = list(gem.rollout(vector, **{who: agent}, plan=plan))
         results.append({episode.key: episode for episode in came})
         assert len(came) == len(results[-1]) == len(plan)
     assert all(result == results[0] for result in results)

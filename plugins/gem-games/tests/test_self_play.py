@@ -18,7 +18,7 @@ def test_random_self_play_accounts_for_every_reward(env_id: str, many: int) -> N
     """Every game ends by itself, without an error, and the returns are what the rules pay."""
     for joint in gem.rollout(env_id, agents="random", episodes=many, seed=11):
         assert joint.error is None
-        assert all(episode.transitions[-1].terminated for episode in joint)
+        assert all(episode.cut_off is None for episode in joint)
         assert list(joint.seats) == list(gem.spec(env_id).seats)
         if env_id != "game:Negotiation-v0":  # there is something to gain together
             assert sum(joint.returns.values()) == 0.0
