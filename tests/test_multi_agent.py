@@ -342,6 +342,14 @@ def test_own_selector_decides() -> None:
         env.step({"a": "1"})
 
 
+def test_what_is_no_selector_is_refused() -> None:
+    """The error says what is wanted."""
+    env: Any = AuctionEnv(["a", "b"])
+    env.agent_selector = "parallel"
+    with pytest.raises(TypeError, match=r"^AuctionEnv: agent_selector is an AgentSelector, as AgentSelector\(mode="):
+        env.reset(seed=0)
+
+
 def test_documented_example_runs() -> None:
     """The example in the docstring of ``MultiAgentEnv`` plays as it says."""
     lines = (MultiAgentEnv.__doc__ or "").split("class Guess", 1)[1].split("\n\n    It draws", 1)[0]

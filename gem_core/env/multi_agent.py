@@ -184,6 +184,11 @@ class MultiAgentEnv(Env):
         name = self.env_id or type(self).__name__
         if not possible or len(set(possible)) < len(possible):
             raise TypeError(f"{name} must set possible_agents to names that differ, not {possible!r}")
+        if not isinstance(self.agent_selector, AgentSelector):
+            raise TypeError(
+                f"{name}: agent_selector is an AgentSelector, as AgentSelector(mode='parallel'), not "
+                f"{self.agent_selector!r:.100}"
+            )
         self.agents = possible.copy()
         self.agent_selector.reset(possible)
         self.cumulative, self.terminations, self.truncations = {}, {}, {}
