@@ -33,7 +33,7 @@ from calling import (
     v3,
     v31,
 )
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from test_call_formats import ONE_CALL
 from test_tool_calls import Recorder
@@ -391,6 +391,7 @@ PIECES = [
 TEXTS = st.lists(st.sampled_from(PIECES) | st.text(max_size=2), max_size=20).map("".join)
 
 
+@example("<invoke name=nosuch>")  # never closed, and of no tool
 @given(TEXTS)
 def test_every_text_is_read(text: str) -> None:
     """Never an exception; and what is executed is how the response begins."""

@@ -49,9 +49,8 @@ def tool_call(call: ParsedCall, start: int, tools: Tools) -> ToolCall:
             return ToolCall("", {}, start, call.end, f"no tool takes {call.takes} alone. There are: {there_are}")
         name = tool.name
     arguments, error, name = resolve_arguments(name, call.arguments, tools)
-    if error is None and call.cut:
-        error = "it is never closed"
-    return ToolCall(name[:100], arguments, start, call.end, error, cut=call.cut)
+    cut = error is None and call.cut  # else closing it would not make it a call
+    return ToolCall(name[:100], arguments, start, call.end, "it is never closed" if cut else error, cut=cut)
 
 
 def tool_taking(parameter: str, tools: Tools) -> Tool | None:
