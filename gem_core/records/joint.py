@@ -100,7 +100,7 @@ class JointEpisode:
         Args:
             images: Where images are written; None leaves their content out.
         """
-        start = Episode(self.id, self.seed, "", {}, **{name: getattr(self, name) for name in _OF_START[2:]})
+        start = Episode(observation="", info={}, **{name: getattr(self, name) for name in _OF_START})
         shared = {name: value for name, value in start.to_dict(images).items() if name in _OF_START}
         return {
             **shared,
@@ -143,7 +143,7 @@ class JointEpisode:
 
     def __eq__(self, other: object) -> bool:
         """Compare all but durations (``info["episode"]["t"]``) and the run that it belongs to."""
-        return same_record(self, other) if isinstance(other, JointEpisode) else NotImplemented
+        return same_record(self.to_dict(), other.to_dict()) if isinstance(other, JointEpisode) else NotImplemented
 
     __hash__ = None  # type: ignore[assignment]  # records are mutable
 

@@ -33,15 +33,12 @@ _MOST_DEALS = 10
 _OWN_ARGUMENTS = ("env", "seat", "others", "max_other_turns")
 
 
-def single_agent(
-    env: MultiAgentEnv | str,
-    seat: str,
-    others: Any = "random",
-    *,
-    max_other_turns: int = MOST_OTHER_TURNS,
-    **kwargs: Any,
-) -> Env:
-    """Make an environment for one agent of an environment of several: the other seats are played inside it.
+class _OpponentError(Exception):
+    """The agent at another seat failed."""
+
+
+class SingleAgentEnv(Env):
+    """One seat of an environment of several agents as an environment: the other seats are played inside it.
 
     ``reset`` and ``step`` let the others act until the seat acts again or has ended. What the seat observes and earns
     is unchanged; a reward that it had before it first acted is added to that of its first step. When the seat has
@@ -67,15 +64,6 @@ def single_agent(
         UnknownEnvError: There is no such environment.
         UnknownAgentError: There is no agent of that name.
     """
-    return SingleAgentEnv(env, seat, others, max_other_turns=max_other_turns, **kwargs)
-
-
-class _OpponentError(Exception):
-    """The agent at another seat failed."""
-
-
-class SingleAgentEnv(Env):
-    """One seat of an environment of several agents; see ``single_agent``, which makes it."""
 
     def __init__(
         self,
@@ -381,6 +369,10 @@ class SingleAgentEnv(Env):
     @property
     def _name(self) -> str:
         return self.env_id or self.env.env_id or type(self.env.unwrapped).__name__
+
+
+single_agent = SingleAgentEnv
+"""The way to make one."""
 
 
 def _pass_on_error(info: Info, infos: Mapping[str, Info]) -> None:
