@@ -11,10 +11,10 @@ from gem_core.suggestions import did_you_mean
 from gem_core.types import Info, Observation
 
 Verdict = tuple[Mapping[str, float], Mapping[str, bool], Mapping[str, bool], Mapping[str, Info]]
-"""``(rewards, terminations, truncations, infos)``; an agent that is left out gets 0.0, False, False and no news."""
+"""``(rewards, terminations, truncations, infos)``; an agent that is left out gets 0.0, False, False and an empty info."""
 
 _MAPPING = dict, Mapping
-"""Most are dictionaries, which is soon seen; to ask the abstract class of each takes longer than all else here."""
+"""Nearly all are dictionaries, and for those the abstract class, which is slow, is not asked."""
 
 
 def named(agents: Iterable[str]) -> str:

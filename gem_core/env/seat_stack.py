@@ -99,7 +99,7 @@ class SeatStack:
     async def hear(self, result: StepResult, calls: PlainCalls) -> StepResult:
         """Return the result of a step of the environment, as the wrappers pass it on.
 
-        That of a seat which ended before it acted, or when it was to act, answers no response: it stays as it is.
+        Where the seat ended and had sent no response, the result is returned unchanged.
         """
         observation, reward, terminated, truncated, info = result
         if self._sent is not None:

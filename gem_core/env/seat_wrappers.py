@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from gymnasium import spaces
 
 PutAround = Callable[[SeatEnv], AnyEnv]
-"""Puts wrappers around what they see of a seat."""
+"""Puts wrappers around the environment as one seat sees it."""
 
 
 class SeatWrappers(MultiAgentEnv):
@@ -31,8 +31,8 @@ class SeatWrappers(MultiAgentEnv):
     A response passes the wrappers of its seat from the outside in. Where one answers it, as ``ToolEnv`` does a call,
     the seat has the answer and its reward at once, and acts again, while the others wait with the responses that they
     have given. When all who act have a response for the environment, that is stepped, and what each seat hears of it
-    passes its wrappers from the inside out. A seat's first observation is what its wrappers know as ``reset``; one that
-    ends before it ever acted has no use for them.
+    passes its wrappers from the inside out. For its wrappers, a seat's first observation is the result of a ``reset``;
+    the last observation of a seat that ends before it ever acted does not pass them.
 
     Where a wrapper ends its seat, as a limit of turns or a failed tool does, all others are truncated, since nobody
     would take its turns.
@@ -191,13 +191,13 @@ class SeatWrappers(MultiAgentEnv):
         """End the episode for all.
 
         Args:
-            results: What some have heard already, whose wrappers ended it.
+            results: Those of the seats that have theirs already; the wrappers of one of them ended it.
             calls: How the environment is called.
         """
         self._held = {}
         joint = await calls.truncate_all(self.env)
         for agent in results:
-            joint[1].pop(agent, None)  # it has heard all that there is; one that has ended is not there
+            joint[1].pop(agent, None)  # it has its result already; one that ended before is not there
         cut_off = {
             agent: (observation, reward, terminated, truncated or not terminated, info)
             for agent, (observation, reward, terminated, truncated, info) in results.items()
@@ -205,7 +205,7 @@ class SeatWrappers(MultiAgentEnv):
         return {**cut_off, **await self._heard(joint, calls)}
 
     def _joined(self, results: Mapping[str, StepResult]) -> JointStepResult:
-        for agent in self.env.terminations:  # those who joined, too
+        for agent in self.env.terminations:  # some may have joined in this step
             self.terminations.setdefault(agent, False)
             self.truncations.setdefault(agent, False)
         observations, rewards, infos = {}, {}, {}

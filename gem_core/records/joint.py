@@ -29,7 +29,7 @@ class JointEpisode:
         seats: The episode of each seat, in the order of the environment's ``possible_agents``.
         agents: Name of the agent at each seat; they are there also where the reset failed.
         order: Who acted in each step, in the order of the steps.
-        failure: What failed before a seat could record it, as a reset; None for nothing.
+        failure: An error that is in the episode of no seat, as that of a reset; None for none.
         kwargs: Keyword arguments of the environment over the registered ones.
         wrappers: Names and options of its wrappers, innermost first: one list for all seats, or one for each by name.
         options: What was passed to ``reset``.
@@ -79,7 +79,7 @@ class JointEpisode:
     def error(self) -> dict[str, Any] | None:
         """The failure of the environment or a server, not of an agent; None for an episode that counts.
 
-        A seat that only could not finish since another had no answer has the error ``"opponent"`` alone.
+        Errors of the kind ``"opponent"``, of seats that were cut off since another had no answer, are left out.
         """
         errors = (episode.error for episode in self.seats.values())
         own = (error for error in errors if error is not None and error.get("kind") != "opponent")

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from functools import partial
 from typing import Any, cast
 
-from gem_core.background import finish_now, finish_or_start
+from gem_core.background import finish_now
 from gem_core.env.base import Env
 from gem_core.env.joint_calls import AwaitedCalls, PlainCalls, of_env
 from gem_core.env.joint_checks import check_seats
@@ -23,12 +23,11 @@ from gem_core.making.environment import make_from
 from gem_core.records.episode import Episode
 from gem_core.records.plans import EpisodeStart, PlanItem
 from gem_core.registry.lookup import registry
-from gem_core.rollouts.agent import Agent, Reading, is_asynchronous, load_agent
+from gem_core.rollouts.agent import Agent, Reading, close_agent, is_asynchronous, load_agent
 from gem_core.rollouts.seat import RunningSeat, new_episode
 from gem_core.rollouts.seating import Seated, seated
 from gem_core.types import Concurrency, Info, ResetResult, Response, StepResult
 
-MOST_OTHER_TURNS = 300
 _MOST_DEALS = 10
 _OWN_ARGUMENTS = ("env", "seat", "others", "max_other_turns")
 
@@ -71,7 +70,7 @@ class SingleAgentEnv(Env):
         seat: str,
         others: Any = "random",
         *,
-        max_other_turns: int = MOST_OTHER_TURNS,
+        max_other_turns: int = 300,
         **kwargs: Any,
     ) -> None:
         super().__init__()
@@ -82,7 +81,7 @@ class SingleAgentEnv(Env):
         if type(max_other_turns) is not int or max_other_turns < 1:
             raise ArgumentError(f"max_other_turns must be a positive whole number, not {max_other_turns!r}")
         self._made_here = isinstance(env, str)
-        made: Any = make_from(registry().env(env), kwargs, ()) if isinstance(env, str) else env
+        made: Any = make_from(registry().env(env), kwargs) if isinstance(env, str) else env
         self._loaded: dict[str, Agent] = {}
         try:
             if not isinstance(made, MultiAgentEnv):
@@ -364,7 +363,7 @@ class SingleAgentEnv(Env):
         with ExitStack() as closing:
             closing.callback(self.env.close)
             for player in self._loaded.values():
-                closing.callback(_close, player)
+                closing.callback(close_agent, player)
 
     @property
     def _name(self) -> str:
@@ -408,9 +407,3 @@ async def _all_of(answers: Mapping[str, Awaitable[Any]]) -> dict[str, Any]:
     finally:
         for task in tasks.values():
             task.cancel()
-
-
-def _close(agent: Agent) -> None:
-    waited = getattr(agent, "aclose", getattr(agent, "close", lambda: None))()
-    if inspect.isawaitable(waited):
-        finish_or_start(waited)

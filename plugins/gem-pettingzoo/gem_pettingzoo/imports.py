@@ -216,7 +216,7 @@ class PettingZooEnv(MultiAgentEnv):
         return position
 
     def _play(self, infos: dict[str, Info]) -> Verdict:
-        """Step PettingZoo's environment with the actions that are ready, and return what came of it for each agent."""
+        """Step PettingZoo's environment with the actions that are ready, and return the results by agent."""
         position = self._advance({agent: self._ready[agent] for agent in self.agents if agent in self._ready})
         self._ready = {}
         for agent in self.pettingzoo_env.agents:
