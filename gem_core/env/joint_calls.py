@@ -24,6 +24,16 @@ def of_env(name: str) -> Any:
     return property(attrgetter(f"env.{name}"), assign)
 
 
+class AroundEnv:
+    """Reads from the environment inside, ``env``, what every environment around another takes over from it."""
+
+    answer_fences = of_env("answer_fences")
+    answer_tags = of_env("answer_tags")
+    metadata = of_env("metadata")
+    render = of_env("render")
+    render_mode = of_env("render_mode")
+
+
 class PlainCalls:
     """Calls hooks and the environment from plain code; its coroutines never wait."""
 

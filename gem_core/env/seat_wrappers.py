@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, cast
 
 from gem_core.background import finish_now
 from gem_core.env.base import Env
-from gem_core.env.joint_calls import AwaitedCalls, PlainCalls, of_env
+from gem_core.env.joint_calls import AroundEnv, AwaitedCalls, PlainCalls, of_env
 from gem_core.env.joint_checks import check_actions, check_in_episode, check_seats
-from gem_core.env.multi_agent import JointResetResult, JointStepResult, MultiAgentEnv
+from gem_core.env.multi_agent import JointResetResult, JointStepResult, MultiAgentEnv, result_of
 from gem_core.env.seat_stack import SeatEnv, SeatStack, restored_response, saved_response
 from gem_core.env.spec import EnvRecipe
 from gem_core.env.wrapper import AnyEnv, concurrency_of, most_demanding
@@ -25,7 +25,7 @@ PutAround = Callable[[SeatEnv], AnyEnv]
 """Puts wrappers around the environment as one seat sees it."""
 
 
-class SeatWrappers(MultiAgentEnv):
+class SeatWrappers(AroundEnv, MultiAgentEnv):
     """Puts wrappers around the seats of an environment of several agents; ``make`` does it by ``wrappers``.
 
     A response passes the wrappers of its seat from the outside in. Where one answers it, as ``ToolEnv`` does a call,
@@ -64,17 +64,12 @@ class SeatWrappers(MultiAgentEnv):
     max_steps = of_env("max_steps")
     add_agent = of_env("add_agent")
     observe = of_env("observe")
-    answer_fences = of_env("answer_fences")
-    answer_tags = of_env("answer_tags")
     num_tasks = of_env("num_tasks")
     endless_tasks = of_env("endless_tasks")
-    metadata = of_env("metadata")
     np_random = of_env("np_random")
     np_random_seed = of_env("np_random_seed")
     action_random = of_env("action_random")
     seed_actions = of_env("seed_actions")
-    render = of_env("render")
-    render_mode = of_env("render_mode")
     env_id = of_env("env_id")
 
     @property
@@ -172,19 +167,15 @@ class SeatWrappers(MultiAgentEnv):
 
     async def _heard(self, joint: JointStepResult, calls: PlainCalls) -> dict[str, StepResult]:
         """Return what each agent hears of a step of the environment, as its wrappers pass it on."""
-        observations, rewards, terminations, truncations, infos = joint
         results: dict[str, StepResult] = {}
-        for agent, reward in rewards.items():
-            info = infos[agent]
-            observation = observations[agent] if agent in observations else info.pop("final_obs")
-            result = (observation, reward, terminations[agent], truncations[agent], info)
-            results[agent] = await self._stacks[agent].hear(result, calls)
+        for agent, reward in joint[1].items():
+            results[agent] = await self._stacks[agent].hear(result_of(joint, agent), calls)
             self._added[agent] += results[agent][1] - reward
         return results
 
     def truncate_all(self) -> JointStepResult:
         """End the episode from outside; see ``MultiAgentEnv.truncate_all``."""
-        check_in_episode(self.env_id or type(self.unwrapped).__name__, self.acting)
+        check_in_episode(self.env_id or type(self.unwrapped).__name__, bool(self.acting))
         return self._joined(finish_now(self._truncated({}, PlainCalls())))
 
     async def _truncated(self, results: Mapping[str, StepResult], calls: PlainCalls) -> dict[str, StepResult]:

@@ -8,7 +8,7 @@ from typing import Any
 from gymnasium import spaces
 from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]
 
-from gem_core.env import Env, MultiAgentEnv, join_observations
+from gem_core.env import Env, MultiAgentEnv, Verdict, join_observations
 from gem_core.errors import ArgumentError, SamplingNotSupported
 from gem_core.records import from_plain, to_plain
 from gem_core.types import Info, Observation
@@ -20,9 +20,6 @@ Describe = Callable[[str, Any, Info], Observation]
 
 Read = Callable[[str, str], Any]
 """``(agent, response) -> action``: the action in a response; None where there is none."""
-
-Verdict = tuple[dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]
-"""What ``process_actions`` returns: ``(rewards, terminations, truncations, infos)``."""
 
 
 class PettingZooEnv(MultiAgentEnv):
