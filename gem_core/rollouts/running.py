@@ -94,7 +94,6 @@ class SharedEpisode:
         self.record = JointEpisode(**common_fields(described, start), agents=names)
         self._vector = vector
         self._start = start
-        self._readings = {seat: Reading.of(one.agent) for seat, one in self._seated.items()}
         self._running: dict[str, RunningSeat] = {}
         self._ended: set[str] = set()
         self._acting = list(observations)
@@ -152,15 +151,17 @@ class SharedEpisode:
                 self._running[seat].cut_off({"error": {"kind": "opponent", "message": f"an error at {failed}"}})
 
     def _first_seen(self, seat: str, observation: Observation, reward: float, info: Info) -> None:
-        joint = self.record
+        """Begin the episode of a seat with the first observation that it is shown."""
+        joint, (name, agent) = self.record, self._seated[seat]
         described = {"id": joint.id, "kwargs": joint.kwargs, "wrappers": joint.wrappers_of(seat)}
         episode = new_episode(described, self._start, observation, info)
-        episode.seat, episode.agent, episode.first_reward = seat, self._seated[seat].name, reward
+        episode.seat, episode.agent, episode.first_reward = seat, name, reward
         draw = partial(self._vector.sample_random_action, self.slot, seat)
-        self._running[seat] = RunningSeat(episode, self._readings[seat], draw)
+        self._running[seat] = RunningSeat(episode, Reading.of(agent), draw)
         joint.seats = {each: self._running[each].episode for each in self._seated if each in self._running}
 
     def _lose(self, info: Info) -> None:
+        """End the episode for all who have not ended, since the step failed."""
         self.record.failure = info["error"]
         for seat, running in self._running.items():
             if seat not in self._ended:
