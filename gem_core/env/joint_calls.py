@@ -1,4 +1,4 @@
-"""Calls of an environment of several agents, and of hooks around it, from plain code or from an event loop."""
+"""What environments around another share: attributes read from it, and calls of it in plain code or an event loop."""
 
 from __future__ import annotations
 

@@ -246,11 +246,11 @@ def load_agents(names: Iterable[str], **options: Any) -> dict[str, Agent]:
     names = list(dict.fromkeys(names))
     if len(names) == 1:
         return {names[0]: load_agent(names[0], **options)}
-    taken = {name: [option for option in options if _takes(name, option)] for name in names} if options else {}
+    taken = {name: {each: value for each, value in options.items() if _takes(name, each)} for name in names}
     for option in options:
         if not any(option in own for own in taken.values()):
             raise ArgumentError(f"none of the agents {', '.join(names)} takes the option {option}")
-    return {name: load_agent(name, **{option: options[option] for option in taken.get(name, ())}) for name in names}
+    return {name: load_agent(name, **own) for name, own in taken.items()}
 
 
 def _takes(name: str, option: str) -> bool:
