@@ -55,7 +55,7 @@ def load_acting(
         UnknownAgentError: There is no such agent.
     """
     from gem_core.rollouts.agent import load_agents
-    from gem_core.rollouts.seating import Seated, as_seating
+    from gem_core.rollouts.seating import Seated
 
     if not any(env.seats for env in envs):
         agents = load_agents([_only_agent(given, envs[0].id, swap_seats=swap_seats)], **agent_options)
@@ -74,9 +74,8 @@ def load_acting(
     names = list(given) if by_seat is None else [by_seat[seat] for seat in envs[0].seats]
     agents = load_agents(names, **agent_options)
     seated = [Seated(name, agents[name]) for name in names]
-    if by_seat is None or swap_seats:
-        return Acting(agents, {"agents": as_seating(seated)})
-    return Acting(agents, {"agents": as_seating(dict(zip(envs[0].seats, seated, strict=True)))})
+    stay = by_seat is not None and not swap_seats
+    return Acting(agents, {"agents": dict(zip(envs[0].seats, seated, strict=True)) if stay else seated})
 
 
 def seats_of_others(given: Sequence[str], seat: str | None, env: EnvSpec) -> tuple[str, dict[str, str]]:
@@ -143,7 +142,10 @@ def _agents_by_seat(given: Sequence[str], envs: Sequence[EnvSpec]) -> dict[str, 
             raise ArgumentError(f"--agent is given twice for the seat {match[1]}: write {_form(envs[0])}")
         by_seat[match[1]] = match[2]
     for env in envs:
-        _check_all_seats(by_seat, env)
+        check_seats(by_seat, env)
+        missing = [seat for seat in env.seats if seat not in by_seat]
+        if missing:
+            raise ArgumentError(f"{_seats_of(env)}, and there is no agent for {', '.join(missing)}: write {_form(env)}")
     return by_seat
 
 
@@ -153,13 +155,6 @@ def check_seats(seats: Iterable[str], env: EnvSpec) -> None:
         if seat not in env.seats:
             hint = did_you_mean(seat, env.seats)
             raise ArgumentError(f"{env.id} has no seat {seat!r}.{hint} Its seats are {', '.join(env.seats)}")
-
-
-def _check_all_seats(by_seat: Iterable[str], env: EnvSpec) -> None:
-    check_seats(by_seat, env)
-    missing = [seat for seat in env.seats if seat not in by_seat]
-    if missing:
-        raise ArgumentError(f"{_seats_of(env)}, and there is no agent for {', '.join(missing)}: write {_form(env)}")
 
 
 def _seats_of(env: EnvSpec) -> str:

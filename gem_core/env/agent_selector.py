@@ -72,7 +72,7 @@ class AgentSelector:
         return copy.deepcopy(self).next()
 
     def override(self, *agents: str) -> None:
-        """Let these agents act next, whatever the order; it goes on after them as if they had not."""
+        """Let these agents act next, whatever the order, which stays as it is and continues after them."""
         self._overridden = list(agents)
 
     def skip(self, agent: str, turns: int = 1) -> None:

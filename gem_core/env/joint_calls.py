@@ -1,4 +1,4 @@
-"""Calls of an environment of several agents, and of hooks around it, from plain code or from an event loop."""
+"""What environments around another share: attributes read from it, and calls of it in plain code or an event loop."""
 
 from __future__ import annotations
 
@@ -22,6 +22,16 @@ def of_env(name: str) -> Any:
         setattr(self.env, name, value)
 
     return property(attrgetter(f"env.{name}"), assign)
+
+
+class AroundEnv:
+    """Reads from the environment inside, ``env``, what every environment around another takes over from it."""
+
+    answer_fences = of_env("answer_fences")
+    answer_tags = of_env("answer_tags")
+    metadata = of_env("metadata")
+    render = of_env("render")
+    render_mode = of_env("render_mode")
 
 
 class PlainCalls:

@@ -11,10 +11,10 @@ from gem_core.suggestions import did_you_mean
 from gem_core.types import Info, Observation
 
 Verdict = tuple[Mapping[str, float], Mapping[str, bool], Mapping[str, bool], Mapping[str, Info]]
-"""``(rewards, terminations, truncations, infos)``; an agent that is left out gets 0.0, False, False and no news."""
+"""``(rewards, terminations, truncations, infos)``; one left out gets 0.0, False, False and an empty info."""
 
 _MAPPING = dict, Mapping
-"""Most are dictionaries, which is soon seen; to ask the abstract class of each takes longer than all else here."""
+"""Nearly all are dictionaries, and for those the abstract class, which is slow, is not asked."""
 
 
 def named(agents: Iterable[str]) -> str:
@@ -22,17 +22,17 @@ def named(agents: Iterable[str]) -> str:
     return ", ".join(map(repr, agents))
 
 
-def check_in_episode(name: str, acting: Sequence[str]) -> None:
+def check_in_episode(name: str, live: bool) -> None:
     """Refuse a step outside an episode.
 
     Args:
         name: What errors call the environment.
-        acting: Who has to act now.
+        live: Whether an episode is under way.
 
     Raises:
-        ResetNeededError: Nobody acts.
+        ResetNeededError: None is.
     """
-    if not acting:
+    if not live:
         raise ResetNeededError(f"{name}: the episode is over or has not begun; call reset() before the next step()")
 
 
@@ -48,7 +48,7 @@ def check_actions(name: str, acting: Sequence[str], actions: Mapping[str, str]) 
         ArgumentError: An action is missing, is of an agent that does not act now, or is no text.
         ResetNeededError: Nobody acts.
     """
-    check_in_episode(name, acting)
+    check_in_episode(name, bool(acting))
     if not isinstance(actions, _MAPPING):
         raise ArgumentError(f"actions are {{agent: response}}, here of {named(acting)}, not {actions!r:.100}")
     for agent in acting:

@@ -21,7 +21,7 @@ from gem_core.env.joint_checks import (
 )
 from gem_core.env.spaces import Text
 from gem_core.errors import ArgumentError, SamplingNotSupported, StateError
-from gem_core.types import Info, Observation
+from gem_core.types import Info, Observation, StepResult
 
 if TYPE_CHECKING:
     from gymnasium import spaces
@@ -31,6 +31,14 @@ JointResetResult = tuple[dict[str, Observation], dict[str, Info]]
 
 JointStepResult = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]
 """``(observations, rewards, terminations, truncations, infos)``; see ``MultiAgentEnv.step``."""
+
+
+def result_of(joint: JointStepResult, agent: str) -> StepResult:
+    """Return what a step gave one agent, as a step of one agent would: ``final_obs`` is the observation."""
+    observations, rewards, terminations, truncations, infos = joint
+    info = {name: value for name, value in infos[agent].items() if name != "final_obs"}
+    observation = observations[agent] if agent in observations else infos[agent]["final_obs"]
+    return observation, rewards[agent], terminations[agent], truncations[agent], info
 
 
 class MultiAgentEnv(Env):
@@ -240,7 +248,7 @@ class MultiAgentEnv(Env):
         Raises:
             ResetNeededError: The episode is over or has not begun.
         """
-        check_in_episode(self.env_id or type(self).__name__, self.acting)
+        check_in_episode(self.env_id or type(self).__name__, bool(self.acting))
         return self.__go_on({}, self.__take_out({}, {}, cut_off=True))
 
     @property

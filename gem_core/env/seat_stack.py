@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from gem_core.env.base import Env
-from gem_core.env.joint_calls import PlainCalls, of_env
+from gem_core.env.joint_calls import AroundEnv, PlainCalls, of_env
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.spec import EnvRecipe
 from gem_core.env.wrapper import AnyEnv, Wrapper
@@ -15,7 +15,7 @@ from gem_core.errors import ArgumentError, StateError
 from gem_core.types import ResetResult, Response, StepResult
 
 
-class SeatEnv(Env):
+class SeatEnv(AroundEnv, Env):
     """What the wrappers of a seat see of the environment; they are run by their hooks, so it is never stepped.
 
     Args:
@@ -29,14 +29,9 @@ class SeatEnv(Env):
         self.observation_space = env.observation_space(seat)
         self.action_space = env.action_space(seat)
 
-    answer_fences = of_env("answer_fences")
-    answer_tags = of_env("answer_tags")
     env_id = of_env("env_id")
-    metadata = of_env("metadata")
     np_random = of_env("np_random")
     np_random_seed = of_env("np_random_seed")
-    render = of_env("render")
-    render_mode = of_env("render_mode")
 
     @property
     def spec(self) -> EnvRecipe | None:  # type: ignore[override]  # read from the environment
@@ -99,7 +94,7 @@ class SeatStack:
     async def hear(self, result: StepResult, calls: PlainCalls) -> StepResult:
         """Return the result of a step of the environment, as the wrappers pass it on.
 
-        That of a seat which ended before it acted, or when it was to act, answers no response: it stays as it is.
+        Where the seat ended and had sent no response, the result is returned unchanged.
         """
         observation, reward, terminated, truncated, info = result
         if self._sent is not None:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, cast
 
 from gem_core.background import finish_now
 from gem_core.env.base import Env
-from gem_core.env.joint_calls import AwaitedCalls, PlainCalls, of_env
+from gem_core.env.joint_calls import AroundEnv, AwaitedCalls, PlainCalls, of_env
 from gem_core.env.joint_checks import check_actions, check_in_episode, check_seats
-from gem_core.env.multi_agent import JointResetResult, JointStepResult, MultiAgentEnv
+from gem_core.env.multi_agent import JointResetResult, JointStepResult, MultiAgentEnv, result_of
 from gem_core.env.seat_stack import SeatEnv, SeatStack, restored_response, saved_response
 from gem_core.env.spec import EnvRecipe
 from gem_core.env.wrapper import AnyEnv, concurrency_of, most_demanding
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
     from gymnasium import spaces
 
 PutAround = Callable[[SeatEnv], AnyEnv]
-"""Puts wrappers around what they see of a seat."""
+"""Puts wrappers around the environment as one seat sees it."""
 
 
-class SeatWrappers(MultiAgentEnv):
+class SeatWrappers(AroundEnv, MultiAgentEnv):
     """Puts wrappers around the seats of an environment of several agents; ``make`` does it by ``wrappers``.
 
     A response passes the wrappers of its seat from the outside in. Where one answers it, as ``ToolEnv`` does a call,
     the seat has the answer and its reward at once, and acts again, while the others wait with the responses that they
     have given. When all who act have a response for the environment, that is stepped, and what each seat hears of it
-    passes its wrappers from the inside out. A seat's first observation is what its wrappers know as ``reset``; one that
-    ends before it ever acted has no use for them.
+    passes its wrappers from the inside out. For its wrappers, a seat's first observation is the result of a ``reset``;
+    the last observation of a seat that ends before it ever acted does not pass them.
 
     Where a wrapper ends its seat, as a limit of turns or a failed tool does, all others are truncated, since nobody
     would take its turns.
@@ -64,17 +64,12 @@ class SeatWrappers(MultiAgentEnv):
     max_steps = of_env("max_steps")
     add_agent = of_env("add_agent")
     observe = of_env("observe")
-    answer_fences = of_env("answer_fences")
-    answer_tags = of_env("answer_tags")
     num_tasks = of_env("num_tasks")
     endless_tasks = of_env("endless_tasks")
-    metadata = of_env("metadata")
     np_random = of_env("np_random")
     np_random_seed = of_env("np_random_seed")
     action_random = of_env("action_random")
     seed_actions = of_env("seed_actions")
-    render = of_env("render")
-    render_mode = of_env("render_mode")
     env_id = of_env("env_id")
 
     @property
@@ -172,32 +167,28 @@ class SeatWrappers(MultiAgentEnv):
 
     async def _heard(self, joint: JointStepResult, calls: PlainCalls) -> dict[str, StepResult]:
         """Return what each agent hears of a step of the environment, as its wrappers pass it on."""
-        observations, rewards, terminations, truncations, infos = joint
         results: dict[str, StepResult] = {}
-        for agent, reward in rewards.items():
-            info = infos[agent]
-            observation = observations[agent] if agent in observations else info.pop("final_obs")
-            result = (observation, reward, terminations[agent], truncations[agent], info)
-            results[agent] = await self._stacks[agent].hear(result, calls)
+        for agent, reward in joint[1].items():
+            results[agent] = await self._stacks[agent].hear(result_of(joint, agent), calls)
             self._added[agent] += results[agent][1] - reward
         return results
 
     def truncate_all(self) -> JointStepResult:
         """End the episode from outside; see ``MultiAgentEnv.truncate_all``."""
-        check_in_episode(self.env_id or type(self.unwrapped).__name__, self.acting)
+        check_in_episode(self.env_id or type(self.unwrapped).__name__, bool(self.acting))
         return self._joined(finish_now(self._truncated({}, PlainCalls())))
 
     async def _truncated(self, results: Mapping[str, StepResult], calls: PlainCalls) -> dict[str, StepResult]:
         """End the episode for all.
 
         Args:
-            results: What some have heard already, whose wrappers ended it.
+            results: Those of the seats that have theirs already; the wrappers of one of them ended it.
             calls: How the environment is called.
         """
         self._held = {}
         joint = await calls.truncate_all(self.env)
         for agent in results:
-            joint[1].pop(agent, None)  # it has heard all that there is; one that has ended is not there
+            joint[1].pop(agent, None)  # it has its result already; one that ended before is not there
         cut_off = {
             agent: (observation, reward, terminated, truncated or not terminated, info)
             for agent, (observation, reward, terminated, truncated, info) in results.items()
@@ -205,7 +196,7 @@ class SeatWrappers(MultiAgentEnv):
         return {**cut_off, **await self._heard(joint, calls)}
 
     def _joined(self, results: Mapping[str, StepResult]) -> JointStepResult:
-        for agent in self.env.terminations:  # those who joined, too
+        for agent in self.env.terminations:  # some may have joined in this step
             self.terminations.setdefault(agent, False)
             self.truncations.setdefault(agent, False)
         observations, rewards, infos = {}, {}, {}

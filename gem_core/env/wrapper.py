@@ -86,18 +86,14 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Begin an episode; see ``Env.reset``."""
-        waited = self.before_reset(seed, options)
-        if waited is not None:
-            run_sync(self._awaitable(waited, "before_reset"))
-        inner = self.env.reset(seed=seed, options=options) if options else self.env.reset(seed=seed)
-        after = self.after_reset(inner)
-        return after if isinstance(after, tuple) else run_sync(self._awaitable(after, "after_reset"))
+        self.run_hook("before_reset", seed, options)
+        return cast("ResetResult", self.run_hook("after_reset", self.env.reset(**reset_arguments(seed, options))))
 
     def step(self, action: str) -> StepResult:
         """Answer one response of the agent; see ``Env.step``."""
         if not isinstance(action, str):
             refuse_action(action)
-        before = self.before_step(action)
+        before = self.before_step(action)  # not by run_hook, with which each layer would take a third longer
         if not isinstance(before, str | tuple):
             before = run_sync(self._awaitable(before, "before_step"))
         if isinstance(before, tuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sized
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 from gem_core.errors import EpisodeFileError
 from gem_core.records.conversation import Conversation
@@ -219,7 +219,7 @@ class Episode:
 
     def __eq__(self, other: object) -> bool:
         """Compare all but durations (``info["episode"]["t"]``) and the run that it belongs to."""
-        return same_record(self, other) if isinstance(other, Episode) else NotImplemented
+        return same_record(self.to_dict(), other.to_dict()) if isinstance(other, Episode) else NotImplemented
 
     __hash__ = None  # type: ignore[assignment]  # records are mutable
 
@@ -246,16 +246,9 @@ def _has_many_parts(value: object) -> bool:
     return isinstance(value, Sized) and len(value) > _LONG_ARGUMENT
 
 
-class _Written(Protocol):
-    """What has a record."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the record as plain JSON."""
-
-
-def same_record(first: _Written, second: _Written) -> bool:
-    """Tell whether two records are the same but for durations and the run that they belong to."""
-    records = [{**_without_durations(each.to_dict()), "run_seed": None} for each in (first, second)]
+def same_record(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
+    """Tell whether two plain records are the same but for durations and the run that they belong to."""
+    records = [{**_without_durations(each), "run_seed": None} for each in (first, second)]
     return bool(records[0] == records[1])
 
 

@@ -29,7 +29,7 @@ class JointEpisode:
         seats: The episode of each seat, in the order of the environment's ``possible_agents``.
         agents: Name of the agent at each seat; they are there also where the reset failed.
         order: Who acted in each step, in the order of the steps.
-        failure: What failed before a seat could record it, as a reset; None for nothing.
+        failure: An error that is in the episode of no seat, as that of a reset; None for none.
         kwargs: Keyword arguments of the environment over the registered ones.
         wrappers: Names and options of its wrappers, innermost first: one list for all seats, or one for each by name.
         options: What was passed to ``reset``.
@@ -79,7 +79,7 @@ class JointEpisode:
     def error(self) -> dict[str, Any] | None:
         """The failure of the environment or a server, not of an agent; None for an episode that counts.
 
-        A seat that only could not finish since another had no answer has the error ``"opponent"`` alone.
+        Errors of the kind ``"opponent"``, of seats that were cut off since another had no answer, are left out.
         """
         errors = (episode.error for episode in self.seats.values())
         own = (error for error in errors if error is not None and error.get("kind") != "opponent")
@@ -100,7 +100,7 @@ class JointEpisode:
         Args:
             images: Where images are written; None leaves their content out.
         """
-        start = Episode(self.id, self.seed, "", {}, **{name: getattr(self, name) for name in _OF_START[2:]})
+        start = Episode(observation="", info={}, **{name: getattr(self, name) for name in _OF_START})
         shared = {name: value for name, value in start.to_dict(images).items() if name in _OF_START}
         return {
             **shared,
@@ -143,7 +143,7 @@ class JointEpisode:
 
     def __eq__(self, other: object) -> bool:
         """Compare all but durations (``info["episode"]["t"]``) and the run that it belongs to."""
-        return same_record(self, other) if isinstance(other, JointEpisode) else NotImplemented
+        return same_record(self.to_dict(), other.to_dict()) if isinstance(other, JointEpisode) else NotImplemented
 
     __hash__ = None  # type: ignore[assignment]  # records are mutable
 

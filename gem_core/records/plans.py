@@ -32,8 +32,8 @@ class PlanItem:
         group: Name that the episodes of a group share in ``info["group"]``; by default the item's place in the plan
             where ``repeat`` is over 1.
         repeat: Number of episodes that start alike.
-        rotation: By how many places the agents of a joint episode move on from the seats that they were named for; None
-            for as many as items of its environment come before it if they were given as a list, and none if by seat.
+        rotation: Where several agents act, by how many seats they move on from where they were given. With None, agents
+            given by seat stay, and those given as a list move on by one from item to item of the same environment.
     """
 
     id: str | None = None
@@ -201,7 +201,7 @@ class EpisodeQueue:
 
 
 def _environment(item: PlanItem) -> Any:
-    """Return what tells the environment of an item from others: its id, and arguments that are numbers or text."""
+    """Return a key that items of one environment share: its id, and those arguments that are numbers or text."""
     arguments = sorted(item.kwargs.items(), key=lambda each: each[0]) if item.kwargs else ()
     return item.id, tuple((name, value) for name, value in arguments if isinstance(value, str | int | float))
 

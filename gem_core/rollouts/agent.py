@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 from gem_core.arguments import check_arguments, signature_of
-from gem_core.background import run_sync
+from gem_core.background import finish_or_start, run_sync
 from gem_core.errors import AgentError, ArgumentError, UnknownAgentError
 from gem_core.records.episode import Transition
 from gem_core.registry.entry_points import construct, load_entry_point
@@ -179,20 +179,21 @@ def is_asynchronous(agent: Agent) -> bool:
 
 def prepare_agent(agent: Agent) -> None:
     """Call the agent's ``prepare()``, if it has one."""
-    _call_if_there(agent, "prepare")
+    _wait_for(agent, "prepare", run_sync)
 
 
 def close_agent(agent: Agent) -> None:
     """Call the agent's ``aclose()`` or ``close()``, if it has one."""
-    _call_if_there(agent, "aclose" if hasattr(agent, "aclose") else "close")
+    _wait_for(agent, "aclose" if hasattr(agent, "aclose") else "close", finish_or_start)
 
 
-def _call_if_there(agent: Agent, name: str) -> None:
+def _wait_for(agent: Agent, name: str, wait: Callable[[Awaitable[Any]], Any]) -> None:
+    """Call a method of an agent, if it has it, and wait for what is to be awaited."""
     method = getattr(agent, name, None)
     if callable(method):
         waited = method()
         if inspect.isawaitable(waited):
-            run_sync(waited)
+            wait(waited)
 
 
 def load_agent(name: str, **options: Any) -> Agent:
@@ -245,11 +246,11 @@ def load_agents(names: Iterable[str], **options: Any) -> dict[str, Agent]:
     names = list(dict.fromkeys(names))
     if len(names) == 1:
         return {names[0]: load_agent(names[0], **options)}
-    taken = {name: [option for option in options if _takes(name, option)] for name in names} if options else {}
+    taken = {name: {each: value for each, value in options.items() if _takes(name, each)} for name in names}
     for option in options:
         if not any(option in own for own in taken.values()):
             raise ArgumentError(f"none of the agents {', '.join(names)} takes the option {option}")
-    return {name: load_agent(name, **{option: options[option] for option in taken.get(name, ())}) for name in names}
+    return {name: load_agent(name, **own) for name, own in taken.items()}
 
 
 def _takes(name: str, option: str) -> bool:

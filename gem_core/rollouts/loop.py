@@ -6,12 +6,12 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from gem_core.errors import ContextOverflowError, EnvFaultError, GemError
-from gem_core.records.joint import Record
+from gem_core.records.joint import JointEpisode, Record
 from gem_core.records.plans import EpisodeQueue, EpisodeStart, PlanItem
 from gem_core.rollouts.agent import Agent
 from gem_core.rollouts.requests import AgentRequests
-from gem_core.rollouts.running import RunningEpisode, begin_shared, begin_solo, joint_record
-from gem_core.rollouts.seat import new_episode
+from gem_core.rollouts.running import RunningEpisode, SharedEpisode, SoloEpisode
+from gem_core.rollouts.seat import common_fields, new_episode
 from gem_core.rollouts.seating import Seating
 from gem_core.types import TERMINAL_STATE, Action, Info, Observation, Response
 from gem_core.vector.vector_env import VectorEnv
@@ -114,9 +114,9 @@ class EpisodeLoop:
         if start is None:
             return
         if isinstance(self._acting, Seating):
-            self._running[slot] = begin_shared(self._vector, slot, start, observation, info, self._acting)
+            self._running[slot] = SharedEpisode(self._vector, slot, start, observation, info, self._acting)
         else:
-            self._running[slot] = begin_solo(self._vector, slot, start, observation, info, self._acting)
+            self._running[slot] = SoloEpisode(self._vector, slot, start, observation, info, self._acting)
         self._unasked.append(slot)
 
     def _give_up(self, running: RunningEpisode, seat: str, failure: GemError) -> None:
@@ -144,9 +144,7 @@ def _failed_reset(failed: Mapping[str, Any], *, joint: bool) -> Record:
     start = EpisodeStart(item, place, failed["repeat"], failed["seed"], failed["run_seed"])
     described = {"id": failed["id"] or "unknown", "kwargs": failed["kwargs"]}
     if joint:
-        record = joint_record(described, start)
-        record.failure = failed["error"]
-        return record
+        return JointEpisode(**common_fields(described, start), failure=failed["error"])
     info = {"seed": start.seed, "error": failed["error"]}
     if item.group is not None:
         info["group"] = item.group

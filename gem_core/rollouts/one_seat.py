@@ -9,39 +9,35 @@ from contextlib import ExitStack
 from functools import partial
 from typing import Any, cast
 
-from gem_core.background import finish_now, finish_or_start
+from gem_core.background import finish_now
 from gem_core.env.base import Env
-from gem_core.env.joint_calls import AwaitedCalls, PlainCalls, of_env
-from gem_core.env.joint_checks import check_seats
-from gem_core.env.multi_agent import JointStepResult, MultiAgentEnv
+from gem_core.env.joint_calls import AroundEnv, AwaitedCalls, PlainCalls, of_env
+from gem_core.env.joint_checks import check_in_episode, check_seats
+from gem_core.env.multi_agent import JointStepResult, MultiAgentEnv, result_of
 from gem_core.env.results import refuse_action
 from gem_core.env.seat_stack import restored_response, saved_response
 from gem_core.env.seeding import stable_hash
 from gem_core.env.wrapper import concurrency_of, most_demanding
-from gem_core.errors import AgentError, ArgumentError, EnvFaultError, ResetNeededError
+from gem_core.errors import AgentError, ArgumentError, EnvFaultError
 from gem_core.making.environment import make_from
 from gem_core.records.episode import Episode
 from gem_core.records.plans import EpisodeStart, PlanItem
 from gem_core.registry.lookup import registry
-from gem_core.rollouts.agent import Agent, Reading, is_asynchronous, load_agent
+from gem_core.rollouts.agent import Agent, Reading, close_agent, is_asynchronous, load_agent
 from gem_core.rollouts.seat import RunningSeat, new_episode
 from gem_core.rollouts.seating import Seated, seated
 from gem_core.types import Concurrency, Info, ResetResult, Response, StepResult
 
-MOST_OTHER_TURNS = 300
 _MOST_DEALS = 10
 _OWN_ARGUMENTS = ("env", "seat", "others", "max_other_turns")
 
 
-def single_agent(
-    env: MultiAgentEnv | str,
-    seat: str,
-    others: Any = "random",
-    *,
-    max_other_turns: int = MOST_OTHER_TURNS,
-    **kwargs: Any,
-) -> Env:
-    """Make an environment for one agent of an environment of several: the other seats are played inside it.
+class _OpponentError(Exception):
+    """The agent at another seat failed."""
+
+
+class SingleAgentEnv(AroundEnv, Env):
+    """One seat of an environment of several agents as an environment: the other seats are played inside it.
 
     ``reset`` and ``step`` let the others act until the seat acts again or has ended. What the seat observes and earns
     is unchanged; a reward that it had before it first acted is added to that of its first step. When the seat has
@@ -67,15 +63,6 @@ def single_agent(
         UnknownEnvError: There is no such environment.
         UnknownAgentError: There is no agent of that name.
     """
-    return SingleAgentEnv(env, seat, others, max_other_turns=max_other_turns, **kwargs)
-
-
-class _OpponentError(Exception):
-    """The agent at another seat failed."""
-
-
-class SingleAgentEnv(Env):
-    """One seat of an environment of several agents; see ``single_agent``, which makes it."""
 
     def __init__(
         self,
@@ -83,7 +70,7 @@ class SingleAgentEnv(Env):
         seat: str,
         others: Any = "random",
         *,
-        max_other_turns: int = MOST_OTHER_TURNS,
+        max_other_turns: int = 300,
         **kwargs: Any,
     ) -> None:
         super().__init__()
@@ -94,7 +81,7 @@ class SingleAgentEnv(Env):
         if type(max_other_turns) is not int or max_other_turns < 1:
             raise ArgumentError(f"max_other_turns must be a positive whole number, not {max_other_turns!r}")
         self._made_here = isinstance(env, str)
-        made: Any = make_from(registry().env(env), kwargs, ()) if isinstance(env, str) else env
+        made: Any = make_from(registry().env(env), kwargs) if isinstance(env, str) else env
         self._loaded: dict[str, Agent] = {}
         try:
             if not isinstance(made, MultiAgentEnv):
@@ -122,11 +109,6 @@ class SingleAgentEnv(Env):
 
     num_tasks = of_env("num_tasks")
     endless_tasks = of_env("endless_tasks")
-    answer_fences = of_env("answer_fences")
-    answer_tags = of_env("answer_tags")
-    metadata = of_env("metadata")
-    render_mode = of_env("render_mode")
-    render = of_env("render")
 
     @property
     def concurrency(self) -> Concurrency:  # type: ignore[override]  # of this instance
@@ -183,10 +165,7 @@ class SingleAgentEnv(Env):
         raise EnvFaultError(f"{self._name}: {_MOST_DEALS} games in a row were over before {self.seat!r} acted")
 
     async def _step(self, action: str, calls: PlainCalls) -> StepResult:
-        if not self._live:
-            raise ResetNeededError(
-                f"{self._name}: the episode is over or has not begun; call reset() before the next step()"
-            )
+        check_in_episode(self._name, self._live)
         if not isinstance(action, str):
             refuse_action(action)
         try:
@@ -208,15 +187,14 @@ class SingleAgentEnv(Env):
             _OpponentError: One of the others failed, or they never come to an end.
         """
         for turn in range(self.max_other_turns + 1):
-            observations, rewards, terminations, truncations, infos = joint
+            observations, rewards, _, _, infos = joint
             self._acting = list(observations)
             for agent in rewards:
                 if agent != self.seat:
-                    self._note(agent, joint)
+                    self._note(agent, result_of(joint, agent))
             if self.seat in rewards:
-                reward, self._reward = self._reward + rewards[self.seat], 0.0
-                terminated, truncated, info = terminations[self.seat], truncations[self.seat], infos[self.seat]
-                observation = observations[self.seat] if self.seat in observations else info.pop("final_obs")
+                observation, reward, terminated, truncated, info = result_of(joint, self.seat)
+                reward, self._reward = self._reward + reward, 0.0
                 if truncated:
                     _pass_on_error(info, infos)
                 return observation, reward, terminated, truncated, info
@@ -231,20 +209,18 @@ class SingleAgentEnv(Env):
         responses: Mapping[str, str] = {**await self._responses(calls), **own}
         return await calls.step(self.env, {agent: responses[agent] for agent in self._acting})
 
-    def _note(self, agent: str, joint: JointStepResult) -> None:
+    def _note(self, agent: str, result: StepResult) -> None:
         """Add the result of a step to the episode of another seat."""
-        observations, rewards, terminations, truncations, infos = joint
-        info = {name: value for name, value in infos[agent].items() if name != "final_obs"}
-        observation = observations[agent] if agent in observations else infos[agent]["final_obs"]
+        observation, reward, terminated, truncated, info = result
         running = self._running.get(agent)
         if running is not None:
-            running.add(rewards[agent], terminations[agent], truncations[agent], observation, info)
+            running.add(reward, terminated, truncated, observation, info)
             return
         described = {"id": self._name, "kwargs": {}}
         seed = self.np_random_seed
         start = EpisodeStart(PlanItem(), (seed,), 0, seed, seed)
         episode = new_episode(described, start, observation, info)
-        episode.seat, episode.first_reward = agent, rewards[agent]
+        episode.seat, episode.first_reward = agent, reward
         self._running[agent] = self._running_seat(agent, episode)
 
     def _running_seat(self, agent: str, episode: Episode) -> RunningSeat:
@@ -280,11 +256,10 @@ class SingleAgentEnv(Env):
 
     async def _failed(self, error: _OpponentError, calls: PlainCalls) -> StepResult:
         """End an episode in which one of the others failed."""
-        _, rewards, _, _, infos = await calls.truncate_all(self.env)
-        info = infos[self.seat]
-        reward, self._reward = self._reward + rewards[self.seat], 0.0
+        observation, reward, _, _, info = result_of(await calls.truncate_all(self.env), self.seat)
+        reward, self._reward = self._reward + reward, 0.0
         info["error"] = {"kind": "opponent", "message": str(error)}
-        return info.pop("final_obs"), reward, False, True, info
+        return observation, reward, False, True, info
 
     async def _prepare(self, calls: PlainCalls) -> None:
         """Prepare the other agents before the first episode."""
@@ -376,11 +351,15 @@ class SingleAgentEnv(Env):
         with ExitStack() as closing:
             closing.callback(self.env.close)
             for player in self._loaded.values():
-                closing.callback(_close, player)
+                closing.callback(close_agent, player)
 
     @property
     def _name(self) -> str:
         return self.env_id or self.env.env_id or type(self.env.unwrapped).__name__
+
+
+single_agent = SingleAgentEnv
+"""The way to make one."""
 
 
 def _pass_on_error(info: Info, infos: Mapping[str, Info]) -> None:
@@ -416,9 +395,3 @@ async def _all_of(answers: Mapping[str, Awaitable[Any]]) -> dict[str, Any]:
     finally:
         for task in tasks.values():
             task.cancel()
-
-
-def _close(agent: Agent) -> None:
-    waited = getattr(agent, "aclose", getattr(agent, "close", lambda: None))()
-    if inspect.isawaitable(waited):
-        finish_or_start(waited)

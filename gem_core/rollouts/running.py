@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 from gem_core.errors import ArgumentError
-from gem_core.records.joint import JointEpisode, Record
+from gem_core.records.joint import JointEpisode
 from gem_core.records.plans import EpisodeStart
 from gem_core.rollouts.agent import Agent, Reading
-from gem_core.rollouts.seat import RunningSeat, new_episode, versions_of
-from gem_core.rollouts.seating import Seated, Seating
+from gem_core.rollouts.seat import RunningSeat, common_fields, new_episode
+from gem_core.rollouts.seating import Seating
 from gem_core.types import TERMINAL_STATE, Action, Info, Observation, Response
 from gem_core.vector.vector_env import VectorEnv
 
@@ -19,87 +19,85 @@ Question = tuple[str, Agent, RunningSeat]
 """The seat that is asked (``""`` for an agent alone), its agent, and its episode so far."""
 
 
-class RunningEpisode(Protocol):
-    """The present episode of a slot."""
-
-    slot: int
-    record: Record
-
-    def questions(self) -> list[Question]:
-        """Return whom to ask about the last result."""
-
-    def answer(self, seat: str, response: Response) -> Action | None:
-        """Take an agent's response; return the action to step, or None while others are still to respond."""
-
-    def add(self, reward: Any, terminated: bool, truncated: bool, observation: Any, info: Info) -> None:
-        """Take the result of the step."""
-
-    def cut_off(self, seat: str, reported: Info) -> None:
-        """End the episode between two steps, since the agent at a seat has no answer for the reason reported."""
-
-
 class SoloEpisode:
-    """An episode of one agent.
-
-    Args:
-        slot: Number of the slot.
-        agent: Who acts.
-        seat: Its record, conversation and context.
-    """
-
-    def __init__(self, slot: int, agent: Agent, seat: RunningSeat) -> None:
-        self.slot = slot
-        self.record: Record = seat.episode
-        self._seat = seat
-        self._questions: list[Question] = [("", agent, seat)]
-
-    def questions(self) -> list[Question]:
-        """Return the agent."""
-        return self._questions
-
-    def answer(self, seat: str, response: Response) -> Action:
-        """Return the response."""
-        self._seat.response = response
-        return response
-
-    def add(self, reward: Any, terminated: bool, truncated: bool, observation: Any, info: Info) -> None:
-        """Add a turn."""
-        self._seat.add(reward, terminated, truncated, observation, info)
-
-    def cut_off(self, seat: str, reported: Info) -> None:
-        """End the episode with the reason in its last info."""
-        self._seat.cut_off(reported)
-
-
-class SharedEpisode:
-    """An episode of several agents, each at its seat.
+    """An episode of one agent that begins in a slot.
 
     Args:
         vector: Where it runs.
         slot: Number of the slot.
-        record: What is recorded of it.
-        seated: The agent at each seat.
         start: What it starts from.
+        observation: What the slot was reset to.
+        info: The info of that reset.
+        agent: Who acts.
+
+    Raises:
+        ArgumentError: Several agents act in the environment.
     """
 
     def __init__(
-        self, vector: VectorEnv, slot: int, record: JointEpisode, seated: Mapping[str, Seated], start: EpisodeStart
+        self, vector: VectorEnv, slot: int, start: EpisodeStart, observation: Observation, info: Info, agent: Agent
     ) -> None:
+        described = vector.describe(slot)
+        if "possible_agents" in info:
+            seats = ", ".join(map(repr, info["possible_agents"]))
+            raise ArgumentError(
+                f"{described['id']} has several seats, {seats}: give agents={{seat: agent}}, a list of agents that "
+                f"change seats, or agents=AGENT for self-play; for 'gem run', register it with seats=({seats})"
+            )
         self.slot = slot
-        self.record: Record = record
-        self._joint = record
+        self.record = new_episode(described, start, observation, info)
+        self._seat = RunningSeat(self.record, Reading.of(agent), partial(vector.sample_random_action, slot))
+        self._questions: list[Question] = [("", agent, self._seat)]
+
+    def questions(self) -> list[Question]:
+        """Return whom to ask about the last result."""
+        return self._questions
+
+    def answer(self, seat: str, response: Response) -> Action:
+        """Take the agent's response; return the action to step."""
+        self._seat.response = response
+        return response
+
+    def add(self, reward: Any, terminated: bool, truncated: bool, observation: Any, info: Info) -> None:
+        """Take the result of the step."""
+        self._seat.add(reward, terminated, truncated, observation, info)
+
+    def cut_off(self, seat: str, reported: Info) -> None:
+        """End the episode between two steps, since the agent has no answer for the reason reported."""
+        self._seat.cut_off(reported)
+
+
+class SharedEpisode:
+    """An episode of several agents, each at its seat, that begins in a slot.
+
+    Args:
+        vector: Where it runs.
+        slot: Number of the slot.
+        start: What it starts from.
+        observations: What the slot was reset to, by seat.
+        info: The info of that reset.
+        seating: Says which agent has which seat.
+
+    Raises:
+        ArgumentError: One agent acts in the environment, or the agents do not fit its seats.
+    """
+
+    def __init__(
+        self, vector: VectorEnv, slot: int, start: EpisodeStart, observations: Any, info: Info, seating: Seating
+    ) -> None:
+        described = vector.describe(slot)
+        if "possible_agents" not in info:
+            raise ArgumentError(f"{described['id']} is for one agent: give agent, not agents")
+        self._seated = seating.seat(info["possible_agents"], start)
+        names = {seat: one.name for seat, one in self._seated.items()}
+        self.slot = slot
+        self.record = JointEpisode(**common_fields(described, start), agents=names)
         self._vector = vector
-        self._seated = seated
         self._start = start
-        self._readings = {seat: Reading.of(one.agent) for seat, one in seated.items()}
         self._running: dict[str, RunningSeat] = {}
         self._ended: set[str] = set()
-        self._acting: list[str] = []
-        self._responses: dict[str, Response] = {}
-
-    def begin(self, observations: Mapping[str, Observation], info: Info) -> None:
-        """Take the result of the reset."""
         self._acting = list(observations)
+        self._responses: dict[str, Response] = {}
         for seat, observation in observations.items():
             self._first_seen(seat, observation, 0.0, info["agents"][seat])
 
@@ -113,7 +111,7 @@ class SharedEpisode:
         if len(self._responses) < len(self._acting):
             return None
         actions = {each: self._responses[each] for each in self._acting}
-        self._joint.order.append(list(actions))
+        self.record.order.append(list(actions))
         self._responses = {}
         return cast("Action", actions)
 
@@ -153,72 +151,22 @@ class SharedEpisode:
                 self._running[seat].cut_off({"error": {"kind": "opponent", "message": f"an error at {failed}"}})
 
     def _first_seen(self, seat: str, observation: Observation, reward: float, info: Info) -> None:
-        joint = self._joint
+        """Begin the episode of a seat with the first observation that it is shown."""
+        joint, (name, agent) = self.record, self._seated[seat]
         described = {"id": joint.id, "kwargs": joint.kwargs, "wrappers": joint.wrappers_of(seat)}
         episode = new_episode(described, self._start, observation, info)
-        episode.versions = joint.versions
-        episode.seat, episode.agent, episode.first_reward = seat, self._seated[seat].name, reward
+        episode.seat, episode.agent, episode.first_reward = seat, name, reward
         draw = partial(self._vector.sample_random_action, self.slot, seat)
-        self._running[seat] = RunningSeat(episode, self._readings[seat], draw)
+        self._running[seat] = RunningSeat(episode, Reading.of(agent), draw)
         joint.seats = {each: self._running[each].episode for each in self._seated if each in self._running}
 
     def _lose(self, info: Info) -> None:
-        self._joint.failure = info["error"]
+        """End the episode for all who have not ended, since the step failed."""
+        self.record.failure = info["error"]
         for seat, running in self._running.items():
             if seat not in self._ended:
                 running.add(0.0, False, True, TERMINAL_STATE, {"error": info["error"]})
 
 
-def begin_solo(
-    vector: VectorEnv, slot: int, start: EpisodeStart, observation: Observation, info: Info, agent: Agent
-) -> SoloEpisode:
-    """Return the episode of one agent that begins in a slot.
-
-    Raises:
-        ArgumentError: Several agents act in the environment.
-    """
-    described = vector.describe(slot)
-    if "possible_agents" in info:
-        seats = ", ".join(map(repr, info["possible_agents"]))
-        raise ArgumentError(
-            f"{described['id']} has several seats, {seats}: give agents={{seat: agent}}, a list of agents that change "
-            f"seats, or agents=AGENT for self-play; for 'gem run', register it with seats=({seats})"
-        )
-    episode = new_episode(described, start, observation, info)
-    seat = RunningSeat(episode, Reading.of(agent), partial(vector.sample_random_action, slot))
-    return SoloEpisode(slot, agent, seat)
-
-
-def begin_shared(
-    vector: VectorEnv, slot: int, start: EpisodeStart, observation: Any, info: Info, seating: Seating
-) -> SharedEpisode:
-    """Return the episode of several agents that begins in a slot.
-
-    Raises:
-        ArgumentError: One agent acts in the environment, or the agents do not fit its seats.
-    """
-    described = vector.describe(slot)
-    if "possible_agents" not in info:
-        raise ArgumentError(f"{described['id']} is for one agent: give agent, not agents")
-    seated = seating.seat(info["possible_agents"], start)
-    record = joint_record(described, start)
-    record.agents = {seat: one.name for seat, one in seated.items()}
-    running = SharedEpisode(vector, slot, record, seated, start)
-    running.begin(observation, info)
-    return running
-
-
-def joint_record(described: Mapping[str, Any], start: EpisodeStart) -> JointEpisode:
-    """Return the record of an episode of several agents that begins; see ``new_episode``."""
-    return JointEpisode(
-        id=described["id"],
-        seed=start.seed,
-        kwargs=described["kwargs"],
-        wrappers=described.get("wrappers", []),
-        options=start.item.options,
-        group=start.item.group,
-        key=start.key,
-        repeat=start.repeat,
-        run_seed=start.run_seed,
-        versions=versions_of(described["id"]),
-    )
+RunningEpisode = SoloEpisode | SharedEpisode
+"""The present episode of a slot."""

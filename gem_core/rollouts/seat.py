@@ -83,26 +83,34 @@ def new_episode(described: Mapping[str, Any], start: EpisodeStart, observation: 
         observation: What ``reset`` returned.
         info: What ``reset`` returned with it.
     """
+    tools = [tool["function"]["name"] for tool in info.get("tools", [])]
     return Episode(
-        id=described["id"],
-        seed=start.seed,
+        **common_fields(described, start),
         observation=observation,
         info=info,
         final_observation=observation,
-        kwargs=described["kwargs"],
-        wrappers=described.get("wrappers", []),
-        tools=[tool["function"]["name"] for tool in info.get("tools", [])],
-        options=start.item.options,
-        group=start.item.group,
-        key=start.key,
-        repeat=start.repeat,
+        tools=tools,
         reads="observation",
-        run_seed=start.run_seed,
-        versions=versions_of(described["id"]),
     )
 
 
-def versions_of(env_id: str) -> dict[str, str]:
+def common_fields(described: Mapping[str, Any], start: EpisodeStart) -> dict[str, Any]:
+    """Return what the record of an episode that begins says of it, for one agent as for several."""
+    return {
+        "id": described["id"],
+        "seed": start.seed,
+        "kwargs": described["kwargs"],
+        "wrappers": described.get("wrappers", []),
+        "options": start.item.options,
+        "group": start.item.group,
+        "key": start.key,
+        "repeat": start.repeat,
+        "run_seed": start.run_seed,
+        "versions": _versions_of(described["id"]),
+    }
+
+
+def _versions_of(env_id: str) -> dict[str, str]:
     """Return the version of each distribution that takes part in an episode of an environment."""
     provider = registry().provider(env_id)
     versions = {"gem-core": __version__}

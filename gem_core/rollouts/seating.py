@@ -64,7 +64,7 @@ class NamedSeats(Seating):
         """Return the agents by seat."""
         if sorted(seats) != sorted(self._agents):
             raise ArgumentError(f"the seats are {_named(seats)}, and agents are given for {_named(self._agents)}")
-        return _rotated(seats, [self._agents[seat] for seat in seats], start.item.rotation or 0)
+        return _rotated(seats, [self._agents[seat] for seat in seats], start, 0)
 
 
 class TakingTurns(Seating):
@@ -88,8 +88,7 @@ class TakingTurns(Seating):
         agents = self._agents * len(seats) if len(self._agents) == 1 else self._agents
         if len(agents) != len(seats):
             raise ArgumentError(f"the {len(seats)} seats are {_named(seats)}, and {len(agents)} agents are given")
-        rotation = start.item.rotation
-        return _rotated(seats, agents, start.number if rotation is None else rotation)
+        return _rotated(seats, agents, start, start.number)
 
 
 class League(Seating):
@@ -162,9 +161,8 @@ class League(Seating):
         pool = list(self._pool.values())
         weights = np.array([weight for _, weight in pool])
         drawn = draws.choice(len(pool), size=len(seats) - 1, p=weights / weights.sum())
-        rotation = start.item.rotation
         agents = [self._learner, *(pool[int(place)][0] for place in drawn)]
-        return _rotated(seats, agents, start.number if rotation is None else rotation)
+        return _rotated(seats, agents, start, start.number)
 
 
 def as_seating(agents: Any) -> Seating:
@@ -193,7 +191,9 @@ def seated(agent: Any) -> Seated:
     return Seated(own if isinstance(own, str) else type(agent).__name__, as_agent(agent))
 
 
-def _rotated(seats: Sequence[str], agents: Sequence[Seated], places: int) -> dict[str, Seated]:
+def _rotated(seats: Sequence[str], agents: Sequence[Seated], start: EpisodeStart, places: int) -> dict[str, Seated]:
+    """Return agents by seat, moved on by the item's ``rotation``, or by some places where it has none."""
+    places = places if start.item.rotation is None else start.item.rotation
     return {seat: agents[(number - places) % len(seats)] for number, seat in enumerate(seats)}
 
 

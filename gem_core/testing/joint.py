@@ -90,7 +90,7 @@ def say_as(env: AnyEnv, seat: str, text: str) -> Action:
 
 
 def fitted(env: AnyEnv, action: Action) -> Action:
-    """Return an action of another episode for those who act now; who did not act there says hello."""
+    """Return an action of another episode for those who act now; an agent without an action there says hello."""
     if not isinstance(action, Mapping) or action.keys() == set(acting(env)):
         return action
     return {agent: action.get(agent, "hello") for agent in acting(env)}
@@ -114,7 +114,7 @@ def step_label(action: Action) -> str:
 
 
 def approach(env: AnyEnv, seat: str, *, over: bool, seed: int) -> bool:
-    """Play until an agent acts, and return whether it does; nobody waits for the only one.
+    """Play until it is the turn of an agent, and return whether that comes; one that is alone always acts.
 
     Args:
         env: As ``guarded`` returned it.
@@ -133,7 +133,7 @@ def approach(env: AnyEnv, seat: str, *, over: bool, seed: int) -> bool:
 
 
 def split(env: AnyEnv, where: str, result: Any) -> Iterator[SeenByOne]:
-    """Yield what each agent got. Who got no observation is left out: ``turns`` names that."""
+    """Yield what each agent got. One that got no observation is left out: the promise ``turns`` tells of it."""
     if not is_joint(env):
         yield SeenByOne(where, result, env.observation_space)
         return

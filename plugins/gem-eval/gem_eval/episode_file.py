@@ -80,15 +80,6 @@ class Entry(NamedTuple):
     seats: dict[str, SeatEntry] | None = None
     damage: str | None = None
 
-    def at_seat(self, seat: str) -> Entry | None:
-        """Return the entry of one seat alone; None where there is no such seat."""
-        own = (self.seats or {}).get(seat)
-        if own is None:
-            return None
-        figures = own._asdict()
-        del figures["agent"]
-        return self._replace(**figures, seats={seat: own})
-
     def to_dict(self) -> dict[str, Any]:
         """Return the entry as plain JSON, for programs."""
         record = self._asdict()

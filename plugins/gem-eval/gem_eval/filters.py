@@ -73,9 +73,11 @@ def select(
 def at_seat(entries: Iterable[Entry], seat: str) -> Iterator[Entry]:
     """Yield the entries of one seat alone, of those episodes that have it."""
     for entry in entries:
-        own = entry.at_seat(seat)
+        own = (entry.seats or {}).get(seat)
         if own is not None:
-            yield own
+            figures = own._asdict()
+            del figures["agent"]
+            yield entry._replace(**figures, seats={seat: own})
 
 
 def ordered(entries: Iterable[Entry], sort: str | None, reverse: bool, limit: int | None) -> Iterator[Entry]:

@@ -138,11 +138,14 @@ def start_of(episode: Record) -> dict[str, str]:
     return {name: _words(value) for name, value in facts.items() if value not in (None, "", [], {})}
 
 
+def episodes_of(record: Record) -> list[Episode]:
+    """Return the episode of each seat, or that of an agent alone."""
+    return [record] if isinstance(record, Episode) else list(record)
+
+
 def some_success(episode: Record) -> bool | None:
     """Return whether an episode succeeded; of several agents, whether one of them did."""
-    if isinstance(episode, Episode):
-        return episode.success
-    verdicts = [own.success for own in episode]
+    verdicts = [own.success for own in episodes_of(episode)]
     return True if True in verdicts else None if None in verdicts or not verdicts else False
 
 

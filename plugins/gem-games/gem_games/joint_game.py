@@ -6,7 +6,7 @@ import copy
 from collections.abc import Iterable
 from typing import Any
 
-from gem_core.env import MultiAgentEnv
+from gem_core.env import MultiAgentEnv, Verdict
 from gem_core.errors import ResetNeededError
 from gem_core.parsing import extract_boxed_answers
 from gem_core.records import without_thinking
@@ -119,9 +119,7 @@ class JointGame(MultiAgentEnv):
         """Return what the seat heard since it acted last, and how things stand for it."""
         return self._heard[agent] + self._situation(agent)
 
-    def process_actions(
-        self, actions: dict[str, str]
-    ) -> tuple[dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]:
+    def process_actions(self, actions: dict[str, str]) -> Verdict:
         """Read the responses, and play once all who act now have given a move."""
         parsed = {seat: self._take(seat, action) for seat, action in actions.items()}
         rewards, over = self._resolve(actions)

@@ -7,8 +7,9 @@ from typing import Any, ClassVar
 
 import pettingzoo  # type: ignore[import-untyped]
 
+from gem_core.env import Verdict
 from gem_core.types import Info
-from gem_pettingzoo.imports import PettingZooEnv, Verdict
+from gem_pettingzoo.imports import PettingZooEnv
 
 _GESTURES = ("rock", "paper", "scissors", "spock", "lizard")
 
@@ -20,9 +21,11 @@ class _ClassicEnv(PettingZooEnv):
         """Play, and say at the end who has won; a last round that the rules announce is an end, not a cut."""
         rewards, terminations, truncations, infos = super().process_actions(actions)
         over = [agent for agent in self.agents if terminations.get(agent) or truncations.get(agent)]
+        told = dict(infos)
         for agent in over:
-            infos.setdefault(agent, {})["correct"] = self.cumulative[agent] + rewards.get(agent, 0.0) > 0
-        return rewards, dict.fromkeys(over, True), {}, infos
+            won = self.cumulative[agent] + rewards.get(agent, 0.0) > 0
+            told[agent] = {**infos.get(agent, {}), "correct": won}
+        return rewards, dict.fromkeys(over, True), {}, told
 
     def _is_first(self, agent: str) -> bool:
         """Tell whether an agent is to act for the first time."""

@@ -8,7 +8,7 @@ from typing import Any
 from gymnasium import spaces
 from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]
 
-from gem_core.env import Env, MultiAgentEnv, join_observations
+from gem_core.env import Env, MultiAgentEnv, Verdict, join_observations
 from gem_core.errors import ArgumentError, SamplingNotSupported
 from gem_core.records import from_plain, to_plain
 from gem_core.types import Info, Observation
@@ -20,9 +20,6 @@ Describe = Callable[[str, Any, Info], Observation]
 
 Read = Callable[[str, str], Any]
 """``(agent, response) -> action``: the action in a response; None where there is none."""
-
-Verdict = tuple[dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]
-"""What ``process_actions`` returns: ``(rewards, terminations, truncations, infos)``."""
 
 
 class PettingZooEnv(MultiAgentEnv):
@@ -216,7 +213,7 @@ class PettingZooEnv(MultiAgentEnv):
         return position
 
     def _play(self, infos: dict[str, Info]) -> Verdict:
-        """Step PettingZoo's environment with the actions that are ready, and return what came of it for each agent."""
+        """Step PettingZoo's environment with the actions that are ready, and return the results by agent."""
         position = self._advance({agent: self._ready[agent] for agent in self.agents if agent in self._ready})
         self._ready = {}
         for agent in self.pettingzoo_env.agents:

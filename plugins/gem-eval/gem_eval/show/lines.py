@@ -13,7 +13,17 @@ from gem_core import Episode
 from gem_core.cli import Layout
 from gem_core.records import Record
 from gem_eval.show.text import dim, heading, highlighted, one_line, rule
-from gem_eval.turns import Part, TurnView, error_text, figures_of, outcome_of, parts_of, start_of, turn_views
+from gem_eval.turns import (
+    Part,
+    TurnView,
+    episodes_of,
+    error_text,
+    figures_of,
+    outcome_of,
+    parts_of,
+    start_of,
+    turn_views,
+)
 
 if TYPE_CHECKING:
     from gem_eval.episode_file import Entry
@@ -78,7 +88,7 @@ def episode_lines(episode: Record, number: int, *, full: bool = False) -> Iterat
         full: Whether what an observation repeats of the one before, and long infos, are shown as well.
     """
     alone = isinstance(episode, Episode)
-    seats = [episode] if isinstance(episode, Episode) else list(episode)
+    seats = episodes_of(episode)
     summary = [_summary(each) for each in seats]
     yield heading(f"Episode {number} · {one_line(episode.id)}")
     yield from summary

@@ -22,6 +22,7 @@ from gem_eval.show.text import escaped
 from gem_eval.turns import (
     Part,
     TurnView,
+    episodes_of,
     error_text,
     figures_of,
     outcome_of,
@@ -58,7 +59,7 @@ class PageWriter:
 
     def add(self, number: int, episode: Record) -> None:
         """Add an episode under its number."""
-        seats = [episode] if isinstance(episode, Episode) else list(episode)
+        seats = episodes_of(episode)
         record = {
             "number": number,
             "id": episode.id,
