@@ -77,6 +77,7 @@ def test_reward_before_the_first_turn_counts() -> None:
     assert joint.returns == {"dealer": 2.0, "late": 2.0, "never": 2.0}
     assert [(episode.first_reward, episode.turns) for episode in joint] == [(0.0, 1), (1.0, 1), (2.0, 0)]
     assert [(episode.success, episode.cut_off) for episode in joint] == [(None, None)] * 3  # the task never tells
+    assert "final_obs" not in joint.seats["never"].info
 
 
 @pytest.mark.parametrize("options", [{"num_envs": 3}, {"num_envs": 1}])

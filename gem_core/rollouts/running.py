@@ -123,12 +123,12 @@ class SharedEpisode:
         self._acting = list(observation)
         for seat, own in info["agents"].items():
             seen = observation[seat] if seat in observation else own["final_obs"]
+            own = {name: value for name, value in own.items() if name != "final_obs"}
             running = self._running.get(seat)
             if running is None:
                 self._first_seen(seat, seen, reward[seat], own)
                 self._running[seat].episode.ended_first = info["terminations"][seat]
             else:
-                own = {name: value for name, value in own.items() if name != "final_obs"}
                 running.add(reward[seat], info["terminations"][seat], info["truncations"][seat], seen, own)
             if info["terminations"][seat] or info["truncations"][seat]:
                 self._ended.add(seat)
