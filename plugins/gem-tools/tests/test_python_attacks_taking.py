@@ -92,8 +92,8 @@ time.sleep(60)
     assert (outcome.status, outcome.error) == ("memory", "The limit of 128 MB of memory was reached.")
 
 
+@pytest.mark.thorough
 @pytest.mark.root
-@pytest.mark.few(2)
 @pytest.mark.parametrize("place", ["folder", "shared", "unlinked"])
 def test_files_in_the_memory_of_the_machine_count(monkeypatch: pytest.MonkeyPatch, place: str) -> None:
     """In shared memory, and in a folder in memory, as ``/tmp`` is on many systems."""
