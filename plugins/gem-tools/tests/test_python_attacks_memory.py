@@ -44,7 +44,6 @@ def test_shared_memory_of_many_processes(watched: Watched) -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.thorough
 def test_processes_whose_first_thread_has_ended_count(watched: Watched) -> None:
     """The kernel shows the memory of such a process by its other threads alone."""
     code = f"""{TOUCH}
