@@ -339,7 +339,7 @@ def _wilson(share: float, size: float, normal: float) -> tuple[float, float]:
 
 def _bootstrapped(means: _Floats, confidence: float, seed: int, resamples: int) -> Estimate:
     center = _mean_of(means)
-    if means[0] == means[-1]:
+    if math.isclose(means[0], means[-1], rel_tol=1e-12, abs_tol=1e-100):  # but for rounding, equal
         return Estimate(center, None, None, None)
     stderr = _stderr_of(means)
     ends = np.quantile(_studentized(means, seed, resamples), [(1 - confidence) / 2, (1 + confidence) / 2])
