@@ -9,11 +9,16 @@ from gem_core import CommandSpec, hookimpl
 
 @hookimpl
 def gem_add_commands() -> Iterable[CommandSpec]:
-    """The command ``gem show``."""
+    """The commands ``gem eval`` and ``gem show``."""
     return [
+        CommandSpec(
+            name="eval",
+            entry_point="gem_eval.running.command:command",
+            summary="Score models on suites, with intervals, and record the run.",
+        ),
         CommandSpec(
             name="show",
             entry_point="gem_eval.show.command:command",
             summary="Show recorded episodes: a list, one of them, two compared, or a page.",
-        )
+        ),
     ]
