@@ -97,9 +97,10 @@ def rate(rows: Rows, confidence: float = 0.95) -> Estimate:
 def mean(rows: Rows, confidence: float = 0.95, *, seed: int = 0, resamples: int = 2_000) -> Estimate:
     """Estimate the mean of any values, such as returns.
 
-    The interval is the studentized bootstrap by row: in simulations with few or skewed rows it covers more often than
-    BCa, percentiles and Student's t. Values that are all 0 or 1 are a rate, and get the interval of ``rate``. Where all
-    rows have the same mean, or there is one, the sample does not tell its uncertainty: the estimate has the mean alone.
+    The interval is the symmetric studentized bootstrap by row: in simulations with few, skewed or heavy-tailed rows it
+    covers more often than BCa, Student's t, and the studentized bootstrap with equal tails. Values that are all 0 or 1
+    are a rate, and get the interval of ``rate``. Where all rows have the same mean, or there is one, the sample does
+    not tell its uncertainty: the estimate has the mean alone.
 
     Args:
         rows: Values by row.
@@ -110,10 +111,10 @@ def mean(rows: Rows, confidence: float = 0.95, *, seed: int = 0, resamples: int 
     Raises:
         ArgumentError: There are no values.
 
-    Source: B. Efron and R. Tibshirani, An Introduction to the Bootstrap (1993), section 12.5.
+    Source: P. Hall, Journal of the Royal Statistical Society B 50 (1988), 35-45.
     """
     means = row_means(rows)
-    if all(value in (0, 1) for row in rows for value in row):
+    if _all_0_or_1(rows):
         return Estimate(*_rate_of(means, confidence))
     return _bootstrapped(means, confidence, seed, resamples)
 
@@ -146,7 +147,7 @@ def pass_hat(counts: Counts, k: int, confidence: float = 0.95) -> Estimate:
     Raises:
         ArgumentError: k is below 1, or no row has k epochs.
 
-    Source: Yao et al., tau-bench, arXiv:2406.12045, section 5.1, without bias.
+    Source: Yao et al., tau-bench, arXiv:2406.12045, without bias.
     """
     return _of_counts(counts, k, confidence, lambda n, c: math.comb(c, k) / math.comb(n, k))
 
@@ -162,17 +163,16 @@ def differences(a: Rows, b: Rows) -> list[float]:
     return [_mean_of(one) - _mean_of(other) for one, other in zip(a, b, strict=True) if len(one) and len(other)]
 
 
-def paired_difference(
-    a: Rows, b: Rows, confidence: float = 0.95, *, rates: bool = False, seed: int = 0, resamples: int = 2_000
-) -> Estimate:
-    """Estimate the mean of ``a - b`` over rows that both have, as a pair for each row.
+def paired_difference(a: Rows, b: Rows, confidence: float = 0.95, *, seed: int = 0, resamples: int = 2_000) -> Estimate:
+    """Estimate the mean of ``a - b`` over the rows that both have, as a pair for each row.
+
+    Where all values are 0 or 1, the interval is that of ``rate`` for the differences moved from -1 … 1 to 0 … 1: it
+    stays within -1 and 1, and has a width also where no row differs. Otherwise it is that of ``mean``.
 
     Args:
         a: Values by row.
         b: Values of the same rows in the same order.
         confidence: Probability that the interval covers.
-        rates: The values are between 0 and 1. The interval is then that of ``rate``, for differences moved from -1 … 1
-            to 0 … 1: it stays within -1 and 1, and has a width also where no row differs. Otherwise see ``mean``.
         seed: Seed of the bootstrap.
         resamples: Number of its samples.
 
@@ -180,7 +180,7 @@ def paired_difference(
         ArgumentError: The numbers of rows differ, or there are no values in common.
     """
     apart = row_means([[value] for value in differences(a, b)])
-    if not rates:
+    if not (_all_0_or_1(a) and _all_0_or_1(b)):
         return _bootstrapped(apart, confidence, seed, resamples)
     _, stderr, low, high = _rate_of((apart + 1) / 2, confidence)
     center = _mean_of(apart)
@@ -243,7 +243,8 @@ def more_rows_needed(differences: Sequence[float], power: float = 0.8, alpha: fl
     """Return how many more rows would settle the difference seen.
 
     That is, with how many more rows a two-sided paired t-test at level ``alpha`` finds a true difference of this size
-    and spread with probability ``power``. At least as many rows are needed as let ``permutation_test`` reach ``alpha``.
+    and spread with probability ``power``; the exact tests above find differences of rates a little less often (0.75 to
+    0.78 in simulations). At least as many rows are needed as let ``permutation_test`` reach ``alpha``.
 
     Args:
         differences: One for each row, as of ``differences``.
@@ -305,6 +306,10 @@ def row_means(rows: Rows) -> _Floats:
     return means
 
 
+def _all_0_or_1(rows: Rows) -> bool:
+    return all(value in (0, 1) for row in rows for value in row)
+
+
 def _mean_of(values: Sequence[float] | _Floats) -> float:
     # fsum rounds once, so that the order does not matter.
     return math.fsum(values) / len(values)
@@ -342,9 +347,8 @@ def _bootstrapped(means: _Floats, confidence: float, seed: int, resamples: int) 
     if math.isclose(means[0], means[-1], rel_tol=1e-12, abs_tol=1e-100):  # but for rounding, equal
         return Estimate(center, None, None, None)
     stderr = _stderr_of(means)
-    ends = np.quantile(_studentized(means, seed, resamples), [(1 - confidence) / 2, (1 + confidence) / 2])
-    below, above = (float(end) * stderr for end in ends)
-    return Estimate(center, stderr, min(center, center - above), max(center, center - below))
+    half = stderr * float(np.quantile(np.abs(_studentized(means, seed, resamples)), confidence))
+    return Estimate(center, stderr, center - half, center + half)
 
 
 def _studentized(means: _Floats, seed: int, resamples: int) -> _Floats:
