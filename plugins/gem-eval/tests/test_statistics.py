@@ -288,7 +288,7 @@ def test_the_interval_of_a_return_covers() -> None:
 @pytest.mark.parametrize("kind", ["normal", "exponential", "heavy tails", "mostly zero"])
 def test_intervals_of_returns_cover_everywhere(rows: int, kind: str) -> None:
     """Near 95 %; less where few rows are mostly zero, since many such samples show nothing else."""
-    least = 0.84 if kind == "mostly zero" and rows <= 10 else 0.915
+    least = 0.88 if kind == "mostly zero" and rows <= 10 else 0.915
     assert coverage_of_mean(rows, kind, 1_000 if rows <= 100 else 400) >= least
 
 
