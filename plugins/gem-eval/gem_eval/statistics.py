@@ -193,7 +193,7 @@ def mcnemar(only_a: int, only_b: int) -> float:
     """Test whether two agents solve equally many tasks; return the two-sided p-value.
 
     The exact binomial test, which never raises more false alarms than its level; mid-p values would be less cautious,
-    but can. With several epochs a row use ``permutation_test``; with one epoch the two are the same test.
+    but can. With several epochs a row use ``permutation_test``; with one epoch it is the same test.
 
     Args:
         only_a: Number of rows that only the first solved.
@@ -233,8 +233,9 @@ def permutation_test(differences: Sequence[float], seed: int = 0, resamples: int
         return float(np.mean(np.abs(sums) >= seen))
     generator = np.random.default_rng(seed)
     extreme = 0
-    for first in range(0, resamples, 500):
-        count = min(500, resamples - first)
+    at_once = max(1, 4_000_000 // len(sizes))
+    for first in range(0, resamples, at_once):
+        count = min(at_once, resamples - first)
         signs = np.unpackbits(generator.integers(0, 256, (count, -(-len(sizes) // 8)), dtype=np.uint8), axis=1)
         sums = 2 * (signs[:, : len(sizes)] @ sizes) - sizes.sum()
         extreme += int(np.count_nonzero(np.abs(sums) >= seen))
@@ -371,9 +372,11 @@ def _studentized(means: _Floats, seed: int, resamples: int) -> _Floats:
 
 
 def _of_counts(counts: Counts, k: int, confidence: float, share: Callable[[int, int], float]) -> Estimate:
+    if k < 1:
+        raise ArgumentError(f"k is a number of epochs, 1 or more, not {k}")
     rows = [[share(epochs, successes)] for epochs, successes in counts if epochs >= k]
-    if k < 1 or not rows:
-        raise ArgumentError(f"no row has {k} epochs to draw" if k > 0 else f"k is a number of epochs, not {k}")
+    if not rows:
+        raise ArgumentError(f"no row has {k} epochs, as pass@{k} and pass^{k} need; play more epochs, or lower k")
     return rate(rows, confidence)
 
 

@@ -161,7 +161,10 @@ def test_rows_with_too_few_epochs_are_left_out_of_pass_at() -> None:
     assert pass_at([(4, 1), (1, 1)], 2) == pass_at([(4, 1)], 2)
     with pytest.raises(ArgumentError) as short:
         pass_hat([(1, 1)], 2)
-    assert str(short.value) == "no row has 2 epochs to draw"
+    assert str(short.value) == "no row has 2 epochs, as pass@2 and pass^2 need; play more epochs, or lower k"
+    with pytest.raises(ArgumentError) as negative:
+        pass_at([(1, 1)], -1)
+    assert str(negative.value) == "k is a number of epochs, 1 or more, not -1"
 
 
 @pytest.mark.parametrize(("only_a", "only_b"), [(0, 0), (0, 1), (3, 3), (2, 9), (40, 61), (700, 800)])
