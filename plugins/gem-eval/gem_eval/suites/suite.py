@@ -206,7 +206,7 @@ def _is_task(target: str | Path) -> bool:
 def parse_suite(text: bytes, origin: str, *, default_name: str) -> Suite:
     """Return the suite that a YAML text describes; see ``load_suite``."""
     try:
-        content = yaml.load(text, _Loader)  # noqa: S506 - a SafeLoader
+        content = yaml.load(text, _Loader)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise ArgumentError(f"{origin} is no YAML: {' '.join(str(error).split())}") from None
     if not isinstance(content, dict):
