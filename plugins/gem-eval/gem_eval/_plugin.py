@@ -9,11 +9,26 @@ from gem_core import CommandSpec, hookimpl
 
 @hookimpl
 def gem_add_commands() -> Iterable[CommandSpec]:
-    """The command ``gem show``."""
+    """The commands of this plugin."""
     return [
         CommandSpec(
             name="show",
             entry_point="gem_eval.show.command:command",
             summary="Show recorded episodes: a list, one of them, two compared, or a page.",
-        )
+        ),
+        CommandSpec(
+            name="compare",
+            entry_point="gem_eval.comparing.command:command",
+            summary="Compare runs, paired by row: differences with intervals, tests, and what flipped.",
+        ),
+        CommandSpec(
+            name="score",
+            entry_point="gem_eval.scoring.command:command",
+            summary="Grade the episodes of a run again, without a model.",
+        ),
+        CommandSpec(
+            name="replay",
+            entry_point="gem_eval.replaying.command:command",
+            summary="Replay a recorded episode, and go on from any of its turns.",
+        ),
     ]

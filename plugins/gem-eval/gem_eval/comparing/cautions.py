@@ -1,0 +1,127 @@
+"""Why two runs may not be comparable: they differ in more than who acted."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from gem_core import Episode
+from gem_core.errors import EpisodeFileError
+from gem_core.records import to_plain
+from gem_eval.comparing.sides import Side, Task
+
+_NO_SETTING = {
+    "command", "name", "host", "url", "base_url", "time", "times", "started", "finished", "seconds", "status", "out",
+    "model", "models", "agent", "agents", "num_envs", "max_concurrency", "max_requests", "versions", "cost",
+}  # fmt: skip
+"""Of what ``run.json`` says, what does not bear on a score, or is compared in another way."""
+
+_MOST = 8
+_LONGEST = 60
+
+_STARTS = {"kwargs": "arguments", "wrappers": "wrappers", "tools": "tools", "system": "system prompt"}
+
+
+def cautions_of(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
+    """Return in words what two sides differ in besides their models.
+
+    Compared are the settings and the hash of the data in ``run.json``, where there is one, how the models were sampled,
+    and of the records the seeds of all rows and, of one row of each task, versions, arguments, wrappers and the first
+    observation.
+
+    Args:
+        a: The first side.
+        b: The second.
+        paired: The rows that both have.
+    """
+    found = []
+    for side in (a, b):
+        if side.run.damaged:
+            found.append(f"{side.run.damaged} lines of {side.run.path} cannot be read, and are left out")
+    if a.run is not b.run:
+        found += _of_settings("settings", _settings(a), _settings(b))
+    found += _of_settings("the sampling", _model_settings(a), _model_settings(b))
+    return found + _of_seeds(a, b, paired) + list(_of_records(a, b, paired))
+
+
+def _settings(side: Side) -> dict[str, Any]:
+    return {name: value for name, value in side.run.info.items() if name not in _NO_SETTING}
+
+
+def _model_settings(side: Side) -> dict[str, Any]:
+    models = side.run.info.get("models")
+    own = models.get(side.model) if isinstance(models, Mapping) else None
+    return {name: value for name, value in own.items() if name not in _NO_SETTING} if isinstance(own, Mapping) else {}
+
+
+def _of_settings(what: str, one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
+    if not one or not other:
+        return []  # a file of episodes has no settings
+    first, second = (dict(_leaves(each)) for each in (one, other))
+    differing = [name for name in dict.fromkeys([*first, *second]) if first.get(name) != second.get(name)]
+    if not differing:
+        return []
+    told = [f"{name} {_short(first.get(name))} and {_short(second.get(name))}" for name in differing[:_MOST]]
+    more = f"; and {len(differing) - _MOST} more" if len(differing) > _MOST else ""
+    return [f"{what} differ{'s' if what.startswith('the') else ''}: {'; '.join(told)}{more}"]
+
+
+def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Mapping) and value:
+        for name, part in value.items():
+            yield from _leaves(part, f"{path}.{name}" if path else str(name))
+    else:
+        yield path, value
+
+
+def _of_seeds(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
+    seeds: list[dict[Task, set[int | None]]] = []
+    for side in (a, b):
+        own: dict[Task, set[int | None]] = {}
+        for row in side.rows:
+            own.setdefault((row.id, row.row), set()).add(row.seed)
+        seeds.append(own)
+    differing = sum(not seeds[0][task] & seeds[1][task] for task in paired)
+    return [f"the seeds differ in {differing} of {len(paired)} rows that both have"] if differing else []
+
+
+def _of_records(a: Side, b: Side, paired: Sequence[Task]) -> Iterator[str]:
+    """Compare the record of one row of each task; what holds for several tasks is said once."""
+    said: dict[str, str] = {}
+    firsts = {task: row for task, row in reversed(paired)}
+    for task, row in firsts.items():
+        one, other = _record(a, (task, row)), _record(b, (task, row))
+        if one is None or other is None:
+            continue
+        for difference in _record_differences(one, other):
+            said.setdefault(difference, task)
+    for difference, task in said.items():
+        yield f"{difference} (as in {task})"
+
+
+def _record_differences(one: Episode, other: Episode) -> Iterator[str]:
+    for name in sorted({*one.versions, *other.versions}):
+        if one.versions.get(name) != other.versions.get(name):
+            yield f"the versions of {name} differ: {one.versions.get(name)} and {other.versions.get(name)}"
+    alike = True
+    for name, called in _STARTS.items():
+        first, second = to_plain(getattr(one, name)), to_plain(getattr(other, name))
+        if first != second:
+            alike = False
+            yield f"{called} differ: {_short(first)} and {_short(second)}"
+    if alike and one.seed == other.seed and to_plain(one.observation) != to_plain(other.observation):
+        yield "the first observation of a row differs: its data or its prompt was changed"
+
+
+def _record(side: Side, task: Task) -> Episode | None:
+    row = next(row for row in side.rows if (row.id, row.row) == task)
+    try:
+        return side.run.episode(row)
+    except EpisodeFileError:
+        return None  # whoever opens its transcript is told
+
+
+def _short(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
