@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import click
 
-from gem_eval.comparing.comparison import Comparison, Flip
 from gem_eval.comparing.text import flip_line, flip_title
 from gem_eval.show.diff import diff_lines
 from gem_eval.show.lines import episode_lines
 from gem_eval.show.paging import write_lines
 from gem_eval.show.text import rule
+
+if TYPE_CHECKING:
+    from gem_eval.comparing.comparison import Comparison, Flip
 
 _MOST_LINES = 12
 _DOWN, _UP = ("j", "\x1b[B", "\x1bOB"), ("k", "\x1b[A", "\x1bOA")

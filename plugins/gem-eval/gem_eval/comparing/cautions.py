@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gem_core import Episode
 from gem_core.errors import EpisodeFileError
 from gem_core.records import to_plain
-from gem_eval.comparing.sides import Side, Task
+
+if TYPE_CHECKING:
+    from gem_eval.comparing.sides import Side, Task
 
 _NO_SETTING = {
     "command", "name", "host", "url", "base_url", "time", "times", "started", "finished", "seconds", "status", "out",
@@ -35,10 +37,8 @@ def cautions_of(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
         b: The second.
         paired: The rows that both have.
     """
-    found = []
-    for side in (a, b):
-        if side.run.damaged:
-            found.append(f"{side.run.damaged} lines of {side.run.path} cannot be read, and are left out")
+    runs = [a.run] if a.run is b.run else [a.run, b.run]
+    found = [f"{run.damaged} lines of {run.path} cannot be read, and are left out" for run in runs if run.damaged]
     if a.run is not b.run:
         found += _of_settings("settings", _settings(a), _settings(b))
     found += _of_settings("the sampling", _model_settings(a), _model_settings(b))

@@ -43,8 +43,12 @@ d where they part, q ends; --plain leaves it out.
 """,
 )
 @click.argument("runs", metavar="RUN…", nargs=-1, required=True)
-@click.option("-m", "--model", "models", multiple=True, metavar="NAME", help="Take this model of every run; can be repeated.")
-@click.option("--metric", type=click.Choice(["success", "return"]), help="What is compared.  [default: success, if told]")
+@click.option(
+    "-m", "--model", "models", multiple=True, metavar="NAME", help="Take this model of every run; can be repeated."
+)
+@click.option(
+    "--metric", type=click.Choice(["success", "return"]), help="What is compared.  [default: success, if told]"
+)
 @click.option("--scores", metavar="NAME", help="Compare by these scores of 'gem score'.")
 @click.option("--flip", metavar="ROW", help="Show both transcripts of a row.")
 @click.option("--diff", is_flag=True, help="With --flip: show where the two part.")

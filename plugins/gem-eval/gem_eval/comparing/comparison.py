@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gem_core.errors import ArgumentError
 from gem_eval.comparing.cautions import cautions_of
 from gem_eval.comparing.sides import Given, Metric, Played, Side, Task, sides_of
-from gem_eval.records import Row
 from gem_eval.scores import compute_scores
 from gem_eval.statistics import (
     Estimate,
@@ -21,6 +20,9 @@ from gem_eval.statistics import (
     permutation_test,
     row_means,
 )
+
+if TYPE_CHECKING:
+    from gem_eval.records import Row
 
 LEVEL = 0.05
 """A p-value below it is called significant."""
@@ -43,8 +45,8 @@ class Difference:
         test: ``"mcnemar"`` for verdicts with one epoch of each row; else ``"permutation"`` of signs by row.
         only_a: Rows that only the first solved; None where values are not verdicts.
         only_b: Rows that only the second solved.
-        more_rows: How many more rows would settle a difference of this size with a power of 80 %; 0 where these do, None
-            where no number would.
+        more_rows: How many more rows would settle a difference of this size with a power of 80 %; 0 where these rows
+            do, None where no number would.
         more_episodes: As many rows by the epochs that a row has, for one side.
     """
 
@@ -246,8 +248,8 @@ def _refuse(a: Side, b: Side, metric: Metric, told: set[str] | None) -> None:
         raise ArgumentError(f"no task of {a.label} and {b.label} tells whether it was solved; compare --metric return")
     first, second = (side.rows[0].row for side in (a, b))
     raise ArgumentError(
-        f"{a.label} and {b.label} share no row to compare by {metric}: the first has {first!r} …, the second {second!r} "
-        "…. Runs share rows where they have the same environments and seed"
+        f"{a.label} and {b.label} share no row to compare by {metric}: the first has {first!r} …, the second "
+        f"{second!r} …. Runs share rows where they have the same environments and seed"
     )
 
 

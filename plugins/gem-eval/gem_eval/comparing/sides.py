@@ -123,9 +123,8 @@ def sides_of(given: Iterable[Given], models: Sequence[str] = (), scores: str | N
         run, model = _run_and_model(each)
         names = list(dict.fromkeys(row.model for row in run.rows))
         if not names:
-            raise ArgumentError(
-                f"{run.path} holds no episodes of one agent (yet){f'; {run.damaged} cannot be read' if run.damaged else ''}"
-            )
+            unread = f"; {run.damaged} lines cannot be read as such" if run.damaged else ""
+            raise ArgumentError(f"{run.path} holds no episodes of one agent (yet){unread}")
         chosen = [model] if model is not None else list(models) or names
         if len(chosen) > 1 and not models and len(given) > 1:
             choices = " or ".join(f"{run.path}@{name}" for name in names[:3])

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import TYPE_CHECKING
 
 import click
 
 from gem_core.cli import Column, echo_line, print_table, shown
-from gem_eval.comparing.comparison import Comparison, Difference, Flip
-from gem_eval.comparing.sides import Side
 from gem_eval.show.text import count, one_line
+
+if TYPE_CHECKING:
+    from gem_eval.comparing.comparison import Comparison, Difference, Flip
+    from gem_eval.comparing.sides import Side
+    from gem_eval.records import Row
 
 _MOST_FLIPS = 20
 _TESTS = {"mcnemar": "McNemar's exact test", "permutation": "a permutation test by row"}
@@ -43,13 +48,13 @@ def print_matrix(sides: Sequence[Side], comparisons: Sequence[Comparison]) -> No
         if overall.difference is None:
             return "-"
         gain = overall.difference.mean if direct else -overall.difference.mean
-        return f"{_change(gain, percent)} ({_p(overall.p_holm)}){'*' if overall.significant else ''}"
+        return f"{_change(gain + 0.0, percent)} ({_p(overall.p_holm)}){'*' if overall.significant else ''}"
 
     what = _called(comparisons[0])
     echo_line(f"The {what} of the run at the left, less that of the run above, on the rows that both have.")
     click.echo()
     columns = [Column("run", lambda row: one_line(row.label), name=True)]
-    columns += [Column(one_line(side.label), lambda row, side=side: cell(row, side)) for side in sides]
+    columns += [Column(one_line(side.label), partial(cell, column=side)) for side in sides]
     print_table(columns, sides)
     click.echo()
     tests = " or ".join(dict.fromkeys(_TESTS[each.overall.test] for each in comparisons))
@@ -64,7 +69,8 @@ def flip_lines(comparison: Comparison, *, every: bool = False) -> Iterator[str]:
     yield f"{flip_title(comparison)}:"
     for flip in flips if every else flips[:_MOST_FLIPS]:
         yield f"  {flip_line(comparison, flip)}"
-        yield f"    {show_command(comparison.a, flip.episode_a.number)}; {show_command(comparison.b, flip.episode_b.number)}"
+        one, other = show_command(comparison.a, flip.episode_a), show_command(comparison.b, flip.episode_b)
+        yield f"    {one}; {other}"
     if not every and len(flips) > _MOST_FLIPS:
         yield f"  … and {len(flips) - _MOST_FLIPS} more; --all lists them"
 
@@ -85,9 +91,9 @@ def flip_line(comparison: Comparison, flip: Flip) -> str:
     return f"{change}  {one_line(flip.row, 100)}  (episodes: {episodes})"
 
 
-def show_command(side: Side, number: int) -> str:
+def show_command(side: Side, episode: Row) -> str:
     """Return the command that shows an episode."""
-    return f"gem show {shlex.quote(str(side.run.path))} {number}"
+    return f"gem show {shlex.quote(str(side.run.path))} {episode.number}"
 
 
 def _columns(comparison: Comparison, several: bool) -> list[Column]:

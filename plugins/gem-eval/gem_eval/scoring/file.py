@@ -8,12 +8,14 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records import to_plain
 from gem_core.suggestions import did_you_mean
-from gem_eval.records import Run
+
+if TYPE_CHECKING:
+    from gem_eval.records import Run
 
 _NAME = re.compile(r"[\w.-]{1,100}", re.ASCII)
 
@@ -173,7 +175,9 @@ class ScoreFile:
                     graded = GradedEpisode.from_dict(record)
                     self.graded[graded.episode, graded.repeat] = graded
             except (ValueError, RecursionError, EpisodeFileError) as error:
-                raise EpisodeFileError(f"cannot read {self.path}: a line is damaged ({error}); delete the file") from error
+                raise EpisodeFileError(
+                    f"cannot read {self.path}: a line is damaged ({error}); delete the file"
+                ) from error
 
 
 def folder_of(run: Run) -> Path:
