@@ -12,6 +12,11 @@ def gem_add_commands() -> Iterable[CommandSpec]:
     """The commands of this plugin."""
     return [
         CommandSpec(
+            name="eval",
+            entry_point="gem_eval.running.command:command",
+            summary="Score models on suites, with intervals, and record the run.",
+        ),
+        CommandSpec(
             name="show",
             entry_point="gem_eval.show.command:command",
             summary="Show recorded episodes: a list, one of them, two compared, or a page.",
