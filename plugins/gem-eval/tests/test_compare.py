@@ -139,13 +139,19 @@ def test_success_is_not_compared_where_tasks_never_tell_it(tmp_path: Path) -> No
 def test_settings_seeds_and_sampling_that_differ_are_warned_of(tmp_path: Path) -> None:
     """What runs say of hosts and times is no setting."""
     settings = [
-        {"suite": {"max_turns": turns}, "data": sha, "host": sha, "models": {"toy": {"temperature": heat}}}
+        {
+            "host": sha,
+            "limits": {"max_cost": heat},
+            "tasks": [{"id": "t:A", "env": "t:A", "kwargs": {"max_turns": turns}, "rows": 2, "data_sha256": sha}],
+            "models": [{"name": "toy", "options": {"temperature": heat}}],
+        }
         for turns, sha, heat in ((5, "aa", 0), (9, "bb", 1))
     ]
     a = made_run(tmp_path / "a", verdicts("10"), **settings[0])
     b = made_run(tmp_path / "b", verdicts("10", seed=2), **settings[1])
     assert gem_eval.compare(a, b).cautions == [
-        "settings differ: suite.max_turns 5 and 9; data aa and bb",
+        "settings differ: limits.max_cost 0 and 1; tasks.t:A.kwargs.max_turns 5 and 9; "
+        "tasks.t:A.data_sha256 aa and bb",
         "the sampling differs: temperature 0 and 1",
         "the seeds differ in 2 of 2 rows that both have",
     ]

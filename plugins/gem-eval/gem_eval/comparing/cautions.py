@@ -13,12 +13,6 @@ from gem_core.records import to_plain
 if TYPE_CHECKING:
     from gem_eval.comparing.sides import Side, Task
 
-_NO_SETTING = {
-    "command", "name", "host", "url", "base_url", "time", "times", "started", "finished", "seconds", "status", "out",
-    "model", "models", "agent", "agents", "num_envs", "max_concurrency", "max_requests", "versions", "cost",
-}  # fmt: skip
-"""Of what ``run.json`` says, what does not bear on a score, or is compared in another way."""
-
 _MOST = 8
 _LONGEST = 60
 
@@ -28,9 +22,9 @@ _STARTS = {"kwargs": "arguments", "wrappers": "wrappers", "tools": "tools", "sys
 def cautions_of(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
     """Return in words what two sides differ in besides their models.
 
-    Compared are the settings and the hash of the data in ``run.json``, where there is one, how the models were sampled,
-    and of the records the seeds of all rows and, of one row of each task, versions, arguments, wrappers and the first
-    observation.
+    Compared are, where there is a ``run.json``, arguments and hash of the data of the tasks that both have, the limits,
+    the roles of models and how the models were sampled; and of the records the seeds of all rows and, of one row of
+    each task, versions, arguments, wrappers, tools, system prompt and the first observation.
 
     Args:
         a: The first side.
@@ -41,23 +35,45 @@ def cautions_of(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
     found = [f"{run.damaged} lines of {run.path} cannot be read, and are left out" for run in runs if run.damaged]
     if a.run is not b.run:
         found += _of_settings("settings", _settings(a), _settings(b))
-    found += _of_settings("the sampling", _model_settings(a), _model_settings(b))
+    found += _of_settings("the sampling", _sampling(a), _sampling(b))
     return found + _of_seeds(a, b, paired) + list(_of_records(a, b, paired))
 
 
-def _settings(side: Side) -> dict[str, Any]:
-    return {name: value for name, value in side.run.info.items() if name not in _NO_SETTING}
+def _settings(side: Side) -> dict[str, Any] | None:
+    """Return what the scores of a run depend on besides the model; None for a file of episodes, which does not say."""
+    info = side.run.info
+    if not info:
+        return None
+    tasks = {}
+    for task in _mappings(info.get("tasks")):
+        tasks[str(task.get("id"))] = {name: task.get(name) for name in ("env", "kwargs", "rows", "data_sha256")}
+    suite = info.get("suite")
+    roles = suite.get("roles") if isinstance(suite, Mapping) else None
+    return {"limits": info.get("limits"), "roles": roles, "tasks": tasks}
 
 
-def _model_settings(side: Side) -> dict[str, Any]:
-    models = side.run.info.get("models")
-    own = models.get(side.model) if isinstance(models, Mapping) else None
-    return {name: value for name, value in own.items() if name not in _NO_SETTING} if isinstance(own, Mapping) else {}
+def _sampling(side: Side) -> dict[str, Any] | None:
+    for model in _mappings(side.run.info.get("models")):
+        if model.get("name") == side.model:
+            return {"": model.get("options")}
+    return None
 
 
-def _of_settings(what: str, one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
-    if not one or not other:
-        return []  # a file of episodes has no settings
+def _mappings(value: Any) -> list[Mapping[str, Any]]:
+    return [each for each in value if isinstance(each, Mapping)] if isinstance(value, list) else []
+
+
+def _of_settings(what: str, one: dict[str, Any] | None, other: dict[str, Any] | None) -> list[str]:
+    if one is None or other is None:
+        return []
+    for name, task in one.get("tasks", {}).items():
+        also = other["tasks"].get(name)
+        if also is not None and task.pop("rows") != also.pop("rows"):
+            # The hash is of the rows that were played; of those that both have, the first is looked at below.
+            task["data_sha256"] = also["data_sha256"] = None
+    if "tasks" in one:
+        both = [name for name in one["tasks"] if name in other["tasks"]]
+        one, other = ({**each, "tasks": {name: each["tasks"][name] for name in both}} for each in (one, other))
     first, second = (dict(_leaves(each)) for each in (one, other))
     differing = [name for name in dict.fromkeys([*first, *second]) if first.get(name) != second.get(name)]
     if not differing:
@@ -70,7 +86,7 @@ def _of_settings(what: str, one: Mapping[str, Any], other: Mapping[str, Any]) ->
 def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     if isinstance(value, Mapping) and value:
         for name, part in value.items():
-            yield from _leaves(part, f"{path}.{name}" if path else str(name))
+            yield from _leaves(part, f"{path}.{name}".strip("."))
     else:
         yield path, value
 
