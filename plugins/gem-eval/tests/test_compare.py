@@ -150,8 +150,7 @@ def test_settings_seeds_and_sampling_that_differ_are_warned_of(tmp_path: Path) -
     a = made_run(tmp_path / "a", verdicts("10"), **settings[0])
     b = made_run(tmp_path / "b", verdicts("10", seed=2), **settings[1])
     assert gem_eval.compare(a, b).cautions == [
-        "settings differ: limits.max_cost 0 and 1; tasks.t:A.kwargs.max_turns 5 and 9; "
-        "tasks.t:A.data_sha256 aa and bb",
+        "settings differ: limits.max_cost 0 and 1; tasks.t:A.kwargs.max_turns 5 and 9; tasks.t:A.data_sha256 aa and bb",
         "the sampling differs: temperature 0 and 1",
         "the seeds differ in 2 of 2 rows that both have",
     ]
