@@ -165,7 +165,8 @@ def _left_out_lines(comparison: Comparison) -> Iterator[str]:
         "Episodes that a limit cut off, which count as not solved": comparison.cut_off,
     }.items():
         if a or b:
-            what = what.split(",")[0] if comparison.metric == "return" and "cut off" in what else what
+            if "cut off" in what and (comparison.metric == "return" or comparison.scores is not None):
+                what = what.split(",")[0]
             yield f"{what}: {a} of A, {b} of B."
 
 

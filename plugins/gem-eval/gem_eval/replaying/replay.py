@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import gem_core as gem
 from gem_core import Episode, PlanItem
 from gem_core.errors import ArgumentError, GemError, UnknownNameError
+from gem_core.records import to_plain
 from gem_core.rollouts import Agent, as_agent, close_agent, load_agent, prepare_agent
 from gem_eval.records import Row, Run, open_run
 from gem_eval.replaying.recorded import RecordedActions, differences
@@ -132,9 +134,45 @@ def repeat_episode(
     try:
         found = list(gem.rollout([entry], agent, plan=[item], seed=episode.run_seed, num_envs=min(times, num_envs)))
     except GemError as error:
-        hint = "" if isinstance(error, UnknownNameError) else f". {_HINT}"
-        raise ArgumentError(f"{episode.id} cannot be made from its record: {error}{hint}") from error
+        raise _not_made(episode, error) from error
     return sorted(found, key=lambda each: each.repeat)
+
+
+def repeat_all(
+    episodes: Sequence[Episode], kwargs: Mapping[str, Any] | None = None, num_envs: int = 8
+) -> Iterator[tuple[int, Episode | GemError]]:
+    """Replay whole episodes; yield each replay with the place of its episode, in any order, or why there is none.
+
+    Differences from the record do not stop a replay. Episodes whose environments are made alike share them.
+
+    Args:
+        episodes: The records.
+        kwargs: Keyword arguments over the recorded ones.
+        num_envs: How many environments run at once.
+    """
+    alike: dict[str, tuple[tuple[str, dict[str, Any]], list[int]]] = {}
+    for place, episode in enumerate(episodes):
+        try:
+            recipe = recipe_of(episode, kwargs)
+        except ArgumentError as error:
+            yield place, error
+        else:
+            alike.setdefault(json.dumps(to_plain(recipe), sort_keys=True), (recipe, []))[1].append(place)
+    for recipe, places in alike.values():
+        agents = {
+            str(place): RecordedActions(episodes[place], episodes[place].turns, None, force=True) for place in places
+        }
+        plan = [
+            PlanItem(seed=episodes[place].seed, options=episodes[place].options, agent=str(place)) for place in places
+        ]
+        try:
+            # The seed of the run does not matter: each item has its own.
+            for replayed in gem.rollout([recipe], agents, plan=plan, seed=0, num_envs=min(num_envs, len(plan))):
+                places.remove(int(replayed.agent or 0))
+                yield int(replayed.agent or 0), replayed
+        except GemError as error:
+            for place in places:
+                yield place, _not_made(episodes[place], error)
 
 
 def recipe_of(episode: Episode, kwargs: Mapping[str, Any] | None = None) -> tuple[str, dict[str, Any]]:
@@ -163,6 +201,11 @@ def recipe_of(episode: Episode, kwargs: Mapping[str, Any] | None = None) -> tupl
                 "wrapper, or name it as 'module:Class'"
             )
     return episode.id, {**arguments, "wrappers": [(name, options) for name, options in episode.wrappers]}
+
+
+def _not_made(episode: Episode, error: GemError) -> ArgumentError:
+    hint = "" if isinstance(error, UnknownNameError) else f". {_HINT}"
+    return ArgumentError(f"{episode.id} cannot be made from its record: {error}{hint}")
 
 
 def _holds_blot(value: Any) -> bool:

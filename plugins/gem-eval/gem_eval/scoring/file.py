@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records import to_plain
+from gem_core.records import to_plain, without_secrets
 from gem_core.suggestions import did_you_mean
 
 if TYPE_CHECKING:
@@ -115,18 +115,24 @@ class ScoreFile:
                 own.append(each.value)
         return {number: math.fsum(own) / len(own) if own else None for number, own in values.items()}
 
-    def begin(self, grader: Mapping[str, Any]) -> None:
+    def begin(self, grader: Mapping[str, Any], *, overwrite: bool = False) -> None:
         """Open the file to append; of a new one, write what grades to its first line.
+
+        Args:
+            grader: What grades, as plain JSON.
+            overwrite: Begin anew.
 
         Raises:
             ArgumentError: Something else has graded under this name.
             EpisodeFileError: It cannot be written.
         """
-        told = to_plain(dict(grader))
+        told = without_secrets(to_plain(dict(grader)))
+        if overwrite:
+            self.grader, self.graded, self._whole = None, {}, 0
         if self.grader not in (None, told):
             raise ArgumentError(
-                f"{self.path} holds the scores of another grader, or of one with other settings; give --name for a "
-                "file of its own, or delete it"
+                f"{self.path} holds the scores of another grader, or of one with other settings or code; give --name "
+                "for a file of its own, or --overwrite"
             )
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
