@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shlex
 import signal
-import sys
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -13,6 +12,7 @@ import click
 from gem_core.cli import (
     agent_options,
     arguments_option,
+    call_again,
     counted,
     env_arguments,
     given,
@@ -119,6 +119,7 @@ def command(
     """
     # Imported here, so that help need not wait for them.
     from gem_core.progress import Progress
+    from gem_core.records import without_secrets
     from gem_core.rollouts import current_folder_importable
     from gem_eval.running.evaluation import EvaluationSession
     from gem_eval.running.limits import Limits
@@ -141,7 +142,7 @@ def command(
         max_concurrency=num_envs,
         step_timeout=step_timeout,
         new=new,
-        command=shlex.join(["gem", *sys.argv[1:]]),
+        command=shlex.join(without_secrets(shlex.split(call_again(ctx, {"new", "retry_errors"})))),
     )
     counts = _Counts(session)
     if counts.before:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import os
 import platform
 import sys
@@ -19,8 +18,11 @@ if TYPE_CHECKING:
 
 def versions() -> dict[str, str]:
     """Return the version of Python and of every installed distribution."""
-    found = {dist.metadata["Name"]: dist.version for dist in importlib.metadata.distributions()}
-    return {"python": platform.python_version(), **dict(sorted(found.items(), key=lambda each: each[0].lower()))}
+    # By the names of folders: importlib.metadata reads every file, which takes 0.1 s for 200 distributions.
+    folders = [path.stem for folder in sys.path for path in Path(folder).glob("*.dist-info")]
+    found = [stem.partition("-") for stem in folders]
+    named = {name.replace("_", "-"): version for name, _, version in reversed(found)}
+    return {"python": platform.python_version(), **dict(sorted(named.items(), key=lambda each: each[0].lower()))}
 
 
 def host() -> dict[str, Any]:

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema
 
 from gem_core.errors import ArgumentError
 from gem_core.suggestions import did_you_mean
 
 _FOLDER = Path(__file__).parent
 _MOST_BYTES = 1_000_000
-_WORD = re.compile(r"[^\w.-]+")
+_NO_WORD = re.compile(r"[^\w.]+")
 
 
 def _choice(given: Any) -> Any:
@@ -28,7 +28,8 @@ def _choice(given: Any) -> Any:
     return given
 
 
-Choice = Annotated[tuple[str, dict[str, Any]], BeforeValidator(_choice)]
+_NAME_OR_OPTIONS = {"anyOf": [{"type": "string"}, {"type": "object", "minProperties": 1, "maxProperties": 1}]}
+Choice = Annotated[tuple[str, dict[str, Any]], BeforeValidator(_choice), WithJsonSchema(_NAME_OR_OPTIONS)]
 
 
 class _Form(BaseModel):
@@ -103,6 +104,9 @@ def _model(given: Any) -> Any:
     return {"agent": given} if isinstance(given, str) else given
 
 
+ModelChoice = Annotated[Model, BeforeValidator(_model)]
+
+
 class Suite(_Form):
     """Which tasks are evaluated, and how.
 
@@ -123,7 +127,7 @@ class Suite(_Form):
     description: str = ""
     tasks: Annotated[tuple[SuiteTask, ...], Field(min_length=1)]
     defaults: TaskSettings = TaskSettings()
-    models: tuple[Annotated[Model, BeforeValidator(_model)], ...] = ()
+    models: tuple[ModelChoice, ...] = ()
     roles: dict[str, str] = {}
     sampling: dict[str, Any] = {}
     epochs: Annotated[int, Field(ge=1)] = 1
@@ -188,7 +192,7 @@ def combined_suite(targets: Sequence[str | Path]) -> Suite:
             if name in suite.model_fields_set and shared.setdefault(name, value) != value:
                 raise ArgumentError(f"the suites differ in {name}, which holds for a whole run: evaluate them apart")
     name = "-".join(
-        _WORD.sub("-", Path(target).stem if not _is_task(target) else str(target)) for target in targets[:3]
+        _NO_WORD.sub("-", Path(target).stem if not _is_task(target) else str(target)) for target in targets[:3]
     )
     return Suite(name=name.strip("-")[:60] or "suite", tasks=tuple(tasks), **shared)
 
@@ -202,7 +206,7 @@ def _is_task(target: str | Path) -> bool:
 def parse_suite(text: bytes, origin: str, *, default_name: str) -> Suite:
     """Return the suite that a YAML text describes; see ``load_suite``."""
     try:
-        content = yaml.safe_load(text)
+        content = yaml.load(text, _Loader)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise ArgumentError(f"{origin} is no YAML: {' '.join(str(error).split())}") from None
     if not isinstance(content, dict):
@@ -213,7 +217,16 @@ def parse_suite(text: bytes, origin: str, *, default_name: str) -> Suite:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
         more = f" ({error.error_count() - 1} more)" if error.error_count() > 1 else ""
-        raise ArgumentError(f"{origin}: {place}: {first['msg']}{_hint(first)}{more}") from None
+        raise ArgumentError(f"{origin}: {place}: {first['msg']}.{_hint(first)}{more}") from None
+
+
+class _Loader(yaml.SafeLoader):
+    """Reads YAML without aliases, by which a short file may stand for any amount of data."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("an alias (*name) has no place in a suite")
+        return super().compose_node(parent, index)
 
 
 def _hint(error: Any) -> str:
@@ -223,3 +236,11 @@ def _hint(error: Any) -> str:
     inside = error["loc"][:-1]
     form: type[BaseModel] = {0: Suite}.get(len(inside), SuiteTask)
     return did_you_mean(str(error["loc"][-1]), list(form.model_fields))
+
+
+def suite_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a suite's file, for editors; it comes along as ``suite.schema.json``."""
+    schema = Suite.model_json_schema(mode="validation")
+    model = schema["properties"]["models"]["items"]
+    schema["properties"]["models"]["items"] = {"anyOf": [{"type": "string"}, model]}
+    return schema
