@@ -221,7 +221,10 @@ def test_graders_are_named(tmp_path: Path) -> None:
         find_grader("nothing")
     with pytest.raises(ArgumentError, match="a rubric, and options of a model, are for --grader openai:MODEL"):
         find_grader("env", rubric="Be kind.")
-    assert (
-        find_grader("openai:gpt/5", rubric="Be kind.", options={"base_url": "http://localhost:1/v1"}).name
-        == "openai-gpt-5"
-    )
+
+
+def test_a_judge_is_a_model_of_an_openai_server() -> None:
+    """With a rubric and options; its scores have a name that a file may have."""
+    pytest.importorskip("gem_openai")
+    judge = find_grader("openai:gpt/5", rubric="Be kind.", options={"base_url": "http://localhost:1/v1"})
+    assert (judge.name, judge.asynchronous, judge.described["rubric"]) == ("openai-gpt-5", True, "Be kind.")
