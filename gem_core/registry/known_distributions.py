@@ -29,6 +29,7 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("agent", "tau-user"): ("gem-tau",),
     ("agent", "negotiator"): ("gem-games",),
     ("command", "show"): ("gem-eval",),
+    ("command", "eval"): ("gem-eval",),
     ("command", "compare"): ("gem-eval",),
     ("command", "score"): ("gem-eval",),
     ("command", "replay"): ("gem-eval",),

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from collections.abc import Awaitable
+from typing import Any
 
 from gem_core import Episode, Observation
 from gem_core.errors import EpisodeLimitError, RequestError
 from gem_core.records import to_plain
 from gem_core.rollouts import Agent, Context, Reading
-
-if TYPE_CHECKING:
-    from gem_core.rollouts.agent import Answer
 
 END_OF_RECORD = "end of the record"
 """What cuts a replay off that has no more actions, where the episode is not over."""
@@ -35,7 +33,7 @@ class RecordedActions:
         self._episode, self._turns, self._agent, self._force = episode, turns, agent, force
         self.reads, self.system, self.native_tools = Reading("observation") if agent is None else Reading.of(agent)
 
-    def __call__(self, observation: Observation, context: Context) -> Answer:
+    def __call__(self, observation: Observation, context: Context) -> str | Awaitable[str]:
         """Return the recorded response, or ask the other agent.
 
         Raises:
