@@ -36,7 +36,8 @@ def cautions_of(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
     if a.run is not b.run:
         found += _of_settings("settings", _settings(a), _settings(b))
     found += _of_settings("the sampling", _sampling(a), _sampling(b))
-    return found + _of_seeds(a, b, paired) + list(_of_records(a, b, paired))
+    told = a.run is b.run or (a.run.is_folder and b.run.is_folder)
+    return found + _of_seeds(a, b, paired) + list(_of_records(a, b, paired, told=told))
 
 
 def _settings(side: Side) -> dict[str, Any] | None:
@@ -84,7 +85,7 @@ def _of_settings(what: str, one: dict[str, Any] | None, other: dict[str, Any] | 
 
 
 def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    if isinstance(value, Mapping) and value:
+    if isinstance(value, Mapping):
         for name, part in value.items():
             yield from _leaves(part, f"{path}.{name}".strip("."))
     else:
@@ -102,21 +103,28 @@ def _of_seeds(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
     return [f"the seeds differ in {differing} of {len(paired)} rows that both have"] if differing else []
 
 
-def _of_records(a: Side, b: Side, paired: Sequence[Task]) -> Iterator[str]:
-    """Compare the record of one row of each task; what holds for several tasks is said once."""
+def _of_records(a: Side, b: Side, paired: Sequence[Task], *, told: bool) -> Iterator[str]:
+    """Compare the record of one row of each task; what holds for several tasks is said once.
+
+    Args:
+        a: The first side.
+        b: The second.
+        paired: The rows that both have.
+        told: Whether the settings of both runs, which arguments and wrappers are part of, have been compared.
+    """
     said: dict[str, str] = {}
     firsts = {task: row for task, row in reversed(paired)}
     for task, row in firsts.items():
         one, other = _record(a, (task, row)), _record(b, (task, row))
         if one is None or other is None:
             continue
-        for difference in _record_differences(one, other):
+        for difference in _record_differences(one, other, told=told):
             said.setdefault(difference, task)
     for difference, task in said.items():
         yield f"{difference} (as in {task})"
 
 
-def _record_differences(one: Episode, other: Episode) -> Iterator[str]:
+def _record_differences(one: Episode, other: Episode, *, told: bool) -> Iterator[str]:
     for name in sorted({*one.versions, *other.versions}):
         if one.versions.get(name) != other.versions.get(name):
             yield f"the versions of {name} differ: {one.versions.get(name)} and {other.versions.get(name)}"
@@ -125,7 +133,8 @@ def _record_differences(one: Episode, other: Episode) -> Iterator[str]:
         first, second = to_plain(getattr(one, name)), to_plain(getattr(other, name))
         if first != second:
             alike = False
-            yield f"{called} differ: {_short(first)} and {_short(second)}"
+            if not told:
+                yield f"{called} differ: {_short(first)} and {_short(second)}"
     if alike and one.seed == other.seed and to_plain(one.observation) != to_plain(other.observation):
         yield "the first observation of a row differs: its data or its prompt was changed"
 

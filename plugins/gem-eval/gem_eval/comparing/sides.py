@@ -157,11 +157,11 @@ def _scores_of(run: Run, name: str | None) -> dict[int, float | None] | None:
 
 
 def _labelled(sides: list[Side]) -> list[Side]:
-    """Return the sides with labels: the run or the model, whichever tells them apart, or else both."""
-    runs, models = {side.run.name for side in sides}, {side.model for side in sides}
-    if len(models) == len(sides) and "" not in models:
+    """Return the sides with labels: the model where all are of one run, the run where all have one model, or both."""
+    runs, models = {side.run.path for side in sides}, {side.model for side in sides}
+    if len(runs) == 1:
         labels = [side.model for side in sides]
-    elif len(runs) == len(sides):
+    elif len(models) == 1:
         labels = [side.run.name for side in sides]
     else:
         labels = [f"{side.run.name}@{side.model}" for side in sides]

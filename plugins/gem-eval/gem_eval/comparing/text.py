@@ -131,7 +131,7 @@ def _verdict_lines(comparison: Comparison) -> Iterator[str]:
     else:
         gain = _change(abs(overall.difference.mean), percent).removeprefix("+")
         unit = " points" if percent else ""
-        tested = f"p = {_p(overall.p)} by {_TESTS[overall.test]}"
+        tested = f"{_p_is(overall.p)} by {_TESTS[overall.test]}"
         if overall.verdict == "undecided":
             yield f"No significant difference in {_called(comparison)}: {tested}."
         else:
@@ -147,7 +147,7 @@ def _verdict_lines(comparison: Comparison) -> Iterator[str]:
         said = {"a": "A is significantly better", "b": "B is significantly better"}.get(
             other.verdict, "there is no significant difference"
         )
-        p = "" if other.p is None else f", p = {_p(other.p)}"
+        p = "" if other.p is None else f", {_p_is(other.p)}"
         yield f"Without the episodes that a limit cut off, {said} ({count(other.rows, 'row')}{p})."
     if len(comparison.tasks) > 1:
         yield f"The p-values of tasks are corrected by Holm for {len(comparison.tasks)} tests; that of all is one test."
@@ -193,4 +193,8 @@ def _change(value: float, percent: bool) -> str:
 
 
 def _p(value: float | None) -> str:
-    return "-" if value is None else "<0.001" if value < 0.001 else f"{value:.3f}"
+    return "-" if value is None else "< 0.001" if value < 0.001 else f"{value:.3f}"
+
+
+def _p_is(value: float) -> str:
+    return f"p {_p(value)}" if value < 0.001 else f"p = {_p(value)}"
