@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from gem_core.errors import ArgumentError
 from gem_eval.comparing.cautions import cautions_of
 from gem_eval.comparing.sides import Given, Metric, Played, Side, Task, sides_of
-from gem_eval.scores import compute_scores
+from gem_eval.scores import tells_success
 from gem_eval.statistics import (
     Estimate,
     differences,
@@ -212,10 +212,13 @@ def compare_sides(a: Side, b: Side, metric: Metric, scores: str | None = None) -
         _refuse(a, b, metric, told)
     pairs = _pairs(*everything)
     tasks, overall = _differences(pairs)
-    without = _differences(
-        _pairs(*(side.by_task(metric, lambda row: counts(row) and row.cut_off is None) for side in (a, b)))
-    )[1]
-    rows = [[row for row in side.rows if (row.id, row.row) in both and counts(row)] for side in (a, b)]
+    shared = set(both)
+    rows = [[row for row in side.rows if (row.id, row.row) in shared] for side in (a, b)]
+    cut_off = _counts(rows, lambda row: row.cut_off is not None)
+    without = overall
+    if any(cut_off):
+        kept = (side.by_task(metric, lambda row: counts(row) and row.cut_off is None) for side in (a, b))
+        without = _differences(_pairs(*kept))[1]
     return Comparison(
         a,
         b,
@@ -232,15 +235,18 @@ def compare_sides(a: Side, b: Side, metric: Metric, scores: str | None = None) -
             sum(everything[0][task].unscored for task in both),
             sum(everything[1][task].unscored for task in both),
         ),
-        cut_off=_counts(rows, lambda row: row.cut_off is not None),
+        cut_off=cut_off,
         without_cut_off=None if without.verdict == overall.verdict else without,
         cautions=cautions_of(a, b, both),
     )
 
 
 def _telling_tasks(sides: Iterable[Side]) -> set[str]:
-    rows = [row for side in sides for row in side.rows]
-    return {score.id for score in compute_scores(rows) if score.metric == "success"}
+    by_id: dict[str, list[Row]] = {}
+    for side in sides:
+        for row in side.rows:
+            by_id.setdefault(row.id, []).append(row)
+    return {name for name, rows in by_id.items() if tells_success(rows)}
 
 
 def _refuse(a: Side, b: Side, metric: Metric, told: set[str] | None) -> None:
