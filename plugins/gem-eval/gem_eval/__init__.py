@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from gem_eval.replaying.replay import replay
     from gem_eval.running.evaluation import evaluate
     from gem_eval.running.limits import Limits
-    from gem_eval.scores import Score, compute_scores
+    from gem_eval.scores import RowScore, Score, compute_row_scores, compute_scores
     from gem_eval.scoring.grading import score
     from gem_eval.suites import Model, Suite, load_suite
 
@@ -19,10 +19,12 @@ __all__ = [
     "Limits",
     "Model",
     "Row",
+    "RowScore",
     "Run",
     "Score",
     "Suite",
     "compare",
+    "compute_row_scores",
     "compute_scores",
     "evaluate",
     "load_suite",
@@ -35,10 +37,12 @@ _HOME = {
     "Limits": "running.limits",
     "Model": "suites",
     "Row": "records",
+    "RowScore": "scores",
     "Run": "records",
     "Score": "scores",
     "Suite": "suites",
     "compare": "comparing.comparison",
+    "compute_row_scores": "scores",
     "compute_scores": "scores",
     "evaluate": "running.evaluation",
     "load_suite": "suites",

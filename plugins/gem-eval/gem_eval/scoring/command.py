@@ -128,6 +128,8 @@ def _report(found: Rescored, every: bool) -> None:
             f"Two repeats agree in {found.agreement.share:.1%} of cases{alpha}; variance between the repeats of an "
             f"episode: {found.agreement.variance:.3g} on average ({counted(found.agreement.items, 'episode')})."
         )
+    if found.run.damaged:
+        echo_line(f"{counted(found.run.damaged, 'line')} of {found.run.path} cannot be read as episodes of one agent.")
     if found.not_graded:
         echo_line(f"{counted(found.not_graded, 'episode')} ended in an error, and cannot be graded.")
     differing = [each for each in found.notes if (each.note or "").startswith("not as recorded")]

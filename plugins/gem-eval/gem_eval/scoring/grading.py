@@ -139,6 +139,9 @@ def score(
     run = run if isinstance(run, Run) else open_run(run)
     if repeat < 1:
         raise ArgumentError(f"repeat must be a positive whole number, not {repeat}")
+    if not run.rows:
+        unread = f"; {run.damaged} lines cannot be read as such" if run.damaged else ""
+        raise ArgumentError(f"{run.path} holds no episodes of one agent (yet){unread}")
     found = find_grader(grader, rubric=rubric, kwargs=kwargs, options=options)
     file = ScoreFile.new_or_begun(run, name or found.name)
     try:
