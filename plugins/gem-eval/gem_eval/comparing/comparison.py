@@ -211,14 +211,15 @@ def compare_sides(a: Side, b: Side, metric: Metric, scores: str | None = None) -
     if not both:
         _refuse(a, b, metric, told)
     pairs = _pairs(*everything)
-    tasks, overall = _differences(pairs)
+    verdicts = (metric == "success" or scores is not None) and _are_verdicts(pairs)
+    tasks, overall = _differences(pairs, verdicts=verdicts)
     shared = set(both)
     rows = [[row for row in side.rows if (row.id, row.row) in shared] for side in (a, b)]
     cut_off = _counts(rows, lambda row: row.cut_off is not None)
     without = overall
     if any(cut_off):
         kept = (side.by_task(metric, lambda row: counts(row) and row.cut_off is None) for side in (a, b))
-        without = _differences(_pairs(*kept))[1]
+        without = _differences(_pairs(*kept), verdicts=verdicts)[1]
     return Comparison(
         a,
         b,
@@ -226,7 +227,7 @@ def compare_sides(a: Side, b: Side, metric: Metric, scores: str | None = None) -
         scores,
         tasks,
         overall,
-        _flips(pairs),
+        _flips(pairs, verdicts=verdicts),
         only_a=len(everything[0]) - len(both),
         only_b=len(everything[1]) - len(both),
         left_out=len(both) - len(pairs),
@@ -264,20 +265,23 @@ def _pairs(a: Mapping[Task, Played], b: Mapping[Task, Played]) -> dict[Task, tup
     return {task: (one, b[task]) for task, one in a.items() if one.values and task in b and b[task].values}
 
 
-def _differences(pairs: Pairs) -> tuple[list[Difference], Difference]:
+def _are_verdicts(pairs: Pairs) -> bool:
+    return all(value in (0, 1) for pair in pairs.values() for side in pair for value in side.values)
+
+
+def _differences(pairs: Pairs, *, verdicts: bool) -> tuple[list[Difference], Difference]:
     """Return the difference on each task, and on all."""
     by_id: dict[str, dict[Task, tuple[Played, Played]]] = {}
     for task, pair in pairs.items():
         by_id.setdefault(task[0], {})[task] = pair
-    tasks = _corrected([_difference(name, own) for name, own in by_id.items()])
-    return tasks, tasks[0] if len(tasks) == 1 else _difference("all", pairs)
+    tasks = _corrected([_difference(name, own, verdicts=verdicts) for name, own in by_id.items()])
+    return tasks, tasks[0] if len(tasks) == 1 else _difference("all", pairs, verdicts=verdicts)
 
 
-def _difference(name: str, pairs: Pairs) -> Difference:
+def _difference(name: str, pairs: Pairs, *, verdicts: bool) -> Difference:
     if not pairs:
         return Difference(name, 0)
     a, b = ([pair[side].values for pair in pairs.values()] for side in (0, 1))
-    verdicts = all(value in (0, 1) for values in (*a, *b) for value in values)
     once = all(len(values) == 1 for values in (*a, *b))
     rates = all(0 <= value <= 1 for values in (*a, *b) for value in values)
     apart = differences(b, a)
@@ -309,8 +313,7 @@ def _solved_by_one(one: Played, other: Played) -> bool:
     return max(one.values) == 1 and max(other.values) == 0
 
 
-def _flips(pairs: Pairs) -> list[Flip]:
-    verdicts = all(value in (0, 1) for pair in pairs.values() for side in pair for value in side.values)
+def _flips(pairs: Pairs, *, verdicts: bool) -> list[Flip]:
     found = []
     for (task, row), (a, b) in pairs.items():
         flipped = _solved_by_one(a, b) or _solved_by_one(b, a) if verdicts else a.mean != b.mean
