@@ -60,6 +60,8 @@ def test_what_has_no_value_is_left_out_in_pairs_and_counted(tmp_path: Path) -> N
     found = compared(tmp_path, "1e1u01", "11e10")
     assert (found.overall.rows, found.left_out, found.only_a, found.only_b) == (2, 3, 1, 0)
     assert (found.errors, found.unscored) == ((1, 1), (1, 0))
+    returns = gem_eval.compare(tmp_path / "a", tmp_path / "b", metric="return")
+    assert (returns.overall.rows, returns.left_out) == (3, 2)
 
 
 def test_cut_off_counts_as_not_solved_and_is_said_where_it_decides(tmp_path: Path) -> None:

@@ -110,6 +110,8 @@ def test_scores_go_on_after_an_interrupt_and_failures_are_tried_again(played: Pa
         file.write(b'{"episode": 4, "rep')
     found = gem_eval.score(played, grade)
     assert (len(seen), len(found.graded), found.errors) == (4 + 4, 6, [])
+    assert gem_eval.score(played, grade).graded == found.graded
+    assert len(seen) == 4 + 4
 
 
 def test_a_grader_of_that_name_with_other_settings_is_refused(played: Path) -> None:
