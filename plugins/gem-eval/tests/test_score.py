@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
+from made_runs import made_run, verdicts
 
 import gem_core as gem
 import gem_eval
@@ -69,6 +70,18 @@ def test_what_is_no_grade_is_an_error_and_never_0(played: Path, returned: Any) -
     assert len(found.errors) == 6
     assert {each.value for each in found.graded.values()} == {None}
     assert found.tasks[0].new is None
+
+
+def test_an_episode_that_cannot_be_read_is_an_error_of_its_own(tmp_path: Path) -> None:
+    """The others are graded."""
+    run = made_run(tmp_path / "run", verdicts("10"))
+
+    async def later(episode: Episode) -> bool:
+        return True
+
+    for grader in (lambda episode: True, later):
+        found = gem_eval.score(run, grader, name="mine", overwrite=True)
+        assert [(each.error or "")[:11] for each in found.errors] == ["cannot read"] * 2
 
 
 def test_old_and_new_verdicts_are_compared(

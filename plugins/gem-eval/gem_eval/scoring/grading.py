@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gem_core import Episode
 from gem_core.background import run_sync
-from gem_core.errors import ArgumentError
+from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_eval.records import Row, Run, open_run
 from gem_eval.scoring.file import GradedEpisode, ScoreFile
 from gem_eval.scoring.graders import Grade, GradeFunction, Grader, find_grader
@@ -204,9 +205,16 @@ def _grades(
         yield from _grades_together(run, grader, todo, max_concurrency or DEFAULT_CONCURRENCY)
         return
     for first in range(0, len(todo), _AT_ONCE):
-        batch = todo[first : first + _AT_ONCE]
-        for place, grade in grader.grades([run.episode(row) for row, _ in batch]):
-            yield *batch[place], grade
+        asked: list[Asked] = []
+        episodes: list[Episode] = []
+        for row, time in todo[first : first + _AT_ONCE]:
+            try:
+                episodes.append(run.episode(row))
+                asked.append((row, time))
+            except EpisodeFileError as error:
+                yield row, time, Grade(error=str(error))
+        for place, grade in grader.grades(episodes):
+            yield *asked[place], grade
 
 
 def _grades_together(
@@ -216,9 +224,15 @@ def _grades_together(
     waiting = iter(todo)
     open_tasks: dict[asyncio.Future[Grade], Asked] = {}
 
+    async def graded(row: Row) -> Grade:
+        try:
+            return await grader.grade_async(run.episode(row))
+        except EpisodeFileError as error:
+            return Grade(error=str(error))
+
     async def wait() -> list[tuple[Asked, Grade]]:
         for row, time in itertools.islice(waiting, max_concurrency - len(open_tasks)):
-            open_tasks[asyncio.ensure_future(grader.grade_async(run.episode(row)))] = row, time
+            open_tasks[asyncio.ensure_future(graded(row))] = row, time
         done, _ = await asyncio.wait(open_tasks, return_when=asyncio.FIRST_COMPLETED)
         return [(open_tasks.pop(task), task.result()) for task in done]
 
