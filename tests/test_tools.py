@@ -20,9 +20,7 @@ from gem_core.background import run_sync
 from gem_core.env.guard import Guard
 from gem_core.errors import ArgumentError, ResetNeededError, StateNotSupported, UnknownToolError
 from gem_core.testing.hostile import hostile_actions
-from gem_core.tools import find_tool_env
 from gem_core.tools.env import ToolEnv
-from gem_core.wrappers import TurnLimit
 
 TOOLS = (Calculator, Notebook)
 
@@ -488,20 +486,3 @@ def test_sessions_are_closed_on_the_library_loop_too() -> None:
 
     run_sync(close())
     assert notebook.closed == 1
-
-
-def test_tools_can_be_changed_by_a_wrapper_outside() -> None:
-    """What stands for a tool is described, read and called in its place; ``find_tool_env`` finds the wrapper."""
-
-    class Shouting(Calculator):
-        def call(self, arguments: Any, session: Any) -> str:
-            return f"{super().call(arguments, session)}!"
-
-    env = TurnLimit(tool_env(), max_turns=9)
-    assert find_tool_env(Guard(CountdownEnv())) is None
-    found = find_tool_env(env)
-    assert found is env.env
-    found.change_tools(lambda tool: Shouting() if tool.name == "calculator" else tool)
-    env.reset(seed=1)
-    assert env.step(json_call("calculator", left=2, right=3))[0].startswith("Output of calculator:\n5.0!\n")
-    assert env.step("<note>a line</note>")[0].startswith("Output of note:\na line\n")

@@ -11,8 +11,18 @@ import click
 
 from gem_core import __version__
 from gem_core._plugin import gem_add_commands
-from gem_core.cli.layout import Layout, echo_line, output_width
+from gem_core.cli.agent_options import agent_options, given
+from gem_core.cli.layout import Layout, counted, echo_line, output_width
 from gem_core.cli.said_today import said_once
+from gem_core.cli.targets import find_envs
+from gem_core.cli.tool_options import (
+    AtLeast,
+    arguments_option,
+    env_arguments,
+    parsed_choices,
+    stack_options,
+    wrapper_stack,
+)
 from gem_core.errors import GemError
 from gem_core.registry.specs import CommandSpec
 from gem_core.suggestions import did_you_mean
@@ -20,7 +30,24 @@ from gem_core.suggestions import did_you_mean
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-__all__ = ["Layout", "cli", "main", "output_width"]
+__all__ = [
+    "INTERRUPTED",
+    "AtLeast",
+    "Layout",
+    "agent_options",
+    "arguments_option",
+    "cli",
+    "counted",
+    "echo_line",
+    "env_arguments",
+    "find_envs",
+    "given",
+    "main",
+    "output_width",
+    "parsed_choices",
+    "stack_options",
+    "wrapper_stack",
+]
 
 _OWN = {record.name: record for record in gem_add_commands()}
 
