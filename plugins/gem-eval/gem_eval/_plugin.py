@@ -21,6 +21,11 @@ def gem_add_commands() -> Iterable[CommandSpec]:
             entry_point="gem_eval.robustness.command:command",
             summary="Score a model with and without disturbances, and show how much its score falls.",
         ),
+        CommandSpec(
+            name="bench-env",
+            entry_point="gem_eval.measuring.command:command",
+            summary="Measure time, memory, tokens and rewards of environments.",
+        ),
     ]
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import pydantic
 
 import gem_core as gem
+from gem_core.errors import RequestError
 from gem_core.types import ResetResult, StepResult
 
 
@@ -108,3 +109,8 @@ def stops_when_reworded(observation: Any, context: Any) -> str:
     if literal(observation, context) != "hello":
         raise KeyboardInterrupt
     return "hello"
+
+
+def never_answers(observation: Any, context: Any) -> str:
+    """Fail as an agent does whose model server is gone."""
+    raise RequestError("the server is gone")
