@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -11,18 +12,8 @@ import click
 
 from gem_core import __version__
 from gem_core._plugin import gem_add_commands
-from gem_core.cli.agent_options import agent_options, given
-from gem_core.cli.layout import Layout, counted, echo_line, output_width
+from gem_core.cli.layout import Layout, echo_line, output_width
 from gem_core.cli.said_today import said_once
-from gem_core.cli.targets import find_envs
-from gem_core.cli.tool_options import (
-    AtLeast,
-    arguments_option,
-    env_arguments,
-    parsed_choices,
-    stack_options,
-    wrapper_stack,
-)
 from gem_core.errors import GemError
 from gem_core.registry.specs import CommandSpec
 from gem_core.suggestions import did_you_mean
@@ -30,24 +21,74 @@ from gem_core.suggestions import did_you_mean
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
+    from gem_core.cli.layout import counted
+    from gem_core.cli.list_command import matching
+    from gem_core.cli.model_options import agent_options, given
+    from gem_core.cli.report import Column, print_table, shown, shown_count
+    from gem_core.cli.targets import find_env, find_envs
+    from gem_core.cli.tool_options import (
+        AtLeast,
+        arguments_option,
+        call_again,
+        env_arguments,
+        parsed_choices,
+        stack_options,
+        wrapper_stack,
+    )
+
 __all__ = [
     "INTERRUPTED",
     "AtLeast",
+    "Column",
     "Layout",
     "agent_options",
     "arguments_option",
+    "call_again",
     "cli",
     "counted",
     "echo_line",
     "env_arguments",
+    "find_env",
     "find_envs",
     "given",
     "main",
+    "matching",
     "output_width",
     "parsed_choices",
+    "print_table",
+    "shown",
+    "shown_count",
     "stack_options",
     "wrapper_stack",
 ]
+
+_HOME = {
+    "AtLeast": "tool_options",
+    "Column": "report",
+    "agent_options": "model_options",
+    "arguments_option": "tool_options",
+    "call_again": "tool_options",
+    "counted": "layout",
+    "env_arguments": "tool_options",
+    "find_env": "targets",
+    "find_envs": "targets",
+    "given": "model_options",
+    "matching": "list_command",
+    "parsed_choices": "tool_options",
+    "print_table": "report",
+    "shown": "report",
+    "shown_count": "report",
+    "stack_options": "tool_options",
+    "wrapper_stack": "tool_options",
+}
+"""Where the names that plugins use for their commands come from; they are imported on first use."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+
 
 _OWN = {record.name: record for record in gem_add_commands()}
 

@@ -14,14 +14,15 @@ import click
 from gem_core.cli import (
     INTERRUPTED,
     AtLeast,
-    Layout,
+    Column,
     agent_options,
     arguments_option,
     echo_line,
     env_arguments,
     find_envs,
     given,
-    output_width,
+    print_table,
+    shown,
     stack_options,
     wrapper_stack,
 )
@@ -197,41 +198,17 @@ def _measured(
 
 
 def _print(measurements: Sequence[EnvMeasurement]) -> None:
-    headers = (
-        "environment", "reset p50", "p99", "step p50", "p99", "steps/s", "memory", "turns", "tokens", "success",
-        "return", "equal groups",
-    )  # fmt: skip
-    rows = [_cells(each) for each in measurements]
-    if not rows:
-        return
-    layout = Layout(headers, rows, output_width(), dispensable=(2, 4, 7, 10, 9))
-    for line in layout.header():
-        click.echo(click.style(line, bold=True))
-    for row in rows:
-        for line in layout.row(row, {0: partial(click.style, fg="cyan")}):
-            click.echo(line)
+    if measurements:
+        print_table(_COLUMNS, measurements)
     for each in measurements:
         _print_bars(each)
 
 
-def _cells(measured: EnvMeasurement) -> tuple[str, ...]:
-    from gem_eval.measuring.measure import mean
-
-    groups, memory = measured.groups, measured.memory
-    equal = "-"
-    if groups.equal is not None:
-        equal = f"{groups.equal:.0%} of {groups.number} (0: {groups.zero:.0%}, 1: {groups.one:.0%})"
-    return (
-        measured.id,
-        *(_duration(seconds) for seconds in (*measured.reset[:2], *measured.step[:2])),
-        _figure(measured.steps_per_second, ",.0f"),
-        "-" if memory is None else _size(memory.bytes_each),
-        _figure(mean([episode.turns for episode in measured.episodes]), ".1f"),
-        _figure(mean(measured.tokens), ",.0f"),
-        _figure(measured.success_rate, ".0%"),
-        _figure(mean(measured.returns), ".3f"),
-        equal,
-    )
+def _groups(measured: EnvMeasurement) -> str:
+    groups = measured.groups
+    if groups.equal is None:
+        return "-"
+    return f"{groups.equal:.0%} of {groups.number} (0: {groups.zero:.0%}, 1: {groups.one:.0%})"
 
 
 def _print_bars(measured: EnvMeasurement) -> None:
@@ -255,10 +232,6 @@ def _label(each: Bin) -> str:
     return f"{each.low:.4g}" if each.low == each.high else f"{each.low:.4g} to {each.high:.4g}"
 
 
-def _figure(number: float | None, form: str) -> str:
-    return "-" if number is None else format(number, form)
-
-
 def _duration(seconds: float | None) -> str:
     if seconds is None:
         return "-"
@@ -273,3 +246,19 @@ def _size(count: float) -> str:
         if count >= size:
             return f"{count / size:.3g} {unit}"
     return f"{count:.0f} B"
+
+
+_COLUMNS = [
+    Column("environment", lambda measured: str(measured.id), name=True),
+    Column("reset p50", lambda measured: _duration(measured.reset.p50)),
+    Column("p99", lambda measured: _duration(measured.reset.p99), 0),
+    Column("step p50", lambda measured: _duration(measured.step.p50)),
+    Column("p99", lambda measured: _duration(measured.step.p99), 1),
+    Column("steps/s", lambda measured: shown(measured.steps_per_second, ",.0f"), 5),
+    Column("memory", lambda measured: "-" if measured.memory is None else _size(measured.memory.bytes_each)),
+    Column("turns", lambda measured: shown(measured.mean_turns, ".1f"), 2),
+    Column("tokens", lambda measured: shown(measured.mean_tokens, ",.0f")),
+    Column("success", lambda measured: shown(measured.success_rate, ".0%"), 4),
+    Column("return", lambda measured: shown(measured.mean_return, ".3f"), 3),
+    Column("equal groups", _groups),
+]

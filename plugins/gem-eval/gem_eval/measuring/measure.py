@@ -102,6 +102,21 @@ class EnvMeasurement:
         return [turn.reward for episode in self.episodes for turn in episode.transitions]
 
     @property
+    def mean_return(self) -> float | None:
+        """Mean return of an episode."""
+        return _mean(self.returns)
+
+    @property
+    def mean_turns(self) -> float | None:
+        """Mean number of turns of an episode."""
+        return _mean([episode.turns for episode in self.episodes])
+
+    @property
+    def mean_tokens(self) -> float | None:
+        """Mean number of tokens that the agent was sent in an episode."""
+        return _mean(self.tokens)
+
+    @property
     def groups(self) -> Groups:
         """The groups, by the items of the plan."""
         returns: dict[str, list[float]] = {}
@@ -134,19 +149,18 @@ class EnvMeasurement:
         """Return the figures as plain JSON; times in seconds, memory in bytes."""
         if self.error is not None:
             return {"id": self.id, "error": self.error}
-        turns = sum(episode.turns for episode in self.episodes)
         return {
             "id": self.id,
             "error": None,
             "episodes": len(self.episodes),
             "errors": self.errors,
-            "turns": turns / len(self.episodes) if self.episodes else None,
+            "turns": self.mean_turns,
             "success_rate": self.success_rate,
             "reset_s": self.reset._asdict(),
             "step_s": self.step._asdict(),
             "steps_per_second": self.steps_per_second,
             "memory": None if self.memory is None else self.memory._asdict(),
-            "tokens": mean(self.tokens),
+            "tokens": self.mean_tokens,
             "usage": self.usage,
             "rewards": [each._asdict() for each in histogram(self.rewards)],
             "returns": [each._asdict() for each in histogram(self.returns)],
@@ -288,8 +302,7 @@ def histogram(values: Sequence[float]) -> list[Bin]:
     return [Bin(low + place * width, low + (place + 1) * width, count) for place, count in enumerate(counts)]
 
 
-def mean(values: Sequence[float]) -> float | None:
-    """Return the mean of values; None for none."""
+def _mean(values: Sequence[float]) -> float | None:
     return sum(values) / len(values) if values else None
 
 

@@ -14,7 +14,7 @@ import click
 from gem_core.cli import (
     INTERRUPTED,
     AtLeast,
-    Layout,
+    Column,
     agent_options,
     arguments_option,
     counted,
@@ -22,8 +22,9 @@ from gem_core.cli import (
     env_arguments,
     find_envs,
     given,
-    output_width,
     parsed_choices,
+    print_table,
+    shown,
     stack_options,
     wrapper_stack,
 )
@@ -166,7 +167,7 @@ def command(
     if as_json:
         click.echo(json.dumps({"scores": [row.to_dict(model) for row in rows], "seed": seed}, indent=1))
     else:
-        _print(rows)
+        print_table(_COLUMNS, rows)
     failed = [row for row in results if row.first_error is not None and not row.disturbance.server_faults]
     if failed:
         errors = counted(sum(row.errors for row in failed), "episode")
@@ -210,32 +211,39 @@ def _recording(folder: str | None) -> Iterator[Callable[[str, Episode], None]]:
         yield write
 
 
-def _print(rows: list[Disturbed]) -> None:
-    headers = ("environment", "perturbation", "metric", "score", "difference", "95 % interval", "rows", "errors")
-    lines = [_cells(row) for row in rows]
-    layout = Layout(headers, lines, output_width(), left=(0, 1, 2), names=2, dispensable=(2, 6))
-    for line in layout.header():
-        click.echo(click.style(line, bold=True))
-    for row in lines:
-        for line in layout.row(row, {0: partial(click.style, fg="cyan")}):
-            click.echo(line)
+def _form(row: Disturbed) -> str:
+    return ".1%" if row.metric == "success" else ".3f"
 
 
-def _cells(row: Disturbed) -> tuple[str, ...]:
-    form = ".1%" if row.metric == "success" else ".3f"
-    score, difference = row.score, row.difference
-    interval = "-"
-    if difference is not None and difference.low is not None and difference.high is not None:
-        interval = f"{difference.low:+{form}} to {difference.high:+{form}}"
-    return (
-        row.id,
-        row.disturbance.name,
-        row.metric,
-        "-"
-        if score is None
-        else f"{score.mean:{form}}" + ("" if score.stderr is None else f" ± {score.stderr:{form}}"),
-        "" if row.plain is None else "-" if difference is None else f"{difference.mean:+{form}}",
-        "" if row.plain is None else interval,
-        str(len(row.rows)),
-        str(row.errors),
-    )
+def _score(row: Disturbed) -> str:
+    score = row.score
+    if score is None:
+        return "-"
+    return f"{score.mean:{_form(row)}}" + ("" if score.stderr is None else f" ± {score.stderr:{_form(row)}}")
+
+
+def _difference(row: Disturbed) -> str:
+    if row.plain is None:
+        return ""
+    return shown(None if row.difference is None else row.difference.mean, f"+{_form(row)}")
+
+
+def _interval(row: Disturbed) -> str:
+    if row.plain is None:
+        return ""
+    found = row.difference
+    if found is None or found.low is None or found.high is None:
+        return "-"
+    return f"{found.low:+{_form(row)}} to {found.high:+{_form(row)}}"
+
+
+_COLUMNS = [
+    Column("environment", lambda row: str(row.id), name=True),
+    Column("perturbation", lambda row: str(row.disturbance.name), name=True),
+    Column("metric", lambda row: str(row.metric), 0),
+    Column("score", _score),
+    Column("difference", _difference),
+    Column("95 % interval", _interval),
+    Column("rows", lambda row: str(len(row.rows)), 1),
+    Column("errors", lambda row: str(row.errors), alarm=True),
+]

@@ -14,9 +14,9 @@ from gem_core.making import WrapperChoice
 from gem_core.records import group_plan
 from gem_core.registry import ToolSpec, registry
 from gem_core.rollouts import Agent, default_plan
-from gem_eval.robustness.estimates import Estimate, mean, paired_difference
 from gem_eval.robustness.flaky_agent import SERVER_FAULTS, FlakyAgent
 from gem_eval.robustness.perturbation import NoToolsError, share
+from gem_eval.statistics import Estimate, mean, paired_difference, rate
 
 DEFAULT = ("tool_429", "tool_timeout", "cut_outputs", "distractor_tools", "renamed_parameters", "paraphrase", "typos")
 """The disturbances of an agent that are tried where none is named."""
@@ -94,7 +94,8 @@ class Disturbed:
     @property
     def score(self) -> Estimate | None:
         """The mean over rows; None without episodes."""
-        return mean(list(self.rows.values())) if self.rows else None
+        rows = list(self.rows.values())
+        return None if not rows else rate(rows) if self.metric == "success" else mean(rows)
 
     @property
     def pairs(self) -> list[str]:
@@ -106,8 +107,8 @@ class Disturbed:
         """The score with the disturbance less that without it, over the rows that have both; None without such rows."""
         if self.plain is None or not self.pairs:
             return None
-        plain = self.plain.rows
-        return paired_difference([self.rows[row] for row in self.pairs], [plain[row] for row in self.pairs])
+        disturbed, plain = ([of.rows[row] for row in self.pairs] for of in (self, self.plain))
+        return paired_difference(disturbed, plain, rates=self.metric == "success")
 
     def to_dict(self, model: str) -> dict[str, Any]:
         """Return the score and the difference as plain JSON."""
