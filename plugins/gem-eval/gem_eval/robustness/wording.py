@@ -41,8 +41,12 @@ _SAME_MEANING = {
 
 _PHRASES = re.compile(rf"(?<![\w'])(?:{'|'.join(_SAME_MEANING)})(?![\w'])", re.IGNORECASE)
 _WORDS = re.compile(r"(?<![\w'\\-])[a-z]{5,}+(?![\w'-])")
-_MISTAKABLE = {"causal", "casual", "dairy", "diary", "martial", "marital", "sacred", "scared", "silver", "sliver",
-               "trail", "trial", "united", "untied"}  # fmt: skip
+_MISTAKABLE = {
+    "barely", "barley", "casual", "causal", "complaint", "compliant", "dairy", "diary", "farmer", "framer", "field",
+    "filed", "fired", "fried", "forth", "froth", "marital", "martial", "perfect", "prefect", "piles", "plies",
+    "sacred", "scared", "salve", "slave", "signed", "singed", "signer", "singer", "silver", "sliver", "spilt",
+    "split", "there", "three", "tired", "tried", "today", "toady", "trail", "trial", "united", "untied",
+}  # fmt: skip
 """Words that two exchanged letters would turn into others."""
 
 # What is quoted or is no language: code, formulas, tags with what they hold, brackets, links and file names.
