@@ -179,6 +179,7 @@ def test_a_new_name_never_hides_another_parameter() -> None:
 
     env = RenamedParameters(with_tools(Both()))
     names = env.reset(seed=1)[1]["tools"][0]["function"]["parameters"]["properties"]
+    assert not {"text", "content"} & set(names)
     said = env.step(json_call(**dict(zip(names, ("first", "second"), strict=True))))[0]
     assert '{"text": "first", "content": "second"}' in said
 

@@ -149,7 +149,16 @@ def test_an_interrupt_prints_what_there_is(robustness: Any) -> None:
     outcome = robustness("perturbed:Echo-v0", "--model", "perturbed:stops_when_reworded", "-n", "2", "-p", "paraphrase")
     assert outcome.code == 130
     assert [line.split()[1] for line in outcome.out.splitlines()[1:]] == ["none"]
-    assert outcome.err.endswith("gem: interrupted after 2 episodes; runs that had not ended are left out\n")
+    assert outcome.err.endswith("gem: stopped after 2 episodes; runs that had not ended are left out\n")
+
+
+def test_a_run_that_fails_prints_what_there_is(robustness: Any) -> None:
+    """Where every request fails, the run without a perturbation is in the table, and the error is told last."""
+    always = "server_429:rate=1"
+    outcome = robustness("perturbed:Echo-v0", "--model", "perturbed:literal", "-n", "40", "-p", always)
+    assert outcome.code == 1
+    assert [line.split()[1] for line in outcome.out.splitlines()[1:]] == ["none"]
+    assert "HTTP 429 Too Many Requests (injected), 3 times" in outcome.err.splitlines()[-1]
 
 
 def test_perturbations_stand_between_tools_and_views() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
@@ -28,10 +28,11 @@ from gem_core.cli import (
     stack_options,
     wrapper_stack,
 )
-from gem_core.errors import ArgumentError
+from gem_core.errors import ArgumentError, GemError
 
 if TYPE_CHECKING:
     from gem_core import Episode
+    from gem_core.making import WrapperChoice
     from gem_eval.robustness.scoring import Disturbance, Disturbed
 
 _DEFAULT_SLOTS = 8
@@ -117,7 +118,7 @@ def command(
     """
     from gem_core.progress import Progress
     from gem_core.rollouts import close_agent, current_folder_importable, load_agent, prepare_agent
-    from gem_eval.robustness.scoring import DEFAULT, Disturbance, does_not_apply, in_all, score_disturbed
+    from gem_eval.robustness.scoring import DEFAULT, Disturbance, in_all, score_disturbed
 
     names = perturbations or DEFAULT
     ctx.with_resource(current_folder_importable())
@@ -127,16 +128,11 @@ def command(
     agent = load_agent(model, **given(options))
     prepare_agent(agent)
     ctx.call_on_close(partial(close_agent, agent))
-    fitting = []
-    for env in envs:
-        unfit = {each.name: why for each in disturbances if (why := does_not_apply(env, each, stack)) is not None}
-        fitting.append([each for each in disturbances if each.name not in unfit])
-        if unfit:
-            echo_line(f"gem: {env[0]}: left out {', '.join(unfit)}: {next(iter(unfit.values()))}", err=True)
+    fitting = [_fitting(env, disturbances, stack) for env in envs]
     if perturbations and not any(fitting):
         raise ArgumentError(f"no perturbation fits {', '.join(env_id for env_id, _ in envs)}; name others by --perturb")
     results: list[Disturbed] = []
-    interrupted = False
+    stopped_by: BaseException | None = None
     with ExitStack() as at_end:
         record = at_end.enter_context(_recording(out))
         progress = at_end.enter_context(Progress(None, f"seed {seed}"))
@@ -161,8 +157,8 @@ def command(
                     num_envs=num_envs or getattr(agent, "max_concurrency", _DEFAULT_SLOTS),
                     on_episode=on_episode,
                 )
-        except KeyboardInterrupt:
-            interrupted = True
+        except (GemError, KeyboardInterrupt) as error:  # raised again below, after the table
+            stopped_by = error
     rows = [*results, *in_all(results)]
     if as_json:
         click.echo(json.dumps({"scores": [row.to_dict(model) for row in rows], "seed": seed}, indent=1))
@@ -172,11 +168,12 @@ def command(
     if failed:
         errors = counted(sum(row.errors for row in failed), "episode")
         echo_line(f"gem: {errors} had an error; the first: {failed[0].id}: {failed[0].first_error}", err=True)
-    if interrupted:
-        echo_line(
-            f"gem: interrupted after {counted(played, 'episode')}; runs that had not ended are left out", err=True
-        )
-    ctx.exit(INTERRUPTED if interrupted else 1 if failed else 0)
+    if stopped_by is not None:
+        echo_line(f"gem: stopped after {counted(played, 'episode')}; runs that had not ended are left out", err=True)
+        if not isinstance(stopped_by, KeyboardInterrupt):
+            raise stopped_by
+        ctx.exit(INTERRUPTED)
+    ctx.exit(1 if failed else 0)
 
 
 def _of_one_agent(ids: tuple[str, ...]) -> list[Any]:
@@ -185,6 +182,18 @@ def _of_one_agent(ids: tuple[str, ...]) -> list[Any]:
     if shared is not None:
         raise ArgumentError(f"{shared.id} is for several agents; gem robustness scores one that acts alone")
     return envs
+
+
+def _fitting(
+    env: tuple[str, Mapping[str, Any]], disturbances: Sequence[Disturbance], stack: Sequence[WrapperChoice]
+) -> list[Disturbance]:
+    """Return the disturbances that fit an environment, and name the others."""
+    from gem_eval.robustness.scoring import does_not_apply
+
+    unfit = {each.name: why for each in disturbances if (why := does_not_apply(env, each, stack)) is not None}
+    if unfit:
+        echo_line(f"gem: {env[0]}: left out {', '.join(unfit)}: {next(iter(unfit.values()))}", err=True)
+    return [each for each in disturbances if each.name not in unfit]
 
 
 @contextmanager
