@@ -34,15 +34,15 @@ class CutOutputs(Perturbation):
         super().__init__(env, rate)
         self.keep = share(keep, "keep")
         tools = find_tool_env(env)
-        self._of_tools = set() if tools is None else set(tools.tools)
+        self._has_tools = tools is not None
         if tools is not None:
             tools.change_tools(lambda tool: ChangedTool(tool, after=self._cut_result))
 
     def after_step(self, action: str, result: StepResult) -> StepResult:
         """Cut what the task said, and what it answered native calls with."""
         observation, reward, terminated, truncated, info = result
-        of_tool_env = bool(self._of_tools) and "tool" in info
-        if terminated or truncated or of_tool_env or observation == TERMINAL_STATE or not self.happens():
+        already_cut = self._has_tools and "tool" in info
+        if terminated or truncated or already_cut or observation == TERMINAL_STATE or not self.happens():
             return result
         feedback, suffix = split_observation(observation, info)
         feedback = self._cut(feedback)

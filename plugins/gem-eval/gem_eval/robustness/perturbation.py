@@ -53,14 +53,6 @@ class Perturbation(Wrapper):
         """Draw whether the agent is disturbed this time."""
         return self.below(_HASHES) < self.rate * _HASHES
 
-    def tool_env(self) -> ToolEnv:
-        """Return the wrapper inside that gives tools to the task.
-
-        Raises:
-            NoToolsError: There is none.
-        """
-        return tool_env_in(self.env, type(self).__name__)
-
     def _get_state(self) -> dict[str, Any]:
         return {"seed": self._seed, "draws": self._draws}
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 from gem_core.env import AnyEnv
 from gem_core.tools import ToolResult
 from gem_eval.robustness.changed_tool import ChangedTool
-from gem_eval.robustness.perturbation import Perturbation
+from gem_eval.robustness.perturbation import Perturbation, tool_env_in
 
 
 class _ToolFaults(Perturbation):
@@ -29,7 +29,7 @@ class _ToolFaults(Perturbation):
 
     def __init__(self, env: AnyEnv, rate: float = 0.2) -> None:
         super().__init__(env, rate)
-        self.tool_env().change_tools(lambda tool: ChangedTool(tool, before=self._fail))
+        tool_env_in(env, type(self).__name__).change_tools(lambda tool: ChangedTool(tool, before=self._fail))
 
     def _fail(self) -> ToolResult | None:
         return ToolResult(self.told, failed=True, info={"fault": self.fault}) if self.happens() else None
