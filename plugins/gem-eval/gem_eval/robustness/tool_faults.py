@@ -11,17 +11,9 @@ from gem_eval.robustness.perturbation import Perturbation, tool_env_in
 
 
 class _ToolFaults(Perturbation):
-    """Lets calls of tools fail at random before they are executed.
+    """Lets calls of tools fail at random before they are executed; a subclass says how.
 
-    A call that fails counts as a use and earns no ``tool_error_reward``; ``info["tool"]["fault"]`` names the cause. The
-    tool is not called, so that nothing happens twice when the agent tries again.
-
-    Args:
-        env: An environment with tools.
-        rate: Probability that a call fails.
-
-    Raises:
-        ArgumentError: There are no tools inside, or the rate is no number from 0 to 1.
+    The tool is not called, so that nothing happens twice when the agent tries again.
     """
 
     fault: ClassVar[str]
@@ -36,14 +28,34 @@ class _ToolFaults(Perturbation):
 
 
 class Tool429(_ToolFaults):
-    """Answers some calls of tools with HTTP status 429 instead of executing them; see ``rate``."""
+    """Answers some calls of tools with HTTP status 429 instead of executing them.
+
+    A call that fails counts as a use and earns no ``tool_error_reward``; ``info["tool"]["fault"]`` names the cause.
+
+    Args:
+        env: An environment with tools.
+        rate: Probability that a call fails.
+
+    Raises:
+        ArgumentError: There are no tools inside, or the rate is no number from 0 to 1.
+    """
 
     fault = "HTTP 429, injected"
     told = "The tool failed: HTTP 429 Too Many Requests. The service is busy; try again."
 
 
 class ToolTimeout(_ToolFaults):
-    """Answers some calls of tools as if they had run out of time, and does not execute them; see ``rate``."""
+    """Answers some calls of tools as if they had run out of time, and does not execute them.
+
+    A call that fails counts as a use and earns no ``tool_error_reward``; ``info["tool"]["fault"]`` names the cause.
+
+    Args:
+        env: An environment with tools.
+        rate: Probability that a call fails.
+
+    Raises:
+        ArgumentError: There are no tools inside, or the rate is no number from 0 to 1.
+    """
 
     fault = "timeout, injected"
     told = "The tool did not answer within 30 s, and the call was given up."
