@@ -27,8 +27,9 @@ if TYPE_CHECKING:
     from gem_core.cli.play_session import PlaySession
     from gem_core.cli.play_view import PlayView
     from gem_core.cli.report import Column, print_table, shown, shown_count
-    from gem_core.cli.targets import find_env
+    from gem_core.cli.targets import find_env, find_envs
     from gem_core.cli.tool_options import (
+        AtLeast,
         arguments_option,
         call_again,
         env_arguments,
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "INTERRUPTED",
+    "AtLeast",
     "Column",
     "Layout",
     "PlaySession",
@@ -50,6 +53,7 @@ __all__ = [
     "echo_line",
     "env_arguments",
     "find_env",
+    "find_envs",
     "given",
     "main",
     "matching",
@@ -63,6 +67,7 @@ __all__ = [
 ]
 
 _HOME = {
+    "AtLeast": "tool_options",
     "Column": "report",
     "PlaySession": "play_session",
     "PlayView": "play_view",
@@ -72,6 +77,7 @@ _HOME = {
     "counted": "layout",
     "env_arguments": "tool_options",
     "find_env": "targets",
+    "find_envs": "targets",
     "given": "model_options",
     "matching": "list_command",
     "parsed_choices": "tool_options",
