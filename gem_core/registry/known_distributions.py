@@ -39,7 +39,6 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("command", "eval"): ("gem-eval",),
     ("command", "robustness"): ("gem-eval",),
     ("command", "show"): ("gem-eval",),
-    ("command", "eval"): ("gem-eval",),
     ("command", "compare"): ("gem-eval",),
     ("command", "score"): ("gem-eval",),
     ("command", "replay"): ("gem-eval",),
