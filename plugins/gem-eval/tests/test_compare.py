@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from made_runs import made_run, verdicts
+from indexed_runs import made_run, verdicts
 
 import gem_core as gem
 import gem_eval
