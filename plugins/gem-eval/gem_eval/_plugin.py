@@ -9,11 +9,16 @@ from gem_core import CommandSpec, hookimpl
 
 @hookimpl
 def gem_add_commands() -> Iterable[CommandSpec]:
-    """The command ``gem show``."""
+    """The commands for runs and recorded episodes."""
     return [
         CommandSpec(
             name="show",
             entry_point="gem_eval.show.command:command",
             summary="Show recorded episodes: a list, one of them, two compared, or a page.",
-        )
+        ),
+        CommandSpec(
+            name="export",
+            entry_point="gem_eval.exporting.command:command",
+            summary="Write runs as CSV, Parquet, JSON lines, or logs of inspect_ai.",
+        ),
     ]
