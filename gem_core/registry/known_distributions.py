@@ -29,6 +29,7 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("agent", "tau-user"): ("gem-tau",),
     ("agent", "negotiator"): ("gem-games",),
     ("command", "show"): ("gem-eval",),
+    ("command", "report"): ("gem-eval",),
     ("command", "export"): ("gem-eval",),
     ("command", "mcp"): ("gem-tools",),
     ("command", "serve-search"): ("gem-tools",),

@@ -17,6 +17,11 @@ def gem_add_commands() -> Iterable[CommandSpec]:
             summary="Show recorded episodes: a list, one of them, two compared, or a page.",
         ),
         CommandSpec(
+            name="report",
+            entry_point="gem_eval.reporting.command:command",
+            summary="Write the scores of runs, with intervals and plots, as one page.",
+        ),
+        CommandSpec(
             name="export",
             entry_point="gem_eval.exporting.command:command",
             summary="Write runs as CSV, Parquet, JSON lines, or logs of inspect_ai.",
