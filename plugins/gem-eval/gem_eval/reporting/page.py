@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from importlib import resources
 from typing import TYPE_CHECKING
 
@@ -50,10 +51,9 @@ def html_report(contents: Contents, examples: int) -> str:
         (resources.files("gem_eval.reporting") / "assets" / name).read_text(encoding="utf-8").replace("\r\n", "\n")
         for name in ("report.css", "report.html")
     )
-    # The body comes last, so that a mark in a text of others stays what it is.
-    for mark, value in (("HASH", csp_hash(style)), ("STYLE", style), ("TITLE", text(title)), ("BODY", body)):
-        page = page.replace(f"{{{{{mark}}}}}", value, 1)
-    return page
+    filled = {"HASH": csp_hash(style), "STYLE": style, "TITLE": text(title), "BODY": body}
+    # In one pass, so that a mark in a text of others stays what it is.
+    return re.sub(r"\{\{(\w+)\}\}", lambda mark: filled[mark[1]], page)
 
 
 def summary(contents: Contents) -> str:

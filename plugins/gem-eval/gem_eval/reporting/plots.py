@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from html import escape
 from typing import NamedTuple
+
+from gem_eval.reporting import markup
 
 COLOURS = 8
 
@@ -165,7 +166,7 @@ def columns(
                     f'width="{max(bar - (bar > 4), 0.8):.1f}" height="{tall:.1f}"/>'
                 )
     shapes += [
-        f'<text x="{_LEFT + step * where:.1f}" y="{floor + 14}" text-anchor="middle">{escape(label)}</text>'
+        f'<text x="{_LEFT + step * where:.1f}" y="{floor + 14}" text-anchor="middle">{markup.text(label)}</text>'
         for where, label in ticks
     ]
     shapes.append(_below(x_label))
@@ -276,7 +277,9 @@ def _upwards(scale: Scale) -> str:
 
 
 def _below(label: str) -> str:
-    return f'<text x="{(_LEFT + _WIDTH - _RIGHT) / 2}" y="{_HEIGHT - 5}" text-anchor="middle">{escape(label)}</text>'
+    return (
+        f'<text x="{(_LEFT + _WIDTH - _RIGHT) / 2}" y="{_HEIGHT - 5}" text-anchor="middle">{markup.text(label)}</text>'
+    )
 
 
 def _svg(width: int, height: int, content: str, title: str) -> str:
@@ -285,4 +288,4 @@ def _svg(width: int, height: int, content: str, title: str) -> str:
 
 
 def _title(text: str) -> str:
-    return f"<title>{escape(text)}</title>"
+    return f"<title>{markup.text(text)}</title>"
