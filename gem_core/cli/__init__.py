@@ -21,12 +21,19 @@ from gem_core.suggestions import did_you_mean
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-    from gem_core.cli.agent_options import agent_options, given
     from gem_core.cli.layout import counted
     from gem_core.cli.list_command import matching
+    from gem_core.cli.model_options import agent_options, given
     from gem_core.cli.report import Column, print_table, shown, shown_count
     from gem_core.cli.targets import find_env
-    from gem_core.cli.tool_options import arguments_option, call_again, env_arguments, stack_options, wrapper_stack
+    from gem_core.cli.tool_options import (
+        arguments_option,
+        call_again,
+        env_arguments,
+        parsed_choices,
+        stack_options,
+        wrapper_stack,
+    )
 
 __all__ = [
     "Column",
@@ -43,6 +50,7 @@ __all__ = [
     "main",
     "matching",
     "output_width",
+    "parsed_choices",
     "print_table",
     "shown",
     "shown_count",
@@ -52,14 +60,15 @@ __all__ = [
 
 _HOME = {
     "Column": "report",
-    "agent_options": "agent_options",
+    "agent_options": "model_options",
     "arguments_option": "tool_options",
     "call_again": "tool_options",
     "counted": "layout",
     "env_arguments": "tool_options",
     "find_env": "targets",
-    "given": "agent_options",
+    "given": "model_options",
     "matching": "list_command",
+    "parsed_choices": "tool_options",
     "print_table": "report",
     "shown": "report",
     "shown_count": "report",

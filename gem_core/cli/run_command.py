@@ -17,10 +17,10 @@ import click
 
 from gem_core.api import make_vec
 from gem_core.cli import INTERRUPTED
-from gem_core.cli.agent_options import agent_options, given
 from gem_core.cli.completion import complete_agents, complete_backends, complete_env_ids
 from gem_core.cli.layout import counted, echo_line
 from gem_core.cli.list_command import matching
+from gem_core.cli.model_options import agent_options, given
 from gem_core.cli.targets import find_env
 from gem_core.cli.tool_options import (
     AtLeast,

@@ -1,7 +1,4 @@
-"""Evaluation for GEM: runs and their episodes, as commands and as Python functions.
-
-Names are resolved on first use, so that the commands start quickly.
-"""
+"""Score models on environments, and read, compare and trust the result; see ``docs/evaluation.md``."""
 
 from __future__ import annotations
 
@@ -10,14 +7,43 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gem_eval.exporting.tables import to_pandas
-    from gem_eval.records import open_run
+    from gem_eval.records import Row, Run, open_run
+    from gem_eval.running.evaluation import evaluate
+    from gem_eval.running.limits import Limits
+    from gem_eval.scores import Score, compute_scores
+    from gem_eval.suites import Model, Suite, load_suite
 
-__all__ = ["open_run", "to_pandas"]
+__all__ = [
+    "Limits",
+    "Model",
+    "Row",
+    "Run",
+    "Score",
+    "Suite",
+    "compute_scores",
+    "evaluate",
+    "load_suite",
+    "open_run",
+    "to_pandas",
+]
 
-_HOMES = {"open_run": "gem_eval.records", "to_pandas": "gem_eval.exporting.tables"}
+_HOME = {
+    "Limits": "running.limits",
+    "Model": "suites",
+    "Row": "records",
+    "Run": "records",
+    "Score": "scores",
+    "Suite": "suites",
+    "compute_scores": "scores",
+    "evaluate": "running.evaluation",
+    "load_suite": "suites",
+    "open_run": "records",
+    "to_pandas": "exporting.tables",
+}
+"""Where the public names come from; they are imported on first use."""
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'gem_eval' has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOMES[name]), name)
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
