@@ -10,16 +10,18 @@ from typing import Any
 from gem_core import Episode, Response, Transition
 from gem_eval.records import RunWriter
 
-INFO = {
-    "command": "gem eval mine.yaml --model openai:small --model openai:large --epochs 4",
-    "suite": "mine",
+INFO: dict[str, Any] = {
+    "schema_version": 1,
+    "status": "finished",
+    "command": "gem eval mine.yaml --model openai:small --epochs 4",
+    "suite": {"name": "mine", "tasks": [{"id": "mine:a"}], "epochs": 4},
+    "models": [{"name": "openai:small", "agent": "openai:small", "options": {"temperature": 1.0}, "base_url": None}],
+    "tasks": [{"id": "mine:a", "env": "mine:a", "kwargs": {}, "rows": 20, "data_sha256": "0f1e2d3c4b5a69788796a5b4"}],
+    "epochs": 4,
     "seed": 7,
-    "started": 1_764_000_000.0,
-    "finished": 1_764_000_812.0,
-    "models": {"openai:small": {"temperature": 1.0, "max_tokens": 4096, "url": "https://api.example.com/v1"}},
-    "versions": {"gem-core": "0.1.0", "gem-games": "0.1.0", "python": "3.11.2"},
-    "data": {"mine:a": "sha256:0f1e2d3c4b5a69788796a5b4c3d2e1f0"},
-    "host": {"cpus": 2, "system": "Linux"},
+    "versions": {"python": "3.11.2", "aiohttp": "3.14.5", "gem-core": "0.1.0", "gem-games": "0.1.0"},
+    "host": {"system": "Linux", "cpus": 2},
+    "sessions": [{"started": 1_764_000_000.0, "ended": 1_764_000_812.0}],
 }
 
 

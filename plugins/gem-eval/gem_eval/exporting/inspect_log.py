@@ -102,7 +102,7 @@ def _header(part: Part) -> dict[str, Any]:
     versions = info.get("versions")
     return {
         "version": 2,
-        "status": "success",
+        "status": {"running": "started", "finished": "success"}.get(info.get("status", "finished"), "cancelled"),
         "eval": {
             "eval_id": _name(part.run.name, part.id, part.model),
             "run_id": _name(part.run.name, started),

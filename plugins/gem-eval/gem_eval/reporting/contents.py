@@ -32,6 +32,7 @@ class Entrant:
         run: The run.
         model: The model.
         rows: Its episodes.
+        by_task: Its episodes of each task.
         scores: Its scores, by task (``"all"`` for several together) and metric.
     """
 
@@ -40,11 +41,12 @@ class Entrant:
     run: Run
     model: str
     rows: list[Row]
+    by_task: dict[str, list[Row]]
     scores: dict[tuple[str, Metric], Score]
 
     def of_task(self, task: str) -> list[Row]:
         """Return the episodes of a task, or of ``"all"``."""
-        return self.rows if task == "all" else [row for row in self.rows if row.id == task]
+        return self.rows if task == "all" else self.by_task.get(task, [])
 
 
 @dataclass(frozen=True)
@@ -119,7 +121,7 @@ class Contents:
 def contents_of(runs: Sequence[Run]) -> Contents:
     """Return what a report of some runs says."""
     entrants = _entrants(runs)
-    tasks = list(dict.fromkeys(row.id for entrant in entrants for row in entrant.rows))
+    tasks = list(dict.fromkeys(task for entrant in entrants for task in entrant.by_task))
     by_task = len(tasks) <= _MOST_TASKS_PAIRED
     return Contents(list(runs), entrants, tasks, _differences(entrants, tasks if by_task else []), by_task)
 
@@ -177,15 +179,24 @@ def examples(entrants: Sequence[Entrant], limit: int) -> list[tuple[Entrant, Row
 
 
 def _entrants(runs: Sequence[Run]) -> list[Entrant]:
-    found: list[tuple[Run, str, list[Row], dict[tuple[str, Metric], Score]]] = []
-    for run in runs:
+    by_model: dict[tuple[int, str], list[Row]] = {}
+    scores: dict[tuple[int, str], dict[tuple[str, Metric], Score]] = {}
+    for number, run in enumerate(runs):
         rows = run.rows
-        scores = compute_scores(rows)
-        for model in dict.fromkeys(row.model for row in rows):
-            own = {(score.id, score.metric): score for score in scores if score.model == model}
-            found.append((run, model, [row for row in rows if row.model == model], own))
-    labels = _labels([(run, model) for run, model, _, _ in found])
-    return [Entrant(place, label, *each) for place, (label, each) in enumerate(zip(labels, found, strict=True))]
+        for row in rows:
+            by_model.setdefault((number, row.model), []).append(row)
+        for score in compute_scores(rows):
+            scores.setdefault((number, score.model), {})[score.id, score.metric] = score
+    labels = _labels([(runs[number], model) for number, model in by_model])
+    entrants = []
+    for place, ((number, model), rows) in enumerate(by_model.items()):
+        by_task: dict[str, list[Row]] = {}
+        for row in rows:
+            by_task.setdefault(row.id, []).append(row)
+        entrants.append(
+            Entrant(place, labels[place], runs[number], model, rows, by_task, scores.get((number, model), {}))
+        )
+    return entrants
 
 
 def _labels(pairs: Sequence[tuple[Run, str]]) -> list[str]:

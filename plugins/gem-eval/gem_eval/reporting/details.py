@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from gem_core.errors import EpisodeFileError
@@ -20,8 +20,22 @@ if TYPE_CHECKING:
 _FIRST_TURNS, _LAST_TURNS = 2, 3
 _LONGEST_TEXT = 1500
 _MOST_NUMBERS = 15
-_LONGEST_VALUE = 600
-_FIRST_FACTS = ("command", "suite", "ids", "models", "sampling", "epochs", "seed", "started", "finished", "seconds")
+_LONGEST_VALUE = 800
+_LONGEST_INFO = 50_000
+_FIRST_FACTS = (
+    "command",
+    "suite",
+    "models",
+    "tasks",
+    "epochs",
+    "seed",
+    "limits",
+    "cache",
+    "sessions",
+    "versions",
+    "host",
+)
+_NOT_FACTS = ("schema_version", "fingerprint", "status")
 
 
 def examples(chosen: Sequence[tuple[Entrant, Row]]) -> str:
@@ -54,17 +68,21 @@ def numbers(contents: Contents) -> str:
 
 
 def asked(contents: Contents) -> str:
-    """Return what ``run.json`` of each run says."""
+    """Return what ``run.json`` of each run says: in words, and folded to the letter."""
     parts = []
     for run in contents.runs:
         info = run.info
-        if not info:
-            continue
-        first = {name: info[name] for name in _FIRST_FACTS if name in info}
-        facts = first | {name: value for name, value in info.items() if name not in first}
-        lines = "".join(f"<dt>{text(name)}</dt><dd>{_value(value)}</dd>" for name, value in _flat(facts))
-        heading = f"<h3>{text(run.name)}</h3>" if len(contents.runs) > 1 else ""
-        parts.append(f"{heading}<dl>{lines}</dl>")
+        facts = {name: info[name] for name in _FIRST_FACTS if name in info}
+        facts |= {name: value for name, value in info.items() if name not in (*_FIRST_FACTS, *_NOT_FACTS)}
+        if isinstance(versions := facts.get("versions"), Mapping):
+            own = {name: version for name, version in versions.items() if name == "python" or name.startswith("gem-")}
+            facts["versions"] = own or versions
+        told = [(name, words) for name, value in facts.items() if (words := _words(value))]
+        if told:
+            lines = "".join(f"<dt>{text(name)}</dt><dd>{text(words, _LONGEST_VALUE)}</dd>" for name, words in told)
+            whole = text(json.dumps(info, indent=1, ensure_ascii=False), _LONGEST_INFO)
+            heading = f"<h3>{text(run.name)}</h3>" if len(contents.runs) > 1 else ""
+            parts.append(f"{heading}<dl>{lines}</dl><details><summary>run.json</summary><pre>{whole}</pre></details>")
     return section("asked", "What was asked", *parts)
 
 
@@ -136,23 +154,22 @@ def _block(label: str, content: str, *, said: bool = False) -> str:
     return f'<div class="{kind}"><div class="label">{label}</div><pre>{text(content, _LONGEST_TEXT)}</pre></div>'
 
 
-def _flat(facts: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield names and values, those of an object of objects each under both names."""
-    for name, value in facts.items():
-        if isinstance(value, Mapping) and any(isinstance(part, Mapping) for part in value.values()):
-            yield from ((f"{name} · {key}", part) for key, part in value.items())
-        else:
-            yield name, value
-
-
-def _value(value: Any) -> str:
-    """Return a value of ``run.json``: times as dates, plain ones as they are, others as JSON."""
+def _words(value: Any) -> str:
+    """Return plain JSON in words: what is empty is left out, and times are dates."""
+    if value is None or value in ({}, [], ""):
+        return ""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, float) and 1e9 < value < 1e10:
-        return text(figures.moment(value))
-    if isinstance(value, str | int | float):
-        return text(value, _LONGEST_VALUE)
-    if isinstance(value, list) and all(isinstance(part, str | int) for part in value):
-        return text(", ".join(map(str, value)), _LONGEST_VALUE)
-    if isinstance(value, Mapping) and all(isinstance(part, str | int | float) for part in value.values()):
-        return text(", ".join(f"{key} {part}" for key, part in value.items()), _LONGEST_VALUE)
-    return text(json.dumps(value, ensure_ascii=False), _LONGEST_VALUE)
+        return figures.moment(value)
+    if isinstance(value, Mapping):
+        told = ((name, part, _words(part)) for name, part in value.items())
+        inside = (
+            f"{name} ({words})" if isinstance(part, Mapping) else f"{name} {words}"
+            for name, part, words in told
+            if words
+        )
+        return ", ".join(inside)
+    if isinstance(value, list):
+        return "; ".join(filter(None, map(_words, value)))
+    return str(value)

@@ -70,13 +70,15 @@ def summary(contents: Contents) -> str:
         told = f"{count(len(contents.runs), 'run')}, {told}"
     told += f"{count(len(rows), 'episode')} of {count(different, 'row')}"
     told += f", {count(errors, 'error')}." if errors else "."
+    unfinished = [run.name for run in contents.runs if run.info.get("status", "finished") != "finished"]
+    told += f" Not finished: {' and '.join(unfinished)}." if unfinished else ""
     ended = [row.finished for row in rows if row.finished is not None]
     return f"{told} Last episode: {figures.moment(max(ended))}." if ended else told
 
 
 def main_score(contents: Contents, entrant: Entrant) -> Score | None:
     """Return the score that says most of an entrant: of all tasks where there are several, of success where told."""
-    tasks = list(dict.fromkeys(row.id for row in entrant.rows))
+    tasks = list(entrant.by_task)
     told = contents.tasks_with("success")
     tasks = [task for task in tasks if task in told] or tasks
     if not told and len(tasks) > 1:

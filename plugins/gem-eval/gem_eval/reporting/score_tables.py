@@ -148,5 +148,5 @@ def _return_scale(contents: Contents, task: str) -> plots.Scale:
 
 def _is_success(contents: Contents, task: str) -> bool:
     """Whether the return of every episode of a task is 1 for success and 0 for failure."""
-    rows = [row for row in contents.rows if row.id == task and row.error is None]
+    rows = [row for entrant in contents.entrants for row in entrant.of_task(task) if row.error is None]
     return all(row.success is not None and row.episode_return == float(row.success) for row in rows)
