@@ -22,7 +22,7 @@ from gem_eval.reporting.contents import contents_of, ending_of, examples, solved
 from gem_eval.reporting.page import html_report
 
 ALLOWED = set(
-    "html head meta title style body main header footer h1 h2 h3 p section div span b br code pre ul li dl dt dd "  # noqa: SIM905
+    "html head meta title style body main header footer h1 h2 h3 p section div span b br wbr code pre ul li dl dt dd "  # noqa: SIM905
     "table thead tbody tr th td details summary figure figcaption svg rect path circle text g".split()
 )
 
@@ -41,7 +41,7 @@ class Page(HTMLParser):
     def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
         self.elements.add(tag)
         self.attributes |= {name for name, _ in attributes}
-        if tag not in ("meta", "br", "rect", "path", "circle"):
+        if tag not in ("meta", "br", "wbr", "rect", "path", "circle"):
             self.open.append(tag)
 
     def handle_startendtag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from gem_eval.reporting import plots
-from gem_eval.reporting.markup import Cell, name_cell, table, text
+from gem_eval.reporting.markup import Cell, name, name_cell, table
 
 if TYPE_CHECKING:
     from gem_eval.reporting.contents import Contents, Entrant
@@ -80,7 +80,7 @@ def legend(contents: Contents) -> str:
 def series_name(entrant: Entrant) -> str:
     """Return the name of a model with its colour."""
     colour = plots.swatch(f"s{entrant.place % plots.COLOURS}")
-    return f'<span class="series">{colour}<span>{text(entrant.label)}</span></span>'
+    return f'<span class="series">{colour}<span>{name(entrant.label)}</span></span>'
 
 
 def task_name(task: str) -> str:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import NamedTuple
 
 from gem_eval.show.text import escaped
+
+_MARKS = re.compile(r"[:/_.]+")
 
 
 class Cell(NamedTuple):
@@ -33,7 +36,12 @@ def text(value: object, longest: int | None = None) -> str:
 
 def name_cell(value: object, span: int = 1) -> Cell:
     """Return a cell with a name, which heads its rows."""
-    return Cell(text(value), "name", span)
+    return Cell(name(value), "name", span)
+
+
+def name(value: object) -> str:
+    """Return a name as HTML, which may be broken after each mark in it."""
+    return _MARKS.sub(r"\g<0><wbr>", text(value))
 
 
 def table(headers: Sequence[Cell], rows: Iterable[tuple[str, Sequence[Cell]]]) -> str:
