@@ -10,16 +10,18 @@ if TYPE_CHECKING:
     from gem_eval.records import Row, Run, open_run
     from gem_eval.running.evaluation import evaluate
     from gem_eval.running.limits import Limits
-    from gem_eval.scores import Score, compute_scores
+    from gem_eval.scores import RowScore, Score, compute_row_scores, compute_scores
     from gem_eval.suites import Model, Suite, load_suite
 
 __all__ = [
     "Limits",
     "Model",
     "Row",
+    "RowScore",
     "Run",
     "Score",
     "Suite",
+    "compute_row_scores",
     "compute_scores",
     "evaluate",
     "load_suite",
@@ -31,9 +33,11 @@ _HOME = {
     "Limits": "running.limits",
     "Model": "suites",
     "Row": "records",
+    "RowScore": "scores",
     "Run": "records",
     "Score": "scores",
     "Suite": "suites",
+    "compute_row_scores": "scores",
     "compute_scores": "scores",
     "evaluate": "running.evaluation",
     "load_suite": "suites",
