@@ -7,6 +7,7 @@ inspect_ai 0.3.285 (https://inspect.aisi.org.uk/eval-logs.html); fields that we 
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
 import math
@@ -19,7 +20,6 @@ from gem_core import Episode
 from gem_core.errors import EpisodeFileError
 from gem_core.records import to_plain
 from gem_eval.exporting.inspect_messages import ImageUrl, messages_of
-from gem_eval.images import data_url
 from gem_eval.turns import error_text
 
 if TYPE_CHECKING:
@@ -251,10 +251,14 @@ def _summary(sample: Mapping[str, Any]) -> dict[str, Any]:
 
 def _image_reader(run: Run) -> ImageUrl:
     def read(image: Any) -> str | None:
+        name = image.get("__image__") if isinstance(image, Mapping) else None
         try:
-            return data_url(run.images, image.get("__image__") if isinstance(image, Mapping) else None)
+            run.images.read(name)  # it refuses what is no name of ours, and damaged files
         except EpisodeFileError:
             return None
+        content = (run.images.path / str(name)).read_bytes()
+        kind = "png" if str(name).endswith(".png") else "tiff"
+        return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
     return read
 

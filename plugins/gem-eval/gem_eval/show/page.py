@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import io
 import json
 from importlib import resources
 from pathlib import Path
@@ -17,7 +18,6 @@ from gem_core import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records import ImageFolder, Record
 from gem_eval.files import write_whole
-from gem_eval.images import data_url
 from gem_eval.show.text import escaped
 from gem_eval.turns import (
     Part,
@@ -36,7 +36,7 @@ MOST_TEXT = 100_000
 """Characters of one text that go into the page; a browser is slow with more."""
 
 MOST_IMAGE_BYTES = 64_000_000
-"""Bytes of all images that go into the page, as text."""
+"""Bytes of all images that go into the page."""
 
 
 class PageWriter:
@@ -98,7 +98,7 @@ class PageWriter:
             for name in ("page.css", "page.js", "page.html")
         )
         policy = (
-            f"default-src 'none'; script-src '{csp_hash(script)}'; style-src '{csp_hash(style)}'; img-src data:; "
+            f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src data:; "
             "base-uri 'none'; form-action 'none'"
         )
         # The data come last, so that a mark in a text of others stays what it is.
@@ -140,15 +140,20 @@ class PageWriter:
         return value
 
     def _read_image(self, name: str) -> str | None:
-        """Return an image as a data URL; None where it cannot be read, or would be too much."""
+        """Return an image as a data URL of a PNG written anew, so that nothing else of its file gets into the page."""
         try:
-            url = data_url(self._images, name)
+            image = self._images.read(name)
         except EpisodeFileError:
             return None
-        if len(url) > self._image_bytes_left:
+        if image.mode not in ("1", "L", "LA", "P", "RGB", "RGBA", "I;16"):
+            image = image.convert("RGBA" if "A" in image.mode else "RGB")
+        buffer = io.BytesIO()
+        image.save(buffer, format="PNG")
+        content = buffer.getvalue()
+        if len(content) > self._image_bytes_left:
             return None
-        self._image_bytes_left -= len(url)
-        return url
+        self._image_bytes_left -= len(content)
+        return f"data:image/png;base64,{base64.b64encode(content).decode('ascii')}"
 
 
 def _outcome(episode: Episode) -> str:
@@ -161,6 +166,5 @@ def inert_json(value: Any) -> str:
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
-def csp_hash(text: str) -> str:
-    """Return the hash by which a content security policy allows a script or a style."""
+def _hash(text: str) -> str:
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}"
