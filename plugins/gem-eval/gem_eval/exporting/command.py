@@ -74,7 +74,8 @@ def command(runs: tuple[Path, ...], form: str, out: Path, texts: bool) -> None:
     click.echo(f"{written} written to {out}")
     for run in opened:
         if run.damaged:
-            click.echo(f"gem: {run.path}: passed over {count(run.damaged, 'damaged line')}", err=True)
+            lines = count(run.damaged, "line")
+            click.echo(f"gem: {run.path}: passed over {lines} without a whole episode of one agent", err=True)
 
 
 def _write_logs(runs: Sequence[Run], out: Path) -> int:

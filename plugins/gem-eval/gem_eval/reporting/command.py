@@ -50,6 +50,10 @@ def command(runs: tuple[Path, ...], out: Path | None, form: str, examples: int, 
     RUN is a folder that 'gem eval' wrote, or a file of 'gem run'. Of several runs, models stand side by side.
     """
     contents = contents_of([open_run(path) for path in runs])
+    for run in contents.runs:
+        if run.damaged:
+            lines = count(run.damaged, "line")
+            click.echo(f"gem: {run.path}: passed over {lines} without a whole episode of one agent", err=True)
     if as_json:
         scores = [
             {"run": str(entrant.run.path), **score.to_dict()}

@@ -106,7 +106,10 @@ def notes(contents: Contents) -> str:
             "permutation test of their signs. With many comparisons some fall below 0.05 by chance."
         )
     damaged = [run for run in contents.runs if run.damaged]
-    told += [f"{text(run.name)}: {count(run.damaged, 'line')} could not be read." for run in damaged]
+    told += [
+        f"{text(run.name)}: {count(run.damaged, 'line')} without a whole episode of one agent left out."
+        for run in damaged
+    ]
     return section("notes", "How it is counted", f"<ul>{''.join(f'<li>{each}</li>' for each in told)}</ul>")
 
 
