@@ -177,6 +177,15 @@ def test_a_log_holds_one_task_and_one_model(tmp_path: Path) -> None:
     assert len({header["eval"]["task_id"] for header in headers}) == 4
 
 
+def test_a_task_that_never_tells_has_no_success_in_a_log(tmp_path: Path) -> None:
+    """Not even where it was cut off."""
+    run = made_runs.make_run(tmp_path / "run", tells=False, failing=0.0)
+    export(run, "--to", "inspect", "--out", tmp_path / "log.json")
+    log = json.loads((tmp_path / "log.json").read_bytes())
+    assert any("limit" in sample for sample in log["samples"])
+    assert {name for sample in log["samples"] for name in sample["scores"]} == {"return"}
+
+
 def test_a_run_is_never_written_over(run: Path, tmp_path: Path) -> None:
     """Neither a folder nor a file."""
     with pytest.raises(ArgumentError, match="is the run itself"):

@@ -148,7 +148,7 @@ def _sample(part: Part, row: Row, episode: Episode) -> dict[str, Any]:
         "target": "",
         "messages": messages,
         "output": _output(part.model, messages, episode),
-        "scores": _scores_of_sample(row, episode),
+        "scores": _scores_of_sample(part, row, episode),
         "metadata": {
             "number": row.number,
             "seed": row.seed,
@@ -175,7 +175,7 @@ def _sample(part: Part, row: Row, episode: Episode) -> dict[str, Any]:
     return sample
 
 
-def _scores_of_sample(row: Row, episode: Episode) -> dict[str, Any]:
+def _scores_of_sample(part: Part, row: Row, episode: Episode) -> dict[str, Any]:
     """Return the scores of an episode; none after an error, and none of success where the task never tells."""
     if row.error is not None:
         return {}
