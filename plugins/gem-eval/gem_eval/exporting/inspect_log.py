@@ -177,13 +177,13 @@ def _sample(part: Part, row: Row, episode: Episode) -> dict[str, Any]:
 
 def _scores_of_sample(part: Part, row: Row, episode: Episode) -> dict[str, Any]:
     """Return the scores of an episode; none after an error, and none of success where the task never tells."""
+    scores: dict[str, Any] = {}
     if row.error is not None:
-        return {}
-    parsed = episode.final_info.get("parsed_action")
-    answer = {"answer": parsed} if isinstance(parsed, str) else {}
-    scores: dict[str, Any] = (
-        {} if row.success is None else {"success": {"value": "C" if row.success else "I", **answer}}
-    )
+        return scores
+    if row.success is not None and any(score.metric == "success" for score in part.scores):
+        parsed = episode.final_info.get("parsed_action")
+        answer = {"answer": parsed} if isinstance(parsed, str) else {}
+        scores["success"] = {"value": "C" if row.success else "I", **answer}
     if math.isfinite(row.episode_return):
         scores["return"] = {"value": row.episode_return}
     return scores
