@@ -19,7 +19,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 from gem_core import Episode
 from gem_core.errors import EpisodeFileError
 from gem_core.records import to_plain
-from gem_eval.exporting.inspect_messages import ImageUrl, messages_of
+from gem_eval.exporting.inspect_messages import ImageUrl, as_parts, messages_of
 from gem_eval.turns import error_text
 
 if TYPE_CHECKING:
@@ -241,8 +241,8 @@ def _usage_of_rows(part: Part) -> dict[str, Any]:
 def _summary(sample: Mapping[str, Any]) -> dict[str, Any]:
     told = {name: sample[name] for name in _SUMMARY if name in sample}
     if not isinstance(sample["input"], str):
-        texts = [each["content"] for each in sample["input"] if isinstance(each["content"], str)]
-        told["input"] = texts[-1] if texts else ""
+        parts = [part for message in sample["input"] for part in as_parts(message["content"])]
+        told["input"] = "\n".join(part["text"] for part in parts if part["type"] == "text")
     told["input"] = told["input"][:_LONGEST_INPUT]
     told["error"] = sample["error"]["message"] if "error" in sample else None
     told["limit"] = sample["limit"]["type"] if "limit" in sample else None

@@ -28,7 +28,7 @@ def messages_of(episode: Episode, image_url: ImageUrl) -> list[dict[str, Any]]:
         for answer, turn in zip(answers, episode.transitions, strict=True):
             if turn.action.reasoning:
                 thought = {"type": "reasoning", "reasoning": turn.action.reasoning}
-                answer["content"] = [thought, *_as_parts(answer["content"])]
+                answer["content"] = [thought, *as_parts(answer["content"])]
             if turn.action.tool_calls and not answer.get("tool_calls"):
                 answer["tool_calls"] = [_tool_call(call, place) for place, call in enumerate(turn.action.tool_calls)]
             if turn.action.model:
@@ -73,7 +73,8 @@ def _image(url: str) -> dict[str, Any]:
     return {"type": "image", "image": url}
 
 
-def _as_parts(content: str | list[dict[str, Any]]) -> list[dict[str, Any]]:
+def as_parts(content: str | list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the content of a message as parts."""
     return [{"type": "text", "text": content}] if isinstance(content, str) else content
 
 
