@@ -42,6 +42,8 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("command", "compare"): ("gem-eval",),
     ("command", "score"): ("gem-eval",),
     ("command", "replay"): ("gem-eval",),
+    ("command", "report"): ("gem-eval",),
+    ("command", "export"): ("gem-eval",),
     ("command", "mcp"): ("gem-tools",),
     ("command", "serve-search"): ("gem-tools",),
     ("command", "tau"): ("gem-tau",),

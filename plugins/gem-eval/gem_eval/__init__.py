@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gem_eval.comparing.comparison import compare
+    from gem_eval.exporting.tables import to_pandas
     from gem_eval.records import Row, Run, open_run
     from gem_eval.replaying.replay import replay
     from gem_eval.running.evaluation import evaluate
@@ -31,6 +32,7 @@ __all__ = [
     "open_run",
     "replay",
     "score",
+    "to_pandas",
 ]
 
 _HOME = {
@@ -49,6 +51,7 @@ _HOME = {
     "open_run": "records",
     "replay": "replaying.replay",
     "score": "scoring.grading",
+    "to_pandas": "exporting.tables",
 }
 """Where the public names come from; they are imported on first use."""
 

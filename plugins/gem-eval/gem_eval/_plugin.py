@@ -37,6 +37,16 @@ def gem_add_commands() -> Iterable[CommandSpec]:
             summary="Replay a recorded episode, and go on from any of its turns.",
         ),
         CommandSpec(
+            name="report",
+            entry_point="gem_eval.reporting.command:command",
+            summary="Write the scores of runs, with intervals and plots, as one page.",
+        ),
+        CommandSpec(
+            name="export",
+            entry_point="gem_eval.exporting.command:command",
+            summary="Write runs as CSV, Parquet, JSON lines, or logs of inspect_ai.",
+        ),
+        CommandSpec(
             name="robustness",
             entry_point="gem_eval.robustness.command:command",
             summary="Score a model with and without disturbances, and show how much its score falls.",
