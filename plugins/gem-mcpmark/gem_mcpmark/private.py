@@ -65,7 +65,7 @@ class PrivateServer:
             raise MissingRequirementError(f"there is no PostgreSQL: {ADVICE}")
         self._password = secrets.token_hex(16)
         self._user = _user()
-        self._folder = Path(tempfile.mkdtemp(prefix="gem-mcpmark-"))
+        self.folder = Path(tempfile.mkdtemp(prefix="gem-mcpmark-"))
         self._keeper: subprocess.Popen[bytes] | None = None
         try:
             self._initialize(programs)
@@ -82,35 +82,35 @@ class PrivateServer:
             self._keeper.stdin.close()
             self._keeper.wait()
             self._keeper = None
-        shutil.rmtree(self._folder, ignore_errors=True)
+        shutil.rmtree(self.folder, ignore_errors=True)
 
     def _initialize(self, programs: Path) -> None:
-        secret = self._folder / "password"
+        secret = self.folder / "password"
         secret.touch(mode=0o600)
         secret.write_text(self._password)
         if self._user is not None:
-            for path in (self._folder, secret):
+            for path in (self.folder, secret):
                 shutil.chown(path, self._user.pw_uid, self._user.pw_gid)
         locale = "C.UTF-8" if sys.platform == "linux" else "C"
-        command = [f"{programs}/initdb", "-D", f"{self._folder}/data", "-U", ADMIN, "-A", "scram-sha-256"]
+        command = [f"{programs}/initdb", "-D", f"{self.folder}/data", "-U", ADMIN, "-A", "scram-sha-256"]
         command += ["--pwfile", str(secret), "--no-sync", "-E", "UTF8", f"--locale={locale}"]
         done: subprocess.CompletedProcess[bytes] = subprocess.run(
             command, capture_output=True, check=False, **self._process()
         )
         if done.returncode:
             said = " ".join(done.stderr.decode(errors="replace").split())[-500:]
-            raise PostgresError(f"initdb failed in {self._folder}: {said}. TMPDIR chooses another place")
+            raise PostgresError(f"initdb failed in {self.folder}: {said}. TMPDIR chooses another place")
 
     def _start(self, programs: Path, *, last: bool) -> bool:
         """Start the server on a free port; False where it ended at once and may be tried again."""
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
-        command = [f"{programs}/postgres", "-D", f"{self._folder}/data", "-p", str(port)]
+        command = [f"{programs}/postgres", "-D", f"{self.folder}/data", "-p", str(port)]
         for name, value in _SETTINGS.items():
             command += ["-c", f"{name}={value}"]
         keeper: subprocess.Popen[bytes] = subprocess.Popen(
-            ["/bin/sh", "-c", _KEEPER, "sh", str(self._folder), *command],
+            ["/bin/sh", "-c", _KEEPER, "sh", str(self.folder), *command],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -124,7 +124,7 @@ class PrivateServer:
             with contextlib.suppress(psycopg.OperationalError):
                 psycopg.connect(self.uri, connect_timeout=5).close()
                 return True
-            if not (self._folder / "data" / "postmaster.pid").exists() and "FATAL" in self._log():
+            if not (self.folder / "data" / "postmaster.pid").exists() and "FATAL" in self._log():
                 break
             time.sleep(0.05)
         log = self._log()
@@ -137,12 +137,12 @@ class PrivateServer:
 
     def _log(self) -> str:
         with contextlib.suppress(OSError):
-            return (self._folder / "log").read_text(errors="replace")
+            return (self.folder / "log").read_text(errors="replace")
         return ""
 
     def _process(self) -> dict[str, Any]:
         """Return how its programs are started: as another user where this is root, with nothing of our environment."""
-        env = {"PATH": os.environ.get("PATH", os.defpath), "LANG": "C", "HOME": str(self._folder)}
+        env = {"PATH": os.environ.get("PATH", os.defpath), "LANG": "C", "HOME": str(self.folder)}
         options: dict[str, Any] = {"env": env, "cwd": "/"}
         if self._user is not None:
             options |= {"user": self._user.pw_uid, "group": self._user.pw_gid, "extra_groups": []}

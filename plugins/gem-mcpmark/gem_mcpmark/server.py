@@ -59,15 +59,14 @@ class Server:
         self.templates_lock = threading.Lock()
         self.templates: dict[str, str] = {}
         """Databases that episodes are copied from, by what they were made from."""
-        try:
-            self._presence = self._connect()
+        with contextlib.ExitStack() as undo:
+            undo.callback(self._stop_private)
+            self._presence = undo.enter_context(contextlib.closing(self._connect()))
             self.version = self._presence.info.server_version // 10000
             self._check()
             self._protect()
             self._sweep()
-        except BaseException:
-            self._stop_private()
-            raise
+            undo.pop_all()
         self._stop = weakref.finalize(self, _stop, self._presence, self._private, self.owner, os.getpid())
 
     def variables(self, database: str, user: str, password: str) -> dict[str, str]:

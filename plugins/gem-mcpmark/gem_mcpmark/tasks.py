@@ -21,7 +21,9 @@ _DUMPS = "postgres_state"
 """Name of the folder beside ``tasks`` in which MCPMark's own instructions have the dumps."""
 
 _ENDINGS = (".backup", ".dump", ".tar", ".sql", ".sql.gz")
-_MAKES_ROLES = re.compile(r"\b(?:create|alter|drop)\s+(?:\w+\s+){0,3}(?:role|user|group)s?\b", re.IGNORECASE)
+_MAKES_ROLES = re.compile(
+    r"\b(?:create|alter|drop)[\s*`]+(?:(?:an?|the|new|database)[\s*`]+){0,4}(?:role|user|group)s?\b", re.IGNORECASE
+)
 _WORD = re.compile(r"\w+")
 
 
