@@ -43,6 +43,7 @@ def run_script(script: Path, arguments: Sequence[str], variables: Mapping[str, s
             "LANG": "C.UTF-8",
             "PYTHONUTF8": "1",  # MCPMark's scripts print symbols beyond ASCII
             "PYTHONDONTWRITEBYTECODE": "1",  # a folder of the user's stays as it is
+            **{name: os.environ[name] for name in ("PYTHONPATH",) if name in os.environ},  # where psycopg2 may be
             **variables,
         }
         process = subprocess.Popen(

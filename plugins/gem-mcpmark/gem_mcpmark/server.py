@@ -87,11 +87,13 @@ class Server:
             "DATABASE_URI": uri,
         }
 
-    def admin_variables(self, database: str) -> dict[str, str]:
-        """Return the environment in which a client program goes to a database as the administrator."""
-        named = {**conninfo_to_dict(self._address), "dbname": database}
-        names = {"dbname": "PGDATABASE", "user": "PGUSER"}
-        return os.environ | {names.get(key, f"PG{key.upper()}"): str(value) for key, value in named.items()}
+    def client_variables(self, database: str, user: str | None = None, password: str | None = None) -> dict[str, str]:
+        """Return the environment in which a client program goes to a database, by default as the administrator."""
+        given = {**conninfo_to_dict(self._address), "dbname": database}
+        if user is not None:
+            given |= {"user": user, "password": password}
+        names = {"dbname": "PGDATABASE"}
+        return os.environ | {names.get(key, f"PG{key.upper()}"): str(value) for key, value in given.items()}
 
     def new_name(self, kind: str) -> str:
         """Return a name for a database and its role that nothing else has."""

@@ -160,7 +160,7 @@ def _dumped(server: Server, dump: Path | None, database: str) -> Iterator[IO[byt
             if dump is not None:
                 command, env = [client_program("pg_restore"), *without, "--file=-", str(dump)], None
             else:
-                command, env = [client_program("pg_dump"), *without], server.admin_variables(database)
+                command, env = [client_program("pg_dump"), *without], server.client_variables(database)
             done = subprocess.run(command, stdout=script, stderr=subprocess.PIPE, env=env, check=False)
             if done.returncode:
                 said = " ".join(done.stderr.decode(errors="replace").split())[-500:]
@@ -175,9 +175,10 @@ def _execute(server: Server, script: IO[bytes], name: str, password: str, source
     Raises:
         PostgresError: A statement failed without which the database lacks something.
     """
-    command = [client_program("psql"), "-X", "-q", "--file=-", server.variables(name, name, password)["DATABASE_URI"]]
+    command = [client_program("psql"), "-X", "-q", "--file=-"]
+    env = server.client_variables(name, name, password)
     with tempfile.TemporaryFile() as errors:
-        subprocess.run(command, stdin=script, stdout=subprocess.DEVNULL, stderr=errors, check=False, cwd="/")
+        subprocess.run(command, stdin=script, stdout=subprocess.DEVNULL, stderr=errors, env=env, check=False)
         errors.seek(0)
         for line in errors:
             found = _ERROR.search(line.decode(errors="replace"))
