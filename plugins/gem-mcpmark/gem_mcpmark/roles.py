@@ -41,8 +41,8 @@ def snapshot(connection: Connection, words: Iterable[str] | None) -> str:
 def made(connection: Connection, role: str) -> list[str]:
     """Return the names of the roles that an episode made, by the note on its role; none where there is no note.
 
-    On a server that others use too, a new role is the episode's where the server has recorded that, or where the
-    task's files have its name.
+    On a server that others use too, a new role is the episode's where the server has recorded that; before PostgreSQL
+    16, which does not, where the task's files have its name.
     """
     found = connection.execute(
         "SELECT shobj_description(oid, 'pg_authid') FROM pg_roles WHERE rolname = %s", [role]
@@ -56,8 +56,10 @@ def made(connection: Connection, role: str) -> list[str]:
         "AND NOT rolname LIKE 'pg\\_%%' AND NOT rolsuper",
         [note["known"]],
     ).fetchall()
-    words = note["words"]
-    return [name for oid, name in new if words is None or oid in recorded or name.lower() in words]
+    if note["words"] is None:
+        return [name for _, name in new]
+    words = note["words"] if connection.info.server_version < 160000 else ()
+    return [name for oid, name in new if oid in recorded or name.lower() in words]
 
 
 def remove(connection: Connection, owner: str) -> None:

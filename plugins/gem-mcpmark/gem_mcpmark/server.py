@@ -192,7 +192,7 @@ class Server:
 
 _LOCKED = (
     f"another episode on this server has made roles, which belong to all of it, for more than {_LOCK_S} s; run such "
-    f"tasks one at a time (--concurrency 1), or unset {SERVER_VARIABLE} to have private servers"
+    f"tasks one at a time (--num-envs 1), or unset {SERVER_VARIABLE} to have private servers"
 )
 
 
@@ -229,15 +229,16 @@ def lease(*, exclusive: bool = False) -> tuple[Server, contextlib.ExitStack]:
             _servers.clear()
             _servers_of = os.getpid()
         named = named_server()
-        for server in [each for each in _servers if each.named == named]:
+        for server in (each for each in _servers if each.named == named):
             if not exclusive:
                 return server, contextlib.ExitStack()
-            if named is None and (held := server.lock_roles()) is not None:
+            if named is not None:
+                break
+            if (held := server.lock_roles()) is not None:
                 return server, held
-        if named is None or not any(each.named == named for each in _servers):
-            _servers.append(Server(named))
-        server = next(each for each in reversed(_servers) if each.named == named)
-        held = server.lock_roles() if exclusive and named is None else contextlib.ExitStack()
-    if exclusive and named is not None:
-        held = server.lock_roles()
-    return server, held or contextlib.ExitStack()
+        else:
+            server = Server(named)
+            held = server.lock_roles() if exclusive else None
+            _servers.append(server)
+            return server, held or contextlib.ExitStack()
+    return server, server.lock_roles() or contextlib.ExitStack()

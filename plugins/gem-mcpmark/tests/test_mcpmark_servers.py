@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -70,7 +71,8 @@ def test_what_a_killed_process_left_is_removed_by_the_next(untouched, tmp_path):
     address, connection = untouched
     root = write_task(tmp_path, verify=NOTHING_TO_DO, prepare=MAKES_A_ROLE)
     program = f"import gem_core as gem\nenv = gem.make('mcp:Postgres', path={str(root)!r})\nenv.reset()\n{THEN_DIE}"
-    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == -9
+    env = {**os.environ, "TMPDIR": str(tmp_path)}  # where it leaves a folder
+    assert subprocess.run([sys.executable, "-c", program], check=False, env=env).returncode == -9
     left = everything(connection)
     assert "cashier" in left
     owner = next(name for name in left if name.startswith("gem_mcpmark_") and name.endswith("_e1"))[:-3]
