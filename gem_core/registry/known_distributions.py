@@ -12,6 +12,7 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("namespace", "logic"): ("gem-qa",),
     ("namespace", "terminal"): ("gem-terminal",),
     ("namespace", "tau"): ("gem-tau",),
+    ("namespace", "mcp"): ("gem-mcpmark",),
     ("namespace", "pz"): ("gem-pettingzoo",),
     ("namespace", "eval"): ("gem-math", "gem-code", "gem-qa"),
     ("tool", "python"): ("gem-tools",),
