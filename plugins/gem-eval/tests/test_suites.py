@@ -14,12 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gem_core as gem
+from gem_core import extract_code_blocks
 from gem_core.errors import ArgumentError
 from gem_core.registry import registry
 from gem_eval.running.conditions import parse_condition
 from gem_eval.running.prices import load_prices
 from gem_eval.suites import Suite, builtin_suites, combined_suite, load_suite
 from gem_eval.suites import suite as module
+from gem_eval.suites.suite import parse_suite
 
 SCHEMA = Path(module.__file__).with_name("suite.schema.json")
 
@@ -34,6 +36,15 @@ def test_a_suite_that_is_built_in_names_environments_that_there_are(name: str) -
         namespace = task.id.partition(":")[0]
         if not registry().how_to_get(namespace, "namespace"):  # its plugin is installed here
             gem.spec(task.id)
+
+
+def test_the_suite_in_the_documentation_is_one() -> None:
+    """To the letter."""
+    page = Path(__file__).parents[3] / "docs" / "evaluation.md"
+    (block,) = [block for block in extract_code_blocks(page.read_text()) if block.language == "yaml"]
+    jsonschema.validate(yaml.safe_load(block.code), json.loads(SCHEMA.read_text()))
+    suite = parse_suite(block.code.encode(), str(page), default_name="page")
+    assert [task.label for task in suite.with_defaults()] == ["math:GSM8K", "GSM8K-python", "game:*-easy"]
 
 
 def test_the_schema_is_that_of_the_code() -> None:
@@ -88,7 +99,7 @@ def test_what_is_wrong_with_a_suite_is_named_with_its_place(tmp_path: Path, text
 def test_an_unknown_suite_names_the_nearest() -> None:
     """And those that there are."""
     with pytest.raises(
-        ArgumentError, match=r"no suite 'game'\. Did you mean 'games' or 'sample'\? Built in: code, games, "
+        ArgumentError, match=r"no suite 'game'\. Did you mean 'games'.*\? Built in: code, code-hub, games, "
     ):
         load_suite("game")
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shlex
 import signal
-import sys
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -13,6 +12,7 @@ import click
 from gem_core.cli import (
     agent_options,
     arguments_option,
+    call_again,
     counted,
     env_arguments,
     given,
@@ -119,6 +119,7 @@ def command(
     """
     # Imported here, so that help need not wait for them.
     from gem_core.progress import Progress
+    from gem_core.records import without_secrets
     from gem_core.rollouts import current_folder_importable
     from gem_eval.running.evaluation import EvaluationSession
     from gem_eval.running.limits import Limits
@@ -141,7 +142,7 @@ def command(
         max_concurrency=num_envs,
         step_timeout=step_timeout,
         new=new,
-        command=shlex.join(["gem", *sys.argv[1:]]),
+        command=shlex.join(without_secrets(shlex.split(call_again(ctx, {"new", "retry_errors"})))),
     )
     counts = _Counts(session)
     if counts.before:
@@ -161,16 +162,16 @@ def command(
                 ctx.call_on_close(lambda: signal.signal(signal.SIGINT, before_it))
     if stopped_by is not None and not session.path.joinpath("run.json").exists():
         raise stopped_by
-    run = session.run
-    rows = run.rows
-    scores = session.scores()
+    rows = session.rows()
     if as_json:
-        click.echo(json.dumps({"scores": [score.to_dict() for score in scores], "run": str(run.path)}, indent=1))
+        click.echo(json.dumps({**session.metrics(), "run": str(session.path)}, indent=1))
     elif rows:
         from gem_eval.running.table import print_scores
+        from gem_eval.scores import compute_scores
 
-        print_scores(scores, rows)
-        click.echo(f"The record is in {run.path}; look at it with: gem view {shlex.quote(str(run.path))}")
+        print_scores(compute_scores(rows), rows)
+        where = f"The record is in {session.path}; look at it with: gem view {shlex.quote(str(session.path))}"
+        click.echo(where)
     _finish(ctx, session, rows, stopped_by)
 
 
