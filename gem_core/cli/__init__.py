@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -20,7 +21,59 @@ from gem_core.suggestions import did_you_mean
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-__all__ = ["Layout", "cli", "main", "output_width"]
+    from gem_core.cli.agent_options import agent_options, given
+    from gem_core.cli.layout import counted
+    from gem_core.cli.list_command import matching
+    from gem_core.cli.report import Column, print_table, shown, shown_count
+    from gem_core.cli.targets import find_env
+    from gem_core.cli.tool_options import arguments_option, call_again, env_arguments, stack_options, wrapper_stack
+
+__all__ = [
+    "Column",
+    "Layout",
+    "agent_options",
+    "arguments_option",
+    "call_again",
+    "cli",
+    "counted",
+    "echo_line",
+    "env_arguments",
+    "find_env",
+    "given",
+    "main",
+    "matching",
+    "output_width",
+    "print_table",
+    "shown",
+    "shown_count",
+    "stack_options",
+    "wrapper_stack",
+]
+
+_HOME = {
+    "Column": "report",
+    "agent_options": "agent_options",
+    "arguments_option": "tool_options",
+    "call_again": "tool_options",
+    "counted": "layout",
+    "env_arguments": "tool_options",
+    "find_env": "targets",
+    "given": "agent_options",
+    "matching": "list_command",
+    "print_table": "report",
+    "shown": "report",
+    "shown_count": "report",
+    "stack_options": "tool_options",
+    "wrapper_stack": "tool_options",
+}
+"""Where the names that plugins use for their commands come from; they are imported on first use."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+
 
 _OWN = {record.name: record for record in gem_add_commands()}
 
