@@ -86,13 +86,19 @@ class Run:
     def refresh(self, most: int | None = None) -> list[Row]:
         """Read what was written since; return the new rows.
 
+        A file that has become shorter is another run's, and is read from its beginning.
+
         Args:
             most: Read so many lines and stop; the next call goes on. None reads all.
 
         Raises:
             EpisodeFileError: The run cannot be read.
         """
-        lines = itertools.islice(self._new_lines(self._index if self.is_folder else self._episodes), most)
+        path = self._index if self.is_folder else self._episodes
+        if self._read and (not path.exists() or path.stat().st_size < self._read):
+            self._latest.clear()
+            self._read = self._lines = self.damaged = 0
+        lines = itertools.islice(self._new_lines(path), most)
         found = list(self._index_rows(lines) if self.is_folder else self._file_rows(lines))
         for row in found:
             # In a file, several runs may have been appended, and their keys are the same.
