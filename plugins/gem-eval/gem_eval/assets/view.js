@@ -248,6 +248,7 @@
     ["reason", "Reason", 110, 8, (row) => make("span", "soft", row.error || row.reason)],
   ];
   const WIDE = ["row", "reason", "model", "run"];
+  const LEFT = ["outcome", ...WIDE];
   let columns = COLUMNS;
   let selected = -1;
   let found = null;
@@ -322,8 +323,8 @@
     table.redraw();
   }
 
-  function headCell([name, title, , , cell]) {
-    const button = make("button", cell({ outcome: "" }).classList.contains("num") ? "num" : "", title);
+  function headCell([name, title]) {
+    const button = make("button", LEFT.includes(name) ? "" : "num", title);
     button.type = "button";
     const isSorted = state.sort === name;
     button.setAttribute("role", "columnheader");
@@ -519,7 +520,7 @@
         go.addEventListener("click", () => show(keyOf(row)));
         pair.append(go);
         if (keyOf(row) !== keyOf(data) && name === "e") {
-          const beside = make("button", "", "⧉");
+          const beside = make("button", "", "+");
           Object.assign(beside, { type: "button", title: "Beside this one ( b )" });
           beside.setAttribute("aria-label", `${keyOf(row)} beside this one`);
           beside.addEventListener("click", () => other.show(keyOf(row)));

@@ -91,7 +91,7 @@ class ViewedRun:
 
 
 class Library:
-    """The runs of some paths, in the order of the paths, then by name.
+    """The runs of some paths, in the order of the paths, then by name; those found later at the end.
 
     Args:
         paths: Folders of runs, files of episodes, and folders that hold such: those of runs that begin later are
