@@ -9,12 +9,13 @@ import shutil
 import subprocess
 import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
 
 from websockets.sync.client import connect
 
-PATIENCE_S = 60
+PATIENCE_S = 20
 """A condition that has not come about after so long is a failure."""
 
 
@@ -27,14 +28,18 @@ class Page:
     """A page in a browser of its own."""
 
     def __init__(self, url: str, *, width: int = 1440, height: int = 900, dark: bool = False) -> None:
-        self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+        self._open = ExitStack()
+        folder = self._open.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))
         command = [str(find()), "--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0"]
-        command += [f"--user-data-dir={self._folder.name}", "--hide-scrollbars", "--no-first-run", "about:blank"]
-        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        port_file = Path(self._folder.name, "DevToolsActivePort")
+        command += [f"--user-data-dir={folder}", "--hide-scrollbars", "--no-first-run", "about:blank"]
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self._open.callback(process.wait)
+        self._open.callback(process.kill)
+        port_file = Path(folder, "DevToolsActivePort")
         self._until(lambda: port_file.exists() and "\n" in port_file.read_text(), "Chromium starts")
         port, path = port_file.read_text().split()[:2]
-        self._socket = connect(f"ws://127.0.0.1:{port}{path}", max_size=None, proxy=None)
+        connection = connect(f"ws://127.0.0.1:{port}{path}", max_size=None, proxy=None)
+        self._socket = self._open.enter_context(connection)
         self._numbers = itertools.count(1)
         self._session: str | None = None
         self.messages: list[str] = []
@@ -52,10 +57,7 @@ class Page:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._socket.close()
-        self._process.kill()
-        self._process.wait()
-        self._folder.cleanup()
+        self._open.close()
 
     def call(self, method: str, **parameters: Any) -> Any:
         """Call a method of the protocol, and return its result."""

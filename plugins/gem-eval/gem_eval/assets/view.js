@@ -182,7 +182,7 @@
     options($("model"), "all models", choices ? choices.models : [], state.model);
     options($("id"), "all tasks", choices ? choices.ids : [], state.id);
     options($("reason"), "all reasons", choices ? choices.reasons : [], state.reason);
-    if (document.activeElement !== $("text")) $("text").value = state.text;
+    if (document.activeElement !== $("text")) $("text").value = found ? search.wanted : state.text;
     for (const name of NUMBERS) if (document.activeElement !== $(`n-${name}`)) $(`n-${name}`).value = state[name];
     const isFiltered = Boolean(state.outcome.length || state.model || state.id || state.reason || state.text || NUMBERS.some((name) => state[name]));
     $("clear").hidden = !isFiltered;
@@ -216,7 +216,13 @@
       $("numbers").append(field);
     }
     for (const name of ["model", "id", "reason"]) $(name).addEventListener("change", () => { state[name] = $(name).value; $(name).blur(); changeQuery(); });
-    $("text").addEventListener("input", later(() => { state.text = $("text").value.trim(); changeQuery(); }));
+    const filterByText = later(() => { state.text = $("text").value.trim(); changeQuery(); });
+    $("text").addEventListener("input", filterByText);
+    $("find").addEventListener("submit", (event) => {
+      event.preventDefault();
+      filterByText.cancel();
+      search.start($("text").value.trim());
+    });
     $("clear").addEventListener("click", () => {
       for (const name of ["model", "id", "reason", "text", ...NUMBERS]) state[name] = "";
       state.outcome = [];
@@ -227,7 +233,9 @@
 
   function later(action) {
     let timer = 0;
-    return () => { clearTimeout(timer); timer = setTimeout(action, TYPING_MS); };
+    const soon = () => { clearTimeout(timer); timer = setTimeout(action, TYPING_MS); };
+    soon.cancel = () => clearTimeout(timer);
+    return soon;
   }
 
   // ---- The table.
@@ -319,7 +327,7 @@
     $("table").style.setProperty("--columns", columns.map(width).join(" "));
     $("table").classList.toggle("hits", Boolean(found));
     $("head").replaceChildren(...(found ? [] : columns.map(headCell)));
-    if (found) $("head").append(...["#", "Outcome", "Task", "Found"].map((title) => make("span", "", title)));
+    if (found) $("head").append(...["#", "Outcome", "Task", "Found"].map((title) => make("span", title === "#" ? "num" : "", title)));
     table.redraw();
   }
 
@@ -378,9 +386,10 @@
       if (!text) return;
       const controller = new AbortController();
       Object.assign(this, { controller, wanted: text.toLowerCase() });
-      // The text itself is looked for in transcripts, not in the rows.
+      // The text is looked for in transcripts, not in the rows.
+      state.text = "";
+      writeAddress();
       const asked = query();
-      asked.delete("text");
       asked.set("wanted", text);
       found = [];
       selected = -1;
@@ -449,7 +458,7 @@
     bar.append(title, find, places, close);
     element.append(bar, siblings, article);
     element.hidden = true;
-    const pane = { element, article, find, data: null, drawn: null, show, hide, next: (by) => pane.drawn && pane.drawn.nextTurn(by) };
+    const pane = { element, article, find, data: null, drawn: null, siblings: null, show, hide, next: (by) => pane.drawn && pane.drawn.nextTurn(by) };
     let mark = -1;
     let wantedKey = "";
 
@@ -458,7 +467,7 @@
       const wanted = find.value.trim().toLowerCase() || (found ? search.wanted : "");
       pane.drawn = draw(article, pane.data, {
         wanted,
-        imageSource: (image) => `/api/image?${new URLSearchParams({ run: pane.data.run, name: image })}`,
+        imageSource: (image) => (/^[0-9a-f]{64}\.(png|tiff)$/.test(image) ? `/api/image?${new URLSearchParams({ run: pane.data.run, name: image })}` : null),
         loadText: async (place) => getJson("text", episodeParameters(key, { place: JSON.stringify(place) })),
       });
       const head = article.querySelector(".head h2");
@@ -485,6 +494,7 @@
     async function show(key, turn) {
       wantedKey = key;
       state[name] = key;
+      pane.data = pane.drawn = null;
       element.hidden = false;
       $("reader").hidden = false;
       document.body.classList.add("reading");
@@ -495,7 +505,7 @@
         if (wantedKey !== key) return;
         pane.data = data;
         redraw(turn);
-        drawSiblings(data);
+        pane.siblings = drawSiblings(data);
       } catch (error) {
         if (wantedKey !== key) return;
         pane.data = pane.drawn = null;
@@ -506,10 +516,9 @@
 
     async function drawSiblings(data) {
       const answer = await getJson("rows", new URLSearchParams({ row: data.row, count: "40" }));
-      if (pane.data !== data) return;
+      if (pane.data !== data) return [];
       const rows = answer.rows;
       siblings.hidden = rows.length < 2;
-      pane.beside = rows.filter((row) => keyOf(row) !== keyOf(data)).map(keyOf);
       siblings.replaceChildren(make("span", "figures", "Same task:"), ...rows.map((row) => {
         const pair = make("span", `sibling${keyOf(row) === keyOf(data) ? " here" : ""}`);
         const several = runs.length > 1 ? `${row.run} · ` : "";
@@ -528,6 +537,7 @@
         }
         return pair;
       }));
+      return rows.map(keyOf).filter((key) => key !== keyOf(data));
     }
 
     function hide() {
@@ -571,14 +581,15 @@
   function nextEpisode(by) {
     const last = table.total() - 1;
     const place = selected < 0 ? 0 : Math.max(0, Math.min(last, selected + by));
-    if (last < 0 || (place === selected && main.data)) return;
+    if (last < 0 || (place === selected && state.e)) return;
     if (table.row(place)) open(place);
     else table.reveal(place);
   }
 
-  function toggleBeside() {
-    if (!other.element.hidden) { other.hide(); writeAddress(); }
-    else if (main.data && main.beside && main.beside.length) other.show(main.beside[0]);
+  async function toggleBeside() {
+    if (!other.element.hidden) { other.hide(); writeAddress(); return; }
+    const [first] = main.data ? await main.siblings : [];
+    if (first) other.show(first);
   }
 
   // ---- Keys.
@@ -656,7 +667,6 @@
 
   makeFields();
   readAddress();
-  $("find").addEventListener("submit", (event) => { event.preventDefault(); search.start($("text").value.trim()); });
   $("show-runs").addEventListener("click", () => document.body.classList.toggle(matchMedia("(max-width: 900px)").matches ? "some-runs" : "no-runs"));
   $("show-help").addEventListener("click", () => $("help").showModal());
   document.addEventListener("keydown", onKey);

@@ -16,7 +16,7 @@ MOST_FOUND = 1000
 """The search stops with so many."""
 
 _PROGRESS_S = 0.15
-_BEFORE, _AFTER = 40, 120
+_BEFORE, _AFTER = 20, 140
 
 
 def search(places: Sequence[Place], text: str) -> Iterator[dict[str, Any]]:
