@@ -78,9 +78,9 @@ class Page:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def until(self, script: str) -> Any:
-        """Wait until an expression is true, and return its value."""
-        return self._until(lambda: self.eval(script), script)
+    def until(self, script: str) -> None:
+        """Wait until an expression is true; an exception is false, as there are while a page is loaded."""
+        self._until(lambda: self.eval(f"(() => {{ try {{ return {script} }} catch {{ return false }} }})()"), script)
 
     def resize(self, width: int, height: int) -> None:
         """Change the size of the window."""

@@ -12,25 +12,27 @@ const virtualTable = (() => {
   // Rows by their place, fetched in pages: fetchRows(start, count) is a promise of {rows, total}.
   function remoteRows(fetchRows, changed) {
     let pages = new Map();
-    let generation = 0;
+    let table = 0;
+    let version = 0;
     let total = 0;
     let timer = 0;
     const asked = new Set();
 
     async function load(page) {
-      const mine = generation;
+      const [ofTable, ofVersion] = [table, version];
       asked.add(page);
+      let answer;
       try {
-        const answer = await fetchRows(page * ROWS_AT_ONCE, ROWS_AT_ONCE);
-        if (mine !== generation) return;
-        total = answer.total;
-        pages.delete(page);
-        pages.set(page, { rows: answer.rows, fresh: true });
-        while (pages.size > PAGES_KEPT) pages.delete(pages.keys().next().value);
-        changed();
+        answer = await fetchRows(page * ROWS_AT_ONCE, ROWS_AT_ONCE);
       } finally {
-        if (mine === generation) asked.delete(page);
+        if (ofTable === table) asked.delete(page);
       }
+      if (ofTable !== table) return;
+      total = answer.total;
+      pages.delete(page);
+      pages.set(page, { rows: answer.rows, fresh: ofVersion === version });
+      while (pages.size > PAGES_KEPT) pages.delete(pages.keys().next().value);
+      changed();
     }
 
     function want(first, last) {
@@ -48,9 +50,9 @@ const virtualTable = (() => {
       total: () => total,
       row: (place) => pages.get(Math.floor(place / ROWS_AT_ONCE))?.rows[place % ROWS_AT_ONCE],
       // Another table: nothing of the old one is shown.
-      reset() { generation += 1; asked.clear(); pages = new Map(); total = 0; },
+      reset() { table += 1; asked.clear(); pages = new Map(); total = 0; },
       // The same table has changed: what is shown stays until it is there anew.
-      refresh() { generation += 1; asked.clear(); pages.forEach((page) => { page.fresh = false; }); },
+      refresh() { version += 1; pages.forEach((page) => { page.fresh = false; }); },
     };
   }
 

@@ -259,6 +259,7 @@
   const LEFT = ["outcome", ...WIDE];
   let columns = COLUMNS;
   let selected = -1;
+  let isLinked = false; // whether an episode was opened by its address, and its row is to be shown
   let found = null;
 
   function outcomeCell(row) {
@@ -269,13 +270,19 @@
 
   const remote = virtualTable.remoteRows(async (start, many) => {
     const asked = query();
+    const table = asked.toString();
     asked.set("start", start);
     asked.set("count", many);
     if (state.e) asked.set("at", state.e);
     try {
       const answer = await getJson("rows", asked);
+      if (table !== query().toString()) return answer;
       choices = answer.choices;
       if (!found) selected = answer.at ?? -1;
+      if (isLinked && selected >= 0) {
+        isLinked = false;
+        setTimeout(() => table.reveal(selected));
+      }
       drawSummary(answer.summary);
       drawFilters();
       drawHead();
@@ -660,6 +667,7 @@
   }
 
   function showAddressed() {
+    isLinked = Boolean(state.e);
     changeQuery();
     if (state.e) main.show(state.e, state.turn); else if (!$("reader").hidden) closeReader();
     if (state.beside) other.show(state.beside);

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import threading
 import time
 from collections.abc import Iterable, Iterator
@@ -9,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from gem_core.errors import ArgumentError, GemError
-from gem_core.records import to_plain
 from gem_eval.records import Row, Run
-from gem_eval.records.run import RUN_FILE
+from gem_eval.records.run import INDEX_FILE, METRICS_FILE, RUN_FILE
 from gem_eval.scores import compute_scores
 from gem_eval.show.text import escaped
 
@@ -84,10 +85,34 @@ class ViewedRun:
             scores: list[dict[str, Any]] = self.summary["scores"]
             return scores
         self._scored_version = self.version
-        found = [to_plain(score.to_dict()) for score in compute_scores(self.rows)]
+        written = self._written_scores()
+        found = [score.to_dict() for score in compute_scores(self.rows)] if written is None else written
         taken = time.monotonic() - started
         self._score_due = started + taken / _SCORING_SHARE
-        return [{**score, "id": escaped(score["id"]), "model": escaped(score["model"])} for score in found]
+        return [{name: _shown(score.get(name)) for name in _SCORE} for score in found]
+
+    def _written_scores(self) -> list[dict[str, Any]] | None:
+        """Return the scores that were written when the run ended; None where it has grown since."""
+        metrics = self.path / METRICS_FILE
+        try:
+            if metrics.stat().st_mtime_ns < (self.path / INDEX_FILE).stat().st_mtime_ns:
+                return None
+            scores = json.loads(metrics.read_bytes())["scores"]
+        except (OSError, ValueError, RecursionError, LookupError, TypeError):
+            return None
+        return scores if isinstance(scores, list) and all(isinstance(score, dict) for score in scores) else None
+
+
+_SCORE = (
+    *("id", "model", "metric", "mean", "low", "high", "episodes", "rows"),
+    *("errors", "truncated", "unscored", "unreadable"),
+)
+
+
+def _shown(value: object) -> Any:
+    if isinstance(value, str):
+        return escaped(value)
+    return value if isinstance(value, int | float) and math.isfinite(value) else None
 
 
 class Library:
