@@ -57,7 +57,7 @@ def generate(path: Path, count: int, size: int) -> None:
     chance = random.Random(1)
     characters = size // count
     with RunWriter(path) as writer:
-        writer.write_info({"status": "finished", "planned": count})
+        writer.write_info({"status": "finished", "episodes": count})
         for number in range(count):
             turns = chance.randint(1, 9)
             # zstd leaves half a byte of a hexadecimal digit.

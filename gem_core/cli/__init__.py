@@ -21,14 +21,24 @@ from gem_core.suggestions import did_you_mean
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-    from gem_core.cli.agent_options import agent_options, given
     from gem_core.cli.layout import counted
     from gem_core.cli.list_command import matching
+    from gem_core.cli.model_options import agent_options, given
     from gem_core.cli.report import Column, print_table, shown, shown_count
-    from gem_core.cli.targets import find_env
-    from gem_core.cli.tool_options import arguments_option, call_again, env_arguments, stack_options, wrapper_stack
+    from gem_core.cli.targets import find_env, find_envs
+    from gem_core.cli.tool_options import (
+        AtLeast,
+        arguments_option,
+        call_again,
+        env_arguments,
+        parsed_choices,
+        stack_options,
+        wrapper_stack,
+    )
 
 __all__ = [
+    "INTERRUPTED",
+    "AtLeast",
     "Column",
     "Layout",
     "agent_options",
@@ -39,10 +49,12 @@ __all__ = [
     "echo_line",
     "env_arguments",
     "find_env",
+    "find_envs",
     "given",
     "main",
     "matching",
     "output_width",
+    "parsed_choices",
     "print_table",
     "shown",
     "shown_count",
@@ -51,15 +63,18 @@ __all__ = [
 ]
 
 _HOME = {
+    "AtLeast": "tool_options",
     "Column": "report",
-    "agent_options": "agent_options",
+    "agent_options": "model_options",
     "arguments_option": "tool_options",
     "call_again": "tool_options",
     "counted": "layout",
     "env_arguments": "tool_options",
     "find_env": "targets",
-    "given": "agent_options",
+    "find_envs": "targets",
+    "given": "model_options",
     "matching": "list_command",
+    "parsed_choices": "tool_options",
     "print_table": "report",
     "shown": "report",
     "shown_count": "report",

@@ -1,1 +1,50 @@
-"""Commands for recorded episodes: a plugin of GEM."""
+"""Score models on environments, and read, compare and trust the result; see ``docs/evaluation.md``."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gem_eval.records import Row, Run, open_run
+    from gem_eval.running.evaluation import evaluate
+    from gem_eval.running.limits import Limits
+    from gem_eval.scores import RowScore, Score, compute_row_scores, compute_scores
+    from gem_eval.suites import Model, Suite, load_suite
+
+__all__ = [
+    "Limits",
+    "Model",
+    "Row",
+    "RowScore",
+    "Run",
+    "Score",
+    "Suite",
+    "compute_row_scores",
+    "compute_scores",
+    "evaluate",
+    "load_suite",
+    "open_run",
+]
+
+_HOME = {
+    "Limits": "running.limits",
+    "Model": "suites",
+    "Row": "records",
+    "RowScore": "scores",
+    "Run": "records",
+    "Score": "scores",
+    "Suite": "suites",
+    "compute_row_scores": "scores",
+    "compute_scores": "scores",
+    "evaluate": "running.evaluation",
+    "load_suite": "suites",
+    "open_run": "records",
+}
+"""Where the public names come from; they are imported on first use."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)

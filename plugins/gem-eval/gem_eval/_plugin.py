@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gem_core import CommandSpec, hookimpl
+from gem_core import CommandSpec, ToolSpec, WrapperSpec, hookimpl
 
 
 @hookimpl
 def gem_add_commands() -> Iterable[CommandSpec]:
-    """The commands ``gem show`` and ``gem view``."""
+    """The commands for runs and recorded episodes, and those that measure."""
     return [
+        CommandSpec(
+            name="eval",
+            entry_point="gem_eval.running.command:command",
+            summary="Score models on suites, with intervals, and record the run.",
+        ),
         CommandSpec(
             name="show",
             entry_point="gem_eval.show.command:command",
@@ -21,4 +26,64 @@ def gem_add_commands() -> Iterable[CommandSpec]:
             entry_point="gem_eval.viewing.command:command",
             summary="Look at runs in the browser: scores, a table of episodes, and each of them.",
         ),
+        CommandSpec(
+            name="robustness",
+            entry_point="gem_eval.robustness.command:command",
+            summary="Score a model with and without disturbances, and show how much its score falls.",
+        ),
+        CommandSpec(
+            name="bench-env",
+            entry_point="gem_eval.measuring.command:command",
+            summary="Measure time, memory, tokens and rewards of environments.",
+        ),
+    ]
+
+
+@hookimpl
+def gem_register_wrappers() -> Iterable[WrapperSpec]:
+    """What disturbs an agent, by seed."""
+    room = "gem_eval.robustness"
+    return [
+        WrapperSpec(
+            name="tool_429",
+            entry_point=f"{room}.tool_faults:Tool429",
+            summary="Answer some calls of tools with HTTP status 429.",
+        ),
+        WrapperSpec(
+            name="tool_timeout",
+            entry_point=f"{room}.tool_faults:ToolTimeout",
+            summary="Answer some calls of tools as if they had run out of time.",
+        ),
+        WrapperSpec(
+            name="cut_outputs",
+            entry_point=f"{room}.cut_outputs:CutOutputs",
+            summary="Cut off some outputs of tools and of the task.",
+        ),
+        WrapperSpec(
+            name="renamed_parameters",
+            entry_point=f"{room}.renamed_parameters:RenamedParameters",
+            summary="Give the parameters of tools other names.",
+        ),
+        WrapperSpec(
+            name="paraphrase",
+            entry_point=f"{room}.wording:Paraphrase",
+            summary="Say the task in other words of the same meaning.",
+        ),
+        WrapperSpec(
+            name="typos",
+            entry_point=f"{room}.wording:Typos",
+            summary="Misspell some words of the task.",
+        ),
+    ]
+
+
+@hookimpl
+def gem_register_tools() -> Iterable[ToolSpec]:
+    """Tools that only distract."""
+    return [
+        ToolSpec(
+            name="distractor_tools",
+            entry_point="gem_eval.robustness.distractors:make_distractors",
+            summary="Plausible tools that help with no task.",
+        )
     ]

@@ -24,9 +24,9 @@ Counts = Sequence[tuple[int, int]]
 """For each row, its number of epochs and how many of them succeeded."""
 _Floats = npt.NDArray[np.float64]
 
-# One bootstrap resample of few rows may hold no spread at all; its standard error is then taken for this share of the
-# sample's. By simulation: 0.1 makes intervals of ten rows several times wider, 0.5 covers too rarely.
-_LEAST_SPREAD = 0.25
+# A resample of few rows may show no spread at all; its standard error counts as at least this share of the sample's. By
+# simulation: of rows that are mostly 0, the intervals that there are cover 94 % with 1/8, 90 % with 1/4.
+_LEAST_SPREAD = 1 / 8
 # More rows than this are bootstrapped in groups, to bound time and memory.
 _MOST_GROUPS = 1_000
 # Up to so many differences other than 0, all 2**n assignments of signs are tried.
@@ -97,9 +97,10 @@ def rate(rows: Rows, confidence: float = 0.95) -> Estimate:
 def mean(rows: Rows, confidence: float = 0.95, *, seed: int = 0, resamples: int = 2_000) -> Estimate:
     """Estimate the mean of any values, such as returns.
 
-    The interval is the studentized bootstrap by row: in simulations with few or skewed rows it covers more often than
-    BCa, percentiles and Student's t. Values that are all 0 or 1 are a rate, and get the interval of ``rate``. Where all
-    rows have the same mean, or there is one, the sample does not tell its uncertainty: the estimate has the mean alone.
+    The interval is the symmetric studentized bootstrap by row: in simulations with few, skewed or heavy-tailed rows it
+    covers more often than BCa, Student's t, and the studentized bootstrap with equal tails. Where all rows have the
+    same mean, or there is one, the sample does not tell its uncertainty: the estimate has the mean alone. Values that
+    are 0 and 1, and both occur, are a rate, and get the interval of ``rate``.
 
     Args:
         rows: Values by row.
@@ -110,10 +111,10 @@ def mean(rows: Rows, confidence: float = 0.95, *, seed: int = 0, resamples: int 
     Raises:
         ArgumentError: There are no values.
 
-    Source: B. Efron and R. Tibshirani, An Introduction to the Bootstrap (1993), section 12.5.
+    Source: P. Hall, Journal of the Royal Statistical Society B 50 (1988), 35-45.
     """
     means = row_means(rows)
-    if all(value in (0, 1) for row in rows for value in row):
+    if {value for row in rows for value in row} == {0, 1}:
         return Estimate(*_rate_of(means, confidence))
     return _bootstrapped(means, confidence, seed, resamples)
 
@@ -146,7 +147,7 @@ def pass_hat(counts: Counts, k: int, confidence: float = 0.95) -> Estimate:
     Raises:
         ArgumentError: k is below 1, or no row has k epochs.
 
-    Source: Yao et al., tau-bench, arXiv:2406.12045, section 5.1, without bias.
+    Source: Yao et al., tau-bench, arXiv:2406.12045, without bias.
     """
     return _of_counts(counts, k, confidence, lambda n, c: math.comb(c, k) / math.comb(n, k))
 
@@ -165,14 +166,15 @@ def differences(a: Rows, b: Rows) -> list[float]:
 def paired_difference(
     a: Rows, b: Rows, confidence: float = 0.95, *, rates: bool = False, seed: int = 0, resamples: int = 2_000
 ) -> Estimate:
-    """Estimate the mean of ``a - b`` over rows that both have, as a pair for each row.
+    """Estimate the mean of ``a - b`` over the rows that both have, as a pair for each row.
 
     Args:
         a: Values by row.
         b: Values of the same rows in the same order.
         confidence: Probability that the interval covers.
-        rates: The values are between 0 and 1. The interval is then that of ``rate``, for differences moved from -1 … 1
-            to 0 … 1: it stays within -1 and 1, and has a width also where no row differs. Otherwise see ``mean``.
+        rates: The values are from 0 to 1, as successes are. The interval is then that of ``rate``, for differences
+            moved from -1 … 1 to 0 … 1: it stays within -1 and 1, and has a width also where no row differs. Otherwise
+            it is the bootstrap interval of ``mean``.
         seed: Seed of the bootstrap.
         resamples: Number of its samples.
 
@@ -191,7 +193,7 @@ def mcnemar(only_a: int, only_b: int) -> float:
     """Test whether two agents solve equally many tasks; return the two-sided p-value.
 
     The exact binomial test, which never raises more false alarms than its level; mid-p values would be less cautious,
-    but can. With several epochs a row use ``permutation_test``; with one epoch the two are the same test.
+    but can. With several epochs a row use ``permutation_test``; with one epoch it is the same test.
 
     Args:
         only_a: Number of rows that only the first solved.
@@ -231,8 +233,9 @@ def permutation_test(differences: Sequence[float], seed: int = 0, resamples: int
         return float(np.mean(np.abs(sums) >= seen))
     generator = np.random.default_rng(seed)
     extreme = 0
-    for first in range(0, resamples, 500):
-        count = min(500, resamples - first)
+    at_once = max(1, 4_000_000 // len(sizes))
+    for first in range(0, resamples, at_once):
+        count = min(at_once, resamples - first)
         signs = np.unpackbits(generator.integers(0, 256, (count, -(-len(sizes) // 8)), dtype=np.uint8), axis=1)
         sums = 2 * (signs[:, : len(sizes)] @ sizes) - sizes.sum()
         extreme += int(np.count_nonzero(np.abs(sums) >= seen))
@@ -242,8 +245,11 @@ def permutation_test(differences: Sequence[float], seed: int = 0, resamples: int
 def more_rows_needed(differences: Sequence[float], power: float = 0.8, alpha: float = 0.05) -> int | None:
     """Return how many more rows would settle the difference seen.
 
-    That is, with how many more rows a two-sided paired t-test at level ``alpha`` finds a true difference of this size
-    and spread with probability ``power``. At least as many rows are needed as let ``permutation_test`` reach ``alpha``.
+    It is settled where ``permutation_test`` gives at most ``alpha``. Otherwise the answer is the number of rows with
+    which a two-sided paired t-test finds a true difference of this size and spread with probability ``power``, less
+    those that there are. The exact tests above find differences of rates a little less often (0.75 to 0.78 instead of
+    0.8 in simulations). It is at least what lets the permutation test reach ``alpha`` if as large a share of rows
+    differs as now.
 
     Args:
         differences: One for each row, as of ``differences``.
@@ -258,16 +264,15 @@ def more_rows_needed(differences: Sequence[float], power: float = 0.8, alpha: fl
     """
     values = np.asarray(differences, dtype=float)
     rows = len(values)
-    if rows < 2 or (center := _mean_of(values)) == 0:
+    if rows < 2 or abs(center := _mean_of(values)) <= 1e-12 * np.max(np.abs(values)):  # 0, but for rounding
         return None
-    least = math.ceil(1 + math.log2(1 / alpha))
-    stderr = _stderr_of(values)
-    if rows >= least and abs(center) >= _t_quantile(1 - alpha / 2, rows - 1) * stderr:
+    if permutation_test(differences) <= alpha:
         return 0
     normal = NormalDist()
     critical = normal.inv_cdf(1 - alpha / 2)
-    ratio = (critical + normal.inv_cdf(power)) * stderr * math.sqrt(rows) / abs(center)
-    return max(math.ceil(ratio**2 + critical**2 / 2), least) - rows
+    ratio = (critical + normal.inv_cdf(power)) * float(np.std(values, ddof=1)) / abs(center)
+    least = math.ceil(1 + math.log2(1 / alpha)) * rows / np.count_nonzero(values)
+    return max(math.ceil(ratio**2 + critical**2 / 2), math.ceil(least), rows + 1) - rows
 
 
 def agreement(ratings: Rows) -> Agreement:
@@ -342,9 +347,8 @@ def _bootstrapped(means: _Floats, confidence: float, seed: int, resamples: int) 
     if math.isclose(means[0], means[-1], rel_tol=1e-12, abs_tol=1e-100):  # but for rounding, equal
         return Estimate(center, None, None, None)
     stderr = _stderr_of(means)
-    ends = np.quantile(_studentized(means, seed, resamples), [(1 - confidence) / 2, (1 + confidence) / 2])
-    below, above = (float(end) * stderr for end in ends)
-    return Estimate(center, stderr, min(center, center - above), max(center, center - below))
+    half = stderr * float(np.quantile(np.abs(_studentized(means, seed, resamples)), confidence))
+    return Estimate(center, stderr, center - half, center + half)
 
 
 def _studentized(means: _Floats, seed: int, resamples: int) -> _Floats:
@@ -368,9 +372,11 @@ def _studentized(means: _Floats, seed: int, resamples: int) -> _Floats:
 
 
 def _of_counts(counts: Counts, k: int, confidence: float, share: Callable[[int, int], float]) -> Estimate:
+    if k < 1:
+        raise ArgumentError(f"k is a number of epochs, 1 or more, not {k}")
     rows = [[share(epochs, successes)] for epochs, successes in counts if epochs >= k]
-    if k < 1 or not rows:
-        raise ArgumentError(f"no row has {k} epochs to draw" if k > 0 else f"k is a number of epochs, not {k}")
+    if not rows:
+        raise ArgumentError(f"no row has {k} epochs, as pass@{k} and pass^{k} need; play more epochs, or lower k")
     return rate(rows, confidence)
 
 

@@ -62,12 +62,26 @@ def test_epochs_that_disagree_narrow_the_interval() -> None:
     assert high - low < (high_agreeing - low_agreeing) / 1.5
 
 
+@pytest.mark.parametrize("rows", [10, 25, 2_000])
+def test_effective_sample_size_is_that_of_the_variance_between_rows(rows: int) -> None:
+    """One imaginary row more, and Korn and Graubard's factor; statsmodels' Wilson interval of that size."""
+    proportion = pytest.importorskip("statsmodels.stats.proportion")
+    stats = pytest.importorskip("scipy.stats")
+    solved = np.random.default_rng(rows).binomial(6, 0.3, rows)
+    share = solved.mean() / 6
+    inflation = (np.sum((solved / 6 - share) ** 2) + 0.25) / (rows * share * (1 - share) + 0.25)
+    size = rows / inflation * (stats.norm.ppf(0.975) / stats.t.ppf(0.975, rows - 1)) ** 2
+    assert size > rows
+    expected = proportion.proportion_confint(share * size, size, method="wilson")
+    assert ends(rate([[1] * each + [0] * (6 - each) for each in solved])) == pytest.approx(expected, rel=1e-6)
+
+
 def test_standard_error_is_clustered_by_row() -> None:
     """It equals statsmodels' with clusters, for rows of equal numbers of epochs."""
     api = pytest.importorskip("statsmodels.api")
     values = np.random.default_rng(1).binomial(1, np.repeat([[0.1], [0.5], [0.9], [0.7]], 5, axis=0), (20, 3))
     groups = np.repeat(np.arange(20), 3)
-    # Its correction for the number of values, (N - 1) / (N - 1) for a mean, is 1; that for groups is ours.
+    # Its correction for small samples, groups / (groups - 1), is ours as well.
     fit = api.OLS(values.ravel().astype(float), np.ones(60)).fit(cov_type="cluster", cov_kwds={"groups": groups})
     assert rate(values.tolist()).stderr == pytest.approx(fit.bse[0], rel=1e-9)
     assert mean(values.tolist()).stderr == pytest.approx(fit.bse[0], rel=1e-9)
@@ -109,6 +123,7 @@ def test_mean_of_one_row_or_of_equal_rows_has_no_false_certainty() -> None:
     """Where the sample does not tell the spread, there is none."""
     assert mean([[0.25, 0.75]]) == (0.5, None, None, None)
     assert mean([[0.5], [0.5], [0.5]]) == (0.5, None, None, None)
+    assert mean([[0], [0], [0]]) == (0, None, None, None)  # no rate: the reward that was never won may be 100
 
 
 def test_returns_of_0_and_1_are_a_rate() -> None:
@@ -146,7 +161,10 @@ def test_rows_with_too_few_epochs_are_left_out_of_pass_at() -> None:
     assert pass_at([(4, 1), (1, 1)], 2) == pass_at([(4, 1)], 2)
     with pytest.raises(ArgumentError) as short:
         pass_hat([(1, 1)], 2)
-    assert str(short.value) == "no row has 2 epochs to draw"
+    assert str(short.value) == "no row has 2 epochs, as pass@2 and pass^2 need; play more epochs, or lower k"
+    with pytest.raises(ArgumentError) as negative:
+        pass_at([(1, 1)], -1)
+    assert str(negative.value) == "k is a number of epochs, 1 or more, not -1"
 
 
 @pytest.mark.parametrize(("only_a", "only_b"), [(0, 0), (0, 1), (3, 3), (2, 9), (40, 61), (700, 800)])
@@ -186,7 +204,7 @@ def test_paired_difference_is_of_rows_that_both_have() -> None:
     assert str(unequal.value) == "a pair needs the same rows in the same order, not 3 rows and 2"
 
 
-@pytest.mark.parametrize(("center", "rows"), [(0.3, 20), (0.1, 50), (0.9, 7)])
+@pytest.mark.parametrize(("center", "rows"), [(0.3, 20), (0.1, 50), (0.7, 6)])
 def test_more_rows_needed_is_the_power_of_a_paired_t_test(center: float, rows: int) -> None:
     power = pytest.importorskip("statsmodels.stats.power")
     spread = np.random.default_rng(0).normal(0, 1, rows)
@@ -194,14 +212,15 @@ def test_more_rows_needed_is_the_power_of_a_paired_t_test(center: float, rows: i
     expected = power.TTestPower().solve_power(center, alpha=0.05, power=0.8)
     found = more_rows_needed(apart.tolist())
     assert found is not None
-    assert abs(rows + found - expected) <= 2
+    assert abs(rows + found - expected) <= 1
 
 
 def test_more_rows_needed_says_when_none_or_no_number_would() -> None:
     assert more_rows_needed([1.0, 0.9, 1.1] * 10) == 0
-    assert more_rows_needed([1.0, -1.0]) is None
+    assert more_rows_needed([0.1, 0.2, -0.3]) is None
     assert more_rows_needed([1.0]) is None
     assert more_rows_needed([1.0, 1.0]) == 4  # six rows of one sign are the fewest that reach 5 %
+    assert more_rows_needed([1.0] * 5 + [0.0] * 3) == 2  # five of eight differ, so about six of ten will
 
 
 def test_agreement_is_krippendorffs_alpha() -> None:
@@ -243,28 +262,39 @@ def test_intervals_of_rates_cover_everywhere(rows: int, epochs: int, chances: tu
     assert coverage_of_rate(rows, epochs, *chances, 2_000) >= (0.93 if epochs > 1 else 0.90)
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("rows", "kind", "least"),
-    [
-        *((rows, "normal", 0.925) for rows in (5, 10, 30, 100, 2_500)),
-        *((rows, "exponential", 0.91) for rows in (10, 30, 100, 2_500)),
-        *zip((10, 30, 100, 2_500), ["mostly zero"] * 4, (0.85, 0.93, 0.93, 0.925), strict=True),
-    ],
-)
-def test_intervals_of_returns_cover(rows: int, kind: str, least: float) -> None:
-    """Normal and exponential returns, and those of which 70 % are 0; few rows of the last show no success at all."""
+def coverage_of_mean(rows: int, kind: str, tries: int) -> float:
+    """How often the interval covers, for returns of some distribution, or there is none, since all were alike."""
     generator = np.random.default_rng(rows)
-    tries = 1_000 if rows <= 100 else 400
-    center = {"normal": 0.0, "exponential": 1.0, "mostly zero": 0.3}[kind]
     covered = 0
     for _ in range(tries):
-        values = generator.normal(0, 1, rows) if kind == "normal" else generator.exponential(1, rows)
-        if kind == "mostly zero":
-            values = values * (generator.random(rows) < 0.3)
+        normal, exponential, other = (
+            generator.normal(0, 1, rows),
+            generator.exponential(1, (2, rows)),
+            generator.random(rows),
+        )
+        values, center = {
+            "normal": (normal, 0.0),
+            "exponential": (exponential[0], 1.0),
+            "heavy tails": (exponential[0] - exponential[1], 0.0),
+            "mostly zero": (exponential[0] * (other < 0.3), 0.3),
+        }[kind]
         found = mean([[value] for value in values], resamples=1_000)
-        covered += found.low is not None and found.high is not None and found.low <= center <= found.high
-    assert covered / tries >= least
+        covered += found.low is None or found.high is None or found.low <= center <= found.high
+    return covered / tries
+
+
+def test_the_interval_of_a_return_covers() -> None:
+    """Of 95 % intervals, about as many cover: skewed returns of thirty rows."""
+    assert 0.92 <= coverage_of_mean(30, "exponential", 500) <= 0.98
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("rows", [5, 10, 30, 100, 2_500])
+@pytest.mark.parametrize("kind", ["normal", "exponential", "heavy tails", "mostly zero"])
+def test_intervals_of_returns_cover_everywhere(rows: int, kind: str) -> None:
+    """Near 95 %; less where few rows are mostly zero, since many such samples show nothing else."""
+    least = 0.88 if kind == "mostly zero" and rows <= 10 else 0.915
+    assert coverage_of_mean(rows, kind, 1_000 if rows <= 100 else 400) >= least
 
 
 @pytest.mark.thorough
@@ -276,7 +306,7 @@ def test_comparisons_raise_few_false_alarms(rows: int, epochs: int) -> None:
     tries, alarms = 1_500, np.zeros(3)
     for _ in range(tries):
         chances = generator.beta(0.5, 0.5, rows)
-        a, b = ([[each / epochs] for each in generator.binomial(epochs, chances)] for _ in "ab")
+        a, b = (generator.binomial(1, chances, (epochs, rows)).T.tolist() for _ in "ab")
         apart = differences(a, b)
         low, high = ends(paired_difference(a, b, rates=True))
         test = mcnemar(apart.count(1), apart.count(-1)) if epochs == 1 else 1.0

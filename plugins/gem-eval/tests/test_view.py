@@ -235,7 +235,7 @@ def test_a_damaged_episode_is_an_answer(runs: Path) -> None:
 
 def test_a_run_is_followed_as_it_grows_and_begins_anew(tmp_path: Path) -> None:
     """New rows, new scores, new runs in the folder, and another run in the place of one."""
-    write_run(tmp_path / "run", [maze()], status="running", planned=2)
+    write_run(tmp_path / "run", [maze()], status="running", episodes=2)
     library = library_of(tmp_path)
     (viewed,) = library.runs
     assert (viewed.summary["live"], viewed.summary["planned"]) == (False, 2)

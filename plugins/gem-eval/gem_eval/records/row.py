@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from operator import itemgetter
 from typing import Any
 
@@ -72,9 +72,9 @@ class Row:
     cached: int = 0
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the row as plain JSON."""
-        record: dict[str, Any] = to_plain(asdict(self))
-        return record
+        """Return the row as plain JSON, without what is as it is by default."""
+        record = {name: value for name in _FIELDS if (value := getattr(self, name)) != _DEFAULTS.get(name, MISSING)}
+        return {**record, "episode_return": to_plain(self.episode_return)}
 
     @classmethod
     def from_dict(cls, record: Any) -> Row:
@@ -84,8 +84,7 @@ class Row:
             EpisodeFileError: It is no row.
         """
         try:
-            # To fill in what earlier versions did not write takes time, and most rows have it all.
-            values = _values_of(record if len(record) >= len(_FIELDS) else {**_DEFAULTS, **record})
+            values = _values_of({**_DEFAULTS, **record})
         except (TypeError, KeyError) as error:
             raise EpisodeFileError(f"a line of the index is damaged ({error})") from error
         # The rows of a run are of few combinations of types, which are looked at once.

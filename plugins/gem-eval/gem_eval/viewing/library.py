@@ -72,7 +72,7 @@ class ViewedRun:
             "reading": round(self.run.share_read, 2) if more else 1.0,
             "live": self._grown_at is not None and time.monotonic() < self._grown_at + _LIVE_S,
             "status": escaped(str(info.get("status", ""))),
-            "planned": info["planned"] if type(info.get("planned")) is int else None,
+            "planned": info["episodes"] if type(info.get("episodes")) is int else None,
             "damaged": self.run.damaged,
             "problem": escaped(problem),
             "scores": scores,
