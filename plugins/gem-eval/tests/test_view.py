@@ -29,11 +29,11 @@ from gem_eval.viewing.app import MOST_TEXT, make_app
 from gem_eval.viewing.library import Library
 
 
-def write_run(path: Path, episodes: list[Episode], **info: Any) -> Path:
+def write_run(path: Path, played: list[Episode], **info: Any) -> Path:
     """Write a run, with what a server reports of each episode."""
     with RunWriter(path) as writer:
         writer.write_info(info)
-        for number, episode in enumerate(episodes):
+        for number, episode in enumerate(played):
             episode.key = str(number)
             evaluation = {"model": "one" if number % 2 else "two", "row": f"{episode.id}/{episode.seed}"}
             writer.write(episode, {**evaluation, "seconds": 1.0 + number, "cost": 0.01 * number, "finished": 1.0})

@@ -242,17 +242,17 @@
 
   // Name, title, least width, whether it may be left out where there is no room (the higher the sooner), how it is drawn.
   const COLUMNS = [
-    ["number", "#", 64, 0, (row) => make("span", "num soft", number(row.number))],
-    ["outcome", "Outcome", 104, 0, outcomeCell],
-    ["run", "Run", 120, 2, (row) => make("span", "", row.run)],
-    ["model", "Model", 130, 1, (row) => make("span", "", shortModel(row.model))],
-    ["row", "Task", 190, 0, (row) => make("span", "", row.row)],
+    ["number", "#", 56, 0, (row) => make("span", "num soft", number(row.number))],
+    ["outcome", "Outcome", 96, 0, outcomeCell],
+    ["run", "Run", 110, 3, (row) => make("span", "", row.run)],
+    ["model", "Model", 120, 2, (row) => make("span", "", shortModel(row.model))],
+    ["row", "Task", 150, 0, (row) => make("span", "", row.row)],
     ["epoch", "Epoch", 62, 6, (row) => make("span", "num", number(row.epoch))],
     ["return", "Return", 72, 1, (row) => make("span", "num", number(row.return))],
-    ["turns", "Turns", 60, 3, (row) => make("span", "num", number(row.turns))],
-    ["tokens", "Tokens", 76, 5, (row) => make("span", "num", number(row.tokens))],
+    ["turns", "Turns", 56, 4, (row) => make("span", "num", number(row.turns))],
+    ["tokens", "Tokens", 76, 6, (row) => make("span", "num", number(row.tokens))],
     ["cost", "Cost", 78, 7, (row) => make("span", "num", money(row.cost))],
-    ["seconds", "Time", 76, 4, (row) => make("span", "num", seconds(row.seconds))],
+    ["seconds", "Time", 76, 5, (row) => make("span", "num", seconds(row.seconds))],
     ["reason", "Reason", 110, 8, (row) => make("span", "soft", row.error || row.reason)],
   ];
   const WIDE = ["row", "reason", "model", "run"];
@@ -270,13 +270,13 @@
 
   const remote = virtualTable.remoteRows(async (start, many) => {
     const asked = query();
-    const table = asked.toString();
+    const meant = asked.toString();
     asked.set("start", start);
     asked.set("count", many);
     if (state.e) asked.set("at", state.e);
     try {
       const answer = await getJson("rows", asked);
-      if (table !== query().toString()) return answer;
+      if (meant !== query().toString()) return answer;
       choices = answer.choices;
       if (!found) selected = answer.at ?? -1;
       if (isLinked && selected >= 0) {
