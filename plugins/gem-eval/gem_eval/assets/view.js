@@ -330,7 +330,7 @@
     if (fitting.map(String).join() === columns.map(String).join() && $("head").dataset.sorts === sorts && $("head").childElementCount) return;
     columns = fitting;
     $("head").dataset.sorts = sorts;
-    const width = ([name, , least]) => (WIDE.includes(name) ? `minmax(${least}px, ${name === "row" ? 2 : 1}fr)` : `${least}px`);
+    const width = ([name, , least]) => (WIDE.includes(name) ? `minmax(${least}px, ${name === "row" ? 4 : 1}fr)` : `${least}px`);
     $("table").style.setProperty("--columns", columns.map(width).join(" "));
     $("table").classList.toggle("hits", Boolean(found));
     $("head").replaceChildren(...(found ? [] : columns.map(headCell)));

@@ -133,10 +133,11 @@ class Query:
             found.sort(key=_TEXTS[self.sort], reverse=self.reverse)
         elif self.sort in _ORDERS:
             value_of = _ORDERS[self.sort]
-            known = [(value, place) for place in found if (value := value_of(place.row)) is not None and value == value]
-            known.sort(key=lambda pair: pair[0], reverse=self.reverse)
-            without = [place for place in found if (value := value_of(place.row)) is None or value != value]
-            found = [place for _, place in known] + without
+            values = [value_of(row) for _, row in found]
+            known = [place for place, value in enumerate(values) if value is not None and value == value]
+            without = [place for place, value in enumerate(values) if value is None or value != value]
+            known.sort(key=values.__getitem__, reverse=self.reverse)  # type: ignore[arg-type]  # there is no None
+            found = [found[place] for place in known + without]
         elif self.reverse:
             found.reverse()
         return found
