@@ -51,18 +51,18 @@ const transcripts = (() => {
     const least = Math.min(...turns.map((turn) => turn.reward), 0);
     const span = most - least || 1;
     const places = Math.max(turns.length, 1);
-    const step = large ? Math.max(4, Math.min(28, Math.floor(860 / places))) : Math.max(1, Math.min(6, 96 / places));
+    const step = large ? Math.max(4, Math.min(28, Math.floor(860 / places))) : Math.min(6, 96 / places);
     const height = large ? 44 : 14;
     const zero = most === least ? height - 2 : (height - 2) * (most / span) + 1;
     const svg = svgElement("svg", {
-      class: large ? "bars large" : "bars", viewBox: `0 0 ${step * places} ${height}`, width: step * places, height, role: "img",
+      class: large ? "bars large" : "bars", viewBox: `0 0 ${step * places} ${height}`, width: step * places, height, preserveAspectRatio: "none", role: "img",
       "aria-label": `Rewards: ${turns.slice(0, 100).map((turn) => turn.rewardText).join(", ")}`,
     });
     turns.forEach((turn, place) => {
       const tall = turn.reward === 0 ? 2 : Math.max((Math.abs(turn.reward) / span) * (height - 2), 2);
       const top = turn.reward > 0 ? zero - tall : turn.reward < 0 ? zero : Math.min(zero, height - 2);
       const kind = turn.reward > 0 ? "plus" : turn.reward < 0 ? "minus" : "zero";
-      const width = Math.max(step - (step > 3 ? 2 : 0), 0.8);
+      const width = step > 3 ? step - 2 : step * 0.8;
       svg.append(svgElement("rect", { x: place * step, y: top, width, height: tall, class: kind }));
       if (!large) return;
       const hit = svgElement("rect", { x: place * step, y: 0, width: step, height, class: "hit" });
@@ -276,7 +276,10 @@ const transcripts = (() => {
       const cards = [...article.children].slice(first);
       at = Math.max(0, Math.min(cards.length - 1, place));
       cards.forEach((card, number) => card.classList.toggle("here", number === at));
-      cards[at].scrollIntoView({ block: "start" });
+      // Cards out of sight have an estimated height, which is found out as they come into sight.
+      const card = cards[at];
+      card.scrollIntoView({ block: "start" });
+      requestAnimationFrame(() => { card.scrollIntoView({ block: "start" }); requestAnimationFrame(() => card.scrollIntoView({ block: "start" })); });
     }
 
     drawMore(CARDS_AT_ONCE);

@@ -144,7 +144,13 @@ class _Pages:
     def search(self, request: Request) -> Response:
         places = self._table.places(_query_of(request), self._runs_of(request))
         lines = search(places, request.query_params.get("wanted", ""))
-        return StreamingResponse(_json_lines(lines), media_type="application/x-ndjson", headers=_HEADERS)
+        return StreamingResponse(self._json_lines(lines), media_type="application/x-ndjson", headers=_HEADERS)
+
+    def _json_lines(self, values: Iterator[Any]) -> Iterator[str]:
+        for value in values:
+            if self._is_stopping():
+                return
+            yield _plain_json(value) + "\n"
 
     async def events(self, request: Request) -> Response:
         return StreamingResponse(self._changes(request), media_type="text/event-stream", headers=_HEADERS)
@@ -222,8 +228,3 @@ def _json(value: Any) -> Response:
 def _plain_json(value: Any) -> str:
     # ASCII only: text of a model may hold lone surrogates, which UTF-8 cannot.
     return json.dumps(value, ensure_ascii=True, allow_nan=False)
-
-
-def _json_lines(values: Iterator[Any]) -> Iterator[str]:
-    for value in values:
-        yield _plain_json(value) + "\n"

@@ -60,8 +60,6 @@ def command(paths: tuple[Path, ...], port: int, opens: bool) -> None:
                 access_log=False,
                 lifespan="off",
                 ws="none",
-                # A search of a large run is not waited for.
-                timeout_graceful_shutdown=2,
             )
         )
         library.start()
