@@ -15,7 +15,7 @@ from typing import Any, Self
 
 from websockets.sync.client import connect
 
-PATIENCE_S = 20
+PATIENCE_S = 120
 """A condition that has not come about after so long is a failure."""
 
 

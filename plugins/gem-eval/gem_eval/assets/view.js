@@ -283,7 +283,8 @@
         isLinked = false;
         setTimeout(() => table.reveal(selected));
       }
-      drawSummary(answer.summary);
+      summary = answer.summary;
+      drawSummary();
       drawFilters();
       drawHead();
       return answer;
@@ -355,7 +356,10 @@
     return button;
   }
 
-  function drawSummary(summary) {
+  let summary = null;
+
+  function drawSummary() {
+    if (!summary) return;
     const pieces = [];
     const all = runs.filter((run) => isChosen(run.name)).reduce((sum, run) => sum + (run.episodes ?? 0), 0);
     const line = make("span");
@@ -652,6 +656,7 @@
   function takeRuns(summaries) {
     runs = summaries;
     drawRuns();
+    drawSummary();
     const now = runs.filter((run) => isChosen(run.name)).map((run) => `${run.name} ${run.version}`).join();
     if (now === versions) return;
     versions = now;

@@ -167,7 +167,7 @@ class _Pages:
             await asyncio.sleep(_EVENT_PAUSE_S)
 
     def _summaries(self) -> list[dict[str, Any]]:
-        return [{**viewed.summary, "version": viewed.version} for viewed in self._library.runs]
+        return [viewed.summary for viewed in self._library.runs]
 
     def _runs_of(self, request: Request) -> list[ViewedRun]:
         names = request.query_params.getlist("run")

@@ -42,7 +42,8 @@ class ViewedRun:
         self.rows: list[Row] = []
         self.version = 0
         """Counts how often the rows have changed."""
-        self.summary: dict[str, Any] = {"name": escaped(name), "path": escaped(str(path)), "reading": 0.0, "scores": []}
+        self.summary: dict[str, Any] = {"name": escaped(name), "path": escaped(str(path)), "reading": 0.0}
+        self.summary |= {"version": 0, "scores": []}
         """What a list of runs says of it, as plain JSON."""
         self._scored_version = 0
         self._score_due = 0.0
@@ -65,9 +66,9 @@ class ViewedRun:
             self._grown_at = time.monotonic() if self._is_read else None
         more = bool(new) and self.run.share_read < 1
         self._is_read = self._is_read or not more
-        scores = self._scores() if self._is_read else self.summary["scores"]
         self.summary = {
             **self.summary,
+            "version": self.version,
             "episodes": len(self.rows),
             "reading": round(self.run.share_read, 2) if more else 1.0,
             "live": self._grown_at is not None and time.monotonic() < self._grown_at + _LIVE_S,
@@ -75,8 +76,9 @@ class ViewedRun:
             "planned": info["episodes"] if type(info.get("episodes")) is int else None,
             "damaged": self.run.damaged,
             "problem": escaped(problem),
-            "scores": scores,
         }
+        if self._is_read:
+            self.summary = {**self.summary, "scores": self._scores()}
         return more
 
     def _scores(self) -> list[dict[str, Any]]:
