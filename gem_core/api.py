@@ -79,8 +79,9 @@ def make_vec(
 
     Args:
         ids: One id, or several for a mixed batch; the slots take them in turn. Each may come with keyword arguments of
-            its own, as in ``("game:Sudoku-v0-easy", {"max_turns": 9})``. Where there are fewer slots than ids, a plan
-            reaches them all, as that of ``rollout`` does.
+            its own, as in ``("game:Sudoku-v0-easy", {"max_turns": 9})``, and with ``wrappers`` of its own among them,
+            which are put around those for all. Where there are fewer slots than ids, a plan reaches them all, as that
+            of ``rollout`` does.
         num_envs: Number of slots; by default one for each id.
         backend: Where environments live: ``"sync"``, ``"async"``, ``"process"``, one that a plugin brings, or
             ``"auto"``, which chooses by each environment's ``concurrency``. Its options go along as in

@@ -28,7 +28,8 @@
     │   └── WorkerLostError        a worker died before it answered
     ├── FaultBudgetError           replacements fail again and again
     ├── RequestError               a model server did not answer, whatever the answer would have been
-    │   └── ContextOverflowError   the history is longer than the model takes: truncated, and scored
+    │   └── EpisodeLimitError      a limit of the episode is reached: truncated, and scored
+    │       └── ContextOverflowError   the history is longer than the model takes
     ├── AgentError                 an agent that cannot be called, or did not return text
     ├── GradingError               a verdict could not be reached; never a reward of 0
     ├── DatasetError               rows that are missing, empty or without a needed column
@@ -149,11 +150,36 @@ class FaultBudgetError(GemError):
 
 
 class RequestError(GemError):
-    """A model server did not answer a request, whatever the answer would have been: an error of that episode."""
+    """A model server did not answer a request, whatever the answer would have been: an error of that episode.
+
+    Args:
+        message: What happened.
+        cause: Its kind in a word, as ``"timeout"`` or ``"rate_limit"``, which records keep.
+    """
+
+    def __init__(self, message: str = "", *, cause: str | None = None) -> None:
+        super().__init__(message)
+        self.cause = cause
 
 
-class ContextOverflowError(RequestError):
+class EpisodeLimitError(RequestError):
+    """An agent is not asked again, since a limit is reached: the episode is truncated and scored, and is no error.
+
+    Args:
+        message: What happened.
+        limit: Name of the limit, as ``"time"`` or ``"cost"``, which ``Episode.cut_off`` tells.
+    """
+
+    def __init__(self, message: str = "", *, limit: str = "limit") -> None:
+        super().__init__(message)
+        self.limit = limit
+
+
+class ContextOverflowError(EpisodeLimitError):
     """The history has grown beyond what the model takes: the episode is truncated and scored, and is no error."""
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(message, limit="tokens")
 
 
 class AgentError(GemError, TypeError):

@@ -27,7 +27,13 @@ _OPTIONS = [
         "--request-timeout",
         type=click.FloatRange(min=0, min_open=True),
         metavar="SECONDS",
-        help="Limit of a request, all its attempts included.  [default: 600]",
+        help="Limit of a request, all its attempts included.  [default: 1800]",
+    ),
+    click.option(
+        "--attempt-timeout",
+        type=click.FloatRange(min=0, min_open=True),
+        metavar="SECONDS",
+        help="Limit of one attempt, after which it is tried again.  [default: 600]",
     ),
     click.option("--max-retries", type=click.IntRange(min=0), help="Attempts after the first.  [default: 8]"),
     click.option("--stream", is_flag=True, help="Let the server send answers in pieces."),
@@ -35,7 +41,12 @@ _OPTIONS = [
     click.option("--no-native-tools", is_flag=True, help="Let the model call tools in its text only."),
 ]
 
-_KEYWORDS = {"sampling_seed": "seed", "request_timeout": "timeout_s", "token_ids": "return_token_ids"}
+_KEYWORDS = {
+    "sampling_seed": "seed",
+    "request_timeout": "timeout_s",
+    "attempt_timeout": "attempt_timeout_s",
+    "token_ids": "return_token_ids",
+}
 """Keywords of agents that are not named as their option."""
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sized
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any
 
 from gem_core.errors import EpisodeFileError
 from gem_core.records.conversation import Conversation
+from gem_core.records.folding import folded, unfolded
 from gem_core.records.plain_json import ImageFolder, from_plain, to_plain
 from gem_core.records.redaction import without_secrets
 from gem_core.types import Info, Observation, Response
@@ -64,7 +65,7 @@ class Episode:
         run_seed: Seed of the run.
         versions: Version of each distribution that took part.
         seat: Name of the agent's seat among several; None where it was alone. See ``JointEpisode``.
-        agent: Name of the agent that sat there; None where it was alone.
+        agent: Name of the agent that acted, where there are several in the run; None where there is but one.
         first_reward: Reward that came with the first observation, for what others had done; 0 for an agent alone.
         ended_first: Whether the task was over for a seat among several before it ever acted.
         schema_version: Version of this record's form.
@@ -141,18 +142,24 @@ class Episode:
         return None if self._ended or self.info.get("correct", False) is None else False
 
     @property
-    def cut_off(self) -> Literal["turns", "tokens"] | None:
+    def cut_off(self) -> str | None:
         """What cut the episode off; None for one that ended by itself or in an error.
 
         ``"tokens"``: its context overflowed, or its last response stopped at the model's token limit, whatever the task
-        made of that. ``"turns"``: a limit of turns, or any other reason of the environment's.
+        made of that. ``"turns"``: a limit of turns, or any other reason of the environment's. Another limit by its
+        name, as ``"time"`` or ``"cost"``; see ``EpisodeLimitError``.
         """
         if self.error is not None:
             return None
         last = self.transitions[-1] if self.transitions else None
         if (last is not None and last.action.cut_off) or (not self._ended and self.final_info.get("context_overflow")):
             return "tokens"
-        return None if self._ended else "turns"
+        return None if self._ended else str(self.final_info.get("cut_off") or "turns")
+
+    @property
+    def unreadable(self) -> bool:
+        """Whether the last response held nothing that the task could read: ``info["parsed_action"]`` is None."""
+        return bool(self.transitions) and self.transitions[-1].info.get("parsed_action", "") is None
 
     @property
     def _ended(self) -> bool:
@@ -165,13 +172,17 @@ class Episode:
         error = self.final_info.get("error")
         return error if error is None or isinstance(error, dict) else {"kind": "unknown", "message": str(error)}
 
-    def to_dict(self, images: ImageFolder | None = None) -> dict[str, Any]:
+    def to_dict(self, images: ImageFolder | None = None, *, fold: bool = False) -> dict[str, Any]:
         """Return the episode as plain JSON.
 
         Args:
             images: Where images are written; None leaves their content out.
+            fold: Write of each observation only what goes beyond the one before, where they have much in common.
         """
         fields = {name: value for name, value in vars(self).items() if name != "transitions"}
+        observations = [self.observation, *(turn.observation for turn in self.transitions), self.final_observation]
+        first, *observed, last = folded(observations) if fold else observations
+        fields["observation"], fields["final_observation"] = first, last
         # Long collections go before they are converted: a data set would take seconds for every episode.
         fields["kwargs"] = {name: value for name, value in self.kwargs.items() if not _has_many_parts(value)}
         record = {name: to_plain(value, images) for name, value in fields.items()}
@@ -180,14 +191,14 @@ class Episode:
         record["kwargs"], record["wrappers"] = without_secrets(kept), without_secrets(record["wrappers"])
         record["transitions"] = [
             {
-                "observation": to_plain(turn.observation, images),
+                "observation": to_plain(observation, images),
                 "action": {"text": to_plain(turn.action.text), **to_plain(turn.action.reported(), images)},
                 "reward": turn.reward,
                 "terminated": turn.terminated,
                 "truncated": turn.truncated,
                 "info": to_plain(turn.info, images),
             }
-            for turn in self.transitions
+            for turn, observation in zip(self.transitions, observed, strict=True)
         ]
         return record
 
@@ -207,6 +218,7 @@ class Episode:
             turns = [_transition(turn, images) for turn in record["transitions"]]
             fields = {name: from_plain(record[name], images) for name in _FIELDS if name in record}
             episode = cls(**fields, transitions=turns)
+            unfold(episode)
         except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
             raise EpisodeFileError(f"the record of an episode is damaged ({type(error).__name__}: {error})") from error
         episode._check()
@@ -240,6 +252,14 @@ def _transition(record: Mapping[str, Any], images: ImageFolder | None) -> Transi
         truncated=bool(record["truncated"]),
         info=from_plain(record["info"], images),
     )
+
+
+def unfold(episode: Episode) -> None:
+    """Restore the observations of a record that was written with ``fold``."""
+    before = episode.observation
+    for turn in episode.transitions:
+        before = turn.observation = unfolded(turn.observation, before)
+    episode.final_observation = unfolded(episode.final_observation, before)
 
 
 def _has_many_parts(value: object) -> bool:

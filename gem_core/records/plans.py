@@ -28,12 +28,14 @@ class PlanItem:
         id: Id of the environment; None for the slot's own.
         seed: Seed of the episode; None makes it from the run's seed and the item's place in the plan.
         options: Passed to ``reset``, as ``{"index": 3}`` for a row of a data set.
-        kwargs: Keyword arguments of the environment, over those of the run.
+        kwargs: Keyword arguments of the environment, over those of the run. ``wrappers`` among them are put around
+            those of the run.
         group: Name that the episodes of a group share in ``info["group"]``; by default the item's place in the plan
             where ``repeat`` is over 1.
         repeat: Number of episodes that start alike.
         rotation: Where several agents act, by how many seats they move on from where they were given. With None, agents
             given by seat stay, and those given as a list move on by one from item to item of the same environment.
+        agent: Name of who acts, where ``rollout`` is given several by name, each for episodes of its own.
     """
 
     id: str | None = None
@@ -43,6 +45,7 @@ class PlanItem:
     group: str | None = None
     repeat: int = 1
     rotation: int | None = None
+    agent: str | None = None
 
 
 _NO_ITEM = PlanItem()

@@ -25,6 +25,7 @@ class EnvSummary:
         successes: Number of those that did.
         cut_off_by_turns: Number of episodes that a limit of turns or the environment cut off.
         cut_off_by_tokens: Number of those whose context overflowed, or whose last response stopped at its token limit.
+        cut_off_by_limits: Number of those that another limit cut off, as of time or of cost.
         total_return: Sum of the returns.
         turns: Sum of the turns.
         prompt_tokens: Tokens that the model read, as its server counts them; None where no response says.
@@ -41,6 +42,7 @@ class EnvSummary:
     successes: int = 0
     cut_off_by_turns: int = 0
     cut_off_by_tokens: int = 0
+    cut_off_by_limits: int = 0
     total_return: float = 0.0
     turns: int = 0
     prompt_tokens: int | None = None
@@ -71,6 +73,7 @@ class EnvSummary:
         self.episodes += 1
         self.cut_off_by_turns += episode.cut_off == "turns"
         self.cut_off_by_tokens += episode.cut_off == "tokens"
+        self.cut_off_by_limits += episode.cut_off not in (None, "turns", "tokens")
         self.turns += episode.turns
         self._add_return(episode.episode_return)
         self._judge(episode)

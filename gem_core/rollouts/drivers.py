@@ -21,7 +21,7 @@ from gem_core.records.episode import Episode
 from gem_core.records.joint import JointEpisode, Record
 from gem_core.records.plans import EpisodeQueue, PlanItem, count_plan, cover_plan, interleaved
 from gem_core.rollouts.agent import Agent, as_agent, close_agent, is_asynchronous, load_agent, prepare_agent
-from gem_core.rollouts.loop import EpisodeLoop
+from gem_core.rollouts.loop import Acting, EpisodeLoop
 from gem_core.rollouts.requests import AgentRequests
 from gem_core.rollouts.resume import FinishedEpisodes, finished_episodes
 from gem_core.rollouts.seating import Seating, as_seating
@@ -84,7 +84,8 @@ def rollout(
             given is left open.
         agent: Called as ``agent(observation, context)``, or with the observation alone; plain or a coroutine function.
             It returns a ``str`` or a ``Response``. Or the name of an agent, as ``load_agent`` takes it, ``"random"`` or
-            ``"openai:MODEL"``, which is then closed at the end.
+            ``"openai:MODEL"``, which is then closed at the end. Or several, ``{name: agent}``, each for the items of
+            the plan that name it (``PlanItem.agent``): models compared in one run.
         agents: Instead of ``agent``, for environments in which several agents act: ``{seat: agent}``; or a list of as
             many agents as there are seats, which move on by one seat from item to item of the plan, so that each begins
             as often as the others; or one agent for all seats, as in self-play; or a ``League``. Each may be given
@@ -181,7 +182,7 @@ class _Run:
     """The arguments of one call of ``rollout``."""
 
     env: Environments
-    acting: Agent | Seating
+    acting: Acting
     loaded: list[Agent]
     """Agents that were given by name, which are closed at the end."""
     plan: Iterable[PlanItem] | None
@@ -203,7 +204,10 @@ class _Run:
     @property
     def agents(self) -> list[Agent]:
         """Everyone who may act, as far as they are known, each once."""
-        everyone = self.acting.everyone() if isinstance(self.acting, Seating) else [self.acting]
+        if isinstance(self.acting, Seating):
+            everyone = self.acting.everyone()
+        else:
+            everyone = [self.acting] if callable(self.acting) else self.acting.values()
         return list({id(agent): agent for agent in everyone}.values())
 
     def vector(self, *, plain: bool) -> VectorEnv:
@@ -297,13 +301,16 @@ async def _drive_async(run: _Run) -> AsyncIterator[Record]:
                 yield episode
 
 
-def _who_acts(agent: Any, agents: Any) -> tuple[Agent | Seating, list[Agent]]:
+def _who_acts(agent: Any, agents: Any) -> tuple[Acting, list[Agent]]:
     """Return who acts, and those of them that were given by name."""
     if (agent is None) == (agents is None):
         raise ArgumentError("give either agent, who acts alone, or agents, where several act")
     if isinstance(agent, str):
         loaded = load_agent(agent)
         return loaded, [loaded]
+    if isinstance(agent, Mapping):
+        by_item = {name: load_agent(each) if isinstance(each, str) else as_agent(each) for name, each in agent.items()}
+        return by_item, [by_item[name] for name, each in agent.items() if isinstance(each, str)]
     if agents is None:
         return as_agent(agent), []
     acting = as_seating(agents)

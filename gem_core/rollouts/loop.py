@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from gem_core.errors import ContextOverflowError, EnvFaultError, GemError
+from gem_core.errors import (
+    ArgumentError,
+    ContextOverflowError,
+    EnvFaultError,
+    EpisodeLimitError,
+    GemError,
+    RequestError,
+)
 from gem_core.records.joint import JointEpisode, Record
 from gem_core.records.plans import EpisodeQueue, EpisodeStart, PlanItem
 from gem_core.rollouts.agent import Agent
@@ -15,6 +22,9 @@ from gem_core.rollouts.seat import common_fields, new_episode
 from gem_core.rollouts.seating import Seating
 from gem_core.types import TERMINAL_STATE, Action, Info, Observation, Response
 from gem_core.vector.vector_env import VectorEnv
+
+Acting = Agent | Mapping[str, Agent] | Seating
+"""The agent that acts alone; several by name, of which each item of the plan names one; or who sits where."""
 
 
 class EpisodeLoop:
@@ -26,10 +36,10 @@ class EpisodeLoop:
     Args:
         vector: Where they run.
         requests: Asks the agents.
-        acting: The agent that acts alone, or what decides who sits where.
+        acting: Who acts.
     """
 
-    def __init__(self, vector: VectorEnv, requests: AgentRequests, acting: Agent | Seating) -> None:
+    def __init__(self, vector: VectorEnv, requests: AgentRequests, acting: Acting) -> None:
         self._vector = vector
         self._requests = requests
         self._acting = acting
@@ -116,20 +126,26 @@ class EpisodeLoop:
         if isinstance(self._acting, Seating):
             self._running[slot] = SharedEpisode(self._vector, slot, start, observation, info, self._acting)
         else:
-            self._running[slot] = SoloEpisode(self._vector, slot, start, observation, info, self._acting)
+            agent = self._acting if callable(self._acting) else _of_item(self._acting, start.item)
+            self._running[slot] = SoloEpisode(self._vector, slot, start, observation, info, agent)
         self._unasked.append(slot)
 
     def _give_up(self, running: RunningEpisode, seat: str, failure: GemError) -> None:
-        """End an episode because an agent has no answer; a history that is too long for the model is no fault."""
+        """End an episode because an agent has no answer; a limit that it has reached is no fault."""
         of_env = isinstance(failure, EnvFaultError)
         if of_env and self._vector.on_error == "raise":
             raise failure
         del self._running[running.slot]
         error: dict[str, Any] | None = None
-        reported: Info = {"context_overflow": True}
-        if not isinstance(failure, ContextOverflowError):
+        if isinstance(failure, EpisodeLimitError):
+            reported: Info = {"cut_off": failure.limit}
+            if isinstance(failure, ContextOverflowError):
+                reported["context_overflow"] = True
+        else:
             message = str(failure).removeprefix(f"{running.record.id}: ")
             error = {"kind": "exception" if of_env else "agent", "message": message}
+            if isinstance(failure, RequestError) and failure.cause is not None:
+                error["cause"] = failure.cause
             reported = {"error": error}
         running.cut_off(seat, reported)
         self._finished.append(running.record)
@@ -137,9 +153,17 @@ class EpisodeLoop:
         self._requests.forget(running)
 
 
+def _of_item(agents: Mapping[str, Agent], item: PlanItem) -> Agent:
+    """Return the agent that an item of the plan names."""
+    if item.agent is None or item.agent not in agents:
+        names = ", ".join(map(repr, agents))
+        raise ArgumentError(f"an item of the plan has agent={item.agent!r}, and the agents given are {names}")
+    return agents[item.agent]
+
+
 def _failed_reset(failed: Mapping[str, Any], *, joint: bool) -> Record:
     """Return the episode of a reset that failed, from what ``info["failed_resets"]`` tells of it."""
-    item = PlanItem(options=failed["options"], group=failed["group"])
+    item = PlanItem(options=failed["options"], group=failed["group"], agent=failed["agent"])
     place = tuple(map(int, failed["key"].split(".")))
     start = EpisodeStart(item, place, failed["repeat"], failed["seed"], failed["run_seed"])
     described = {"id": failed["id"] or "unknown", "kwargs": failed["kwargs"]}

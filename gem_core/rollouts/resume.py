@@ -21,11 +21,13 @@ class _StartRecord(NamedTuple):
         id: Id of its environment.
         seed: Its seed.
         options: What ``reset`` got, as plain JSON.
+        agent: Name of who acted, where an item of the plan names one.
     """
 
     id: str
     seed: int | None
     options: Any
+    agent: str | None
 
 
 class FinishedEpisodes:
@@ -44,7 +46,8 @@ class FinishedEpisodes:
         if episode.run_seed is not None:
             self.run_seeds.add(episode.run_seed)
         if episode.error is None:
-            started = _StartRecord(episode.id, episode.seed, to_plain(episode.options) or None)
+            agent = episode.agent if isinstance(episode, Episode) else None
+            started = _StartRecord(episode.id, episode.seed, to_plain(episode.options) or None, agent)
             self._starts[episode.key, episode.repeat] = started
 
     def run_seed(self, given: int | None) -> int | None:
@@ -89,6 +92,8 @@ class FinishedEpisodes:
         env_id, options = start.item.id, to_plain(start.item.options) or None
         if env_id is not None and started.id != env_id:
             raise _other_run(start.key, f"is of {started.id!r}, and the plan asks for {env_id!r}")
+        if started.agent != start.item.agent:
+            raise _other_run(start.key, f"is of {started.agent!r}, and the plan names {start.item.agent!r}")
         if started.options != options:
             raise _other_run(start.key, f"was started with options {started.options}, and the plan gives it {options}")
         if started.seed != start.seed:

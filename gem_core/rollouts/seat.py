@@ -91,6 +91,7 @@ def new_episode(described: Mapping[str, Any], start: EpisodeStart, observation: 
         final_observation=observation,
         tools=tools,
         reads="observation",
+        agent=start.item.agent,
     )
 
 

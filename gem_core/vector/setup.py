@@ -87,7 +87,9 @@ class VectorSetup:
         setup = cls([env_id for env_id, _ in own], [kwargs for _, kwargs in own], distinct, **options)
         for env_id, kwargs in distinct:
             record = registry().env(env_id)
-            check_choices(record, {**setup.kwargs, **kwargs}, setup.wrappers)
+            arguments, own_wrappers = _split({**setup.kwargs, **kwargs})
+            check_choices(record, arguments, setup.wrappers)
+            check_choices(record, {}, own_wrappers)
         return setup
 
     @property
@@ -108,7 +110,8 @@ class VectorSetup:
         """Make an environment, with some keyword arguments changed."""
         if self.factory is not None:
             return self.factory(env_id, overrides)
-        return make_from(self.record(env_id), {**self.kwargs, **overrides}, self.wrappers)
+        arguments, own_wrappers = _split({**self.kwargs, **overrides})
+        return make_from(self.record(env_id), arguments, self.wrappers, own_wrappers)
 
     def record(self, env_id: str | None) -> EnvSpec:
         """Return the record of an environment.
@@ -132,10 +135,10 @@ class VectorSetup:
         If the classes do not declare it, an environment is made with the arguments that come with its id, and closed.
         """
         by_class = self.task_concurrency(env_id)
-        if by_class == "process" or self._wrappers_need_process():
+        if by_class == "process" or any(map(_needs_process, self._stacks(env_id))):
             return "process"
         # Wrappers may need a thread, which matters only for an inline task with a step_timeout.
-        decided = by_class != "inline" or not self.wrappers or self.step_timeout is None
+        decided = by_class != "inline" or not any(self._stacks(env_id)) or self.step_timeout is None
         if by_class is not None and decided:
             return by_class
         env = self.make(env_id, next(kwargs for each, kwargs in self.entries if each == env_id))
@@ -144,16 +147,29 @@ class VectorSetup:
         finally:
             env.close()
 
-    def _wrappers_need_process(self) -> bool:
-        for target in wrapper_targets(self.wrappers):
-            made: Any = target
-            if isinstance(target, str):
-                entry_point = target if ":" in target else registry().wrapper(target).entry_point
-                made = load_entry_point(entry_point, f"wrapper {target!r}")
-            # A wrapper class declares ``needs``, a tool ``concurrency``.
-            if "process" in (getattr(made, "needs", None), getattr(made, "concurrency", None)):
-                return True
-        return False
+    def _stacks(self, env_id: str) -> list[Wrappers]:
+        """Return the wrappers of all environments, and those of the entries of one id."""
+        own = [_split({**self.kwargs, **kwargs})[1] for each, kwargs in self.entries if each == env_id]
+        return [self.wrappers, *own]
+
+
+def _needs_process(wrappers: Wrappers) -> bool:
+    for target in wrapper_targets(wrappers):
+        made: Any = target
+        if isinstance(target, str):
+            entry_point = target if ":" in target else registry().wrapper(target).entry_point
+            made = load_entry_point(entry_point, f"wrapper {target!r}")
+        # A wrapper class declares ``needs``, a tool ``concurrency``.
+        if "process" in (getattr(made, "needs", None), getattr(made, "concurrency", None)):
+            return True
+    return False
+
+
+def _split(kwargs: Mapping[str, Any]) -> tuple[Mapping[str, Any], Wrappers]:
+    """Return the arguments of an environment, and the wrappers that are named among them."""
+    if "wrappers" not in kwargs:
+        return kwargs, ()
+    return {name: value for name, value in kwargs.items() if name != "wrappers"}, kwargs["wrappers"]
 
 
 def _is_pair(given: object) -> bool:

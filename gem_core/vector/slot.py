@@ -278,6 +278,7 @@ class Slot:
             "seed": start.seed,
             "run_seed": start.run_seed,
             "group": start.item.group,
+            "agent": start.item.agent,
             "key": start.key,
             "repeat": start.repeat,
             "error": error,

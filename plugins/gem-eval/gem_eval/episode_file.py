@@ -307,7 +307,7 @@ def _shortened(record: dict[str, Any]) -> dict[str, Any]:
     """
     turns = record["transitions"] if isinstance(record.get("transitions"), list) else None
     last = [{**turn, "observation": "", "action": {"text": ""}} for turn in turns[-1:]] if turns else turns
-    return {**record, "transitions": last}
+    return {**record, "final_observation": "", "transitions": last}
 
 
 def _start(episode: Record) -> dict[str, Any]:

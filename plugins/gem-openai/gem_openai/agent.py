@@ -57,7 +57,8 @@ class OpenAIAgent:
         extra_body: More fields of the request, as ``{"top_k": 20}``.
         max_concurrency: Requests at once; more wait for a place.
         timeout_s: Limit of a request in seconds, from when it has its place, all attempts and waits included.
-        attempt_timeout_s: Limit of one attempt, after which it is tried again; None for no other limit.
+        attempt_timeout_s: Limit of one attempt, after which it is tried again, so that a connection that hangs does not
+            use up the request; None for no other limit.
         max_retries: Attempts after the first. A request is tried again on 408, 409, 425, 429, 5xx, a broken connection
             or an answer that is no completion; after a random wait of up to 0.5, 1, 2, … 30 s, or what ``Retry-After``
             asks for.
@@ -87,8 +88,8 @@ class OpenAIAgent:
         stop: str | Sequence[str] | None = None,
         extra_body: Mapping[str, Any] | None = None,
         max_concurrency: int = 64,
-        timeout_s: float = 600.0,
-        attempt_timeout_s: float | None = None,
+        timeout_s: float = 1800.0,
+        attempt_timeout_s: float | None = 600.0,
         max_retries: int = 8,
         stream: bool = False,
         return_token_ids: bool = False,
@@ -174,7 +175,8 @@ class OpenAIAgent:
                 raise ContextOverflowError(f"the history is longer than {self.model} takes") from None
             if not self._answered and fault.status in (401, 404):
                 raise self._at_start(fault) from None
-            raise RequestError(f"{self.model} at {self.base_url} gave no answer: {fault.message}") from None
+            message = f"{self.model} at {self.base_url} gave no answer: {fault.message}"
+            raise RequestError(message, cause=fault.cause) from None
         self._answered = True
         return response
 

@@ -54,6 +54,7 @@ class ServerFault(Exception):
         retry_after: Seconds that the server asks to wait.
         unreachable: Whether there was no connection at all.
         body: All that the server said, without the key.
+        timed_out: Whether there was a connection, and no answer in time.
     """
 
     message: str
@@ -63,6 +64,16 @@ class ServerFault(Exception):
     retry_after: float | None = None
     unreachable: bool = False
     body: str = ""
+    timed_out: bool = False
+
+    @property
+    def cause(self) -> str:
+        """What records call it: ``timeout``, ``rate_limit``, ``server``, ``refused`` or ``connection``."""
+        if self.timed_out:
+            return "timeout"
+        if self.status is None:
+            return "connection"
+        return "rate_limit" if self.status == 429 else "server" if self.status >= 500 else "refused"
 
 
 class _Link(NamedTuple):
@@ -144,7 +155,9 @@ class ChatClient:
             async with asyncio.timeout(None if deadline is None else deadline - time.monotonic()):
                 await link.places.acquire()
         except TimeoutError:
-            raise ServerFault("the deadline passed before a place among the requests was free") from None
+            raise ServerFault(
+                "the deadline passed before a place among the requests was free", timed_out=True
+            ) from None
         try:
             end = time.monotonic() + timeout_s
             end = end if deadline is None else min(end, deadline)
@@ -223,7 +236,7 @@ class ChatClient:
         left = request.end - time.monotonic()
         limit = left if self._attempt_timeout_s is None else min(left, self._attempt_timeout_s)
         if limit <= 0:
-            raise ServerFault("the deadline passed before it was sent", transient=False)
+            raise ServerFault("the deadline passed before it was sent", transient=False, timed_out=True)
         try:
             async with asyncio.timeout(limit):
                 return await self._exchange(link, request)
@@ -298,7 +311,7 @@ class ChatClient:
             number = error.errno
             return ServerFault(os.strerror(number).lower() if number else "no connection", unreachable=True)
         if isinstance(error, TimeoutError):
-            return ServerFault(f"no answer within {limit_s:.0f} s")
+            return ServerFault(f"no answer within {limit_s:.0f} s", timed_out=True)
         if isinstance(error, aiohttp.InvalidURL):
             return ServerFault("it is no address", transient=False, unreachable=True)
         return ServerFault(f"the connection broke ({type(error).__name__})")

@@ -238,8 +238,9 @@ def test_faults_without_end_give_up(server: ChatServer, make_agent: MakeAgent) -
     """After as many retries as were allowed."""
     server.otherwise = error(503, "loading")
     agent = make_agent(max_retries=3)
-    with pytest.raises(RequestError, match=r"gave no answer: status 503: loading \(4 attempts\)$"):
+    with pytest.raises(RequestError, match=r"gave no answer: status 503: loading \(4 attempts\)$") as caught:
         ask(agent)
+    assert caught.value.cause == "server"
     assert waits(agent) == [0.5, 1.0, 2.0]
 
 
@@ -258,8 +259,9 @@ def test_a_wait_beyond_the_deadline_ends_the_request(server: ChatServer, make_ag
     agent = make_agent(timeout_s=30)
     with pytest.raises(
         RequestError, match=r"status 429: busy, and it asks to wait 60 s; the time for this request is up$"
-    ):
+    ) as caught:
         ask(agent)
+    assert caught.value.cause == "rate_limit"
     assert (waits(agent), len(server.chats)) == ([], 1)
 
 

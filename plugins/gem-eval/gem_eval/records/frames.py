@@ -1,0 +1,63 @@
+"""Episodes as zstd frames, one after another in a file: ``zstdcat`` prints them as JSON lines."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any, BinaryIO
+
+import zstandard
+
+from gem_core.errors import EpisodeFileError
+
+MAX_LINE_BYTES = 2**30
+"""A frame that holds more is damaged: a few bytes may claim to hold any length."""
+
+_CHUNK_BYTES = 1 << 16
+
+_LEVEL = 3
+_compressor = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True)
+
+
+def pack(record: Any) -> bytes:
+    """Return a record as a frame."""
+    # ASCII only: text of a model may hold lone surrogates, which UTF-8 cannot.
+    line = json.dumps(record, ensure_ascii=True, allow_nan=False)
+    return _compressor.compress(line.encode("ascii") + b"\n")
+
+
+def unpack(frame: bytes) -> Any:
+    """Return the record of a frame, or of a line that is not compressed.
+
+    Raises:
+        EpisodeFileError: It holds none.
+    """
+    try:
+        if frame.startswith(zstandard.FRAME_HEADER):
+            frame = zstandard.ZstdDecompressor().decompress(frame, max_output_size=MAX_LINE_BYTES)
+        return json.loads(frame)
+    except (zstandard.ZstdError, ValueError, RecursionError, MemoryError) as error:
+        raise EpisodeFileError(f"it is no record of an episode ({error})") from error
+
+
+def frames(file: BinaryIO, offset: int) -> Iterator[tuple[int, bytes]]:
+    """Yield the whole frames of a file from an offset on, each with its own offset; stop at what is torn or damaged."""
+    file.seek(offset)
+    rest = b""
+    while True:
+        decompressor = zstandard.ZstdDecompressor().decompressobj()
+        taken = bytearray()
+        try:
+            while not decompressor.eof:
+                chunk = rest or file.read(_CHUNK_BYTES)
+                if not chunk:
+                    return
+                rest = b""
+                decompressor.decompress(chunk)
+                taken += chunk
+        except zstandard.ZstdError:
+            return
+        rest = decompressor.unused_data
+        frame = bytes(taken[: len(taken) - len(rest)])
+        yield offset, frame
+        offset += len(frame)

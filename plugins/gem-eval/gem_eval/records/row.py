@@ -1,0 +1,154 @@
+"""``Row``: what the index of a run says of one episode."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from gem_core import Episode
+from gem_core.errors import EpisodeFileError
+from gem_core.records import to_plain
+from gem_eval.turns import error_text
+
+_LONGEST_TEXT = 300
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What the index says of one episode.
+
+    Args:
+        number: From 1, in the order in which episodes were written.
+        offset: Where the frame begins in the file of episodes, in bytes.
+        length: Length of the frame in bytes.
+        id: Name of the task in the suite, by default the id of the environment.
+        model: Name of the agent that acted.
+        row: Identity of what was asked, the same in every run: the task, and the row of its data set or the seed.
+        epoch: Which time the row was played, from 0.
+        key: Place in the plan.
+        seed: Seed of the episode.
+        success: Whether the task was solved; None where that is not known.
+        episode_return: Sum of the rewards.
+        turns: Number of turns.
+        error: What failed in the machinery, as ``kind: message``; None for an episode that counts.
+        cause: Kind of that error in a word, as ``"rate_limit"`` or ``"exception"``.
+        cut_off: Why the episode was cut off; None for one that ended by itself.
+        unreadable: Whether the last response held nothing that the task could read.
+        tokens_in: Tokens that the model read; None where its server does not say.
+        tokens_out: Tokens that it wrote.
+        cost: In US dollars; None without a price.
+        seconds: From the first question to the end.
+        model_seconds: Those in which the model was asked.
+        finished: When the episode ended, in seconds since 1970.
+        cached: How many responses came from the cache.
+    """
+
+    number: int
+    offset: int
+    length: int
+    id: str
+    model: str
+    row: str
+    epoch: int
+    key: str
+    seed: int | None
+    success: bool | None
+    episode_return: float
+    turns: int
+    error: str | None = None
+    cause: str | None = None
+    cut_off: str | None = None
+    unreadable: bool = False
+    tokens_in: int | None = None
+    tokens_out: int | None = None
+    cost: float | None = None
+    seconds: float | None = None
+    model_seconds: float | None = None
+    finished: float | None = None
+    cached: int = 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the row as plain JSON."""
+        record: dict[str, Any] = to_plain(asdict(self))
+        return record
+
+    @classmethod
+    def from_dict(cls, record: Any) -> Row:
+        """Return the row that ``to_dict`` wrote; fields of later versions are left out.
+
+        Raises:
+            EpisodeFileError: It is no row.
+        """
+        try:
+            row = cls(**{name: record[name] for name in _FIELDS if name in record})
+            # JSON has no word for them.
+            object.__setattr__(row, "episode_return", float(row.episode_return))
+        except (TypeError, ValueError) as error:
+            raise EpisodeFileError(f"a line of the index is damaged ({error})") from error
+        if not (isinstance(row.offset, int) and isinstance(row.length, int) and isinstance(row.model, str)):
+            raise EpisodeFileError("a line of the index is damaged")
+        return row
+
+    @classmethod
+    def of(cls, record: Mapping[str, Any], number: int, offset: int, length: int) -> Row:
+        """Return the row of an episode's record, as it stands in the file.
+
+        Raises:
+            EpisodeFileError: It is no record of an episode.
+        """
+        episode = Episode.from_dict(record)
+        told = record.get("evaluation")
+        own = told if isinstance(told, Mapping) else {}
+        return cls.of_episode(episode, own, number, offset, length)
+
+    @classmethod
+    def of_episode(cls, episode: Episode, own: Mapping[str, Any], number: int, offset: int, length: int) -> Row:
+        """Return the row of an episode.
+
+        Args:
+            episode: The episode.
+            own: What its record says under ``"evaluation"``.
+            number: See the class.
+            offset: See the class.
+            length: See the class.
+        """
+        error = episode.error
+        task = _clipped(own.get("id", episode.id))
+        return cls(
+            number=number,
+            offset=offset,
+            length=length,
+            id=task,
+            model=_clipped(own.get("model", episode.agent or "")),
+            row=_clipped(own.get("row", f"{task}/{episode.info.get('task_id', episode.seed)}")),
+            epoch=episode.repeat,
+            key=episode.key,
+            seed=episode.seed,
+            success=episode.success,
+            episode_return=episode.episode_return,
+            turns=episode.turns,
+            error=None if error is None else _clipped(error_text(error)),
+            cause=None if error is None else _clipped(error.get("cause") or error.get("kind")),
+            cut_off=episode.cut_off,
+            unreadable=episode.unreadable,
+            tokens_in=_tokens(episode, "prompt_tokens"),
+            tokens_out=_tokens(episode, "completion_tokens"),
+            **{name: own[name] for name in _MEASURED if name in own},
+        )
+
+
+_FIELDS = tuple(each.name for each in fields(Row))
+_MEASURED = ("cost", "seconds", "model_seconds", "finished", "cached")
+"""What only the record says, under ``"evaluation"``."""
+
+
+def _tokens(episode: Episode, name: str) -> int | None:
+    counts = [(turn.action.usage or {}).get(name) for turn in episode.transitions]
+    known = [count for count in counts if type(count) is int]
+    return sum(known) if known else None
+
+
+def _clipped(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= _LONGEST_TEXT else text[: _LONGEST_TEXT - 1] + "…"

@@ -1,0 +1,172 @@
+"""The record of a run: read back the same, small, readable while it grows, whole after a kill at any byte."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zstandard
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import gem_core as gem
+from gem_core import Episode, Response
+from gem_core.errors import ArgumentError, EpisodeFileError
+from gem_core.records import write_episodes
+from gem_eval.records import Run, RunWriter, open_run
+
+ID = "game:GuessTheNumber-v0-hard"
+
+
+def guess(observation: Any, context: Any) -> Response:
+    usage = {"prompt_tokens": 100 + context.turn, "completion_tokens": 20}
+    return Response(f"I halve the range. \\boxed{{{context.turn * 3 + 1}}}", usage=usage, finish_reason="stop")
+
+
+@pytest.fixture(scope="module")
+def played() -> list[Episode]:
+    return list(gem.rollout(gem.make_vec(ID, 4, wrappers="concat_with_action"), guess, episodes=6, seed=1))
+
+
+def told(episode: Episode) -> dict[str, Any]:
+    return {"model": "toy", "row": f"{ID}/{episode.seed}", "seconds": 0.5}
+
+
+def recorded(path: Path, episodes: list[Episode]) -> Path:
+    with RunWriter(path) as writer:
+        writer.write_info({"suite": "toy"})
+        for episode in episodes:
+            writer.write(episode, told(episode))
+    return path
+
+
+def test_a_run_is_read_back_the_same(tmp_path: Path, played: list[Episode]) -> None:
+    """Episodes to the letter, and rows that say what they are."""
+    run = open_run(recorded(tmp_path / "run", played))
+    assert [run.episode(row) for row in run.rows] == played
+    first = run.rows[0]
+    assert (first.model, first.row, first.seconds, first.turns) == ("toy", f"{ID}/{played[0].seed}", 0.5, 7)
+    assert first.tokens_out == 20 * first.turns
+    assert run.info == {"suite": "toy"}
+
+
+def test_a_run_takes_a_third_of_the_bytes_of_a_file_of_episodes(tmp_path: Path, played: list[Episode]) -> None:
+    """Index included."""
+    folder = recorded(tmp_path / "run", played)
+    write_episodes(tmp_path / "run.jsonl", played)
+    taken = sum(path.stat().st_size for path in folder.iterdir())
+    assert taken * 3 < (tmp_path / "run.jsonl").stat().st_size
+
+
+def test_episodes_are_json_lines_to_other_programs(tmp_path: Path, played: list[Episode]) -> None:
+    """As ``zstdcat`` prints them."""
+    path = recorded(tmp_path / "run", played) / "episodes.jsonl.zst"
+    with zstandard.open(path, "rt") as file:
+        assert [json.loads(line)["seed"] for line in file] == [episode.seed for episode in played]
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_a_run_that_was_killed_at_any_byte_goes_on(
+    tmp_path_factory: pytest.TempPathFactory, played: list[Episode], data: st.DataObject
+) -> None:
+    """What was whole stays, what was torn is cut off, and the next episodes are appended."""
+    path = recorded(tmp_path_factory.mktemp("run") / "run", played)
+    for name in ("episodes.jsonl.zst", "index.jsonl"):
+        content = (path / name).read_bytes()
+        (path / name).write_bytes(content[: data.draw(st.integers(0, len(content)), label=name)])
+    with RunWriter(path) as writer:
+        mended = open_run(path)
+        assert [mended.episode(row) for row in mended.rows] == played[: len(mended.rows)]
+        for episode in played[len(mended.rows) :]:
+            writer.write(episode, told(episode))
+    run = open_run(path)
+    assert [run.episode(row) for row in run.rows] == played
+    assert [row.number for row in run.rows] == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_torn_index_loses_no_episode(tmp_path: Path, played: list[Episode]) -> None:
+    """It is made again of what the frames say."""
+    path = recorded(tmp_path / "run", played)
+    rows = open_run(path).rows
+    (path / "index.jsonl").unlink()
+    RunWriter(path).close()
+    assert open_run(path).rows == rows
+
+
+def test_a_run_is_read_while_it_grows(tmp_path: Path, played: list[Episode]) -> None:
+    """Each refresh brings what was added."""
+    with RunWriter(tmp_path / "run") as writer:
+        writer.write_info({})
+        run = Run(tmp_path / "run")
+        assert run.rows == []
+        writer.write(played[0], told(played[0]))
+        assert [row.number for row in run.refresh()] == [1]
+        with (tmp_path / "run" / "index.jsonl").open("ab") as index:
+            index.write(b'{"number": 2, "off')
+        assert run.refresh() == []
+
+
+def test_the_later_of_two_records_of_an_episode_counts(tmp_path: Path, played: list[Episode]) -> None:
+    """As where an error was run again."""
+    again = Episode.from_dict({**played[0].to_dict(), "group": "again"})
+    run = open_run(recorded(tmp_path / "run", [*played, again]))
+    assert len(run.rows) == len(played)
+    assert run.episode(run.rows[0]).group == "again"
+
+
+def test_a_run_has_one_writer(tmp_path: Path) -> None:
+    """The same command twice would mix two runs."""
+    with RunWriter(tmp_path / "run"), pytest.raises(ArgumentError, match="another process is writing the run"):
+        RunWriter(tmp_path / "run")
+
+
+def test_a_file_of_gem_run_is_read_as_a_run(tmp_path: Path, played: list[Episode]) -> None:
+    """With the rows that its episodes tell."""
+    write_episodes(tmp_path / "run.jsonl", played)
+    run = open_run(tmp_path / "run.jsonl")
+    assert [run.episode(row) for row in run.rows] == played
+    assert run.rows[0].row == f"{ID}/{played[0].seed}"
+
+
+@pytest.mark.parametrize("content", [b"", b"{}\n", b"\xff\xfe\n", b"[1]\n", b"9" * 5000 + b"\n"])
+def test_a_damaged_index_is_no_crash(tmp_path: Path, played: list[Episode], content: bytes) -> None:
+    """Its lines are passed over, and counted."""
+    path = recorded(tmp_path / "run", played)
+    with (path / "index.jsonl").open("ab") as file:
+        file.write(content)
+    run = open_run(path)
+    assert (len(run.rows), run.damaged) == (6, 1 if content else 0)
+
+
+def test_a_damaged_frame_is_an_error_that_names_it(tmp_path: Path, played: list[Episode]) -> None:
+    """And no other episode is lost."""
+    path = recorded(tmp_path / "run", played)
+    run = open_run(path)
+    content = bytearray((path / "episodes.jsonl.zst").read_bytes())
+    content[run.rows[1].offset + 20] ^= 0xFF
+    (path / "episodes.jsonl.zst").write_bytes(content)
+    with pytest.raises(EpisodeFileError, match="episode 2: it is no record"):
+        run.episode(run.rows[1])
+    assert run.episode(run.rows[2]) == played[2]
+
+
+def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
+    """With what a run is."""
+    with pytest.raises(ArgumentError, match="there is no run "):
+        open_run(tmp_path / "nothing")
+    with pytest.raises(ArgumentError, match=r"is no run: there is no run\.json in it"):
+        open_run(tmp_path)
+
+
+def test_zstdcat_reads_a_run(tmp_path: Path, played: list[Episode]) -> None:
+    """The file is plain zstd."""
+    path = recorded(tmp_path / "run", played) / "episodes.jsonl.zst"
+    try:
+        printed = subprocess.run(["zstdcat", path], capture_output=True, check=True).stdout
+    except FileNotFoundError:
+        pytest.skip("there is no zstdcat")
+    assert len(printed.splitlines()) == len(played)
