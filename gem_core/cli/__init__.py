@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -20,7 +21,34 @@ from gem_core.suggestions import did_you_mean
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-__all__ = ["Layout", "cli", "main", "output_width"]
+    from gem_core.cli.agent_options import agent_options as with_agent_options
+    from gem_core.cli.agent_options import given as agent_arguments
+    from gem_core.cli.list_command import matching
+    from gem_core.cli.targets import find_env
+    from gem_core.cli.tool_options import arguments_option, env_arguments
+
+__all__ = [
+    "Layout",
+    "agent_arguments",
+    "arguments_option",
+    "cli",
+    "env_arguments",
+    "find_env",
+    "main",
+    "matching",
+    "output_width",
+    "with_agent_options",
+]
+
+_FOR_PLUGINS = {
+    "agent_arguments": "agent_options:given",
+    "arguments_option": "tool_options:arguments_option",
+    "env_arguments": "tool_options:env_arguments",
+    "find_env": "targets:find_env",
+    "matching": "list_command:matching",
+    "with_agent_options": "agent_options:agent_options",
+}
+"""What commands of plugins share with the core's, imported when it is asked for."""
 
 _OWN = {record.name: record for record in gem_add_commands()}
 
@@ -34,6 +62,13 @@ Examples:
 """
 
 INTERRUPTED = 130
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _FOR_PLUGINS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, _, attribute = _FOR_PLUGINS[name].partition(":")
+    return getattr(importlib.import_module(f"{__name__}.{module}"), attribute)
 
 
 class _Commands(click.Group):

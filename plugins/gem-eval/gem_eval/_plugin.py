@@ -9,11 +9,16 @@ from gem_core import CommandSpec, hookimpl
 
 @hookimpl
 def gem_add_commands() -> Iterable[CommandSpec]:
-    """The command ``gem show``."""
+    """The commands ``gem show`` and ``gem audit``."""
     return [
         CommandSpec(
             name="show",
             entry_point="gem_eval.show.command:command",
             summary="Show recorded episodes: a list, one of them, two compared, or a page.",
-        )
+        ),
+        CommandSpec(
+            name="audit",
+            entry_point="gem_eval.auditing.command:command",
+            summary="Check environments: gold answers, exploits, leaks, duplicates.",
+        ),
     ]
