@@ -222,7 +222,7 @@ class _Audit:
                 self.looks[each.name].question = each.question
         if asked is None and self.stage.count is not None:
             asked = [
-                Asked(look.name, look.texts[0], look.texts[0], normal(look.gold) if look.gold else "unknown")
+                Asked(look.name, look.texts[0], look.texts[0], normal(look.gold) if look.gold else "")
                 for look in self.looks.values()
             ]
         if asked:
@@ -341,10 +341,7 @@ class _Audit:
         rate = self.found.rates.setdefault("hedge", Rate("exploit"))
         played: dict[str, list[Played]] = {}
         for row in self.stage.rows:
-            own = [self._content(self.golds[row.name])] if row.name in self.golds else []
-            names = [*near[: len(near) // 2], *own, *near[len(near) // 2 :]] if own else list(GUESSES)
-            if len(set(map(normal, names))) < 2:
-                names += GUESSES[:4]
+            names = self._answers_around(row, near)
             for variant in hedges(self.forms, names):
                 played.setdefault(variant.label, []).append(self._play_variant(row, variant))
         succeeded: list[_Success] = []
@@ -356,6 +353,14 @@ class _Audit:
             if solved and (self.golds or len(solved) > 0.5 * len(each)):
                 succeeded.append(_Success(label, solved, len(each)))
         self._report_successes("hedge", succeeded)
+
+    def _answers_around(self, row: Row, answers: Sequence[str]) -> list[str]:
+        """Return the gold answer of a row in the middle of others, so that who takes the first or last misses it."""
+        if row.name not in self.golds:
+            return list(GUESSES)
+        own = self._content(self.golds[row.name])
+        others = [each for each in (*answers, *GUESSES) if normal(each) != normal(own)][: max(4, len(answers))]
+        return [*others[: len(others) // 2], own, *others[len(others) // 2 :]]
 
     def _play_claims(self) -> None:
         """Answer with what infos hold, and with what the observation gives behind words such as "answer:"."""

@@ -173,13 +173,16 @@ _CODES: dict[str, Callable[[str], str]] = {
 
 
 def _encoded(known: Sequence[Look], golds: Sequence[str]) -> Iterator[Problem]:
-    texts = ["\n".join([look.text, *look.leaves().values()]) for look in known]
+    infos = ["\n".join(look.leaves().values()) for look in known]
     for name, encode in _CODES.items():
         codes = [encode((look.gold or "").strip()) for look in known]
-        hits = [at for at, code in enumerate(codes) if len(code) >= 4 and code in texts[at]]
-        if _beyond_chance(hits, texts, codes, lambda text, code: len(code) >= 4 and code in text):
-            examples = tuple(f"{known[at].name}: {codes[at]!r:.80}" for at in hits[:3])
-            yield Problem("leak", len(hits) / len(known), f"the gold answer is shown in {name} form", examples)
+        for place, texts in (("an info", infos), ("the observation", [look.text for look in known])):
+            hits = [at for at, code in enumerate(codes) if len(code) >= 4 and code in texts[at]]
+            if _beyond_chance(hits, texts, codes, lambda text, code: len(code) >= 4 and code in text):
+                examples = tuple(f"{known[at].name}: {codes[at]!r:.80}" for at in hits[:3])
+                message = f"{place} holds the gold answer in {name} form"
+                # To read a text backward, or in a code, may be the very task.
+                yield Problem("leak", len(hits) / len(known), message, examples, place == "an info")
 
 
 def _beyond_chance(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any, NamedTuple
 import gem_core
 from gem_core.data import DatasetEnv, load_rows
 from gem_core.errors import ArgumentError, GemError
+from gem_core.records import to_plain
 from gem_eval.auditing.results import Problem
 from gem_eval.auditing.texts import normal, words
 
@@ -27,7 +29,7 @@ class Asked(NamedTuple):
         name: Of the row.
         prompt: All that is asked.
         question: The column of the question alone.
-        gold: The gold answer; None where there is none.
+        gold: The gold answer; None where there is none, empty where it is not known.
         malformed: Why the gold answer cannot be read; empty where it can.
     """
 
@@ -48,7 +50,7 @@ def rows_of(env_id: str, env: Any) -> list[Asked] | None:
         row = task.rows[index]
         question = str(row.get(task.question_key, ""))
         prompt = task.prompt(row)
-        prompt = prompt if isinstance(prompt, str) else question
+        prompt = prompt if isinstance(prompt, str) else json.dumps(to_plain(prompt))  # images by their hash
         name = f"{env_id}/{index}"
         given = row.get(task.answer_key)
         if _is_missing(given):
@@ -95,7 +97,7 @@ def check_rows(asked: Sequence[Asked], *, fixed: bool) -> Iterator[Problem]:
     differing = [group for group in twice if len({each.gold for each in group}) > 1]
     same = [group for group in twice if group not in differing]
     if differing:
-        yield _repeated("conflict", "come again with another gold answer", differing, asked, fails=True)
+        yield _repeated("conflict", "come again with another gold answer", differing, asked, fails=fixed)
     if same:
         yield _repeated("duplicates", "come more than once", same, asked, fails=fixed)
     golds = Counter(each.gold for each in asked if each.gold)
