@@ -10,7 +10,7 @@ import gem_core
 from gem_core.errors import ArgumentError, GemError
 from gem_eval.auditing.canary import Canary
 from gem_eval.auditing.forms import BOXED, RAW, TAGGED, Form, finish_of, form_of_words
-from gem_eval.auditing.leaks import Look, find_leaks
+from gem_eval.auditing.leaks import MOSTLY, Look, find_leaks
 from gem_eval.auditing.policies import GUESSES, Variant, hedges, injections, nulls, tamperings
 from gem_eval.auditing.results import KINDS, EnvAudit, Problem, Rate, lower_bound
 from gem_eval.auditing.rows import Asked, check_contamination, check_rows, questions_of, rows_of
@@ -20,8 +20,12 @@ from gem_eval.auditing.texts import holds, normal
 _LEAST_PLAYS = 3
 """Rows on which each variant of an exploit is tried, before it is played on all where it succeeded."""
 _PER_ROW = 3
+"""Variants of an exploit that are tried on each row."""
+_MOST_REPEATS = 50
+"""Turns of an exploit in one episode."""
 _CHANCE_MARGIN = 0.05
 _MOST_CLAIMS = 30
+"""Values of infos and texts that are tried as answers."""
 _SHOWN = 160
 """Characters of a response that an example shows."""
 
@@ -300,7 +304,8 @@ class _Audit:
 
     def _play_variant(self, row: Row, variant: Variant) -> Played:
         responses = variant.responses
-        return self.stage.play(row, lambda _o, _i, turn: responses[min(turn, len(responses) - 1)])
+        respond = lambda _o, _i, turn: responses[min(turn, len(responses) - 1)]  # noqa: E731
+        return self.stage.play(row, respond, most_turns=_MOST_REPEATS)
 
     def _successes(self, policy: str, rate: Rate, label: str, played: Sequence[Played]) -> list[_Success]:
         """Count the episodes of one variant; return its success, where it had one beyond chance."""
@@ -376,8 +381,10 @@ class _Audit:
                 tried = [self.stage.play(row, _says(form.around(claims[row.name][source]))) for form in self.forms]
                 played.append(next(filter(self._solves, tried), tried[0]))
             solved = [each for each in played if self._solves(each)]
+            shown = sum(self.looks[row.name].shows(claims[row.name][source]) for row in rows) > len(rows) / 2
             enough = lower_bound(len(solved), len(played)) > self._chance() + _CHANCE_MARGIN
             enough = enough or (len(solved) == len(played) == len(self.stage.rows) and len(solved) > 1)
+            enough = enough and (not source.startswith("info") or not shown or len(solved) >= MOSTLY * len(played))
             for each in played:
                 self._count(rate, each, solved=enough and self._solves(each))
             if enough:

@@ -17,6 +17,9 @@ _UNLIKELY = 1e-3
 _OTHERS = 20
 _LONGEST = 2_000
 """Characters of a value in an info that are looked at."""
+_SHORT = 60
+MOSTLY = 0.9
+"""Share of rows that a value which is shown as text must give away: one of three options is right in a third."""
 _SHOWN_ANYWAY = {"feedback", "suffix", "messages", "system", "tools", "tool_instructions", "seed", "parsed_action"}
 """Keys of an info whose content the agent sees as text, or has written itself."""
 _TELLING = (
@@ -53,14 +56,18 @@ class Look:
         return "\n".join(self.texts)
 
     def leaves(self) -> dict[str, str]:
-        """Return the values of the infos by their path, as ``extra.answer``, but for what is shown as text anyway."""
+        """Return the values of the infos by path, as ``extra.answer``, without long ones that are shown as text."""
         shown = normal(self.text)
         found: dict[str, str] = {}
         for info in self.infos:
             for path, value in _leaves(info, ""):
-                if path.split(".")[0] not in _SHOWN_ANYWAY and normal(value) not in shown:
+                if path.split(".")[0] not in _SHOWN_ANYWAY and (len(value) < _SHORT or normal(value) not in shown):
                     found.setdefault(path, value)
         return found
+
+    def shows(self, value: str) -> bool:
+        """Tell whether a value of an info stands in the text as well, as the options of a question may."""
+        return normal(value) in normal(self.text)
 
     def claims(self) -> dict[str, str]:
         """Return what the text gives behind words such as "answer:", by those words."""
@@ -95,7 +102,9 @@ def _in_infos(known: Sequence[Look], golds: Sequence[str]) -> Iterator[Problem]:
     for path in sorted({path for each in leaves for path in each}):
         values = [each.get(path, "") for each in leaves]
         hits = [at for at, gold in enumerate(golds) if holds(values[at], gold)]
-        if _beyond_chance(hits, values, golds, holds):
+        shown = sum(look.shows(value) for look, value in zip(known, values, strict=True)) > len(known) / 2
+        enough = not shown or len(hits) >= MOSTLY * len(known)
+        if enough and _beyond_chance(hits, values, golds, holds):
             examples = tuple(f"{known[at].name}: info {path} holds {golds[at]!r:.80}" for at in hits[:3])
             yield Problem(
                 "leak", len(hits) / len(known), f"info[{path!r}] holds the gold answer before the end", examples

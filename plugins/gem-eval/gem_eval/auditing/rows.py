@@ -130,17 +130,21 @@ def check_contamination(asked: Sequence[Asked], against: str, others: Sequence[s
     """
     whole = {normal(text) for text in others}
     exact = [each for each in asked if normal(each.question) in whole]
-    grams = _rare([words(each.question) for each in asked])
-    theirs: set[tuple[str, ...]] = set()
-    sizes = {size for size, _ in grams}
-    for found in (found for size in sizes for found in [_rare([words(text) for text in others], size)]):
-        theirs.update(gram for _, row in found for gram in row)
     known = {each.name for each in exact}
-    overlapping = [
-        each
-        for each, (_, row) in zip(asked, grams, strict=True)
-        if each.name not in known and row and len(row & theirs) >= _SHARED * len(row)
-    ]
+    own, theirs = [words(each.question) for each in asked], [words(text) for text in others]
+    overlapping: list[Asked] = []
+    for size in sorted({min(_NGRAM, len(each)) for each in own if len(each) >= _SHORTEST}):
+        counts, counts_of_others = _grams(own, size), _grams(theirs, size)
+        for each, tokens in zip(asked, own, strict=True):
+            if min(_NGRAM, len(tokens)) != size or each.name in known:
+                continue
+            rare = [
+                gram
+                for gram in _grams([tokens], size)
+                if counts[gram] <= max(2, len(own) // 20) and counts_of_others[gram] <= max(2, len(theirs) // 20)
+            ]
+            if rare and sum(gram in counts_of_others for gram in rare) >= _SHARED * len(rare):
+                overlapping.append(each)
     if exact or overlapping:
         shown = tuple(f"{each.name}: {each.question!r:.100}" for each in [*exact[:2], *overlapping[:2]])
         share = (len(exact) + len(overlapping)) / len(asked)
@@ -151,17 +155,12 @@ def check_contamination(asked: Sequence[Asked], against: str, others: Sequence[s
         yield Problem("contamination", share, message, shown)
 
 
-def _rare(texts: Sequence[list[str]], size: int | None = None) -> list[tuple[int, set[tuple[str, ...]]]]:
-    """Return the n-grams of each text, without those that many of the texts share."""
-    found = []
-    for each in texts:
-        own = size or min(_NGRAM, len(each))
-        found.append(
-            (own, {tuple(each[at : at + own]) for at in range(len(each) - own + 1)} if own >= _SHORTEST else set())
-        )
-    counts = Counter(gram for _, row in found for gram in row)
-    most = max(2, len(texts) // 20)
-    return [(own, {gram for gram in row if counts[gram] <= most}) for own, row in found]
+def _grams(texts: Sequence[list[str]], size: int) -> Counter[tuple[str, ...]]:
+    """Return in how many of the texts each n-gram stands."""
+    found: Counter[tuple[str, ...]] = Counter()
+    for text in texts:
+        found.update({tuple(text[at : at + size]) for at in range(len(text) - size + 1)})
+    return found
 
 
 def questions_of(source: str, columns: Sequence[str]) -> list[str]:
