@@ -21,34 +21,68 @@ from gem_core.suggestions import did_you_mean
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-    from gem_core.cli.agent_options import agent_options as with_agent_options
-    from gem_core.cli.agent_options import given as agent_arguments
+    from gem_core.cli.layout import counted
     from gem_core.cli.list_command import matching
+    from gem_core.cli.model_options import agent_options, given
+    from gem_core.cli.report import Column, print_table, shown, shown_count
     from gem_core.cli.targets import find_env
-    from gem_core.cli.tool_options import arguments_option, env_arguments
+    from gem_core.cli.tool_options import (
+        arguments_option,
+        call_again,
+        env_arguments,
+        parsed_choices,
+        stack_options,
+        wrapper_stack,
+    )
 
 __all__ = [
+    "Column",
     "Layout",
-    "agent_arguments",
+    "agent_options",
     "arguments_option",
+    "call_again",
     "cli",
+    "counted",
+    "echo_line",
     "env_arguments",
     "find_env",
+    "given",
     "main",
     "matching",
     "output_width",
-    "with_agent_options",
+    "parsed_choices",
+    "print_table",
+    "shown",
+    "shown_count",
+    "stack_options",
+    "wrapper_stack",
 ]
 
-_FOR_PLUGINS = {
-    "agent_arguments": "agent_options:given",
-    "arguments_option": "tool_options:arguments_option",
-    "env_arguments": "tool_options:env_arguments",
-    "find_env": "targets:find_env",
-    "matching": "list_command:matching",
-    "with_agent_options": "agent_options:agent_options",
+_HOME = {
+    "Column": "report",
+    "agent_options": "model_options",
+    "arguments_option": "tool_options",
+    "call_again": "tool_options",
+    "counted": "layout",
+    "env_arguments": "tool_options",
+    "find_env": "targets",
+    "given": "model_options",
+    "matching": "list_command",
+    "parsed_choices": "tool_options",
+    "print_table": "report",
+    "shown": "report",
+    "shown_count": "report",
+    "stack_options": "tool_options",
+    "wrapper_stack": "tool_options",
 }
-"""What commands of plugins share with the core's, imported when it is asked for."""
+"""Where the names that plugins use for their commands come from; they are imported on first use."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+
 
 _OWN = {record.name: record for record in gem_add_commands()}
 
@@ -62,13 +96,6 @@ Examples:
 """
 
 INTERRUPTED = 130
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _FOR_PLUGINS:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, _, attribute = _FOR_PLUGINS[name].partition(":")
-    return getattr(importlib.import_module(f"{__name__}.{module}"), attribute)
 
 
 class _Commands(click.Group):

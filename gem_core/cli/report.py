@@ -1,42 +1,58 @@
-"""The table that ``gem run`` prints at the end."""
+"""Tables of scores: what ``gem run`` prints at the end, and commands of plugins likewise."""
 
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any, NamedTuple
 
 import click
 
 from gem_core.cli.layout import Layout, Style, output_width
 from gem_core.records.summary import EnvSummary, RunSummary
 
-_HEADERS = (
-    "environment", "episodes", "judged", "success", "mean return", "mean turns", "out of turns", "out of tokens",
-    "errors", "turns/s", "tokens in", "tokens out",
-)  # fmt: skip
-_TOKENS = 10, 11
-_ERRORS = _HEADERS.index("errors")
-_DISPENSABLE = [
-    _HEADERS.index(name) for name in ("turns/s", "mean turns", "tokens in", "tokens out", "mean return")
-] + [_HEADERS.index(name) for name in ("out of tokens", "out of turns", "episodes", "judged")]
 
+class Column(NamedTuple):
+    """A column of a table of scores.
 
-def print_table(summary: RunSummary, seconds: float) -> None:
-    """Write the table of a run to standard output, as wide as a terminal is.
-
-    The tokens that a model read and wrote have columns where its server reports them.
+    Args:
+        header: What stands above it.
+        cell: Returns what it shows of a row.
+        dispensable: When it is left out of a table that is too wide: the lowest number first; None for never.
+        alarm: Whether everything but 0 is shown in red.
+        name: Whether it names the row.
     """
-    reported = summary.total.prompt_tokens is not None or summary.total.completion_tokens is not None
-    shown = len(_HEADERS) if reported else _TOKENS[0]
-    rows = [_cells(row, seconds)[:shown] for row in summary.rows()]
-    dispensable = [place for place in _DISPENSABLE if place < shown]
-    layout = Layout(_HEADERS[:shown], rows, output_width(), dispensable=dispensable)
+
+    header: str
+    cell: Callable[[Any], str]
+    dispensable: int | None = None
+    alarm: bool = False
+    name: bool = False
+
+
+def print_table(columns: Sequence[Column], rows: Sequence[Any]) -> None:
+    """Write a table to standard output, as wide as a terminal is; columns that name rows come first."""
+    cells = [[column.cell(row) for column in columns] for row in rows]
+    ranks = [(column.dispensable, place) for place, column in enumerate(columns) if column.dispensable is not None]
+    names = sum(column.name for column in columns)
+    layout = Layout(
+        [column.header for column in columns],
+        cells,
+        output_width(),
+        left=range(names),
+        names=names,
+        dispensable=[place for _, place in sorted(ranks)],
+    )
     for line in layout.header():
         click.echo(click.style(line, bold=True))
-    for row in rows:
-        styles: dict[int, Style] = {0: partial(click.style, fg="cyan")}
-        if row[_ERRORS] != "0":
-            styles[_ERRORS] = partial(click.style, fg="red")
+    for row in cells:
+        styles: dict[int, Style] = {}
+        for place, column in enumerate(columns):
+            if column.name:
+                styles[place] = partial(click.style, fg="cyan")
+            elif column.alarm and row[place] != "0":
+                styles[place] = partial(click.style, fg="red")
         for line in layout.row(row, styles):
             click.echo(line)
     if layout.left_out:
@@ -45,21 +61,35 @@ def print_table(summary: RunSummary, seconds: float) -> None:
             click.echo(click.style(line, dim=True))
 
 
-def _cells(row: EnvSummary, seconds: float) -> tuple[str, ...]:
-    return (
-        row.label,
-        str(row.episodes),
-        str(row.judged),
-        _with_error(row.success_rate, row.success_standard_error, ".1%"),
-        _with_error(row.mean_return, row.return_standard_error, ".3f"),
-        _shown(row.mean_turns, ".1f"),
-        str(row.cut_off_by_turns),
-        str(row.cut_off_by_tokens),
-        str(row.errors),
-        _shown(row.turns_per_second(seconds), ",.0f"),
-        _count(row.prompt_tokens),
-        _count(row.completion_tokens),
-    )
+def run_columns(summary: RunSummary, seconds: float) -> list[Column]:
+    """Return the columns of the table of ``gem run``.
+
+    The tokens that a model read and wrote have columns where its server reports them, and so have limits where one cut
+    an episode off.
+    """
+    total = summary.total
+    columns = [
+        Column("environment", lambda row: str(row.label), name=True),
+        Column("episodes", lambda row: str(row.episodes), 7),
+        Column("judged", lambda row: str(row.judged), 8),
+        Column("success", lambda row: _with_error(row.success_rate, row.success_standard_error, ".1%")),
+        Column("mean return", lambda row: _with_error(row.mean_return, row.return_standard_error, ".3f"), 4),
+        Column("mean turns", lambda row: shown(row.mean_turns, ".1f"), 1),
+        Column("out of turns", lambda row: str(row.cut_off_by_turns), 6),
+        Column("out of tokens", lambda row: str(row.cut_off_by_tokens), 5),
+    ]
+    if total.cut_off_by_limits:
+        columns.append(Column("out of limits", lambda row: str(row.cut_off_by_limits)))
+    columns += [
+        Column("errors", lambda row: str(row.errors), alarm=True),
+        Column("turns/s", lambda row: shown(row.turns_per_second(seconds), ",.0f"), 0),
+    ]
+    if total.prompt_tokens is not None or total.completion_tokens is not None:
+        columns += [
+            Column("tokens in", lambda row: shown_count(row.prompt_tokens), 2),
+            Column("tokens out", lambda row: shown_count(row.completion_tokens), 3),
+        ]
+    return columns
 
 
 def status_of(summary: RunSummary) -> str:
@@ -72,7 +102,7 @@ def status_of(summary: RunSummary) -> str:
             returns.setdefault(str(row.agent if several else row.seat), []).append(row)
         parts = [f"return of {name} {_mean_return(rows)}" for name, rows in returns.items()]
     else:
-        parts = [f"success {_shown(total.success_rate, '.0%')}", f"return {_shown(total.mean_return, '.2f')}"]
+        parts = [f"success {shown(total.success_rate, '.0%')}", f"return {shown(total.mean_return, '.2f')}"]
     if summary.errors:
         parts.append(f"{summary.errors} errors")
     return ", ".join(parts)
@@ -80,19 +110,20 @@ def status_of(summary: RunSummary) -> str:
 
 def _mean_return(rows: list[EnvSummary]) -> str:
     episodes = sum(row.episodes for row in rows)
-    return _shown(sum(row.total_return for row in rows) / episodes if episodes else None, ".2f")
+    return shown(sum(row.total_return for row in rows) / episodes if episodes else None, ".2f")
 
 
 def _with_error(number: float | None, error: float | None, form: str) -> str:
-    shown = _shown(number, form)
-    return shown if error is None else f"{shown} ± {format(error, form)}"
+    text = shown(number, form)
+    return text if error is None else f"{text} ± {format(error, form)}"
 
 
-def _shown(number: float | None, form: str) -> str:
+def shown(number: float | None, form: str) -> str:
+    """Show a number in a form, and a dash where there is none."""
     return "-" if number is None else format(number, form)
 
 
-def _count(number: int | None) -> str:
+def shown_count(number: int | None) -> str:
     """Show a large count in few characters: 999, 12.3k, 4.5M."""
     if number is None:
         return "-"

@@ -17,10 +17,10 @@ import click
 
 from gem_core.api import make_vec
 from gem_core.cli import INTERRUPTED
-from gem_core.cli.agent_options import agent_options, given
 from gem_core.cli.completion import complete_agents, complete_backends, complete_env_ids
 from gem_core.cli.layout import counted, echo_line
 from gem_core.cli.list_command import matching
+from gem_core.cli.model_options import agent_options, given
 from gem_core.cli.targets import find_env
 from gem_core.cli.tool_options import (
     AtLeast,
@@ -160,7 +160,7 @@ def command(
     """
     # Imported here, so that help and the completion of options need not wait for them.
     from gem_core.cli.acting import load_acting, several_agents
-    from gem_core.cli.report import print_table, status_of
+    from gem_core.cli.report import print_table, run_columns, status_of
     from gem_core.cli.resumed_run import ResumedRun
     from gem_core.progress import Progress
     from gem_core.records.files import EpisodeWriter
@@ -218,7 +218,7 @@ def command(
         written = str(path) if path.exists() else None
         click.echo(json.dumps({**summary.to_dict(seconds), "seed": vector.seed, "out": written}, indent=1))
     else:
-        print_table(summary, seconds)
+        print_table(run_columns(summary, seconds), summary.rows())
         ran = f"{counted(writer.count, 'episode')} in {seconds:.1f} s (seed {vector.seed})"
         echo_line(f"{ran}, {_where(path, None if resumed is None else before)}")
     _tell_errors(summary)

@@ -184,6 +184,11 @@ class DatasetEnv(Env):
         """Return the id of a row, stable across runs."""
         return str(index) if self.id_key is None else str(row[self.id_key])
 
+    def task_row(self, index: int) -> Mapping[str, Any]:
+        """Return a row with its ``task_id``; see ``Env.task_row``."""
+        row = self.rows[index]
+        return {**row, "task_id": self.task_id(index, row)}
+
     def sample_random_action(self) -> str:
         """Return the answer of a row drawn at random: well-formed, and rarely right."""
         row = self.rows[int(self.action_random.integers(self.num_tasks))]

@@ -132,6 +132,16 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         """
         raise NotImplementedError(f"{type(self).__name__} must define step(self, action)")
 
+    def task_row(self, index: int) -> Mapping[str, Any]:
+        """Return what is known of a task before it is asked, for those who choose among tasks and for no agent.
+
+        ``"task_id"`` is what ``info["task_id"]`` of its episodes says; a data set adds the columns of the row.
+
+        Args:
+            index: From 0, as in ``options={"index": index}``.
+        """
+        return {"task_id": str(index)}
+
     def sample_random_action(self) -> str:
         """Return a valid response in the present state, drawn from ``action_random``.
 

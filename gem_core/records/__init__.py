@@ -15,6 +15,7 @@ from gem_core.records.files import (
 from gem_core.records.joint import JointEpisode, Record, record_from_dict
 from gem_core.records.plain_json import ImageFolder, from_plain, to_plain
 from gem_core.records.plans import EpisodeStart, PlanItem, count_plan, cover_plan, group_plan, mixture_plan
+from gem_core.records.redaction import without_secrets
 from gem_core.records.summary import EnvSummary, RunSummary
 from gem_core.records.turns import Turn, without_thinking
 
@@ -42,6 +43,7 @@ __all__ = [
     "read_records",
     "record_from_dict",
     "to_plain",
+    "without_secrets",
     "without_thinking",
     "write_episodes",
 ]

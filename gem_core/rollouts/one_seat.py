@@ -300,6 +300,10 @@ class SingleAgentEnv(AroundEnv, Env):
         players = self._players[agent]
         return players[stable_hash(self.np_random_seed, "player", agent) % len(players)]
 
+    def task_row(self, index: int) -> Mapping[str, Any]:
+        """Return what the environment knows of a task; see ``Env.task_row``."""
+        return self.env.task_row(index)
+
     # Random actions. The environment has one generator for all seats, which is started anew for each action, so that
     # drawing one for a seat never changes what others draw.
 

@@ -47,8 +47,22 @@ class FinishedEpisodes:
             self.run_seeds.add(episode.run_seed)
         if episode.error is None:
             agent = episode.agent if isinstance(episode, Episode) else None
-            started = _StartRecord(episode.id, episode.seed, to_plain(episode.options) or None, agent)
-            self._starts[episode.key, episode.repeat] = started
+            self.add_start(episode.key, episode.repeat, episode.id, episode.seed, episode.options, agent)
+
+    def add_start(
+        self, key: str, repeat: int, env_id: str, seed: int | None, options: Any = None, agent: str | None = None
+    ) -> None:
+        """Add a finished episode by what it started from, where its record need not be read.
+
+        Args:
+            key: Its place in the plan.
+            repeat: Which of the item's episodes it is.
+            env_id: Id of its environment.
+            seed: Its seed.
+            options: What ``reset`` got.
+            agent: Name of who acted, where the item names one.
+        """
+        self._starts[key, repeat] = _StartRecord(env_id, seed, to_plain(options) or None, agent)
 
     def run_seed(self, given: int | None) -> int | None:
         """Return the seed of the run that goes on, or the one given where there is no episode.

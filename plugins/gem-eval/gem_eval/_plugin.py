@@ -9,8 +9,13 @@ from gem_core import CommandSpec, hookimpl
 
 @hookimpl
 def gem_add_commands() -> Iterable[CommandSpec]:
-    """The commands ``gem show`` and ``gem audit``."""
+    """The commands ``gem eval``, ``gem audit`` and ``gem show``."""
     return [
+        CommandSpec(
+            name="eval",
+            entry_point="gem_eval.running.command:command",
+            summary="Score models on suites, with intervals, and record the run.",
+        ),
         CommandSpec(
             name="show",
             entry_point="gem_eval.show.command:command",

@@ -76,6 +76,10 @@ class TauEnv(MultiAgentEnv):
         """The task of this episode."""
         return self.task_set.tasks[self._index]
 
+    def task_row(self, index: int) -> dict[str, Any]:
+        """Return the id of a task as ``task_id``; see ``Env.task_row``."""
+        return {"task_id": self.task_set.tasks[index].id}
+
     def begin_episode(self, options: dict[str, Any] | None) -> dict[str, Info]:
         """Draw a task, or take the one of ``options={"index": i}``."""
         count = len(self.task_set.tasks)

@@ -346,6 +346,10 @@ class TerminalEnv(Env):
         if episode is not None:
             episode.end()
 
+    def task_row(self, index: int) -> dict[str, Any]:
+        """Return the name of a task as ``task_id``; see ``Env.task_row``."""
+        return {"task_id": self.tasks[index].name}
+
     def _how_to_act(self, episode: Episode, *, natively: bool = False) -> str:
         return how_to_act(self.settings, episode.agent_limit_s(), self._turns_left(episode), natively=natively)
 

@@ -84,8 +84,9 @@ def _audited(
     found = EnvAudit(env_id)
     try:
         stage = Stage(env_id, kwargs, limit=limit, seed=seed)
-    except (GemError, OSError) as error:
-        found.failure = " ".join(str(error).split())
+    except Exception as error:  # noqa: BLE001 - third-party code may raise anything
+        named = "" if isinstance(error, GemError) else f"{type(error).__name__}: "
+        found.failure = named + " ".join(str(error).split())
         return found
     canary = Canary()
     try:
@@ -219,7 +220,11 @@ class _Audit:
         return Form.of_example(response).content(response)
 
     def _check_rows(self, others: Sequence[tuple[str, list[str]]]) -> None:
-        asked = rows_of(self.stage.env_id, self.stage.env)
+        try:
+            asked = rows_of(self.stage.env_id, self.stage.env)
+        except Exception as error:  # noqa: BLE001 - third-party code may raise anything
+            self._problem("crash", 1.0, f"its rows cannot be read: {type(error).__name__}: {error}", [])
+            return
         fixed = asked is not None
         for each in asked or ():
             if each.name in self.looks:

@@ -9,15 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import gem_core
-from gem_core.cli import (
-    agent_arguments,
-    arguments_option,
-    env_arguments,
-    find_env,
-    matching,
-    output_width,
-    with_agent_options,
-)
+from gem_core.cli import agent_options, arguments_option, env_arguments, find_env, given, matching, output_width
 from gem_core.errors import GemError
 from gem_core.progress import Progress
 
@@ -78,7 +70,7 @@ be audited, 2 for a wrong argument.
 @click.option("--model", metavar="AGENT", help="Also count the responses of a model that hold no answer.")
 @arguments_option
 @click.option("--json", "as_json", is_flag=True, help="Write what was found as JSON.")
-@with_agent_options
+@agent_options
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -116,7 +108,7 @@ def command(
         for number, (env_id, kwargs) in enumerate(chosen):
             found += audit(env_id, limit=limit, seed=seed, kwargs=kwargs, against=against, on_done=on_done)
             if model is not None and not found[-1].failure:
-                count_unreadable(found[-1], model, agent_arguments(options), kwargs, limit=limit, seed=seed)
+                count_unreadable(found[-1], model, given(options), kwargs, limit=limit, seed=seed)
             done = (number + 1) * _STEPS
     sound = not any(each.fails(threshold) for each in found)
     if as_json:
@@ -128,19 +120,19 @@ def command(
     ctx.exit(0 if sound else 1)
 
 
-def _chosen(ids: tuple[str, ...], given: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+def _chosen(ids: tuple[str, ...], arguments: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
     """Return the ids that were meant, each once and with its keyword arguments."""
     chosen: dict[str, dict[str, Any]] = {}
     for each in ids:
         if any(character in each for character in "*?["):
-            chosen |= {record.id: dict(given) for record in _makeable(matching(each), given)}
+            chosen |= {record.id: dict(arguments) for record in _makeable(matching(each), arguments)}
         else:
             record, own = find_env(each)
-            chosen[record.id] = {**own, **given}
+            chosen[record.id] = {**own, **arguments}
     return list(chosen.items())
 
 
-def _makeable(records: Sequence[EnvSpec], given: Mapping[str, Any]) -> list[EnvSpec]:
+def _makeable(records: Sequence[EnvSpec], arguments: Mapping[str, Any]) -> list[EnvSpec]:
     """Return the records of a glob that can be made here and are for one agent, and say which are left out."""
     kept: list[EnvSpec] = []
     for record in records:
@@ -148,7 +140,7 @@ def _makeable(records: Sequence[EnvSpec], given: Mapping[str, Any]) -> list[EnvS
             continue
         try:
             if record.requires:
-                gem_core.make(record.id, **given).close()
+                gem_core.make(record.id, **arguments).close()
         except GemError:
             continue
         kept.append(record)

@@ -85,6 +85,10 @@ def check_rows(asked: Sequence[Asked], *, fixed: bool) -> Iterator[Problem]:
         yield Problem(
             "no gold", len(empty) / len(asked), f"{len(empty)} of {len(asked)} rows have no gold answer", shown
         )
+    blank = [each.name for each in asked if not each.prompt.strip()]
+    if blank:
+        message = f"{len(blank)} of {len(asked)} rows ask nothing"
+        yield Problem("no question", len(blank) / len(asked), message, tuple(blank[:3]))
     malformed = [each for each in asked if each.malformed]
     if malformed:
         shown = tuple(f"{each.name}: {each.malformed}" for each in malformed[:3])
@@ -92,7 +96,8 @@ def check_rows(asked: Sequence[Asked], *, fixed: bool) -> Iterator[Problem]:
         yield Problem("no gold", len(malformed) / len(asked), message, shown)
     groups: dict[str, list[Asked]] = defaultdict(list)
     for each in asked:
-        groups[normal(each.prompt).rstrip(" .?!")].append(each)
+        if each.prompt.strip():
+            groups[normal(each.prompt).rstrip(" .?!")].append(each)
     twice = [group for group in groups.values() if len(group) > 1]
     differing = [group for group in twice if len({each.gold for each in group}) > 1]
     same = [group for group in twice if group not in differing]

@@ -40,7 +40,7 @@ def table_lines(found: Sequence[EnvAudit], threshold: float, width: int | None) 
         if each.fails(threshold):
             styles[headers.index("problems")] = red
         yield from layout.row(row, styles)
-    yield _LEGEND
+    yield _LEGEND if width is None else click.wrap_text(_LEGEND, width)
     unknown = [each.id for each in found if any(problem.kind == "unknown" for problem in each.problems)]
     if unknown:
         yield f"No gold answers are known (gold_action() returns None): {', '.join(unknown)}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
 from gem_core import Episode
@@ -69,9 +69,9 @@ class Row:
     cached: int = 0
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the row as plain JSON."""
-        record: dict[str, Any] = to_plain(asdict(self))
-        return record
+        """Return the row as plain JSON, without what is as it is by default."""
+        record = {name: value for name in _FIELDS if (value := getattr(self, name)) != _DEFAULTS.get(name, MISSING)}
+        return {**record, "episode_return": to_plain(self.episode_return)}
 
     @classmethod
     def from_dict(cls, record: Any) -> Row:
@@ -139,6 +139,7 @@ class Row:
 
 
 _FIELDS = tuple(each.name for each in fields(Row))
+_DEFAULTS = {each.name: each.default for each in fields(Row) if each.default is not MISSING}
 _MEASURED = ("cost", "seconds", "model_seconds", "finished", "cached")
 """What only the record says, under ``"evaluation"``."""
 

@@ -1,0 +1,277 @@
+"""``gem eval``: score models on suites, with the uncertainty of each score, and keep a record of the run."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import signal
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from gem_core.cli import (
+    agent_options,
+    arguments_option,
+    call_again,
+    counted,
+    env_arguments,
+    given,
+    parsed_choices,
+    stack_options,
+)
+from gem_core.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from gem_eval.records import Row
+    from gem_eval.running.evaluation import EvaluationSession
+    from gem_eval.suites import Suite
+
+_INTERRUPTED = 130
+
+
+@click.command(
+    "eval",
+    epilog="""\b
+Examples:
+  gem eval sample --model random
+  gem eval games rg --model openai:gpt-5-mini --model openai:gpt-5-nano
+  gem eval math:GSM8K --model openai:gpt-5-mini --limit 200 --shuffle 1 --epochs 4
+  gem eval math:GSM8K --model openai:my-model --base-url http://localhost:8000/v1 --tools python
+  gem eval tasks.yaml --model my_module:my_agent --where 'level == 5'
+  gem eval tau-sample --model openai:gpt-5-mini --role user=openai:gpt-5-nano --run-cost 5
+  gem eval games --model openai:gpt-5-mini --retry-errors
+\b
+The same command goes on with a run that was stopped, and begins another once it is finished; --new
+begins another in any case. Rows and seeds are the same in every run of a suite, so that two runs
+can be compared row by row: 'gem compare'. 'gem view', 'gem report' and 'gem show' read the folder.
+\b
+Each score stands with its 95 % interval, clustered by row. An episode that was cut off by a limit
+is not solved; where leaving such episodes out changes the score, it is shown as well. Episodes with
+an error (a server that did not answer, an environment that failed) are in no score.
+\b
+Exit code: 0 if every episode ran, 1 if one had an error or a limit of the run was reached, 2 for a
+wrong argument, 130 after Ctrl-C.
+""",
+)
+@click.argument("targets", nargs=-1, metavar="SUITE|ID...")
+@click.option("--list", "list_suites", is_flag=True, help="List the suites that are built in.")
+@click.option("-m", "--model", "models", multiple=True, metavar="AGENT", help="Whom to evaluate; can be repeated.")
+@click.option("--role", "roles", multiple=True, metavar="ROLE=AGENT", help="Who plays another part: user, judge.")
+@click.option("-e", "--epochs", type=click.IntRange(min=1), help="How often each row is played.  [default: 1]")
+@click.option("--limit", type=click.IntRange(min=1), help="Rows of each task at most.")
+@click.option("--sample-ids", metavar="ID,ID", help="Only the rows with these values of task_id.")
+@click.option("--shuffle", type=click.IntRange(min=0), metavar="SEED", help="Take rows in a random order.")
+@click.option("--where", metavar="CONDITION", help="Only rows like this: 'level == 5 and subject != \"Geometry\"'.")
+@click.option("-n", "--episodes", type=click.IntRange(min=1), help="Rows of tasks without a data set.  [default: 100]")
+@click.option("-s", "--seed", type=click.IntRange(min=0), help="Seed of the run.  [default: 0]")
+@arguments_option
+@stack_options("For tasks that name none.")
+@click.option("--episode-time", type=click.FloatRange(min=0, min_open=True), help="Seconds of an episode.")
+@click.option("--episode-tokens", type=click.IntRange(min=1), help="Tokens of an episode.")
+@click.option("--episode-cost", type=click.FloatRange(min=0, min_open=True), help="US dollars of an episode.")
+@click.option("--run-time", type=click.FloatRange(min=0, min_open=True), help="Seconds of this session.")
+@click.option("--run-tokens", type=click.IntRange(min=1), help="Tokens of the run.")
+@click.option("--run-cost", type=click.FloatRange(min=0, min_open=True), help="US dollars of the run.")
+@click.option("--prices", metavar="FILE", help="What tokens cost, in place of the list that comes along.")
+@click.option("--cache", metavar="FOLDER", help="Take answers to the same requests from earlier runs.")
+@click.option(
+    "--retry-errors",
+    is_flag=False,
+    flag_value="all",
+    metavar="[CAUSES]",
+    help="Play episodes with an error again: all, or those of some causes, as rate_limit,timeout.",
+)
+@click.option(
+    "--error-threshold",
+    type=click.FloatRange(min=0, max=1),
+    default=0.5,
+    show_default=True,
+    help="Stop when more than this share of episodes had an error.",
+)
+@click.option("--num-envs", type=click.IntRange(min=1), help="Episodes at once.  [default: --max-concurrency]")
+@click.option("--step-timeout", type=click.FloatRange(min=0, min_open=True), help="Seconds of a step of a task.")
+@click.option("-o", "--out", metavar="FOLDER", help="Folder of the run.  [default: a new one in runs/]")
+@click.option("--new", is_flag=True, help="Begin another run, also where one was stopped.")
+@click.option("--json", "as_json", is_flag=True, help="Write the scores as JSON.")
+@agent_options
+@click.pass_context
+def command(
+    ctx: click.Context,
+    /,
+    targets: tuple[str, ...],
+    list_suites: bool,
+    models: tuple[str, ...],
+    retry_errors: str | None,
+    error_threshold: float,
+    num_envs: int | None,
+    step_timeout: float | None,
+    prices: str | None,
+    cache: str | None,
+    out: str | None,
+    new: bool,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Score models on suites or environments, and record the run in a folder.
+
+    A target is a suite that is built in, a YAML file, an id of an environment, a glob such as 'game:*-easy', or a
+    folder of tasks. Tasks and models are played side by side.
+    """
+    # Imported here, so that help need not wait for them.
+    from gem_core.progress import Progress
+    from gem_core.records import without_secrets
+    from gem_core.rollouts import current_folder_importable
+    from gem_eval.running.evaluation import EvaluationSession
+    from gem_eval.running.limits import Limits
+
+    if list_suites:
+        _list_suites(as_json)
+        return
+    ctx.with_resource(current_folder_importable())  # an agent may import what stands beside it when it first acts
+    limits = Limits(**{name: options.pop(name) for name in list(vars(Limits()))})
+    suite = _suite(targets, options)
+    session = EvaluationSession(
+        suite,
+        [*models],
+        out=out,
+        limits=limits,
+        prices=prices,
+        cache=cache,
+        retry_errors=_causes(retry_errors),
+        error_threshold=error_threshold,
+        max_concurrency=num_envs,
+        step_timeout=step_timeout,
+        new=new,
+        command=shlex.join(without_secrets(shlex.split(call_again(ctx, {"new", "retry_errors"})))),
+    )
+    counts = _Counts(session)
+    if counts.before:
+        done = f"{counts.before} of {counts.total} episodes are there"
+        click.echo(f"gem: going on with {session.path}, where {done}; --new begins another run", err=True)
+    stopped_by: BaseException | None = None
+    with Progress(counts.total, suite.name, quiet=session.interactive) as progress:
+        try:
+            for row in session.play():
+                counts.add(row)
+                progress.advance(counts.done, counts.status())
+        except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - raised again below, after the table
+            stopped_by = error
+            if isinstance(error, KeyboardInterrupt):
+                # A second Ctrl-C would cut off what is said after the first.
+                before_it = signal.signal(signal.SIGINT, signal.SIG_IGN)
+                ctx.call_on_close(lambda: signal.signal(signal.SIGINT, before_it))
+    if stopped_by is not None and not session.path.joinpath("run.json").exists():
+        raise stopped_by
+    run = session.run
+    rows = run.rows
+    scores = session.scores()
+    if as_json:
+        click.echo(json.dumps({"scores": [score.to_dict() for score in scores], "run": str(run.path)}, indent=1))
+    elif rows:
+        from gem_eval.running.table import print_scores
+
+        print_scores(scores, rows)
+        click.echo(f"The record is in {run.path}; look at it with: gem view {shlex.quote(str(run.path))}")
+    _finish(ctx, session, rows, stopped_by)
+
+
+def _finish(ctx: click.Context, session: EvaluationSession, rows: list[Row], stopped_by: BaseException | None) -> None:
+    """Say what failed and what was cut short, and exit."""
+    errors = [row for row in rows if row.error is not None]
+    if errors:
+        told = f"{counted(len(errors), 'episode')} had an error; the first, {errors[0].row}: {errors[0].error}"
+        click.echo(f"gem: {told}. Play them again with --retry-errors", err=True)
+    silent = session.run.info.get("silent") or []
+    if silent and session.limits.of_usage:
+        click.echo(f"gem: no limit of tokens or cost held for {', '.join(silent)}, which report no usage", err=True)
+    total = session.plan.episodes
+    if isinstance(stopped_by, KeyboardInterrupt):
+        click.echo(f"gem: interrupted after {len(rows)} of {total} episodes; the same command goes on", err=True)
+        ctx.exit(_INTERRUPTED)
+    if stopped_by is not None:
+        click.echo(f"gem: stopped after {len(rows)} of {total} episodes; the same command goes on", err=True)
+        raise stopped_by
+    reason = session.run.info.get("reason")
+    if reason is not None:
+        click.echo(
+            f"gem: the {reason} was used up after {len(rows)} of {total} episodes; the same command with a higher "
+            "limit goes on",
+            err=True,
+        )
+    ctx.exit(1 if errors or reason is not None else 0)
+
+
+class _Counts:
+    """How far a run is, for the progress line."""
+
+    def __init__(self, session: EvaluationSession) -> None:
+        self.total = session.plan.episodes
+        self.before = self.done = session.already_done()
+        self._solved = self._judged = self._errors = 0
+
+    def add(self, row: Row) -> None:
+        self.done += 1
+        self._errors += row.error is not None
+        self._judged += row.success is not None
+        self._solved += row.success is True
+
+    def status(self) -> str:
+        parts = [f"success {self._solved / self._judged:.0%}"] if self._judged else []
+        return ", ".join([*parts, f"{self._errors} errors"] if self._errors else parts)
+
+
+def _suite(targets: tuple[str, ...], options: dict[str, Any]) -> Suite:
+    """Return the suite of the targets, with what the options say of it."""
+    from gem_eval.suites import combined_suite
+
+    suite = combined_suite(targets)
+    own: dict[str, Any] = {
+        name: options.pop(name) for name in ("limit", "shuffle", "where", "episodes", "max_turns", "max_tool_uses")
+    }
+    sample_ids = options.pop("sample_ids")
+    own["sample_ids"] = None if sample_ids is None else tuple(each.strip() for each in sample_ids.split(","))
+    for name in ("tools", "wrappers"):
+        own[name] = tuple(choice for text in options.pop(name) for choice in parsed_choices(text, f"--{name}")) or None
+    changes = {name: value for name, value in own.items() if value is not None}
+    arguments = env_arguments(options.pop("arguments"))
+    tasks = []
+    for task in suite.with_defaults():
+        kwargs = {"kwargs": {**task.kwargs, **arguments}} if arguments else {}
+        tasks.append(task.model_copy(update={**changes, **kwargs}))
+    update: dict[str, Any] = {"tasks": tuple(tasks), "defaults": type(suite.defaults)()}
+    for name in ("epochs", "seed"):
+        value = options.pop(name)
+        if value is not None:
+            update[name] = value
+    update["roles"] = {**suite.roles, **_roles(options.pop("roles"))}
+    update["sampling"] = {**suite.sampling, **given(options)}
+    return suite.model_copy(update=update)
+
+
+def _roles(given_roles: tuple[str, ...]) -> dict[str, str]:
+    roles = {}
+    for each in given_roles:
+        role, equals, agent = each.partition("=")
+        if not (role and equals and agent):
+            raise ArgumentError(f"--role takes ROLE=AGENT, as user=openai:gpt-5-mini, not {each!r}")
+        roles[role] = agent
+    return roles
+
+
+def _causes(given_causes: str | None) -> list[str] | bool:
+    if given_causes is None or given_causes == "all":
+        return given_causes == "all"
+    return [cause.strip() for cause in given_causes.split(",")]
+
+
+def _list_suites(as_json: bool) -> None:
+    from gem_eval.suites import builtin_suites, load_suite
+
+    suites = [(name, load_suite(name)) for name in builtin_suites()]
+    if as_json:
+        listed = [{"name": name, "description": each.description, "tasks": len(each.tasks)} for name, each in suites]
+        click.echo(json.dumps(listed, indent=1))
+        return
+    width = max(len(name) for name, _ in suites)
+    for name, suite in suites:
+        click.echo(f"{name.ljust(width)}  {counted(len(suite.tasks), 'task')}. {suite.description}")

@@ -1,0 +1,430 @@
+"""``evaluate``: play the tasks of a suite by some models, and record the run."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gem_core as gem
+from gem_core import Episode, PlanItem
+from gem_core.errors import ArgumentError, EpisodeFileError, GemError
+from gem_core.records import to_plain, without_secrets
+from gem_core.rollouts import Agent, FinishedEpisodes, as_agent, close_agent, load_agent, load_agents, prepare_agent
+from gem_eval.records import Row, Run, RunWriter
+from gem_eval.running.cache import ResponseCache
+from gem_eval.running.limits import RUN_LIMITS, Limits, MeteredAgent, RunMeter, metered
+from gem_eval.running.planning import Evaluation, digest, plan_evaluation
+from gem_eval.running.prices import load_prices
+from gem_eval.running.provenance import code_hash, host, versions
+from gem_eval.scores import Score, compute_scores
+from gem_eval.suites import Model, Suite, combined_suite
+
+DEFAULT_REQUESTS = 8
+LEAST_FOR_THRESHOLD = 20
+
+Models = str | Model | Sequence[str | Model] | Mapping[str, Any]
+"""A model or several, by name or as ``Model``; or agents by name, ``{name: agent}``."""
+
+
+class TooManyErrorsError(GemError):
+    """More episodes than allowed ended in an error; the run was stopped."""
+
+
+def evaluate(
+    suite: Suite | str | Path | Sequence[str],
+    models: Models,
+    *,
+    out: str | Path | None = None,
+    limits: Limits | None = None,
+    prices: str | Path | None = None,
+    cache: str | Path | None = None,
+    retry_errors: Sequence[str] | bool = False,
+    error_threshold: float = 0.5,
+    max_concurrency: int | None = None,
+    step_timeout: float | None = None,
+    new: bool = False,
+    on_episode: Callable[[Row], None] | None = None,
+) -> Run:
+    """Play the tasks of a suite by some models, and record the run; the same call goes on with one that was stopped.
+
+    Args:
+        suite: A suite, the name of one that is built in, or a YAML file; or ids of environments.
+        models: Who is evaluated.
+        out: Folder of the run; None for one in ``runs/``. One that holds this run goes on.
+        limits: What an episode and the run may take.
+        prices: File of prices; None for the one that comes with the plugin.
+        cache: Folder with responses of earlier runs, which are taken where a request is the same; None for none.
+        retry_errors: Play episodes again that ended in an error: all, or those of some causes, as ``["rate_limit"]``.
+        error_threshold: Share of episodes with an error, after twenty episodes, above which the run is stopped.
+        max_concurrency: Episodes at once, of all models and tasks together; None for as many requests as a model may
+            be asked at once.
+        step_timeout: Seconds that a step or a reset of an environment may take; None for no limit.
+        new: Begin another run, also where one of the same suite and models was stopped.
+        on_episode: Called with the row of each episode when it has been written.
+
+    Returns:
+        The run; ``compute_scores(run.rows)`` has its scores.
+
+    Raises:
+        ArgumentError: Something cannot be as it was asked for; the message says what.
+        TooManyErrorsError: The share of errors is above the threshold.
+    """
+    session = EvaluationSession(
+        suite,
+        models,
+        out=out,
+        limits=limits,
+        prices=prices,
+        cache=cache,
+        retry_errors=retry_errors,
+        error_threshold=error_threshold,
+        max_concurrency=max_concurrency,
+        step_timeout=step_timeout,
+        new=new,
+    )
+    for row in session.play():
+        if on_episode is not None:
+            on_episode(row)
+    return session.run
+
+
+class EvaluationSession:
+    """One session of a run: what is played is fixed when it is made; see ``evaluate`` for the arguments.
+
+    Args:
+        command: What was typed, for the record.
+    """
+
+    def __init__(
+        self,
+        suite: Suite | str | Path | Sequence[str],
+        models: Models,
+        *,
+        out: str | Path | None = None,
+        limits: Limits | None = None,
+        prices: str | Path | None = None,
+        cache: str | Path | None = None,
+        retry_errors: Sequence[str] | bool = False,
+        error_threshold: float = 0.5,
+        max_concurrency: int | None = None,
+        step_timeout: float | None = None,
+        new: bool = False,
+        command: str | None = None,
+    ) -> None:
+        self.suite = as_suite(suite)
+        self.limits = limits or Limits()
+        self._prices, self._prices_file = load_prices(prices), prices
+        self._cache_folder = cache
+        self._retry = retry_errors
+        self._threshold = error_threshold
+        self._max_concurrency = max_concurrency
+        self._step_timeout = step_timeout
+        self._command = command
+        self._agents, self._models = _load_models(models or self.suite.models, self.suite.sampling)
+        self.plan: Evaluation = plan_evaluation(self.suite, list(self._agents))
+        self.fingerprint = digest(
+            [
+                self.plan.fingerprint,
+                [self._described(model) for model in self._models],
+                self.suite.seed,
+                dict(self.suite.roles),
+            ]
+        )
+        self.path, self.goes_on = self._find_folder(out, new)
+        self._check_prices()
+
+    @property
+    def run(self) -> Run:
+        """The run as it is recorded so far."""
+        return Run(self.path)
+
+    def scores(self) -> list[Score]:
+        """Return the scores so far, in the order of the suite."""
+        rows: list[Row] = sorted(self.run.rows, key=lambda row: (int(row.key), row.epoch))
+        return compute_scores(rows)
+
+    def already_done(self) -> int:
+        """Return how many episodes are there and stay."""
+        return sum(map(self._stays, self.run.rows)) if self.goes_on else 0
+
+    @property
+    def interactive(self) -> bool:
+        """Whether a person answers."""
+        return any(getattr(agent, "interactive", False) for agent in self._agents.values())
+
+    def play(self) -> Iterator[Row]:
+        """Play what has not been played, and yield the row of each episode when it has been written.
+
+        Raises:
+            TooManyErrorsError: The share of errors is above the threshold.
+        """
+        with ExitStack() as at_end:
+            for agent in self._agents.values():
+                prepare_agent(agent)  # it says at the start what would fail later
+                at_end.callback(partial(close_agent, agent))
+            writer = at_end.enter_context(RunWriter(self.path))
+            info = self._info()
+            writer.write_info(info)
+            before = self.run.rows
+            meter = RunMeter(
+                self.limits,
+                sum((row.tokens_in or 0) + (row.tokens_out or 0) for row in before),
+                sum(row.cost or 0.0 for row in before),
+            )
+            ended: dict[str, Any] = {"status": "stopped", "reason": "interrupted"}
+            try:
+                yield from self._episodes(writer, meter, before, at_end)
+                limit = meter.reached()
+                left = self.plan.episodes - sum(map(self._stays, self.run.rows))
+                ended = {"status": "stopped", "reason": limit} if limit and left else {"status": "finished"}
+            except Exception as error:
+                ended["reason"] = f"{type(error).__name__}: {error}"
+                raise
+            finally:
+                info["sessions"][-1]["ended"] = time.time()
+                writer.write_info({**info, **ended, "silent": sorted(meter.silent)})
+                writer.write_metrics({"scores": [score.to_dict() for score in self.scores()]})
+
+    def _episodes(self, writer: RunWriter, meter: RunMeter, before: list[Row], at_end: ExitStack) -> Iterator[Row]:
+        cache = None if self._cache_folder is None else ResponseCache(self._cache_folder)
+        if cache is not None:
+            at_end.callback(cache.close)
+        agents = {name: self._metered(name, agent, meter, cache) for name, agent in self._agents.items()}
+        done = FinishedEpisodes()
+        for row in before:
+            if self._stays(row):
+                item = self._item(row.key)
+                done.add_start(row.key, row.epoch, item.id or "", item.seed, item.options, item.agent)
+        left = self.plan.episodes - len(done)
+        if not left:
+            return
+        entries = [(task.env_id, task.kwargs) for task in self.plan.tasks]
+        slots = min(left, self._slots())
+        vector = gem.make_vec(entries, slots, seed=self.suite.seed, step_timeout=self._step_timeout)
+        at_end.callback(vector.close)
+        count = errors = 0
+        for episode in gem.rollout(vector, agents, plan=self._until_limit(meter), resume=done):
+            row = writer.write(episode, self._evaluation(episode, meter))
+            yield row
+            count, errors = count + 1, errors + (row.error is not None)
+            if count >= LEAST_FOR_THRESHOLD and errors > self._threshold * count:
+                raise TooManyErrorsError(
+                    f"{errors} of {count} episodes had an error, more than the threshold of {self._threshold:.0%}; "
+                    f"the last: {row.error}"
+                )
+
+    def _until_limit(self, meter: RunMeter) -> Iterator[PlanItem]:
+        """Yield the items of the plan until the run has reached a limit."""
+        for item in self.plan.items:
+            if meter.reached() is not None:
+                return
+            yield item
+
+    def _evaluation(self, episode: Episode, meter: RunMeter) -> dict[str, Any]:
+        """Return what the record of an episode says besides the episode."""
+        task, row = self.plan.row_of[int(episode.key)]
+        told: dict[str, Any] = {"id": task.label, "model": episode.agent, "row": row.name, "finished": time.time()}
+        taken = meter.episodes.pop(f"{episode.key}.{episode.repeat}", None)
+        if taken is not None:
+            told |= {
+                "seconds": round(time.monotonic() - taken.started, 4),
+                "model_seconds": round(taken.model_seconds, 4),
+                "cost": taken.cost,
+                "cached": taken.cached,
+            }
+        return told
+
+    def _stays(self, row: Row) -> bool:
+        """Tell whether an episode that is there is not played again."""
+        if row.cut_off in RUN_LIMITS:
+            return False
+        if row.error is None or not self._retry:
+            return True
+        return self._retry is not True and row.cause not in self._retry
+
+    def _item(self, key: str) -> PlanItem:
+        try:
+            return self.plan.items[int(key)]
+        except (ValueError, IndexError):
+            raise ArgumentError(f"{self.path} holds an episode with the key {key!r}, which this run has not") from None
+
+    def _slots(self) -> int:
+        if self._max_concurrency is not None:
+            return self._max_concurrency
+        if self.interactive:
+            return 1
+        return max(int(getattr(agent, "max_concurrency", DEFAULT_REQUESTS)) for agent in self._agents.values())
+
+    def _metered(self, name: str, agent: Agent, meter: RunMeter, cache: ResponseCache | None) -> MeteredAgent:
+        model = next(model for model in self._models if model.label == name)
+        # What others answer may depend on more than what they are sent.
+        of_model = cache if getattr(agent, "reads", None) == "messages" else None
+        return metered(name, agent, meter, self._prices.find(model.agent), of_model, self._described(model))
+
+    # The record.
+
+    def _described(self, model: Model) -> dict[str, Any]:
+        """Return what a run says of a model."""
+        agent = self._agents[model.label]
+        told = {
+            "name": model.label,
+            "agent": model.agent,
+            "options": {**self.suite.sampling, **model.options},
+            "base_url": getattr(agent, "base_url", None),
+            "code": code_hash(model),
+        }
+        plain: dict[str, Any] = without_secrets(to_plain(told))
+        return plain
+
+    def _info(self) -> dict[str, Any]:
+        """Return what ``run.json`` says."""
+        info: dict[str, Any] = {
+            "schema_version": 1,
+            "status": "running",
+            "command": self._command,
+            "suite": without_secrets(to_plain(self.suite.model_dump(mode="json", exclude_unset=True))),
+            "models": [self._described(model) for model in self._models],
+            "epochs": self.suite.epochs,
+            "seed": self.suite.seed,
+            "episodes": self.plan.episodes,
+            "tasks": [
+                {
+                    "id": task.label,
+                    "env": task.env_id,
+                    "kwargs": without_secrets(to_plain(task.kwargs)),
+                    "rows": len(task.rows),
+                    "rows_in_all": task.total,
+                    "data_sha256": task.data_hash,
+                }
+                for task in self.plan.tasks
+            ],
+            "limits": {name: limit for name, limit in vars(self.limits).items() if limit is not None},
+            "prices": {"file": self._prices_file and str(self._prices_file), "as_of": self._prices.as_of},
+            "cache": self._cache_folder and str(self._cache_folder),
+            "fingerprint": self.fingerprint,
+            "versions": versions(),
+            "host": host(),
+            "sessions": [],
+        }
+        if self.goes_on:
+            earlier = self.run.info
+            info["sessions"] = list(earlier.get("sessions", []))
+        info["sessions"].append({"started": time.time(), "ended": None})
+        return info
+
+    # The folder.
+
+    def _find_folder(self, out: str | Path | None, new: bool) -> tuple[Path, bool]:
+        """Return the folder of the run, and whether it holds the beginning of it."""
+        if out is not None:
+            path = Path(out)
+            found = _read_info(path)
+            if found is None:
+                if path.exists() and (not path.is_dir() or any(path.iterdir())):
+                    raise ArgumentError(f"{path} is there already and is no run; choose another folder for --out")
+                return path, False
+            if new:
+                raise ArgumentError(f"{path} holds a run; --new begins another, so choose another folder for --out")
+            if found.get("fingerprint") != self.fingerprint:
+                raise ArgumentError(
+                    f"{path} holds another run (its tasks, rows, models, sampling or seed differ); choose another "
+                    "folder for --out"
+                )
+            self._check_versions(path, found)
+            return path, True
+        for path in [] if new else sorted(Path("runs").glob("*/run.json"), key=_changed, reverse=True):
+            found = _read_info(path.parent)
+            if found is not None and found.get("fingerprint") == self.fingerprint:
+                if found.get("status") == "finished" and not self._retry:
+                    break  # the same command after a finished run asks for another one
+                self._check_versions(path.parent, found)
+                return path.parent, True
+        return _new_folder(self.suite.name), False
+
+    def _check_versions(self, path: Path, found: Mapping[str, Any]) -> None:
+        """Raise an error where a run was begun with other versions, whose episodes would be mixed with those of now."""
+        before, now = found.get("versions", {}), versions()
+        for name, version in now.items():
+            if name.startswith("gem-") and before.get(name, version) != version:
+                raise ArgumentError(
+                    f"{path} was begun with {name} {before[name]}, and this is {version}: --new begins another run"
+                )
+
+    def _check_prices(self) -> None:
+        if self.limits.of_cost:
+            for model in self._models:
+                if self._prices.find(model.agent) is None:
+                    raise ArgumentError(
+                        f"there is no price for {model.agent}, so no limit of cost can hold; give a file that has it "
+                        "by --prices"
+                    )
+
+
+def as_suite(given: Suite | str | Path | Sequence[str]) -> Suite:
+    """Return a suite: as it is given, or that of names, files and ids.
+
+    Raises:
+        ArgumentError: There is no such suite.
+    """
+    if isinstance(given, Suite):
+        return given
+    return combined_suite([given] if isinstance(given, str | Path) else list(given))
+
+
+def _load_models(given: Models, sampling: Mapping[str, Any]) -> tuple[dict[str, Agent], list[Model]]:
+    """Return the agents by the names that scores call them, and what is known of each."""
+    if isinstance(given, Mapping):
+        models = [Model(agent=name) for name in given]
+        agents = {
+            name: load_agent(agent, **sampling) if isinstance(agent, str) else as_agent(agent)
+            for name, agent in given.items()
+        }
+        return agents, models
+    each = [given] if isinstance(given, str | Model) else list(given)
+    models = [Model(agent=model) if isinstance(model, str) else model for model in each]
+    if not models:
+        raise ArgumentError("there is no model to evaluate: name one by --model, as openai:MODEL or MODULE:CALLABLE")
+    twice = [label for label, count in Counter(model.label for model in models).items() if count > 1]
+    if twice:
+        raise ArgumentError(f"two models are called {twice[0]!r}: give one of them a name of its own")
+    plain = [model.agent for model in models if not model.options]
+    shared = load_agents(plain, **sampling) if plain else {}
+    return {
+        model.label: load_agent(model.agent, **{**sampling, **model.options}) if model.options else shared[model.agent]
+        for model in models
+    }, models
+
+
+def _new_folder(name: str) -> Path:
+    stem = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    for number in range(1, 1000):
+        path = Path("runs") / (stem if number == 1 else f"{stem}-{number}")
+        with suppress(FileExistsError):
+            try:
+                path.mkdir(parents=True)
+            except FileExistsError:
+                raise
+            except OSError as error:
+                raise EpisodeFileError(f"cannot write {path}: {error.strerror or error}") from error
+            return path
+    raise EpisodeFileError(f"there is no free name for a folder in runs/ like {stem}")
+
+
+def _read_info(path: Path) -> dict[str, Any] | None:
+    """Return what a folder says of its run; None where it holds none."""
+    try:
+        return Run(path).info
+    except (ArgumentError, EpisodeFileError):
+        return None
+
+
+def _changed(path: Path) -> float:
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return 0.0

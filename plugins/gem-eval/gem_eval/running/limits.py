@@ -1,0 +1,244 @@
+"""Limits of an episode and of a run, and the agent that holds a model to them."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, cast
+
+from gem_core import Observation, Response
+from gem_core.errors import ArgumentError, EpisodeLimitError
+from gem_core.rollouts import Agent, Context, is_asynchronous
+
+if TYPE_CHECKING:
+    from gem_eval.running.cache import ResponseCache
+    from gem_eval.running.prices import Price
+
+_FORWARDED = ("prepare", "close", "aclose", "interactive", "max_concurrency", "reads", "system", "native_tools")
+
+RUN_LIMITS = ("run time", "run tokens", "run cost")
+"""Reasons of episodes that were cut off since the whole run had reached a limit: a resumed run plays them again."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What an episode and a run may take; None for no limit. Each is checked before a model is asked.
+
+    Args:
+        episode_time: Seconds from the first question of an episode; an open request is given up.
+        episode_tokens: Tokens read and written.
+        episode_cost: US dollars.
+        run_time: Seconds of this session of the run; open requests are given up.
+        run_tokens: Tokens of the whole run.
+        run_cost: US dollars of the whole run.
+    """
+
+    episode_time: float | None = None
+    episode_tokens: int | None = None
+    episode_cost: float | None = None
+    run_time: float | None = None
+    run_tokens: int | None = None
+    run_cost: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, limit in vars(self).items():
+            if limit is not None and not limit > 0:
+                raise ArgumentError(f"{name} must be above 0, not {limit!r}")
+
+    @property
+    def of_cost(self) -> bool:
+        """Whether a price is needed."""
+        return self.episode_cost is not None or self.run_cost is not None
+
+    @property
+    def of_usage(self) -> bool:
+        """Whether the token counts of servers are needed."""
+        return self.of_cost or self.episode_tokens is not None or self.run_tokens is not None
+
+
+@dataclass
+class Meter:
+    """What an episode has taken, or a run.
+
+    Args:
+        started: When it began, on ``time.monotonic()``.
+        tokens: Tokens read and written.
+        cost: US dollars; None without a price.
+        model_seconds: Seconds in which the model was asked.
+        cached: Responses that came from the cache.
+    """
+
+    started: float = field(default_factory=time.monotonic)
+    tokens: int = 0
+    cost: float | None = None
+    model_seconds: float = 0.0
+    cached: int = 0
+
+    def add(self, usage: Mapping[str, Any], price: Price | None) -> None:
+        """Count what a response took."""
+        for name in ("prompt_tokens", "completion_tokens"):
+            count = usage.get(name)
+            self.tokens += count if type(count) is int and count > 0 else 0
+        if price is not None:
+            self.cost = (self.cost or 0.0) + price.of(usage)
+
+
+class RunMeter:
+    """What the whole run has taken, and the meters of the episodes under way.
+
+    Args:
+        limits: The limits.
+        tokens: Tokens of earlier sessions of the run.
+        cost: Their cost in US dollars.
+    """
+
+    def __init__(self, limits: Limits, tokens: int = 0, cost: float = 0.0) -> None:
+        self.limits = limits
+        self.total = Meter(tokens=tokens, cost=cost)
+        self.episodes: dict[str, Meter] = {}
+        self.silent: set[str] = set()
+        """Models whose server does not tell token counts."""
+
+    def reached(self) -> str | None:
+        """Return the limit of the run that has been reached."""
+        limits, total = self.limits, self.total
+        if limits.run_time is not None and time.monotonic() - total.started >= limits.run_time:
+            return "run time"
+        if limits.run_tokens is not None and total.tokens >= limits.run_tokens:
+            return "run tokens"
+        if limits.run_cost is not None and (total.cost or 0.0) >= limits.run_cost:
+            return "run cost"
+        return None
+
+    def check(self, meter: Meter) -> None:
+        """Raise an error where an episode, or the run, has reached a limit.
+
+        Raises:
+            EpisodeLimitError: It has.
+        """
+        limits = self.limits
+        if (reached := self.reached()) is not None:
+            raise EpisodeLimitError(f"the {reached} is used up", limit=reached)
+        if limits.episode_time is not None and time.monotonic() - meter.started >= limits.episode_time:
+            raise EpisodeLimitError("the time of the episode is used up", limit="time")
+        if limits.episode_tokens is not None and meter.tokens >= limits.episode_tokens:
+            raise EpisodeLimitError("the tokens of the episode are used up", limit="token budget")
+        if limits.episode_cost is not None and (meter.cost or 0.0) >= limits.episode_cost:
+            raise EpisodeLimitError("the cost of the episode is reached", limit="cost")
+
+    def deadline(self, meter: Meter) -> tuple[float | None, str]:
+        """Return when an open request is given up, on ``time.monotonic()``, and the limit that says so."""
+        limits = self.limits
+        ends = [
+            (start + seconds, name)
+            for start, seconds, name in (
+                (meter.started, limits.episode_time, "time"),
+                (self.total.started, limits.run_time, "run time"),
+            )
+            if seconds is not None
+        ]
+        return min(ends, default=(None, ""), key=lambda end: end[0] or 0.0)
+
+
+class MeteredAgent:
+    """An agent that is held to limits, whose usage is counted, and whose answers may come from a cache.
+
+    Args:
+        name: Name of the model.
+        agent: The agent.
+        meter: Meter of the run.
+        price: What its tokens cost; None where that is not known.
+        cache: Answers that are there already; None for none.
+        identity: What the cache tells requests of this model by, besides what is sent.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        agent: Agent,
+        meter: RunMeter,
+        price: Price | None = None,
+        cache: ResponseCache | None = None,
+        identity: Any = None,
+    ) -> None:
+        self._name, self._agent, self._meter, self._price = name, agent, meter, price
+        self._cache, self._identity = cache, identity
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in _FORWARDED:
+            raise AttributeError(name)
+        return getattr(self._agent, name)
+
+    def __call__(self, observation: Observation, context: Context) -> Any:
+        """Return the agent's answer.
+
+        Raises:
+            EpisodeLimitError: A limit is reached.
+        """
+        meter = self._begin(context)
+        key, kept = self._look_up(observation, context)
+        if kept is not None:
+            meter.cached += 1
+            return kept
+        asked = time.monotonic()
+        return self._note(meter, asked, key, cast("str", self._agent(observation, context)))
+
+    def _begin(self, context: Context) -> Meter:
+        meter = self._meter.episodes.get(context.episode)
+        if meter is None:
+            meter = self._meter.episodes[context.episode] = Meter()
+        self._meter.check(meter)
+        return meter
+
+    def _look_up(self, observation: Observation, context: Context) -> tuple[str, Response | None]:
+        if self._cache is None:
+            return "", None
+        told = [observation, context.tools, context.system]
+        repeat = [context.env_id, context.turn, context.episode.rpartition(".")[2]]
+        key = self._cache.key([self._identity, told, repeat])
+        return key, self._cache.find(key)
+
+    def _note(self, meter: Meter, asked: float, key: str, answer: str) -> str:
+        meter.model_seconds += time.monotonic() - asked
+        usage = answer.usage if isinstance(answer, Response) else None
+        if usage is None:
+            self._meter.silent.add(self._name)
+        else:
+            meter.add(usage, self._price)
+            self._meter.total.add(usage, self._price)
+        if self._cache is not None and isinstance(answer, str):
+            self._cache.keep(key, Response.of(answer))
+        return answer
+
+
+class AsyncMeteredAgent(MeteredAgent):
+    """``MeteredAgent`` around an agent that answers later."""
+
+    async def __call__(self, observation: Observation, context: Context) -> Any:
+        """Return the agent's answer; see ``MeteredAgent``."""
+        meter = self._begin(context)
+        key, kept = self._look_up(observation, context)
+        if kept is not None:
+            meter.cached += 1
+            return kept
+        asked = time.monotonic()
+        deadline, limit = self._meter.deadline(meter)
+        answer: Any = self._agent(observation, context)
+        if inspect.isawaitable(answer):
+            try:
+                async with asyncio.timeout(None if deadline is None else max(deadline - asked, 0.0)):
+                    answer = await answer
+            except TimeoutError:
+                if deadline is None or time.monotonic() < deadline:
+                    raise  # the agent's own
+                raise EpisodeLimitError(f"no answer before the {limit} was used up", limit=limit) from None
+        return self._note(meter, asked, key, answer)
+
+
+def metered(name: str, agent: Agent, *args: Any) -> MeteredAgent:
+    """Return an agent that is held to limits; see ``MeteredAgent``."""
+    kind: Callable[..., MeteredAgent] = AsyncMeteredAgent if is_asynchronous(agent) else MeteredAgent
+    return kind(name, agent, *args)

@@ -1,0 +1,222 @@
+"""What an evaluation plays: the rows of each task, and the plan of all episodes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import gem_core as gem
+from gem_core import EnvSpec, PlanItem
+from gem_core.arguments import signature_of
+from gem_core.cli import find_env, matching, wrapper_stack
+from gem_core.env import stable_hash
+from gem_core.errors import ArgumentError
+from gem_core.records import to_plain
+from gem_core.registry import load_entry_point
+from gem_eval.running.conditions import parse_condition
+
+if TYPE_CHECKING:
+    from gem_eval.suites import Suite, SuiteTask
+
+
+@dataclass(frozen=True)
+class PlannedRow:
+    """A row that is played.
+
+    Args:
+        name: Its identity, the same in every run of the suite: the task, and the row's ``task_id`` or the seed.
+        seed: Seed of its episodes.
+        index: Its number in the data set; None where the environment has no rows.
+    """
+
+    name: str
+    seed: int
+    index: int | None
+
+
+@dataclass(frozen=True)
+class PlannedTask:
+    """A task with the rows that are played.
+
+    Args:
+        label: What scores call it.
+        env_id: Id of the environment.
+        kwargs: Its keyword arguments, wrappers included.
+        rows: The rows, in the order in which they are played.
+        total: Number of rows that there are; None where the environment has none.
+        data_hash: SHA-256 of the rows that are played; None where the environment has none.
+    """
+
+    label: str
+    env_id: str
+    kwargs: dict[str, Any]
+    rows: list[PlannedRow]
+    total: int | None
+    data_hash: str | None
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """All that is played: each row of each task by each model, in an order that is always the same.
+
+    Args:
+        tasks: The tasks.
+        models: Names of the models.
+        epochs: How often each row is played by each model.
+        items: The plan.
+        row_of: Task and row of each item of the plan.
+    """
+
+    tasks: list[PlannedTask]
+    models: list[str]
+    epochs: int
+    items: list[PlanItem]
+    row_of: list[tuple[PlannedTask, PlannedRow]]
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes."""
+        return len(self.items) * self.epochs
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of all that is played."""
+        told = [
+            [task.label, task.env_id, to_plain(task.kwargs), task.data_hash, [row.name for row in task.rows]]
+            for task in self.tasks
+        ]
+        return digest([told, self.models, self.epochs])
+
+
+def plan_evaluation(suite: Suite, models: Sequence[str]) -> Evaluation:
+    """Return what an evaluation of a suite plays.
+
+    Rows get their seeds from the suite's seed and their own identity, so that another task, limit or order leaves them
+    the same. The models play a row beside each other.
+
+    Args:
+        suite: The suite.
+        models: Names of the models.
+
+    Raises:
+        ArgumentError: A task that cannot be played, or of which no row is left; or two tasks of one name.
+        UnknownEnvError: There is no such environment.
+    """
+    tasks = [planned for task in suite.with_defaults() for planned in _planned(task, suite)]
+    twice = [label for label, count in Counter(task.label for task in tasks).items() if count > 1]
+    if twice:
+        raise ArgumentError(f"two tasks are called {twice[0]!r}: give one of them another name in the suite")
+    items, row_of = [], []
+    for task in tasks:
+        for row in task.rows:
+            options = None if row.index is None else {"index": row.index}
+            group = row.name if suite.epochs > 1 else None
+            for model in models:
+                items.append(PlanItem(task.env_id, row.seed, options, task.kwargs, group, suite.epochs, agent=model))
+                row_of.append((task, row))
+    return Evaluation(tasks, list(models), suite.epochs, items, row_of)
+
+
+def _planned(task: SuiteTask, suite: Suite) -> list[PlannedTask]:
+    """Return a task with its rows; of a glob, each task that it stands for."""
+    if not any(character in task.id for character in "*?["):
+        record, kwargs = find_env(task.id)
+        return [_with_rows(task, task.label, record, {**kwargs, **task.kwargs}, suite)]
+    records = [record for record in matching(task.id) if not record.seats]
+    if task.name is not None and len(records) > 1:
+        raise ArgumentError(f"{task.id} stands for {len(records)} environments, which cannot all be {task.name!r}")
+    return [_with_rows(task, task.name or record.id, record, task.kwargs, suite) for record in records]
+
+
+def _with_rows(task: SuiteTask, label: str, record: EnvSpec, kwargs: Mapping[str, Any], suite: Suite) -> PlannedTask:
+    if record.seats:
+        raise ArgumentError(
+            f"{record.id} has several seats, {', '.join(record.seats)}: register one of them by "
+            "gem_core.single_agent, or play it by 'gem run'"
+        )
+    kwargs = {**_roles(record, suite.roles), **kwargs}
+    env: Any = gem.make(record.id, **kwargs)
+    try:
+        rows, total, data_hash = _rows_of(env.unwrapped, task, label, suite.seed)
+    finally:
+        env.close()
+    if not rows:
+        raise ArgumentError(f"{label}: none of {total} rows is left by --limit, --sample-ids and --where")
+    stack = _stack(task)
+    return PlannedTask(label, record.id, {**kwargs, "wrappers": stack} if stack else kwargs, rows, total, data_hash)
+
+
+def _roles(record: EnvSpec, roles: Mapping[str, str]) -> dict[str, str]:
+    """Return those roles that an environment has a keyword for."""
+    if not roles:
+        return {}
+    signature = signature_of(load_entry_point(record.entry_point, f"environment {record.id!r}"))
+    known = () if signature is None else signature.parameters
+    return {role: agent for role, agent in roles.items() if role in known}
+
+
+def _rows_of(env: Any, task: SuiteTask, label: str, seed: int) -> tuple[list[PlannedRow], int | None, str | None]:
+    """Return the rows that a task chooses, how many there are, and the hash of those chosen."""
+    total: int | None = env.num_tasks
+    if total is None:
+        _refuse_choice(task, label)
+        seeds = [stable_hash(seed, "row", label, number) for number in range(task.limit or task.episodes)]
+        return [PlannedRow(f"{label}/seed {each}", each, None) for each in seeds], None, None
+    chosen = _chosen(env, task, total)
+    facts = [env.task_row(index) for index in chosen]
+    names = [str(each.get("task_id", index)) for index, each in zip(chosen, facts, strict=True)]
+    counts = Counter(names)
+    # A task_id that several rows share does not tell them apart.
+    names = [name if counts[name] == 1 else f"{name} #{index}" for name, index in zip(names, chosen, strict=True)]
+    rows = [
+        PlannedRow(f"{label}/{name}", stable_hash(seed, "row", label, name), index)
+        for name, index in zip(names, chosen, strict=True)
+    ]
+    return rows, total, digest([to_plain(dict(each)) for each in facts])
+
+
+def _chosen(env: Any, task: SuiteTask, total: int) -> list[int]:
+    """Return the indices of the rows that a task chooses, in the order in which they are played."""
+    chosen = list(range(total))
+    if task.sample_ids is not None:
+        by_id: dict[str, list[int]] = {}
+        for index in chosen:
+            by_id.setdefault(str(env.task_row(index).get("task_id", index)), []).append(index)
+        missing = [each for each in task.sample_ids if each not in by_id]
+        if missing:
+            raise ArgumentError(
+                f"{task.label}: no row has the task_id {missing[0]!r}; the first is {next(iter(by_id), None)!r}"
+            )
+        chosen = [index for each in task.sample_ids for index in by_id[each]]
+    if task.where is not None:
+        holds = parse_condition(task.where)
+        chosen = [index for index in chosen if holds(env.task_row(index))]
+    if task.shuffle is not None:
+        chosen = [chosen[place] for place in np.random.default_rng(task.shuffle).permutation(len(chosen))]
+    return chosen[: task.limit]
+
+
+def _refuse_choice(task: SuiteTask, label: str) -> None:
+    for name, given in (("sample_ids", task.sample_ids), ("where", task.where)):
+        if given is not None:
+            raise ArgumentError(f"{label} has no rows to choose from, so {name} has no meaning there; use limit")
+
+
+def _stack(task: SuiteTask) -> list[Any]:
+    """Return the tools and wrappers of a task as ``make`` takes them."""
+    tools, wrappers = (
+        tuple(json.dumps([[name, options]]) for name, options in choices) for choices in (task.tools, task.wrappers)
+    )
+    stack: list[Any] = wrapper_stack(wrappers, tools, task.max_tool_uses, task.max_turns)
+    return [[name, dict(options)] for name, options in stack]
+
+
+def digest(content: Any) -> str:
+    """Return the SHA-256 of plain JSON."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True, ensure_ascii=True).encode("ascii")).hexdigest()

@@ -1,0 +1,226 @@
+"""Scores of models on environments, from the rows of a run's index."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+from gem_eval.statistics import Estimate, mean, pass_at, pass_hat, rate
+
+Metric = Literal["success", "return"]
+
+
+class Scored(Protocol):
+    """What scores need to know of an episode: a row of a run's index has it.
+
+    ``success`` is that of ``Episode``: None for an episode with an error, and for one that ended and did not tell;
+    False for one that was cut off without a verdict.
+    """
+
+    @property
+    def id(self) -> str:
+        """The environment."""
+
+    @property
+    def model(self) -> str:
+        """Name of the agent."""
+
+    @property
+    def row(self) -> str:
+        """Identity of the task that was asked, shared by its epochs."""
+
+    @property
+    def epoch(self) -> int:
+        """How often the row was played before."""
+
+    @property
+    def success(self) -> bool | None:
+        """Whether the task was solved; None for unknown."""
+
+    @property
+    def episode_return(self) -> float:
+        """Sum of the rewards."""
+
+    @property
+    def error(self) -> str | None:
+        """The failure of the machinery; None for an episode that counts."""
+
+    @property
+    def cut_off(self) -> str | None:
+        """The limit that cut the episode off; None for one that ended by itself."""
+
+    @property
+    def unreadable(self) -> bool:
+        """Whether the last response held nothing that the environment could read."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """The score of one model on one environment, or on all together, by one metric.
+
+    All counts but ``rows`` and ``errors`` are of episodes without an error.
+
+    Args:
+        id: The environment; ``"all"`` for several, each of whose rows weighs the same.
+        model: Name of the agent.
+        metric: ``"success"``, the share of episodes that solved their task; or ``"return"``.
+        mean: Mean of the means of rows; None where no episode has a value.
+        stderr: Standard error of the mean, clustered by row; None where the sample does not tell.
+        low: Lower end of the 95 % interval.
+        high: Upper end of the 95 % interval.
+        episodes: Number of episodes; the mean of successes is over those that are not unscored.
+        rows: Number of rows with a value.
+        pass_at: Of successes with several epochs, pass@k by k: for powers of two up to the fewest epochs that a row
+            has, and for those.
+        errors: Number of episodes that failed by an error; no score counts them.
+        truncated: Number of episodes that a limit cut off. Unless their task gave a verdict, they count as not solved.
+        unscored: Number of episodes whose task did not tell whether it was solved.
+        unreadable: Number of episodes whose last response could not be read.
+        pass_hat: As ``pass_at``, pass^k.
+        without_truncated: The estimate without truncated episodes; None where it is the same, or there are no others.
+        without_unreadable: The estimate without unreadable episodes; None where it is the same, or there are no others.
+        with_errors: The mean if errors counted as 0; None where there are no errors.
+        with_unscored: The mean of successes if unscored episodes counted as 0; None where there are none.
+    """
+
+    id: str
+    model: str
+    metric: Metric
+    mean: float | None
+    stderr: float | None
+    low: float | None
+    high: float | None
+    episodes: int
+    rows: int
+    pass_at: dict[str, Estimate]
+    errors: int
+    truncated: int
+    unscored: int
+    unreadable: int
+    pass_hat: dict[str, Estimate]
+    without_truncated: Estimate | None
+    without_unreadable: Estimate | None
+    with_errors: float | None
+    with_unscored: float | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as plain JSON; of ``pass_at`` and ``pass_hat`` the means."""
+        found = dict(vars(self))
+        for name in ("pass_at", "pass_hat"):
+            found[name] = {k: estimate.mean for k, estimate in found[name].items()}
+        for name in ("without_truncated", "without_unreadable"):
+            found[name] = None if found[name] is None else found[name]._asdict()
+        return found
+
+
+def compute_scores(episodes: Iterable[Scored]) -> list[Score]:
+    """Compute the scores of a run.
+
+    Episodes with an error count as nothing but errors. An environment has success rates unless its task never tells:
+    then the only episodes with ``success`` are those that were cut off. A return that is not finite has no value.
+
+    Args:
+        episodes: The episodes, in any order.
+
+    Returns:
+        For each environment and model, in order of first appearance, the score by success, where there is one, and by
+        return; then, for each model, those of all its environments together, where there are several.
+    """
+    by_pair: dict[tuple[str, str], list[Scored]] = {}
+    by_env: dict[str, list[Scored]] = {}
+    for episode in episodes:
+        by_pair.setdefault((episode.id, episode.model), []).append(episode)
+        by_env.setdefault(episode.id, []).append(episode)
+    tells = {env_id for env_id, played in by_env.items() if _tells(played)}
+    scores = []
+    by_model: dict[str, dict[Metric, list[list[Scored]]]] = {}
+    for (env_id, model), played in by_pair.items():
+        metrics: list[Metric] = ["success", "return"] if env_id in tells else ["return"]
+        for metric in metrics:
+            scores.append(_score(env_id, model, metric, played))
+            by_model.setdefault(model, {}).setdefault(metric, []).append(played)
+    for model, by_metric in by_model.items():
+        for metric, parts in by_metric.items():
+            if len(parts) > 1:
+                scores.append(_score("all", model, metric, [episode for part in parts for episode in part]))
+    return scores
+
+
+def _tells(played: Sequence[Scored]) -> bool:
+    """Whether a task says if it was solved; one that never does fails only where it is cut off."""
+    verdicts = [(episode.success, episode.cut_off) for episode in played if episode.error is None]
+    if any(success is not None and (success or cut_off is None) for success, cut_off in verdicts):
+        return True
+    return bool(verdicts) and all(success is not None for success, _ in verdicts)
+
+
+def _score(env_id: str, model: str, metric: Metric, played: Sequence[Scored]) -> Score:
+    counted = [episode for episode in played if episode.error is None]
+    errors = [episode for episode in played if episode.error is not None]
+    unscored = [episode for episode in counted if episode.success is None]
+    rows = _rows(metric, counted)
+    estimate = _estimate(metric, rows)
+    ks = _ks(rows) if metric == "success" else []
+    counts = [(len(row), int(sum(row))) for row in rows]
+
+    def without(left_out: Callable[[Scored], bool]) -> Estimate | None:
+        kept = [episode for episode in counted if not left_out(episode)]
+        other = _estimate(metric, _rows(metric, kept)) if len(kept) < len(counted) else None
+        if other is None or estimate is None or math.isclose(other.mean, estimate.mean, abs_tol=1e-12):
+            return None
+        return other
+
+    def with_zeros(failed: list[Scored]) -> float | None:
+        changed = _estimate(metric, _rows(metric, counted, failed)) if failed else None
+        return None if changed is None else changed.mean
+
+    center, stderr, low, high = estimate or (None, None, None, None)
+    return Score(
+        env_id,
+        model,
+        metric,
+        center,
+        stderr,
+        low,
+        high,
+        episodes=len(counted),
+        rows=len(rows),
+        pass_at={str(k): pass_at(counts, k) for k in ks},
+        errors=len(errors),
+        truncated=sum(episode.cut_off is not None for episode in counted),
+        unscored=len(unscored),
+        unreadable=sum(episode.unreadable for episode in counted),
+        pass_hat={str(k): pass_hat(counts, k) for k in ks},
+        without_truncated=without(lambda episode: episode.cut_off is not None),
+        without_unreadable=without(lambda episode: episode.unreadable),
+        with_errors=with_zeros(errors),
+        with_unscored=with_zeros(unscored) if metric == "success" else None,
+    )
+
+
+def _rows(metric: Metric, counted: Iterable[Scored], zeros: Iterable[Scored] = ()) -> list[list[float]]:
+    """Return the values by row, with 0 for some more episodes; episodes without a value are left out."""
+    rows: dict[tuple[str, str], list[float]] = {}
+    for episode in counted:
+        value = episode.episode_return if metric == "return" else episode.success
+        if value is not None and math.isfinite(value):
+            rows.setdefault((episode.id, episode.row), []).append(float(value))
+    for episode in zeros:
+        rows.setdefault((episode.id, episode.row), []).append(0.0)
+    return list(rows.values())
+
+
+def _estimate(metric: Metric, rows: list[list[float]]) -> Estimate | None:
+    if not rows:
+        return None
+    return rate(rows) if metric == "success" else mean(rows)
+
+
+def _ks(rows: list[list[float]]) -> list[int]:
+    """Return the k of pass@k: powers of two up to the fewest epochs, and those; none for one epoch each."""
+    if max(map(len, rows), default=0) < 2:
+        return []
+    fewest = min(map(len, rows))
+    return sorted({fewest, *(2**power for power in range(fewest.bit_length()))})

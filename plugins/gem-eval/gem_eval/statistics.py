@@ -1,0 +1,398 @@
+"""Statistics of scores: estimates with intervals, comparisons of two runs, agreement of judges.
+
+Values come by row, a sequence of the epochs of each; rows may have different numbers of epochs. Epochs of a row are not
+independent, so all formulas use the means of rows, as if rows were drawn from a larger set of tasks (Miller, "Adding
+error bars to evals", arXiv:2411.00640). A row without epochs is left out. The order of rows and epochs never matters.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from statistics import NormalDist
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from gem_core.errors import ArgumentError
+
+Rows = Sequence[Sequence[float]]
+"""Values by row: one inner sequence for each row, with a value for each epoch."""
+Counts = Sequence[tuple[int, int]]
+"""For each row, its number of epochs and how many of them succeeded."""
+_Floats = npt.NDArray[np.float64]
+
+# A resample of few rows may show no spread at all; its standard error counts as at least this share of the sample's. By
+# simulation: of rows that are mostly 0, the intervals that there are cover 94 % with 1/8, 90 % with 1/4.
+_LEAST_SPREAD = 1 / 8
+# More rows than this are bootstrapped in groups, to bound time and memory.
+_MOST_GROUPS = 1_000
+# Up to so many differences other than 0, all 2**n assignments of signs are tried.
+_MOST_EXACT = 16
+
+
+class Estimate(NamedTuple):
+    """A mean with its uncertainty.
+
+    Args:
+        mean: The mean of the means of rows.
+        stderr: Its standard error, clustered by row; None where the sample does not tell.
+        low: Lower end of the interval; None where the sample does not tell.
+        high: Upper end of the interval.
+    """
+
+    mean: float
+    stderr: float | None
+    low: float | None
+    high: float | None
+
+
+class Agreement(NamedTuple):
+    """How well repeated ratings of the same items agree.
+
+    Args:
+        items: Number of items with at least two ratings; the others are left out.
+        share: Probability that two ratings of an item are equal; None without items.
+        alpha: Krippendorff's alpha: 1 for perfect agreement, 0 for that of chance; None where all ratings are equal.
+        variance: Mean variance between the ratings of an item; None without items.
+    """
+
+    items: int
+    share: float | None
+    alpha: float | None
+    variance: float | None
+
+
+def rate(rows: Rows, confidence: float = 0.95) -> Estimate:
+    """Estimate a rate from values between 0 and 1, such as successes.
+
+    The interval is Wilson's, with the number of independent observations that would have the variance seen between rows
+    (the effective sample size). With one epoch a row, with one row, or where the epochs of every row agree, that is the
+    number of rows. Otherwise it is larger, but for few rows reduced as Korn and Graubard do, by the squared ratio of
+    the quantiles of the normal and the t distribution, never below the number of rows. The variance counts one
+    imaginary row more whose epochs agree, so that few rows, or rare successes, do not seem more certain than they are.
+
+    The standard error is the clustered one. Where all rows have the same mean that would be 0, and with one row
+    unknown; it is then half the width of this interval for one standard error, as in the table of ``gem run``.
+
+    Args:
+        rows: Values by row, each from 0 to 1.
+        confidence: Probability that the interval covers.
+
+    Raises:
+        ArgumentError: There are no values, or some lie outside of 0 to 1.
+
+    Source: E. B. Wilson, JASA 22 (1927), 209-212; E. L. Korn and B. I. Graubard, Survey Methodology 24 (1998), 193-201;
+    C. Franco et al., J. Survey Statistics and Methodology 7 (2019), 334-364, who recommend Wilson's form.
+    """
+    means = row_means(rows)
+    if means[0] < 0 or means[-1] > 1:
+        outside = means[0] if means[0] < 0 else means[-1]
+        raise ArgumentError(f"a rate takes values from 0 to 1, not {outside:g}; use mean() for returns")
+    return Estimate(*_rate_of(means, confidence))
+
+
+def mean(rows: Rows, confidence: float = 0.95, *, seed: int = 0, resamples: int = 2_000) -> Estimate:
+    """Estimate the mean of any values, such as returns.
+
+    The interval is the symmetric studentized bootstrap by row: in simulations with few, skewed or heavy-tailed rows it
+    covers more often than BCa, Student's t, and the studentized bootstrap with equal tails. Where all rows have the
+    same mean, or there is one, the sample does not tell its uncertainty: the estimate has the mean alone. Values that
+    are 0 and 1, and both occur, are a rate, and get the interval of ``rate``.
+
+    Args:
+        rows: Values by row.
+        confidence: Probability that the interval covers.
+        seed: Seed of the bootstrap.
+        resamples: Number of its samples.
+
+    Raises:
+        ArgumentError: There are no values.
+
+    Source: P. Hall, Journal of the Royal Statistical Society B 50 (1988), 35-45.
+    """
+    means = row_means(rows)
+    if {value for row in rows for value in row} == {0, 1}:
+        return Estimate(*_rate_of(means, confidence))
+    return _bootstrapped(means, confidence, seed, resamples)
+
+
+def pass_at(counts: Counts, k: int, confidence: float = 0.95) -> Estimate:
+    """Estimate pass@k: the probability that at least one of k epochs of a row succeeds.
+
+    Args:
+        counts: For each row its number of epochs and of successes. Rows with fewer than k epochs are left out, since
+            they have no unbiased estimate.
+        k: Number of epochs.
+        confidence: Probability that the interval covers; see ``rate``.
+
+    Raises:
+        ArgumentError: k is below 1, or no row has k epochs.
+
+    Source: Chen et al., arXiv:2107.03374, section 2.1, without bias.
+    """
+    return _of_counts(counts, k, confidence, lambda n, c: (math.comb(n, k) - math.comb(n - c, k)) / math.comb(n, k))
+
+
+def pass_hat(counts: Counts, k: int, confidence: float = 0.95) -> Estimate:
+    """Estimate pass^k: the probability that all of k epochs of a row succeed.
+
+    Args:
+        counts: As for ``pass_at``.
+        k: Number of epochs.
+        confidence: Probability that the interval covers; see ``rate``.
+
+    Raises:
+        ArgumentError: k is below 1, or no row has k epochs.
+
+    Source: Yao et al., tau-bench, arXiv:2406.12045, without bias.
+    """
+    return _of_counts(counts, k, confidence, lambda n, c: math.comb(c, k) / math.comb(n, k))
+
+
+def differences(a: Rows, b: Rows) -> list[float]:
+    """Return the difference ``a - b`` of the means of each row that both have values for.
+
+    Raises:
+        ArgumentError: The numbers of rows differ.
+    """
+    if len(a) != len(b):
+        raise ArgumentError(f"a pair needs the same rows in the same order, not {len(a)} rows and {len(b)}")
+    return [_mean_of(one) - _mean_of(other) for one, other in zip(a, b, strict=True) if len(one) and len(other)]
+
+
+def paired_difference(
+    a: Rows, b: Rows, confidence: float = 0.95, *, rates: bool = False, seed: int = 0, resamples: int = 2_000
+) -> Estimate:
+    """Estimate the mean of ``a - b`` over the rows that both have, as a pair for each row.
+
+    Args:
+        a: Values by row.
+        b: Values of the same rows in the same order.
+        confidence: Probability that the interval covers.
+        rates: The values are from 0 to 1, as successes are. The interval is then that of ``rate``, for differences
+            moved from -1 … 1 to 0 … 1: it stays within -1 and 1, and has a width also where no row differs. Otherwise
+            it is the bootstrap interval of ``mean``.
+        seed: Seed of the bootstrap.
+        resamples: Number of its samples.
+
+    Raises:
+        ArgumentError: The numbers of rows differ, or there are no values in common.
+    """
+    apart = row_means([[value] for value in differences(a, b)])
+    if not rates:
+        return _bootstrapped(apart, confidence, seed, resamples)
+    _, stderr, low, high = _rate_of((apart + 1) / 2, confidence)
+    center = _mean_of(apart)
+    return Estimate(center, 2 * stderr, min(2 * low - 1, center), max(2 * high - 1, center))
+
+
+def mcnemar(only_a: int, only_b: int) -> float:
+    """Test whether two agents solve equally many tasks; return the two-sided p-value.
+
+    The exact binomial test, which never raises more false alarms than its level; mid-p values would be less cautious,
+    but can. With several epochs a row use ``permutation_test``; with one epoch it is the same test.
+
+    Args:
+        only_a: Number of rows that only the first solved.
+        only_b: Number of rows that only the second solved.
+
+    Source: Q. McNemar, Psychometrika 12 (1947), 153-157.
+    """
+    count = only_a + only_b
+    term = tail = 1
+    for successes in range(1, min(only_a, only_b) + 1):
+        term = term * (count - successes + 1) // successes
+        tail += term
+    return min(1.0, 2 * tail / (1 << count))
+
+
+def permutation_test(differences: Sequence[float], seed: int = 0, resamples: int = 9_999) -> float:
+    """Test whether the mean of paired differences is 0; return the two-sided p-value.
+
+    If two agents are alike, the sign of each row's difference is chance. All assignments of signs are tried for up to
+    16 rows that differ; for more, random ones, with the seen one among them: p = (b + 1) / (resamples + 1).
+
+    Args:
+        differences: One for each row, as of ``differences``.
+        seed: Seed of the random assignments.
+        resamples: Number of them.
+
+    Source: B. Phipson and G. K. Smyth, Statistical Applications in Genetics and Molecular Biology 9 (2010), article 39.
+    """
+    sizes = np.sort(np.abs(np.asarray(differences, dtype=float)))
+    sizes = sizes[sizes > 0]
+    # Sums that differ by rounding alone are equal.
+    seen = abs(math.fsum(differences)) - 1e-9 * math.fsum(sizes)
+    if len(sizes) <= _MOST_EXACT:
+        sums = np.zeros(1)
+        for size in sizes:
+            sums = np.concatenate([sums - size, sums + size])
+        return float(np.mean(np.abs(sums) >= seen))
+    generator = np.random.default_rng(seed)
+    extreme = 0
+    at_once = max(1, 4_000_000 // len(sizes))
+    for first in range(0, resamples, at_once):
+        count = min(at_once, resamples - first)
+        signs = np.unpackbits(generator.integers(0, 256, (count, -(-len(sizes) // 8)), dtype=np.uint8), axis=1)
+        sums = 2 * (signs[:, : len(sizes)] @ sizes) - sizes.sum()
+        extreme += int(np.count_nonzero(np.abs(sums) >= seen))
+    return (extreme + 1) / (resamples + 1)
+
+
+def more_rows_needed(differences: Sequence[float], power: float = 0.8, alpha: float = 0.05) -> int | None:
+    """Return how many more rows would settle the difference seen.
+
+    It is settled where ``permutation_test`` gives at most ``alpha``. Otherwise the answer is the number of rows with
+    which a two-sided paired t-test finds a true difference of this size and spread with probability ``power``, less
+    those that there are. The exact tests above find differences of rates a little less often (0.75 to 0.78 instead of
+    0.8 in simulations). It is at least what lets the permutation test reach ``alpha`` if as large a share of rows
+    differs as now.
+
+    Args:
+        differences: One for each row, as of ``differences``.
+        power: Probability that the difference is found.
+        alpha: Level of the test.
+
+    Returns:
+        0 where the rows settle it already; None where no number would, since the difference is 0, or where there are
+        fewer than two rows.
+
+    Source: W. C. Guenther, The American Statistician 35 (1981), 243-244.
+    """
+    values = np.asarray(differences, dtype=float)
+    rows = len(values)
+    if rows < 2 or abs(center := _mean_of(values)) <= 1e-12 * np.max(np.abs(values)):  # 0, but for rounding
+        return None
+    if permutation_test(differences) <= alpha:
+        return 0
+    normal = NormalDist()
+    critical = normal.inv_cdf(1 - alpha / 2)
+    ratio = (critical + normal.inv_cdf(power)) * float(np.std(values, ddof=1)) / abs(center)
+    least = math.ceil(1 + math.log2(1 / alpha)) * rows / np.count_nonzero(values)
+    return max(math.ceil(ratio**2 + critical**2 / 2), math.ceil(least), rows + 1) - rows
+
+
+def agreement(ratings: Rows) -> Agreement:
+    """Measure how well repeated ratings of the same items agree, as of a judge that is asked several times.
+
+    Krippendorff's alpha with squared differences: for verdicts that are True or False it is the nominal alpha as well,
+    and unlike Fleiss' kappa it takes scores, and items with different numbers of ratings.
+
+    Args:
+        ratings: For each item its ratings; those of a repeat that failed are left out.
+
+    Source: K. Krippendorff, "Computing Krippendorff's alpha-reliability" (2011).
+    """
+    items = [np.asarray(each, dtype=float) for each in ratings if len(each) > 1]
+    if not items:
+        return Agreement(0, None, None, None)
+    spreads = [float(np.var(item, ddof=1)) for item in items]
+    overall = float(np.var(np.concatenate(items), ddof=1))
+    observed = math.fsum(len(item) * spread for item, spread in zip(items, spreads, strict=True))
+    alpha = None if overall == 0 else 1 - observed / sum(map(len, items)) / overall
+    return Agreement(len(items), _mean_of(list(map(_share_of_equal_pairs, items))), alpha, _mean_of(spreads))
+
+
+def row_means(rows: Rows) -> _Floats:
+    """Return the means of rows, float64, in ascending order; rows without values are left out.
+
+    Raises:
+        ArgumentError: No row has values, or one is not finite.
+    """
+    means = np.sort([_mean_of(row) for row in rows if len(row)])
+    if not len(means):
+        raise ArgumentError("no values to estimate a mean from: every row is empty")
+    if not np.isfinite(means).all():
+        raise ArgumentError("a mean takes finite values: leave out NaN and infinity, and count them apart")
+    return means
+
+
+def _mean_of(values: Sequence[float] | _Floats) -> float:
+    # fsum rounds once, so that the order does not matter.
+    return math.fsum(values) / len(values)
+
+
+def _stderr_of(means: _Floats) -> float:
+    return float(np.std(means, ddof=1)) / math.sqrt(len(means))
+
+
+def _rate_of(means: _Floats, confidence: float) -> tuple[float, float, float, float]:
+    """Return the mean, standard error and interval of rows whose means are from 0 to 1."""
+    center, rows = _mean_of(means), len(means)
+    normal = NormalDist().inv_cdf((1 + confidence) / 2)
+    size = float(rows)
+    if rows > 1:
+        # One imaginary row more, whose epochs agree: of variance 1/4 both between rows and between single values.
+        between = float(np.sum((means - center) ** 2)) + 0.25
+        single = rows * center * (1 - center) + 0.25
+        size = max(size, rows * single / between * (normal / _t_quantile((1 + confidence) / 2, rows - 1)) ** 2)
+    stderr = _stderr_of(means) if means[0] < means[-1] else _wilson(center, size, 1.0)[1]
+    middle, half = _wilson(center, size, normal)
+    # Rounding alone could leave these bounds.
+    return center, stderr, max(0.0, min(center, middle - half)), min(1.0, max(center, middle + half))
+
+
+def _wilson(share: float, size: float, normal: float) -> tuple[float, float]:
+    """Return the middle of Wilson's interval and half its width."""
+    weight = 1 + normal**2 / size
+    half = normal * math.sqrt(share * (1 - share) / size + (normal / size / 2) ** 2) / weight
+    return (share + normal**2 / size / 2) / weight, half
+
+
+def _bootstrapped(means: _Floats, confidence: float, seed: int, resamples: int) -> Estimate:
+    center = _mean_of(means)
+    if math.isclose(means[0], means[-1], rel_tol=1e-12, abs_tol=1e-100):  # but for rounding, equal
+        return Estimate(center, None, None, None)
+    stderr = _stderr_of(means)
+    half = stderr * float(np.quantile(np.abs(_studentized(means, seed, resamples)), confidence))
+    return Estimate(center, stderr, center - half, center + half)
+
+
+def _studentized(means: _Floats, seed: int, resamples: int) -> _Floats:
+    """Return the distances of bootstrap means from the mean, in standard errors of each sample: ``(resamples,)``.
+
+    Many rows are put into groups at random. The mean of a group's means has the skewness and variance of that of its
+    rows, so that the distances are distributed alike.
+    """
+    generator = np.random.default_rng(seed)
+    each = -(-len(means) // _MOST_GROUPS)
+    groups = len(means) // each
+    if each > 1:
+        means = generator.permutation(means)[: groups * each].reshape(groups, each).mean(axis=1)
+    means = means - means.mean()
+    samples = means[generator.integers(0, groups, (resamples, groups), dtype=np.int32)]
+    totals = samples.sum(axis=1)
+    squares = np.einsum("ij,ij->i", samples, samples) - totals**2 / groups
+    spreads = np.sqrt(np.maximum(squares, _LEAST_SPREAD**2 * np.sum(means**2)) / (groups - 1))
+    distances: _Floats = totals / groups / spreads * math.sqrt(groups)
+    return distances
+
+
+def _of_counts(counts: Counts, k: int, confidence: float, share: Callable[[int, int], float]) -> Estimate:
+    if k < 1:
+        raise ArgumentError(f"k is a number of epochs, 1 or more, not {k}")
+    rows = [[share(epochs, successes)] for epochs, successes in counts if epochs >= k]
+    if not rows:
+        raise ArgumentError(f"no row has {k} epochs, as pass@{k} and pass^{k} need; play more epochs, or lower k")
+    return rate(rows, confidence)
+
+
+def _share_of_equal_pairs(ratings: _Floats) -> float:
+    counts = np.unique(ratings, return_counts=True)[1]
+    return float(np.sum(counts * (counts - 1))) / (len(ratings) * (len(ratings) - 1))
+
+
+@lru_cache(maxsize=256)
+def _t_quantile(probability: float, freedom: int) -> float:
+    """Return a quantile above 1/2 of Student's t distribution; its relative error is below 1e-6.
+
+    With t = sqrt(freedom) tan(angle), the density is proportional to cos(angle) ** (freedom - 1).
+    """
+    angles = np.linspace(0, min(math.pi / 2, 12 / math.sqrt(freedom)), 20_001)
+    density = np.cos(angles) ** (freedom - 1)
+    areas = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
+    angle = float(np.interp(2 * probability - 1, areas / areas[-1], angles))
+    return math.sqrt(freedom) * math.tan(angle)

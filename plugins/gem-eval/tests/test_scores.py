@@ -1,0 +1,175 @@
+"""Scores from the rows of an index: what counts, what counts apart, and how it is summed up."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gem_eval.scores import Score, compute_scores
+from gem_eval.statistics import mean, pass_at, pass_hat, rate
+
+if TYPE_CHECKING:
+    from random import Random
+
+
+@dataclass(frozen=True)
+class Played:
+    """An episode, as the index tells of it."""
+
+    row: str
+    success: bool | None
+    episode_return: float = 0.0
+    epoch: int = 0
+    id: str = "math:Sums"
+    model: str = "random"
+    error: str | None = None
+    cut_off: str | None = None
+    unreadable: bool = False
+
+
+def successes(*episodes: Played) -> Score:
+    """The first score, which is by success."""
+    score = compute_scores(episodes)[0]
+    assert score.metric == "success"
+    return score
+
+
+EPISODES = st.lists(
+    st.builds(
+        Played,
+        row=st.sampled_from("abcd"),
+        success=st.sampled_from([True, False, None]),
+        episode_return=st.floats(-5, 5),
+        id=st.sampled_from(["math:Sums", "qa:Facts"]),
+        error=st.sampled_from([None, None, "boom"]),
+        cut_off=st.sampled_from([None, None, "turns"]),
+        unreadable=st.booleans(),
+    ),
+    max_size=12,
+)
+
+
+def test_a_score_has_the_fields_of_the_json_in_their_order() -> None:
+    """Programs read these names; what is new stands behind them."""
+    played = [Played("a", True, 1.0), Played("a", False, 0.5, epoch=1), Played("b", False)]
+    found = [score.to_dict() for score in compute_scores(played)]
+    names = "id model metric mean stderr low high episodes rows pass_at errors truncated unscored"
+    assert list(found[0])[:13] == names.split()
+    assert (found[0]["id"], found[0]["model"], found[0]["metric"], found[0]["mean"]) == (
+        "math:Sums",
+        "random",
+        "success",
+        0.25,
+    )
+    assert (found[0]["mean"], found[0]["stderr"], found[0]["low"], found[0]["high"]) == rate([[1, 0], [0]])
+    assert (found[1]["metric"], found[1]["mean"], found[1]["high"]) == ("return", 0.375, mean([[1, 0.5], [0]]).high)
+    assert [found[0][name] for name in ("episodes", "rows", "pass_at", "pass_hat")] == [3, 2, {"1": 0.25}, {"1": 0.25}]
+    assert json.loads(json.dumps(found)) == found
+
+
+def test_pass_at_goes_by_powers_of_two_to_the_fewest_epochs() -> None:
+    """Of rows with six and seven epochs: 1, 2, 4 and 6; of one epoch each none."""
+    played = [Played("a", epoch < 2, epoch=epoch) for epoch in range(7)]
+    played += [Played("b", epoch < 1, epoch=epoch) for epoch in range(6)]
+    score = successes(*played)
+    counts = [(7, 2), (6, 1)]
+    assert score.pass_at == {str(k): pass_at(counts, k) for k in (1, 2, 4, 6)}
+    assert score.pass_hat == {str(k): pass_hat(counts, k) for k in (1, 2, 4, 6)}
+    assert score.pass_at["1"].mean == pytest.approx(score.mean)
+    assert successes(Played("a", True), Played("b", True)).pass_at == {}
+
+
+def test_errors_count_apart_and_the_mean_with_them_is_told() -> None:
+    score = successes(Played("a", True), Played("b", True), Played("c", None, error="boom"))
+    assert (score.mean, score.episodes, score.rows, score.errors, score.unscored) == (1.0, 2, 2, 1, 0)
+    assert score.with_errors == pytest.approx(2 / 3)
+    assert successes(Played("a", True)).with_errors is None
+
+
+def test_truncated_episodes_are_not_solved_and_the_score_without_them_is_told() -> None:
+    score = successes(Played("a", True), Played("b", False), Played("c", False, cut_off="turns"))
+    assert (score.mean, score.truncated) == (pytest.approx(1 / 3), 1)
+    assert score.without_truncated == rate([[1], [0]])
+    # The same without it; nothing is left without it.
+    assert successes(Played("a", False), Played("b", False, cut_off="time")).without_truncated is None
+    assert successes(Played("a", False, cut_off="time")).without_truncated is None
+
+
+def test_unreadable_and_unscored_episodes_count_apart() -> None:
+    score = successes(Played("a", True), Played("b", False, unreadable=True), Played("c", None))
+    assert (score.mean, score.episodes, score.rows, score.unscored, score.unreadable) == (0.5, 3, 2, 1, 1)
+    assert score.without_unreadable == rate([[1]])
+    assert score.with_unscored == pytest.approx(1 / 3)
+
+
+def test_a_task_that_never_tells_has_no_success_rate() -> None:
+    """Also where some of its episodes were cut off; one whose episodes were all cut off has a rate of 0."""
+    silent = [Played("a", None, 2.0), Played("b", False, 1.0, cut_off="turns")]
+    assert [(score.metric, score.mean, score.unscored) for score in compute_scores(silent)] == [("return", 1.5, 1)]
+    assert successes(Played("a", False, cut_off="turns")).mean == 0
+    # What one model's episodes tell of a task holds for the other's.
+    told = compute_scores([Played("a", True), Played("a", False, cut_off="turns", model="other")])
+    assert [(score.model, score.metric) for score in told] == [
+        ("random", "success"),
+        ("random", "return"),
+        ("other", "success"),
+        ("other", "return"),
+    ]
+
+
+def test_a_model_without_a_single_value_still_has_its_row() -> None:
+    """All of its episodes failed: no mean, but the count of errors."""
+    (score,) = compute_scores([Played("a", None, error="boom")])
+    assert (score.metric, score.mean, score.low, score.episodes, score.rows, score.errors) == (
+        "return",
+        None,
+        None,
+        0,
+        0,
+        1,
+    )
+    assert score.with_errors == 0
+
+
+def test_a_return_that_is_not_finite_has_no_value() -> None:
+    found = compute_scores([Played("a", None, float("inf")), Played("b", None, 2.0), Played("c", None, 3.0)])
+    assert (found[0].mean, found[0].rows, found[0].episodes) == (2.5, 2, 3)
+
+
+def test_several_environments_are_summed_up_by_model() -> None:
+    """Each row weighs the same; rows of one name in two environments are two; a silent task says nothing of success."""
+    played = [
+        Played("a", True, 1.0),
+        Played("a", False, 0.0, id="qa:Facts"),
+        Played("b", False, 0.0, id="qa:Facts"),
+        Played("a", None, 7.0, id="game:Silent"),
+        Played("a", True, 1.0, model="other"),
+    ]
+    found = [(score.id, score.model, score.metric, score.mean, score.rows) for score in compute_scores(played)]
+    assert found[-4:] == [
+        ("math:Sums", "other", "success", 1.0, 1),
+        ("math:Sums", "other", "return", 1.0, 1),
+        ("all", "random", "success", pytest.approx(1 / 3), 3),
+        ("all", "random", "return", 2.0, 4),
+    ]
+
+
+@given(EPISODES, st.randoms(use_true_random=False))
+def test_scores_do_not_depend_on_the_order_of_episodes(played: list[Played], random: Random) -> None:
+    """Nor are intervals narrower when each epoch is there twice, and all that is said is plain JSON in its bounds."""
+    found = {(score.id, score.metric): score for score in compute_scores(played)}
+    random.shuffle(mixed := [*played])
+    assert {(score.id, score.metric): score for score in compute_scores(mixed)} == found
+    twice = compute_scores([*played, *(replace(episode, epoch=1) for episode in played)])
+    for again in twice:
+        score = found[again.id, again.metric]
+        assert (again.mean, again.low, again.high) == pytest.approx((score.mean, score.low, score.high), abs=1e-9)
+        json.dumps(score.to_dict(), allow_nan=False)
+        if score.low is not None and score.mean is not None and score.high is not None:
+            assert score.low <= score.mean <= score.high
+            assert score.metric == "return" or 0 <= score.low <= score.high <= 1

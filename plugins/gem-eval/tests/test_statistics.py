@@ -1,0 +1,314 @@
+"""Formulas of scores: against SciPy and statsmodels, against published numbers, and what holds for any values."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations, product
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gem_core.errors import ArgumentError
+from gem_eval.statistics import (
+    Estimate,
+    agreement,
+    differences,
+    mcnemar,
+    mean,
+    more_rows_needed,
+    paired_difference,
+    pass_at,
+    pass_hat,
+    permutation_test,
+    rate,
+)
+
+if TYPE_CHECKING:
+    from random import Random
+
+TRIES = st.lists(st.lists(st.sampled_from([0, 1]), min_size=1, max_size=4), min_size=1, max_size=12)
+RETURNS = st.lists(st.lists(st.floats(-10, 10), min_size=1, max_size=3), min_size=1, max_size=12)
+
+
+def ends(estimate: Estimate) -> tuple[float, float]:
+    """The interval of an estimate that has one."""
+    assert estimate.low is not None
+    assert estimate.high is not None
+    return estimate.low, estimate.high
+
+
+@pytest.mark.parametrize(("solved", "rows"), [(0, 7), (1, 9), (15, 30), (99, 100), (1, 1)])
+@pytest.mark.parametrize("confidence", [0.8, 0.95])
+def test_one_epoch_each_is_wilsons_interval(solved: int, rows: int, confidence: float) -> None:
+    """The interval is exactly that of SciPy."""
+    stats = pytest.importorskip("scipy.stats")
+    expected = stats.binomtest(solved, rows).proportion_ci(confidence, "wilson")
+    found = rate([[1]] * solved + [[0]] * (rows - solved), confidence)
+    assert ends(found) == pytest.approx((expected.low, expected.high), abs=1e-12)
+
+
+def test_epochs_that_agree_are_one_observation() -> None:
+    """Ten rows of eight equal epochs say as much as ten rows of one."""
+    assert rate([[1] * 8] * 4 + [[0] * 8] * 6) == rate([[1]] * 4 + [[0]] * 6)
+
+
+def test_epochs_that_disagree_narrow_the_interval() -> None:
+    """Many rows, each solved half of the time, are known better than as many that are always or never solved."""
+    low, high = ends(rate([[0, 1, 1, 0]] * 20 + [[0, 0, 1, 0]] * 20))
+    low_agreeing, high_agreeing = ends(rate([[1] * 4] * 15 + [[0] * 4] * 25))
+    assert high - low < (high_agreeing - low_agreeing) / 1.5
+
+
+@pytest.mark.parametrize("rows", [10, 25, 2_000])
+def test_effective_sample_size_is_that_of_the_variance_between_rows(rows: int) -> None:
+    """One imaginary row more, and Korn and Graubard's factor; statsmodels' Wilson interval of that size."""
+    proportion = pytest.importorskip("statsmodels.stats.proportion")
+    stats = pytest.importorskip("scipy.stats")
+    solved = np.random.default_rng(rows).binomial(6, 0.3, rows)
+    share = solved.mean() / 6
+    inflation = (np.sum((solved / 6 - share) ** 2) + 0.25) / (rows * share * (1 - share) + 0.25)
+    size = rows / inflation * (stats.norm.ppf(0.975) / stats.t.ppf(0.975, rows - 1)) ** 2
+    assert size > rows
+    expected = proportion.proportion_confint(share * size, size, method="wilson")
+    assert ends(rate([[1] * each + [0] * (6 - each) for each in solved])) == pytest.approx(expected, rel=1e-6)
+
+
+def test_standard_error_is_clustered_by_row() -> None:
+    """It equals statsmodels' with clusters, for rows of equal numbers of epochs."""
+    api = pytest.importorskip("statsmodels.api")
+    values = np.random.default_rng(1).binomial(1, np.repeat([[0.1], [0.5], [0.9], [0.7]], 5, axis=0), (20, 3))
+    groups = np.repeat(np.arange(20), 3)
+    # Its correction for small samples, groups / (groups - 1), is ours as well.
+    fit = api.OLS(values.ravel().astype(float), np.ones(60)).fit(cov_type="cluster", cov_kwds={"groups": groups})
+    assert rate(values.tolist()).stderr == pytest.approx(fit.bse[0], rel=1e-9)
+    assert mean(values.tolist()).stderr == pytest.approx(fit.bse[0], rel=1e-9)
+
+
+def test_a_rate_of_one_row_or_without_spread_is_not_certain() -> None:
+    """One row of many epochs, and rates of 0 and 1, have a standard error and an interval."""
+    for rows in ([[1] * 50], [[0.5]], [[1]] * 5, [[0, 0]] * 5):
+        found = rate(rows)
+        low, high = ends(found)
+        assert found.stderr
+        assert 0 <= low <= found.mean <= high <= 1
+        assert high - low > 0.4
+
+
+@given(TRIES, st.randoms(use_true_random=False))
+def test_rate_does_not_depend_on_order_or_copies(rows: list[list[int]], random: Random) -> None:
+    """Rows and epochs in another order, and epochs twice, give the same estimate, in bounds."""
+    found = rate(rows)
+    low, high = ends(found)
+    assert 0 <= low <= found.mean <= high <= 1
+    assert low < high
+    random.shuffle(mixed := [sorted(row) for row in rows])
+    assert rate(mixed) == found
+    assert rate([row * 2 for row in rows]) == pytest.approx(found, abs=1e-12)
+
+
+@given(RETURNS, st.randoms(use_true_random=False))
+def test_mean_does_not_depend_on_order(rows: list[list[float]], random: Random) -> None:
+    """Rows in another order give the same estimate; the interval holds the mean."""
+    found = mean(rows, resamples=50)
+    random.shuffle(mixed := [*rows])
+    assert mean(mixed, resamples=50) == found
+    if found.low is not None and found.high is not None:
+        assert found.low <= found.mean <= found.high
+
+
+def test_mean_of_one_row_or_of_equal_rows_has_no_false_certainty() -> None:
+    """Where the sample does not tell the spread, there is none."""
+    assert mean([[0.25, 0.75]]) == (0.5, None, None, None)
+    assert mean([[0.5], [0.5], [0.5]]) == (0.5, None, None, None)
+    assert mean([[0], [0], [0]]) == (0, None, None, None)  # no rate: the reward that was never won may be 100
+
+
+def test_returns_of_0_and_1_are_a_rate() -> None:
+    """A return that is 1 for success has the interval of the success rate."""
+    assert mean([[1, 0], [1, 1], [1, 1]]) == rate([[1, 0], [1, 1], [1, 1]])
+
+
+def test_no_values_or_wrong_ones_are_refused() -> None:
+    with pytest.raises(ArgumentError) as empty:
+        rate([[], []])
+    assert str(empty.value) == "no values to estimate a mean from: every row is empty"
+    with pytest.raises(ArgumentError) as outside:
+        rate([[0.5], [2]])
+    assert str(outside.value) == "a rate takes values from 0 to 1, not 2; use mean() for returns"
+    with pytest.raises(ArgumentError) as infinite:
+        mean([[1.0], [math.nan]])
+    assert str(infinite.value) == "a mean takes finite values: leave out NaN and infinity, and count them apart"
+
+
+@pytest.mark.parametrize(("epochs", "solved", "k"), [(5, 2, 1), (5, 2, 3), (5, 4, 2), (4, 0, 2), (4, 4, 4), (3, 1, 3)])
+def test_pass_at_and_pass_hat_are_unbiased(epochs: int, solved: int, k: int) -> None:
+    """They are the share of all draws of k epochs of which one, or each, succeeded."""
+    draws = list(combinations([True] * solved + [False] * (epochs - solved), k))
+    assert pass_at([(epochs, solved)], k).mean == pytest.approx(sum(map(any, draws)) / len(draws))
+    assert pass_hat([(epochs, solved)], k).mean == pytest.approx(sum(map(all, draws)) / len(draws))
+
+
+def test_pass_at_one_is_the_rate() -> None:
+    """Also where rows have different numbers of epochs."""
+    rows = [[1, 0, 0], [1], [0, 1], [1, 1, 0, 1, 0, 0, 0]]
+    assert pass_at([(len(row), sum(row)) for row in rows], 1) == pytest.approx(rate(rows))
+
+
+def test_rows_with_too_few_epochs_are_left_out_of_pass_at() -> None:
+    assert pass_at([(4, 1), (1, 1)], 2) == pass_at([(4, 1)], 2)
+    with pytest.raises(ArgumentError) as short:
+        pass_hat([(1, 1)], 2)
+    assert str(short.value) == "no row has 2 epochs, as pass@2 and pass^2 need; play more epochs, or lower k"
+    with pytest.raises(ArgumentError) as negative:
+        pass_at([(1, 1)], -1)
+    assert str(negative.value) == "k is a number of epochs, 1 or more, not -1"
+
+
+@pytest.mark.parametrize(("only_a", "only_b"), [(0, 0), (0, 1), (3, 3), (2, 9), (40, 61), (700, 800)])
+def test_mcnemar_is_the_exact_test(only_a: int, only_b: int) -> None:
+    table = pytest.importorskip("statsmodels.stats.contingency_tables")
+    expected = table.mcnemar([[5, only_a], [only_b, 5]], exact=True).pvalue
+    assert mcnemar(only_a, only_b) == pytest.approx(min(1, expected), rel=1e-9)
+
+
+def test_permutation_test_is_scipys() -> None:
+    """Exact for few rows; near it for many; the same test as McNemar's where rows differ by one epoch."""
+    stats = pytest.importorskip("scipy.stats")
+    apart = np.random.default_rng(3).normal(0.4, 1, 11)
+    expected = stats.permutation_test((apart,), np.mean, permutation_type="samples", n_resamples=np.inf).pvalue
+    assert permutation_test(apart.tolist()) == pytest.approx(expected)
+    assert permutation_test([1] * 9 + [-1] * 3 + [0] * 20) == pytest.approx(mcnemar(9, 3))
+    assert permutation_test([1] * 30 + [-1] * 15) == pytest.approx(mcnemar(30, 15), abs=0.01)
+    assert permutation_test([0.0, 0.0]) == 1
+    assert permutation_test([1] * 80) == 1 / 10_000
+
+
+def test_paired_difference_of_rates_stays_in_bounds() -> None:
+    """It has a width where no row differs, and where all do."""
+    same = paired_difference([[1], [0]] * 10, [[1], [0]] * 10, rates=True)
+    assert same.mean == 0
+    assert -1 < ends(same)[0] < 0 < ends(same)[1] < 1
+    all_of_them = paired_difference([[1]] * 10, [[0]] * 10, rates=True)
+    assert 0.4 < ends(all_of_them)[0] < ends(all_of_them)[1] == all_of_them.mean == 1
+
+
+def test_paired_difference_is_of_rows_that_both_have() -> None:
+    a, b = [[1.0, 0.5], [], [3.0]], [[0.5], [1.0], [2.0, 0.0]]
+    assert differences(a, b) == [0.25, 2.0]
+    assert paired_difference(a, b).mean == 1.125
+    with pytest.raises(ArgumentError) as unequal:
+        differences(a, b[:2])
+    assert str(unequal.value) == "a pair needs the same rows in the same order, not 3 rows and 2"
+
+
+@pytest.mark.parametrize(("center", "rows"), [(0.3, 20), (0.1, 50), (0.7, 6)])
+def test_more_rows_needed_is_the_power_of_a_paired_t_test(center: float, rows: int) -> None:
+    power = pytest.importorskip("statsmodels.stats.power")
+    spread = np.random.default_rng(0).normal(0, 1, rows)
+    apart = (spread - spread.mean()) / spread.std(ddof=1) + center
+    expected = power.TTestPower().solve_power(center, alpha=0.05, power=0.8)
+    found = more_rows_needed(apart.tolist())
+    assert found is not None
+    assert abs(rows + found - expected) <= 1
+
+
+def test_more_rows_needed_says_when_none_or_no_number_would() -> None:
+    assert more_rows_needed([1.0, 0.9, 1.1] * 10) == 0
+    assert more_rows_needed([0.1, 0.2, -0.3]) is None
+    assert more_rows_needed([1.0]) is None
+    assert more_rows_needed([1.0, 1.0]) == 4  # six rows of one sign are the fewest that reach 5 %
+    assert more_rows_needed([1.0] * 5 + [0.0] * 3) == 2  # five of eight differ, so about six of ten will
+
+
+def test_agreement_is_krippendorffs_alpha() -> None:
+    """Fleiss' kappa of statsmodels, with the correction for few ratings; and items with unequal numbers of ratings."""
+    rates = pytest.importorskip("statsmodels.stats.inter_rater")
+    ratings = np.random.default_rng(2).binomial(1, [[0.1], [0.9], [0.8], [0.2], [0.9]] * 4, (20, 3))
+    kappa = rates.fleiss_kappa(rates.aggregate_raters(ratings)[0])
+    assert agreement(ratings.tolist()).alpha == pytest.approx(1 - (1 - kappa) * 59 / 60)
+    # By hand: of the pairs of ratings within items 2 of 3 are equal on average; coincidences 3-0, 0-3, and 1-1.
+    found = agreement([[1, 1, 1], [0, 1], [0, 0, 0], [1]])
+    assert found == (3, pytest.approx(2 / 3), pytest.approx(0.5625), pytest.approx(1 / 6))
+    assert agreement([[1, 1], [1, 1]]) == (2, 1.0, None, 0.0)
+    assert agreement([[1], []]) == (0, None, None, None)
+
+
+def coverage_of_rate(rows: int, epochs: int, first: float, second: float, tries: int) -> float:
+    """How often the interval covers, where rows' chances are Beta distributed."""
+    generator = np.random.default_rng([rows, epochs])
+    chances = generator.beta(first, second, (tries, rows))
+    covered = 0
+    for solved in generator.binomial(epochs, chances):
+        low, high = ends(rate([[each / epochs] for each in solved]))
+        covered += low <= first / (first + second) <= high
+    return covered / tries
+
+
+def test_the_interval_of_a_rate_covers() -> None:
+    """Of 95 % intervals, about as many cover: rows that are easy or hard, four epochs."""
+    assert 0.93 <= coverage_of_rate(30, 4, 0.3, 0.3, 1_000) <= 0.99
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("rows", "epochs", "chances"),
+    [*product([5, 10, 30, 100], [1, 4, 16], [(1, 1), (0.3, 0.3), (0.1, 0.1), (0.2, 1.8), (500, 500), (50, 950)])],
+)
+def test_intervals_of_rates_cover_everywhere(rows: int, epochs: int, chances: tuple[float, float]) -> None:
+    """Never far below 95 %; Wilson's own interval covers 91 % at its worst, which are few rows and rare successes."""
+    assert coverage_of_rate(rows, epochs, *chances, 2_000) >= (0.93 if epochs > 1 else 0.90)
+
+
+def coverage_of_mean(rows: int, kind: str, tries: int) -> float:
+    """How often the interval covers, for returns of some distribution, or there is none, since all were alike."""
+    generator = np.random.default_rng(rows)
+    covered = 0
+    for _ in range(tries):
+        normal, exponential, other = (
+            generator.normal(0, 1, rows),
+            generator.exponential(1, (2, rows)),
+            generator.random(rows),
+        )
+        values, center = {
+            "normal": (normal, 0.0),
+            "exponential": (exponential[0], 1.0),
+            "heavy tails": (exponential[0] - exponential[1], 0.0),
+            "mostly zero": (exponential[0] * (other < 0.3), 0.3),
+        }[kind]
+        found = mean([[value] for value in values], resamples=1_000)
+        covered += found.low is None or found.high is None or found.low <= center <= found.high
+    return covered / tries
+
+
+def test_the_interval_of_a_return_covers() -> None:
+    """Of 95 % intervals, about as many cover: skewed returns of thirty rows."""
+    assert 0.92 <= coverage_of_mean(30, "exponential", 500) <= 0.98
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("rows", [5, 10, 30, 100, 2_500])
+@pytest.mark.parametrize("kind", ["normal", "exponential", "heavy tails", "mostly zero"])
+def test_intervals_of_returns_cover_everywhere(rows: int, kind: str) -> None:
+    """Near 95 %; less where few rows are mostly zero, since many such samples show nothing else."""
+    least = 0.88 if kind == "mostly zero" and rows <= 10 else 0.915
+    assert coverage_of_mean(rows, kind, 1_000 if rows <= 100 else 400) >= least
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("rows", [10, 30, 100])
+@pytest.mark.parametrize("epochs", [1, 3])
+def test_comparisons_raise_few_false_alarms(rows: int, epochs: int) -> None:
+    """Of two agents that are alike, at most 5 % look different: to both tests, and to the interval."""
+    generator = np.random.default_rng([rows, epochs])
+    tries, alarms = 1_500, np.zeros(3)
+    for _ in range(tries):
+        chances = generator.beta(0.5, 0.5, rows)
+        a, b = (generator.binomial(1, chances, (epochs, rows)).T.tolist() for _ in "ab")
+        apart = differences(a, b)
+        low, high = ends(paired_difference(a, b, rates=True))
+        test = mcnemar(apart.count(1), apart.count(-1)) if epochs == 1 else 1.0
+        alarms += [permutation_test(apart, resamples=999) <= 0.05, test <= 0.05, not low <= 0 <= high]
+    assert (alarms / tries <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / tries)).all()
