@@ -28,6 +28,8 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("agent", "tau-assistant"): ("gem-tau",),
     ("agent", "tau-user"): ("gem-tau",),
     ("agent", "negotiator"): ("gem-games",),
+    ("command", "audit"): ("gem-eval",),
+    ("command", "eval"): ("gem-eval",),
     ("command", "show"): ("gem-eval",),
     ("command", "mcp"): ("gem-tools",),
     ("command", "serve-search"): ("gem-tools",),
