@@ -99,7 +99,7 @@ def test_what_is_wrong_with_a_suite_is_named_with_its_place(tmp_path: Path, text
 def test_an_unknown_suite_names_the_nearest() -> None:
     """And those that there are."""
     with pytest.raises(
-        ArgumentError, match=r"no suite 'game'\. Did you mean 'games' or 'sample'\? Built in: code, games, "
+        ArgumentError, match=r"no suite 'game'\. Did you mean 'games'.*\? Built in: code, code-hub, games, "
     ):
         load_suite("game")
 
