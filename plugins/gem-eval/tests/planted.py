@@ -185,6 +185,26 @@ class EncodedInfo(gem.DatasetEnv):
         return observation, {**info, "check": self._row["answer"][::-1]}
 
 
+class Duel(gem.Env):
+    """Two turns against an opponent who loses half of the time, whatever is said; nobody knows a solution."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Begin."""
+        super().reset(seed=seed)
+        self.turns, self.wins = 0, bool(self.np_random.integers(2))
+        return "Say fact or lie in \\boxed{}.", {}
+
+    def step(self, action: str) -> Any:
+        """End after the second turn."""
+        self.turns += 1
+        over = self.turns == 2
+        return "Once more.", float(over and self.wins), over, False, {"correct": self.wins} if over else {}
+
+    def sample_random_action(self) -> str:
+        """Return one of two words."""
+        return f"\\boxed{{{self.action_random.choice(['fact', 'lie'])}}}"
+
+
 class Telling(gem.DatasetEnv):
     """Shows in the info of the reset what a function makes of the row.
 
@@ -413,6 +433,7 @@ def sound() -> dict[str, tuple[Any, dict[str, Any]]]:
         "own-class": (OwnClass, {}),
         "options": (Telling, {"rows": CHOICES, "tell": lambda row: {"options": row["question"].splitlines()[1:4]}}),
         "level": (Telling, {"rows": YES_NO, "tell": lambda row: {"level": len(row["question"]) % 3}}),
+        "duel": (Duel, {}),
         "one-row": (data, {"rows": ROWS[:1]}),
         "plain-text": (data, {"rows": ROWS, "grade": lambda action, row: verdict(action.strip() == row["answer"])}),
     }

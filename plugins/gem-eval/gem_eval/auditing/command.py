@@ -135,13 +135,16 @@ def _chosen(ids: tuple[str, ...], arguments: Mapping[str, Any]) -> list[tuple[st
 def _makeable(records: Sequence[EnvSpec], arguments: Mapping[str, Any]) -> list[EnvSpec]:
     """Return the records of a glob that can be made here and are for one agent, and say which are left out."""
     kept: list[EnvSpec] = []
+    out_of_reach = False
     for record in records:
-        if record.seats:
+        from_hub = "hub" in record.requires
+        if record.seats or (from_hub and out_of_reach):
             continue
         try:
             if record.requires:
                 gem_core.make(record.id, **arguments).close()
         except GemError:
+            out_of_reach = out_of_reach or from_hub  # to look for each of its data sets takes half a minute
             continue
         kept.append(record)
     left_out = [record.id for record in records if record not in kept]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from gem_eval.auditing.forms import Form
-from gem_eval.auditing.results import EnvAudit, Problem, Rate
+from gem_eval.auditing.results import EnvAudit, Problem, Rate, lower_bound
 from gem_eval.auditing.texts import holds, normal
 
 if TYPE_CHECKING:
@@ -45,10 +45,16 @@ class Tally:
         self._played = 0
 
     def chance(self) -> float:
-        """Return how often an answer that knows nothing succeeds: the most frequent one, or a random one."""
+        """Return how often an answer that knows nothing succeeds: the most frequent one, or a random one.
+
+        Where no gold answer is known, it is the upper bound of what random actions show.
+        """
         random = self.found.rates.get("random")
-        by_random = random.solved / random.episodes if random and random.episodes else _UNKNOWN_CHANCE
-        return by_random if self.found.chance is None else max(self.found.chance, by_random)
+        if random is None or not random.episodes:
+            return _UNKNOWN_CHANCE if self.found.chance is None else self.found.chance
+        if not self.golds:
+            return 1 - lower_bound(random.episodes - random.solved, random.episodes)
+        return max(self.found.chance or 0.0, random.solved / random.episodes)
 
     def solves(self, played: Played) -> bool:
         """Tell whether an episode succeeded, as far as that is known of its row."""
