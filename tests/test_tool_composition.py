@@ -12,7 +12,7 @@ from toys import AsyncNotebook, Calculator, EchoEnv, Notebook
 import gem_core as gem
 from gem_core.errors import ArgumentError, StateError
 from gem_core.records.files import EpisodeWriter, read_episodes
-from gem_core.tools.env import ToolEnv
+from gem_core.tools.env import ToolEnv, find_tool_env
 
 
 def layers(env: Any) -> list[str]:
@@ -223,3 +223,20 @@ def test_a_tool_of_few_words_and_one_call_are_explained_well() -> None:
 
     explained = ToolEnv(EchoEnv(), [Terse()], max_tool_uses=1).reset()[0]
     assert "You have 1 tool call.\n- note: Call it with <note>line</note>" in explained
+
+
+def test_tools_can_be_changed_by_a_wrapper_outside() -> None:
+    """What stands for a tool is called in its place; ``find_tool_env`` finds the wrapper that offers them."""
+
+    class Shouting(Calculator):
+        def call(self, arguments: Any, session: Any) -> str:
+            return f"{super().call(arguments, session)}!"
+
+    env = gem.make("toy:Countdown-v0", wrappers=[Calculator, Notebook, ("turn_limit", {"max_turns": 9})])
+    assert find_tool_env(gem.make("toy:Countdown-v0")) is None
+    found = find_tool_env(env)
+    assert found is env.env
+    found.change_tools(lambda tool: Shouting() if tool.name == "calculator" else tool)
+    env.reset(seed=1)
+    assert env.step(json_call("calculator", left=2, right=3))[0].startswith("Output of calculator:\n5.0!\n")
+    assert env.step("<note>a line</note>")[0].startswith("Output of note:\na line\n")

@@ -75,7 +75,7 @@ def test_tools_are_read(text: str, tools: list[Any]) -> None:
     ("text", "told"),
     [
         ("box:prefix", "--tools: 'prefix' is no option of 'box'; write 'python,search:top_k=2' or JSON"),
-        ("prefix=2", "--tools: 'prefix=2' is no name of a tool; write"),
+        ("prefix=2", "--tools: 'prefix=2' is no name; write"),
         ("[", "--tools is no valid JSON: Expecting value"),
         ("[3]", "--tools must be a list of names, or of names with options"),
         ('["a", ["b"]]', "--tools must be a list of names, or of names with options"),

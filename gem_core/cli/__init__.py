@@ -24,9 +24,12 @@ if TYPE_CHECKING:
     from gem_core.cli.layout import counted
     from gem_core.cli.list_command import matching
     from gem_core.cli.model_options import agent_options, given
+    from gem_core.cli.play_session import PlaySession
+    from gem_core.cli.play_view import PlayView
     from gem_core.cli.report import Column, print_table, shown, shown_count
-    from gem_core.cli.targets import find_env
+    from gem_core.cli.targets import find_env, find_envs
     from gem_core.cli.tool_options import (
+        AtLeast,
         arguments_option,
         call_again,
         env_arguments,
@@ -36,8 +39,12 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "INTERRUPTED",
+    "AtLeast",
     "Column",
     "Layout",
+    "PlaySession",
+    "PlayView",
     "agent_options",
     "arguments_option",
     "call_again",
@@ -46,6 +53,7 @@ __all__ = [
     "echo_line",
     "env_arguments",
     "find_env",
+    "find_envs",
     "given",
     "main",
     "matching",
@@ -59,13 +67,17 @@ __all__ = [
 ]
 
 _HOME = {
+    "AtLeast": "tool_options",
     "Column": "report",
+    "PlaySession": "play_session",
+    "PlayView": "play_view",
     "agent_options": "model_options",
     "arguments_option": "tool_options",
     "call_again": "tool_options",
     "counted": "layout",
     "env_arguments": "tool_options",
     "find_env": "targets",
+    "find_envs": "targets",
     "given": "model_options",
     "matching": "list_command",
     "parsed_choices": "tool_options",

@@ -7,7 +7,6 @@ import json
 import shlex
 import signal
 import time
-from collections.abc import Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -19,9 +18,8 @@ from gem_core.api import make_vec
 from gem_core.cli import INTERRUPTED
 from gem_core.cli.completion import complete_agents, complete_backends, complete_env_ids
 from gem_core.cli.layout import counted, echo_line
-from gem_core.cli.list_command import matching
 from gem_core.cli.model_options import agent_options, given
-from gem_core.cli.targets import find_env
+from gem_core.cli.targets import find_envs
 from gem_core.cli.tool_options import (
     AtLeast,
     arguments_option,
@@ -31,8 +29,6 @@ from gem_core.cli.tool_options import (
     wrapper_stacks,
 )
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.registry.requirements import unmet
-from gem_core.registry.specs import EnvSpec
 
 if TYPE_CHECKING:
     from gem_core.cli.acting import Acting
@@ -171,7 +167,7 @@ def command(
 
     if resume is not None:
         _refuse_beside_resume({"--seed": seed is not None, "--out": out is not None, "--overwrite": overwrite})
-    envs = _expand(ids, several=several_agents(agents))
+    envs = find_envs(ids, several=several_agents(agents))
     chosen = [(record.id, {**kwargs, **env_arguments(arguments)}) for record, kwargs in envs]
     env_ids = list(dict.fromkeys(env_id for env_id, _ in chosen))
     ctx.with_resource(current_folder_importable())  # an agent may import what stands beside it when it first acts
@@ -268,46 +264,6 @@ def _slots(acting: Acting, num_envs: int | None, ids: int, episodes: int | None)
         return num_envs or 1
     wanted: int = max(getattr(agent, "max_concurrency", _DEFAULT_SLOTS) for agent in acting.agents.values())
     return max(ids, wanted if episodes is None else min(wanted, max(_DEFAULT_SLOTS, ids * episodes)))
-
-
-def _expand(given: tuple[str, ...], *, several: bool) -> list[tuple[EnvSpec, dict[str, Any]]]:
-    """Return the environments that ids, globs and folders stand for, each with its keyword arguments, and each once.
-
-    Args:
-        given: What was typed.
-        several: Whether a glob stands for environments of several agents, where it matches those of one as well.
-    """
-    expanded: list[tuple[EnvSpec, dict[str, Any]]] = []
-    for each in given:
-        if any(character in each for character in "*?["):
-            expanded += [(record, {}) for record in _runnable(_of_one_kind(matching(each), several=several))]
-        else:
-            expanded.append(find_env(each))
-    return [one for place, one in enumerate(expanded) if one not in expanded[:place]]
-
-
-def _of_one_kind(records: Sequence[EnvSpec], *, several: bool) -> Sequence[EnvSpec]:
-    """Return the records of environments of several agents, or else those of one; all if they are of one kind."""
-    kept = [record for record in records if bool(record.seats) == several]
-    left_out = [record.id for record in records if bool(record.seats) != several]
-    if not kept or not left_out:
-        return records
-    kind = "one agent" if several else "several agents"
-    click.echo(f"gem: left out {len(left_out)} of {len(records)} for {kind}: {', '.join(left_out)}", err=True)
-    return kept
-
-
-def _runnable(records: Sequence[EnvSpec]) -> Sequence[EnvSpec]:
-    """Return the records that match a glob, without those that cannot run here; all if none can."""
-    closed = {record.id for record in records if unmet(record.requires)}
-    if not closed or len(closed) == len(records):
-        return records
-    click.echo(
-        f"gem: left out {len(closed)} of {len(records)} that cannot run here ('gem info ID' says why): "
-        f"{', '.join(sorted(closed))}",
-        err=True,
-    )
-    return [record for record in records if record.id not in closed]
 
 
 def _out_path(out: str | None, seed: int, overwrite: bool) -> Path:

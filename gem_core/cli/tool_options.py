@@ -209,7 +209,7 @@ def call_again(ctx: click.Context, without: Collection[str], *more: str) -> str:
 
 
 def parsed_choices(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
-    """Return the tools or wrappers of one ``--tools`` or ``--wrappers``, each with its options.
+    """Return the tools or wrappers of one ``--tools``, ``--wrappers`` or the like, each with its options.
 
     A value of an option is JSON where it can be read as such, commas included, or Python's True, False or None, and
     text otherwise.
@@ -228,25 +228,29 @@ def parsed_choices(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
             choices[-1][1][setting[1]] = _value(setting[2], words)
         elif named:
             name, rest = named[1], named[2]
-            if rest is not None and option == "--wrappers" and not _OPTION.fullmatch(rest) and not _is_registered(name):
+            if rest is not None and option != "--tools" and not _OPTION.fullmatch(rest) and not _is_registered(name):
                 path, _, rest = rest.partition(":")  # "package.module:Class", with its options behind another colon
                 name, rest = f"{name}:{path}", rest or None
             choices.append((name, {}))
             if rest is not None:
                 setting = _OPTION.fullmatch(rest)
                 if setting is None:
-                    raise ArgumentError(f"{option}: {rest!r} is no option of {name!r}; write {_FORMS[option]}")
+                    raise ArgumentError(f"{option}: {rest!r} is no option of {name!r}; write {_form(option)}")
                 choices[-1][1][setting[1]] = _value(setting[2], words)
         elif word.strip():
-            raise ArgumentError(f"{option}: {word!r} is no name of a {option[2:-1]}; write {_FORMS[option]}")
+            raise ArgumentError(f"{option}: {word!r} is no name; write {_form(option)}")
     return choices
+
+
+def _form(option: str) -> str:
+    return _FORMS.get(option, _FORMS["--wrappers"])
 
 
 def _from_json(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ArgumentError(f"{option} is no valid JSON: {error}; write {_FORMS[option]}") from None
+        raise ArgumentError(f"{option} is no valid JSON: {error}; write {_form(option)}") from None
     if isinstance(content, dict):  # {"search": {"top_k": 2}, "python": {}}
         content = list(content.items())
     choices = [
@@ -256,7 +260,7 @@ def _from_json(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
     for choice in choices:
         if len(choice) != 2 or not isinstance(choice[0], str) or not isinstance(choice[1], dict):
             raise ArgumentError(
-                f"{option} must be a list of names, or of names with options, not {text:.200}; write {_FORMS[option]}"
+                f"{option} must be a list of names, or of names with options, not {text:.200}; write {_form(option)}"
             )
     return choices
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gem_core.tools.calls import format_calls
 from gem_core.tools.calls.reading import CallReader, blank_out, json_call, native_calls, spoken, thinking_blocks
-from gem_core.tools.env import ToolEnv
+from gem_core.tools.env import ToolEnv, find_tool_env
 from gem_core.tools.tool import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, ToolResult
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "ToolEnv",
     "ToolResult",
     "blank_out",
+    "find_tool_env",
     "format_calls",
     "json_call",
     "native_calls",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import gymnasium
@@ -19,7 +19,7 @@ from gem_core.tools.sessions import ToolSessions
 from gem_core.tools.tool import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, ToolResult
 from gem_core.types import Observation, ResetResult, Response, StepResult
 
-__all__ = ["ToolChoice", "ToolChoices", "ToolEnv"]
+__all__ = ["ToolChoice", "ToolChoices", "ToolEnv", "find_tool_env"]
 
 
 class ToolEnv(Wrapper):
@@ -75,23 +75,36 @@ class ToolEnv(Wrapper):
     ) -> None:
         super().__init__(env)
         _check(env, max_tool_uses, call_timeout_s)
-        self.tools = tools_by_name(tool_choices(tools))
         self.tool_reward = tool_reward
         self.tool_success_reward = tool_success_reward
         self.tool_error_reward = tool_error_reward
         self.max_tool_uses = max_tool_uses
         self.instructions = instructions
-        self._reader = CallReader(
-            self.tools,
-            answer_fences=self.unwrapped.answer_fences,
-            answer_tags=self.unwrapped.answer_tags,
-            thinking_tag=thinking_tag,
-        )
-        self._sessions = ToolSessions(self.tools, call_timeout_s)
-        self.needs = self._sessions.concurrency
+        self._thinking_tag = thinking_tag
+        self._call_timeout_s = call_timeout_s
+        self._offer(tools_by_name(tool_choices(tools)))
         self._live = False
         self._suffix: Observation | None = None
         self._uses = self._successes = self._failures = 0
+
+    def change_tools(self, change: Callable[[Tool], Tool]) -> None:
+        """Offer another tool in the place of each, as a wrapper outside does when it is made, before any episode.
+
+        Args:
+            change: Called with each tool; returns what is offered instead, under the same name.
+        """
+        self._offer({name: change(tool) for name, tool in self.tools.items()})
+
+    def _offer(self, tools: dict[str, Tool]) -> None:
+        self.tools = tools
+        self._reader = CallReader(
+            tools,
+            answer_fences=self.unwrapped.answer_fences,
+            answer_tags=self.unwrapped.answer_tags,
+            thinking_tag=self._thinking_tag,
+        )
+        self._sessions = ToolSessions(tools, self._call_timeout_s)
+        self.needs = self._sessions.concurrency
 
     # The hooks.
 
@@ -302,15 +315,23 @@ def _parsed_action(action: str, call: ToolCall) -> str | None:
     return action[: call.end] if call.end else None
 
 
-def _check(env: AnyEnv, max_tool_uses: object, call_timeout_s: object) -> None:
+def find_tool_env(env: AnyEnv) -> ToolEnv | None:
+    """Return the wrapper that gives tools to a task, anywhere in an environment; None where there is none."""
     layer: Any = env
     while isinstance(layer, gymnasium.Wrapper):
         if isinstance(layer, ToolEnv):
-            raise ArgumentError(
-                f"there are tools around this environment already: {', '.join(layer.tools)}; give all tools to one "
-                "ToolEnv, or to make(), which gathers them"
-            )
+            return layer
         layer = layer.env
+    return None
+
+
+def _check(env: AnyEnv, max_tool_uses: object, call_timeout_s: object) -> None:
+    there = find_tool_env(env)
+    if there is not None:
+        raise ArgumentError(
+            f"there are tools around this environment already: {', '.join(there.tools)}; give all tools to one "
+            "ToolEnv, or to make(), which gathers them"
+        )
     if max_tool_uses is not None and (type(max_tool_uses) is not int or max_tool_uses < 0):
         raise ArgumentError(f"max_tool_uses must be a whole number from 0 up or None, not {max_tool_uses!r}")
     if call_timeout_s is not None and (not isinstance(call_timeout_s, int | float) or not call_timeout_s > 0):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
@@ -133,7 +134,7 @@ def compute_scores(episodes: Iterable[Scored]) -> list[Score]:
     for episode in episodes:
         by_pair.setdefault((episode.id, episode.model), []).append(episode)
         by_env.setdefault(episode.id, []).append(episode)
-    tells = {env_id for env_id, played in by_env.items() if _tells(played)}
+    tells = {env_id for env_id, played in by_env.items() if tells_success(played)}
     scores = []
     by_model: dict[str, dict[Metric, list[list[Scored]]]] = {}
     for (env_id, model), played in by_pair.items():
@@ -148,7 +149,49 @@ def compute_scores(episodes: Iterable[Scored]) -> list[Score]:
     return scores
 
 
-def _tells(played: Sequence[Scored]) -> bool:
+@dataclass(frozen=True)
+class RowScore:
+    """How one model did at one row, over its epochs; episodes with an error are left out.
+
+    Args:
+        id: The environment.
+        model: Name of the agent.
+        row: Identity of the row.
+        epochs: Number of episodes.
+        solved: Number of those that solved the task; None where it does not tell.
+        mean: Mean return.
+        spread: Standard deviation of the returns, with n - 1; None for fewer than two episodes.
+    """
+
+    id: str
+    model: str
+    row: str
+    epochs: int
+    solved: int | None
+    mean: float
+    spread: float | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as plain JSON."""
+        return dict(vars(self))
+
+
+def compute_row_scores(episodes: Iterable[Scored]) -> list[RowScore]:
+    """Compute how each model did at each row, in order of first appearance."""
+    played: dict[tuple[str, str, str], list[Scored]] = {}
+    for episode in episodes:
+        if episode.error is None:
+            played.setdefault((episode.id, episode.model, episode.row), []).append(episode)
+    found = []
+    for key, each in played.items():
+        returns = [episode.episode_return for episode in each]
+        told = [episode.success for episode in each if episode.success is not None]
+        spread = statistics.stdev(returns) if len(returns) > 1 else None
+        found.append(RowScore(*key, len(each), sum(told) if told else None, statistics.fmean(returns), spread))
+    return found
+
+
+def tells_success(played: Sequence[Scored]) -> bool:
     """Whether a task says if it was solved; one that never does fails only where it is cut off."""
     verdicts = [(episode.success, episode.cut_off) for episode in played if episode.error is None]
     if any(success is not None and (success or cut_off is None) for success, cut_off in verdicts):

@@ -18,7 +18,7 @@ import gem_core as gem
 from gem_core import Response
 from gem_core.errors import ArgumentError, RequestError
 from gem_core.rollouts import Context
-from gem_eval import Limits, Suite, compute_scores, evaluate, open_run
+from gem_eval import Limits, Suite, compute_row_scores, compute_scores, evaluate, open_run
 from gem_eval.running.evaluation import TooManyErrorsError
 
 GAME = "game:GuessTheNumber-v0-easy"
@@ -67,6 +67,20 @@ def test_tasks_and_models_are_played_in_one_run() -> None:
     by_model = {score.model: score.mean for score in compute_scores(run.rows) if score.metric == "success"}
     assert by_model == {"a": 1.0, "b": 0.0}
     assert {row.row for row in run.rows} == {f"evaltest:Sums/q{number}" for number in range(9)}
+
+
+def test_each_row_has_its_mean_and_spread() -> None:
+    """Where it is played more than once."""
+    answers = iter(["\\boxed{1}", "no", "\\boxed{1}"])
+
+    def agent(observation: str) -> str:
+        return next(answers)
+
+    run = evaluate(suite({"id": "evaltest:Sums", "limit": 1}, epochs=3), {"a": agent}, out="run")
+    (row,) = json.loads(Path("run/metrics.json").read_text())["rows"]
+    assert row == compute_row_scores(run.rows)[0].to_dict()
+    assert (row["row"], row["epochs"], row["solved"]) == ("evaltest:Sums/q0", 3, 2)
+    assert (row["mean"], row["spread"]) == (pytest.approx(2 / 3), pytest.approx(0.57735, abs=1e-5))
 
 
 def test_two_runs_of_a_suite_have_the_same_rows_and_seeds() -> None:

@@ -162,16 +162,16 @@ def command(
                 ctx.call_on_close(lambda: signal.signal(signal.SIGINT, before_it))
     if stopped_by is not None and not session.path.joinpath("run.json").exists():
         raise stopped_by
-    run = session.run
-    rows = run.rows
-    scores = session.scores()
+    rows = session.rows()
     if as_json:
-        click.echo(json.dumps({"scores": [score.to_dict() for score in scores], "run": str(run.path)}, indent=1))
+        click.echo(json.dumps({**session.metrics(), "run": str(session.path)}, indent=1))
     elif rows:
         from gem_eval.running.table import print_scores
+        from gem_eval.scores import compute_scores
 
-        print_scores(scores, rows)
-        click.echo(f"The record is in {run.path}; look at it with: gem view {shlex.quote(str(run.path))}")
+        print_scores(compute_scores(rows), rows)
+        where = f"The record is in {session.path}; look at it with: gem view {shlex.quote(str(session.path))}"
+        click.echo(where)
     _finish(ctx, session, rows, stopped_by)
 
 

@@ -21,7 +21,7 @@ from gem_eval.running.limits import RUN_LIMITS, Limits, MeteredAgent, RunMeter, 
 from gem_eval.running.planning import Evaluation, digest, plan_evaluation
 from gem_eval.running.prices import load_prices
 from gem_eval.running.provenance import code_hash, host, versions
-from gem_eval.scores import Score, compute_scores
+from gem_eval.scores import compute_row_scores, compute_scores
 from gem_eval.suites import Model, Suite, combined_suite
 
 DEFAULT_REQUESTS = 8
@@ -143,10 +143,17 @@ class EvaluationSession:
         """The run as it is recorded so far."""
         return Run(self.path)
 
-    def scores(self) -> list[Score]:
-        """Return the scores so far, in the order of the suite."""
-        rows: list[Row] = sorted(self.run.rows, key=lambda row: (int(row.key), row.epoch))
-        return compute_scores(rows)
+    def rows(self) -> list[Row]:
+        """Return the rows so far, in the order of the plan."""
+        return sorted(self.run.rows, key=lambda row: (int(row.key), row.epoch))
+
+    def metrics(self) -> dict[str, Any]:
+        """Return the scores so far as plain JSON, with those of each row where there are several epochs."""
+        rows = self.rows()
+        metrics = {"scores": [score.to_dict() for score in compute_scores(rows)]}
+        if self.plan.epochs > 1:
+            metrics["rows"] = [score.to_dict() for score in compute_row_scores(rows)]
+        return metrics
 
     def already_done(self) -> int:
         """Return how many episodes are there and stay."""
@@ -188,7 +195,7 @@ class EvaluationSession:
             finally:
                 info["sessions"][-1]["ended"] = time.time()
                 writer.write_info({**info, **ended, "silent": sorted(meter.silent)})
-                writer.write_metrics({"scores": [score.to_dict() for score in self.scores()]})
+                writer.write_metrics(self.metrics())
 
     def _episodes(self, writer: RunWriter, meter: RunMeter, before: list[Row], at_end: ExitStack) -> Iterator[Row]:
         cache = None if self._cache_folder is None else ResponseCache(self._cache_folder)

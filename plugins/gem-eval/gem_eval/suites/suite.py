@@ -146,7 +146,7 @@ class Suite(_Form):
 
 def builtin_suites() -> dict[str, Path]:
     """Return the files of the suites that are built in, by name."""
-    return {path.stem: path for path in sorted(_FOLDER.glob("*.yaml"))}
+    return {path.stem: path for path in sorted(_FOLDER.glob("*.yaml"), key=lambda path: path.stem)}
 
 
 def load_suite(name_or_file: str | Path) -> Suite:

@@ -1,0 +1,1 @@
+"""What an environment costs, and what a policy earns in it: ``gem bench-env``."""

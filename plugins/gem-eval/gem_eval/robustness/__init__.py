@@ -1,0 +1,1 @@
+"""Robustness: wrappers that disturb an agent, by seed, and how much its score falls by each."""

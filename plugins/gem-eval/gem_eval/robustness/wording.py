@@ -1,0 +1,184 @@
+"""``paraphrase`` and ``typos``: the same task in other words, or written carelessly."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+from gem_core.env import AnyEnv, is_messages, observation_from, split_observation
+from gem_core.errors import ArgumentError
+from gem_core.registry import load_entry_point
+from gem_core.types import Observation, ResetResult
+from gem_eval.robustness.perturbation import Perturbation
+
+_OPENINGS = (
+    "Please read this with care.\n\n",
+    "Here is a task for you.\n\n",
+    "Hello! Could you help me with the following?\n\n",
+    "I would like you to do this:\n\n",
+)
+_CLOSINGS = ("\n\nThank you!", "\n\nThanks in advance.", "\n\nI look forward to your answer.")
+
+_SAME_MEANING = {
+    "do not": "don't",
+    "does not": "doesn't",
+    "is not": "isn't",
+    "are not": "aren't",
+    "cannot": "can't",
+    "will not": "won't",
+    "there is": "there's",
+    "for example": "for instance",
+    "in order to": "to",
+    "each turn": "every turn",
+    "at most": "no more than",
+    "as well as": "and also",
+    "write your": "put your",
+    "give the answer": "state the answer",
+    "give your": "state your",
+}
+"""Phrases that may stand for each other wherever they occur in instructions."""
+
+_PHRASES = re.compile(rf"(?<![\w'])(?:{'|'.join(_SAME_MEANING)})(?![\w'])", re.IGNORECASE)
+_WORDS = re.compile(r"(?<![\w'\\-])[a-z]{5,}+(?![\w'-])")
+_MISTAKABLE = {
+    "barely", "barley", "casual", "causal", "complaint", "compliant", "dairy", "diary", "farmer", "framer", "field",
+    "filed", "fired", "fried", "forth", "froth", "marital", "martial", "perfect", "prefect", "piles", "plies",
+    "sacred", "scared", "salve", "slave", "signed", "singed", "signer", "singer", "silver", "sliver", "spilt",
+    "split", "there", "three", "tired", "tried", "today", "toady", "trail", "trial", "united", "untied",
+}  # fmt: skip
+"""Words that two exchanged letters would turn into others."""
+
+# What is quoted or is no language: code, formulas, tags with what they hold, brackets, links and file names.
+_QUOTED = re.compile(
+    r"`[^`\n]*`|\"[^\"\n]*\"|“[^”\n]*”|(?<!\w)'[^'\n]*'(?!\w)|\$[^$\n]*\$|\\[a-zA-Z]+(?:\{[^{}\n]*\})*"
+    r"|<(\w{1,30})>[^<\n]{0,200}</\1>|<[^<>\n]*>|\[[^\[\]\n]*\]|\{[^{}\n]*\}|(?<!\S)\S*?(?:://|\w[./@]\w)\S*"
+)
+_NO_PROSE = re.compile(r"[=|_{}<>\t]|;\s*$|^\s|^[#>@]|^(?:def|class|import|from|return)\b")
+
+
+class _Wording(Perturbation):
+    """Changes the words of the task in the first observation.
+
+    The board behind them (``info["suffix"]``) and the text that explains tools stay to the letter.
+    """
+
+    def after_reset(self, result: ResetResult) -> ResetResult:
+        """Change the words."""
+        observation, info = super().after_reset(result)
+        if info.get("view") is not None or is_messages(observation):
+            raise ArgumentError(
+                f"{type(self).__name__} changes the task itself; name it before the view of the history"
+            )
+        feedback, suffix = split_observation(observation, info)
+        told = info.get("tool_instructions", {}).get("text")
+        feedback = self._changed(feedback, told if isinstance(told, str) else "")
+        if "feedback" in info:
+            info["feedback"] = feedback
+        return observation_from(feedback, suffix), info
+
+    def _changed(self, task: Observation, explanation: str) -> Any:
+        if isinstance(task, str):
+            words, found, rest = task.partition(explanation) if explanation else (task, "", "")
+            return self.change(words) + found + rest
+        place = next((place for place, part in enumerate(task) if part.get("type") == "text"), None)
+        if place is None:
+            return task
+        first = {**task[place], "text": self._changed(str(task[place]["text"]), explanation)}
+        return [*task[:place], first, *task[place + 1 :]]
+
+    def change(self, text: str) -> str:
+        """Return the text of a task in other words; a subclass overrides it."""
+        raise NotImplementedError
+
+
+class Paraphrase(_Wording):
+    """Says the task in other words of the same meaning.
+
+    A polite sentence is put before and one after it, drawn from a short list, and phrases from a table are exchanged
+    for others that mean the same ("for example" for "for instance"). Sentences keep their order and capitals their
+    place. Left alone are code, formulas, quotations, tags, brackets, numbers, and lines that are no running text.
+
+    Args:
+        env: What is disturbed; inside any view of the history.
+        rate: Probability that a phrase of the table is exchanged.
+        function: What changes the text instead of these rules: a callable, or where it is, ``"module:function"``. It is
+            called with the text of the task and a seed, and returns the text for the agent.
+
+    Raises:
+        ArgumentError: The rate is no number from 0 to 1, or there is no such function.
+    """
+
+    def __init__(self, env: AnyEnv, rate: float = 1.0, function: str | Callable[[str, int], str] | None = None) -> None:
+        super().__init__(env, rate)
+        self._function = None if function is None else load_entry_point(function, "paraphrase's function")
+
+    def change(self, text: str) -> str:
+        """Return the text with other phrases and polite sentences around it."""
+        if self._function is not None:
+            changed = self._function(text, self.below(1 << 53))
+            if not isinstance(changed, str):
+                raise ArgumentError(f"the function of paraphrase returned {type(changed).__name__}, not text")
+            return changed
+        body = text.rstrip("\n")
+        opening, closing = _OPENINGS[self.below(len(_OPENINGS))], _CLOSINGS[self.below(len(_CLOSINGS))]
+        return f"{opening}{change_prose(body, self._exchange)}{closing}{text[len(body) :]}"
+
+    def _exchange(self, prose: str) -> str:
+        return _PHRASES.sub(lambda phrase: _as_begun(phrase[0]) if self.happens() else phrase[0], prose)
+
+
+class Typos(_Wording):
+    """Exchanges two neighbouring letters inside some of the words of the task.
+
+    Words of five or more small letters are changed, never their first or last letter. Left alone are code, formulas,
+    quotations, tags, brackets, numbers, names, and lines that are no running text. A task about the letters of words
+    that it does not quote changes its meaning, as any misspelling would.
+
+    Args:
+        env: What is disturbed; inside any view of the history.
+        rate: Probability that a word is changed.
+
+    Raises:
+        ArgumentError: The rate is no number from 0 to 1.
+    """
+
+    def __init__(self, env: AnyEnv, rate: float = 0.1) -> None:
+        super().__init__(env, rate)
+
+    def change(self, text: str) -> str:
+        """Return the text with misspelt words."""
+        return change_prose(text, lambda prose: _WORDS.sub(self._misspell, prose))
+
+    def _misspell(self, found: re.Match[str]) -> str:
+        word = found[0]
+        if word in _MISTAKABLE or not self.happens():
+            return word
+        place = 1 + self.below(len(word) - 3)
+        return word[:place] + word[place + 1] + word[place] + word[place + 2 :]
+
+
+def change_prose(text: str, change: Callable[[str], str]) -> str:
+    """Return a text of which only running text is changed.
+
+    Args:
+        text: Of a task.
+        change: Called with each piece of running text within a line.
+    """
+    lines, fenced = text.split("\n"), False
+    for number, line in enumerate(lines):
+        if line.lstrip().startswith(("```", "~~~")):
+            fenced = not fenced
+        elif not fenced and not _NO_PROSE.search(_QUOTED.sub("", line)):
+            pieces, at = [], 0
+            for quoted in _QUOTED.finditer(line):
+                pieces += [change(line[at : quoted.start()]), quoted[0]]
+                at = quoted.end()
+            lines[number] = "".join([*pieces, change(line[at:])])
+    return "\n".join(lines)
+
+
+def _as_begun(phrase: str) -> str:
+    """Return the other phrase, with a capital where the one that is exchanged has one."""
+    other = _SAME_MEANING[phrase.lower()]
+    return other[0].upper() + other[1:] if phrase[0].isupper() else other

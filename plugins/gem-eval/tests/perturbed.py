@@ -1,0 +1,116 @@
+"""Tools and an environment for the tests of perturbations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pydantic
+
+import gem_core as gem
+from gem_core.errors import RequestError
+from gem_core.types import ResetResult, StepResult
+
+
+class Notebook(gem.Tool):
+    """Keeps the lines of an episode, so that it shows whether a call was executed."""
+
+    name = "note"
+    description = "Writes a line into the notebook and shows it all."
+    fences = ("note",)
+    concurrency = "inline"
+
+    class Parameters(pydantic.BaseModel):
+        """One line."""
+
+        text: str
+        times: int = 1
+
+    def open(self) -> list[str]:
+        return []
+
+    def call(self, arguments: Any, session: list[str]) -> gem.ToolResult:
+        session += [arguments.text] * arguments.times
+        return gem.ToolResult("\n".join(session))
+
+    def get_session_state(self, session: list[str]) -> list[str]:
+        return list(session)
+
+    def set_session_state(self, state: list[str]) -> list[str]:
+        return list(state)
+
+
+class SlowNotebook(Notebook):
+    """The same as a coroutine."""
+
+    async def call(self, arguments: Any, session: list[str]) -> gem.ToolResult:  # type: ignore[override]  # a coroutine is allowed in its place
+        return Notebook.call(self, arguments, session)
+
+
+class Dice(gem.Env):
+    """Shows a new number each turn, drawn by the task, and ends after six turns; ``right`` is a solution."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        super().reset(seed=seed)
+        self.turn = 0
+        return self._shown("Guess the number that is thrown. You cannot see it, for example 'seven'.\n")
+
+    def step(self, action: str) -> StepResult:
+        self.turn += 1
+        observation, info = self._shown("That was a wonderful guess, and nothing else is known of it.\n")
+        over = self.turn == 6 or action == "right"
+        return observation, float(action == "right"), over, False, {**info, "correct": action == "right"}
+
+    def sample_random_action(self) -> str:
+        return "right" if self.action_random.integers(2) else "wrong"
+
+    def _shown(self, feedback: str) -> ResetResult:
+        suffix = f"Thrown: {int(self.np_random.integers(1000))}."
+        return feedback + suffix, {"feedback": feedback, "suffix": suffix}
+
+    def _get_state(self) -> dict[str, Any]:
+        return {"turn": self.turn}
+
+    def _set_state(self, state: dict[str, Any]) -> None:
+        self.turn = int(state["turn"])
+
+
+class Echo(gem.Env):
+    """One turn; right is who says 'hello'."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        super().reset(seed=seed)
+        return "Please say hello to everybody in the room.", {}
+
+    def step(self, action: str) -> StepResult:
+        return gem.TERMINAL_STATE, float(action == "hello"), True, False, {"correct": action == "hello"}
+
+
+def reads_to_the_end(observation: Any, context: Any) -> str:
+    """Solve ``Dice`` with a call of a tool first, and only where that was answered."""
+    if "Output of weather" in str(observation):
+        return "right"
+    return "wrong" if "Error from weather" in str(observation) else "<weather>Oslo</weather>"
+
+
+def literal(observation: Any, context: Any) -> str:
+    """Solve ``Echo`` where the task is as it was written, to the letter."""
+    return "hello" if observation == "Please say hello to everybody in the room." else "what?"
+
+
+def register() -> None:
+    """Register the environments."""
+    gem.register("perturbed:Dice-v0", Dice)
+    gem.register("perturbed:Echo-v0", Echo)
+    gem.register("perturbed:Needy-v0", Dice, requires=("never:it is only listed",))
+
+
+def stops_when_reworded(observation: Any, context: Any) -> str:
+    """Answer the task as it was written, and press Ctrl-C for any other."""
+    if literal(observation, context) != "hello":
+        raise KeyboardInterrupt
+    return "hello"
+
+
+def never_answers(observation: Any, context: Any) -> str:
+    """Fail as an agent does whose model server is gone."""
+    raise RequestError("the server is gone")
