@@ -36,6 +36,7 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("wrapper", "tool_429"): ("gem-eval",),
     ("wrapper", "tool_timeout"): ("gem-eval",),
     ("wrapper", "typos"): ("gem-eval",),
+    ("command", "audit"): ("gem-eval",),
     ("command", "bench-env"): ("gem-eval",),
     ("command", "eval"): ("gem-eval",),
     ("command", "robustness"): ("gem-eval",),
