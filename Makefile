@@ -81,7 +81,7 @@ format: $(VENV)/.dev ## format the code, and mend what ruff can mend
 	@$(BIN)/ruff format .
 
 .PHONY: bench
-bench: $(VENV)/.installed $(VENV)-peer/.installed ## measure beside gem-llm, in one run; prints ratios
+bench: $(VENV)/.installed $(VENV)-peer/.installed $(VENV)-inspect/.installed ## measure beside gem-llm and inspect_ai; prints ratios
 	@for script in $(BENCHMARKS); do \
 		$(BIN)/python "$$script" --ours $(BIN)/python --peer $(VENV)-peer/bin/python || exit 1; done
 
@@ -92,7 +92,7 @@ constraints: ## pin the newest versions in constraints.txt (PYTHONS="python3.11 
 .PHONY: clean
 clean: ## remove all that these commands made, but for runs/
 	@if [ -d .venv-docker ]; then scripts/docker_engine.sh stop; fi
-	rm -rf .venv-docker $(VENV) $(VENV)-isolated $(VENV)-peer .venv-mcp build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv-docker $(VENV) $(VENV)-isolated $(VENV)-peer $(VENV)-inspect .venv-mcp build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The environments. A stamp file says that one is up to date; what it was made from stands behind the colon.
@@ -133,4 +133,10 @@ $(VENV)-peer/.installed: $(VENV)/.made benchmarks/requirements-peer.txt
 	$(call say,installing the peer to measure against)
 	$(call quietly,$(PYTHON) -m venv --clear $(VENV)-peer)
 	$(call quietly,$(VENV)-peer/bin/python -m pip install --quiet -r benchmarks/requirements-peer.txt)
+	@touch $@
+
+$(VENV)-inspect/.installed: $(VENV)/.made benchmarks/requirements-inspect.txt
+	$(call say,installing inspect_ai and openai to measure against)
+	$(call quietly,$(PYTHON) -m venv --clear $(VENV)-inspect)
+	$(call quietly,$(VENV)-inspect/bin/python -m pip install --quiet -r benchmarks/requirements-inspect.txt)
 	@touch $@

@@ -39,7 +39,7 @@ def test(plugin: Path, venvs: Path) -> None:
     venv = venvs / plugin.name
     python = venv / "bin" / "python"
     wheels = [build(source, venvs / "wheels" / source.name) for source in ours]
-    requirements = [*TEST_TOOLS, *read(plugin).get("dependency-groups", {}).get("test", [])]
+    requirements = [*TEST_TOOLS, *tested_with(plugin)]
     stamp = venv / ".installed"
     # What the environment was made from; another value makes it anew.
     key = repr([sys.version, requirements, *map(read, ours), (ROOT / "constraints.txt").read_text(encoding="utf-8")])
@@ -71,7 +71,7 @@ def test(plugin: Path, venvs: Path) -> None:
 
 
 def needed(plugin: Path) -> list[Path]:
-    """Return the folders of the repository's distributions that a plugin needs, itself among them."""
+    """Return the folders of the repository's distributions that a plugin and its tests need, itself among them."""
     names = {read(path.parent)["project"]["name"]: path.parent for path in ROOT.glob("plugins/*/pyproject.toml")}
     names["gem-core"] = ROOT
     found: list[Path] = []
@@ -81,9 +81,16 @@ def needed(plugin: Path) -> list[Path]:
         if folder in found:
             continue
         found.append(folder)
-        required = (re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in read(folder)["project"]["dependencies"])
+        lines = read(folder)["project"]["dependencies"] + (tested_with(folder) if folder == plugin else [])
+        required = (re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in lines)
         waiting.extend(names[name] for name in required if name in names)
     return found
+
+
+def tested_with(plugin: Path) -> list[str]:
+    """Return what a plugin's tests need besides."""
+    group: list[str] = read(plugin).get("dependency-groups", {}).get("test", [])
+    return group
 
 
 def build(source: Path, folder: Path) -> Path:

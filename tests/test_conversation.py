@@ -176,6 +176,22 @@ def test_without_tools_an_agent_that_says_nothing_is_sent_the_observation() -> N
     assert episode.reads == "observation"
 
 
+def test_the_context_has_the_observation_whatever_the_agent_is_sent() -> None:
+    """As one that compares a replay with its record needs it."""
+    seen: list[Any] = []
+
+    class Reader:
+        reads = "messages"
+
+        def __call__(self, observation: Any, context: Context) -> str:
+            seen.append(context.observation)
+            return "a"
+
+    with gem.make_vec("toy:Countdown-v0", 1) as vector:
+        (episode,) = gem.rollout(vector, Reader(), episodes=1, seed=1)
+    assert seen == [turn.observation for turn in episode.transitions]
+
+
 def test_a_callable_of_the_observation_alone_is_sent_the_question_again() -> None:
     """After a tool's answer, which does not hold it."""
     seen: list[Any] = []

@@ -25,8 +25,8 @@ PAGES = {
     path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
     for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 }
-ELSEWHERE = {"docs/terminal.md"}
-"""Needs containers: the plugin's own tests run it."""
+ELSEWHERE = {"docs/terminal.md", "docs/mcpmark.md"}
+"""They need containers, or a database: the plugins' own tests run them."""
 FILE = re.compile(r"# ([\w./-]+\.\w+)\n")
 NOT_TYPED = "pip install ", "make ", "export ", "python examples/"
 """Needs the network, or has a test of its own; and so do commands that ask a model."""

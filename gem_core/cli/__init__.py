@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from gem_core.cli.layout import counted
     from gem_core.cli.list_command import matching
     from gem_core.cli.model_options import agent_options, given
+    from gem_core.cli.play_session import PlaySession
+    from gem_core.cli.play_view import PlayView
     from gem_core.cli.report import Column, print_table, shown, shown_count
     from gem_core.cli.targets import find_env, find_envs
     from gem_core.cli.tool_options import (
@@ -41,6 +43,8 @@ __all__ = [
     "AtLeast",
     "Column",
     "Layout",
+    "PlaySession",
+    "PlayView",
     "agent_options",
     "arguments_option",
     "call_again",
@@ -65,6 +69,8 @@ __all__ = [
 _HOME = {
     "AtLeast": "tool_options",
     "Column": "report",
+    "PlaySession": "play_session",
+    "PlayView": "play_view",
     "agent_options": "model_options",
     "arguments_option": "tool_options",
     "call_again": "tool_options",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import cast
 
@@ -45,6 +45,7 @@ class PlaySession:
         repeatable: Whether a seed and the actions repeat an episode, so that turns can be taken back.
         writer: Where finished episodes are recorded; None for nowhere.
         seat: The person's seat, where several agents act.
+        begun: What an episode started from, and its first turns: it is gone on with, each time that one begins.
     """
 
     reads = "observation"
@@ -60,6 +61,7 @@ class PlaySession:
         repeatable: bool,
         writer: EpisodeWriter | None,
         seat: str | None = None,
+        begun: tuple[EpisodeStart, Sequence[Transition]] | None = None,
     ) -> None:
         self._vector = VectorEnv.around(env, seed=seed, on_error="raise", keep_open=True)
         self._starts = EpisodeQueue(default_plan(self._vector, sys.maxsize), self._vector.seed)
@@ -69,6 +71,7 @@ class PlaySession:
         self._repeatable = repeatable
         self._writer = writer
         self._seat = seat
+        self._begun = begun
         self._again: list[Transition] = []
         self._taken_back = 0
         self._show: Callable[[], None] = view.opening
@@ -86,7 +89,7 @@ class PlaySession:
         asks = episodes is None and self._terminal.interactive
         for number in itertools.count(1):
             self._view.number = number
-            start = cast("EpisodeStart", self._starts.draw(0))
+            start = cast("EpisodeStart", self._starts.draw(0)) if self._begun is None else self._begun[0]
             self._restart()
             try:
                 goes_on = self._play_out(start, asks=asks)
@@ -200,7 +203,7 @@ class PlaySession:
         self._taken_back += 1
 
     def _restart(self) -> None:
-        self._again, self._show = [], self._view.opening
+        self._again, self._show = [] if self._begun is None else list(self._begun[1]), self._view.opening
         self._taken_back = 0
 
 

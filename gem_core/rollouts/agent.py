@@ -39,6 +39,7 @@ class Context:
         draw_action: What ``sample_random_action`` calls.
         read_messages: What ``messages`` calls.
         seat: Name of the agent's seat among several; None where it is alone.
+        read_observation: What ``observation`` calls.
     """
 
     episode: str
@@ -53,6 +54,7 @@ class Context:
     draw_action: Callable[[], str] = field(default=lambda: "", repr=False)
     read_messages: Callable[[], list[dict[str, Any]]] = field(default=list, repr=False)
     seat: str | None = None
+    read_observation: Callable[[], Observation] = field(default=str, repr=False)
 
     @property
     def messages(self) -> list[dict[str, Any]]:
@@ -62,6 +64,11 @@ class Context:
         begins with the earlier one.
         """
         return self.read_messages()
+
+    @property
+    def observation(self) -> Observation:
+        """What the environment returned last, whatever the agent is sent of it."""
+        return self.read_observation()
 
     @property
     def responses(self) -> list[Response]:

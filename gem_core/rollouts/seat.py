@@ -44,6 +44,7 @@ class RunningSeat:
             draw_action=draw_action,
             read_messages=self.conversation.messages,
             seat=episode.seat,
+            read_observation=lambda: episode.final_observation,
         )
 
     def add(self, reward: float, terminated: bool, truncated: bool, observation: Observation, info: Info) -> None:

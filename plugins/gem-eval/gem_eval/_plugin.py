@@ -27,6 +27,36 @@ def gem_add_commands() -> Iterable[CommandSpec]:
             summary="Look at runs in the browser: scores, a table of episodes, and each of them.",
         ),
         CommandSpec(
+            name="audit",
+            entry_point="gem_eval.auditing.command:command",
+            summary="Check environments: gold answers, exploits, leaks, duplicates.",
+        ),
+        CommandSpec(
+            name="compare",
+            entry_point="gem_eval.comparing.command:command",
+            summary="Compare runs, paired by row: differences with intervals, tests, and what flipped.",
+        ),
+        CommandSpec(
+            name="score",
+            entry_point="gem_eval.scoring.command:command",
+            summary="Grade the episodes of a run again, without a model.",
+        ),
+        CommandSpec(
+            name="replay",
+            entry_point="gem_eval.replaying.command:command",
+            summary="Replay a recorded episode, and go on from any of its turns.",
+        ),
+        CommandSpec(
+            name="report",
+            entry_point="gem_eval.reporting.command:command",
+            summary="Write the scores of runs, with intervals and plots, as one page.",
+        ),
+        CommandSpec(
+            name="export",
+            entry_point="gem_eval.exporting.command:command",
+            summary="Write runs as CSV, Parquet, JSON lines, or logs of inspect_ai.",
+        ),
+        CommandSpec(
             name="robustness",
             entry_point="gem_eval.robustness.command:command",
             summary="Score a model with and without disturbances, and show how much its score falls.",

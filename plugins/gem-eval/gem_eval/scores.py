@@ -134,7 +134,7 @@ def compute_scores(episodes: Iterable[Scored]) -> list[Score]:
     for episode in episodes:
         by_pair.setdefault((episode.id, episode.model), []).append(episode)
         by_env.setdefault(episode.id, []).append(episode)
-    tells = {env_id for env_id, played in by_env.items() if _tells(played)}
+    tells = {env_id for env_id, played in by_env.items() if tells_success(played)}
     scores = []
     by_model: dict[str, dict[Metric, list[list[Scored]]]] = {}
     for (env_id, model), played in by_pair.items():
@@ -191,7 +191,7 @@ def compute_row_scores(episodes: Iterable[Scored]) -> list[RowScore]:
     return found
 
 
-def _tells(played: Sequence[Scored]) -> bool:
+def tells_success(played: Sequence[Scored]) -> bool:
     """Whether a task says if it was solved; one that never does fails only where it is cut off."""
     verdicts = [(episode.success, episode.cut_off) for episode in played if episode.error is None]
     if any(success is not None and (success or cut_off is None) for success, cut_off in verdicts):

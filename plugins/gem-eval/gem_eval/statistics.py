@@ -29,6 +29,8 @@ _Floats = npt.NDArray[np.float64]
 _LEAST_SPREAD = 1 / 8
 # More rows than this are bootstrapped in groups, to bound time and memory.
 _MOST_GROUPS = 1_000
+# Bootstrap samples that are in memory at a time.
+_SAMPLES_AT_ONCE = 100
 # Up to so many differences other than 0, all 2**n assignments of signs are tried.
 _MOST_EXACT = 16
 
@@ -363,11 +365,15 @@ def _studentized(means: _Floats, seed: int, resamples: int) -> _Floats:
     if each > 1:
         means = generator.permutation(means)[: groups * each].reshape(groups, each).mean(axis=1)
     means = means - means.mean()
-    samples = means[generator.integers(0, groups, (resamples, groups), dtype=np.int32)]
-    totals = samples.sum(axis=1)
-    squares = np.einsum("ij,ij->i", samples, samples) - totals**2 / groups
-    spreads = np.sqrt(np.maximum(squares, _LEAST_SPREAD**2 * np.sum(means**2)) / (groups - 1))
-    distances: _Floats = totals / groups / spreads * math.sqrt(groups)
+    least = _LEAST_SPREAD**2 * np.sum(means**2)
+    distances: _Floats = np.empty(resamples)
+    for first in range(0, resamples, _SAMPLES_AT_ONCE):
+        part = distances[first : first + _SAMPLES_AT_ONCE]
+        samples = means[generator.integers(0, groups, (len(part), groups), dtype=np.int32)]
+        totals = samples.sum(axis=1)
+        squares = np.einsum("ij,ij->i", samples, samples) - totals**2 / groups
+        spreads = np.sqrt(np.maximum(squares, least) / (groups - 1))
+        part[:] = totals / groups / spreads * math.sqrt(groups)
     return distances
 
 

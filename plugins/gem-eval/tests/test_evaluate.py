@@ -19,7 +19,7 @@ from gem_core import Response
 from gem_core.errors import ArgumentError, RequestError
 from gem_core.rollouts import Context
 from gem_eval import Limits, Suite, compute_row_scores, compute_scores, evaluate, open_run
-from gem_eval.running.evaluation import TooManyErrorsError
+from gem_eval.running.evaluation import EvaluationSession, TooManyErrorsError
 
 GAME = "game:GuessTheNumber-v0-easy"
 ROWS = [
@@ -177,6 +177,26 @@ def test_another_run_in_the_folder_is_refused() -> None:
     evaluate(suite({"id": GAME, "episodes": 1}), {"a": guesses}, out="run")
     with pytest.raises(ArgumentError, match="holds another run"):
         evaluate(suite({"id": GAME, "episodes": 2}), {"a": guesses}, out="run")
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused() -> None:
+    """It may be another's."""
+    Path("run").write_text("mine")
+    with pytest.raises(ArgumentError, match="is there already and is no run"):
+        evaluate(suite({"id": GAME, "episodes": 2}), {"a": guesses}, out="run")
+
+
+def test_an_index_that_was_damaged_is_read_again_once_it_is_mended() -> None:
+    """What a session had read of it before it played counts no longer."""
+    tasks = suite({"id": GAME, "episodes": 4})
+    whole = told(evaluate(tasks, {"a": guesses}, out="run"))
+    index = Path("run", "index.jsonl")
+    first, _, *rest = index.read_bytes().splitlines(keepends=True)
+    index.write_bytes(first + b"?\n" + b"".join(rest))
+    session = EvaluationSession(tasks, {"a": guesses}, out="run")
+    assert session.already_done() == 3
+    assert list(session.play()) == []
+    assert told(session.run) == whole
 
 
 CHILD = """

@@ -14,7 +14,7 @@ appended once more, and the later one counts.
 """
 
 from gem_eval.records.row import Row
-from gem_eval.records.run import Run, open_run
+from gem_eval.records.run import Run, open_run, read_info
 from gem_eval.records.writer import RunWriter
 
-__all__ = ["Row", "Run", "RunWriter", "open_run"]
+__all__ = ["Row", "Run", "RunWriter", "open_run", "read_info"]

@@ -69,7 +69,7 @@ class Run:
         Raises:
             EpisodeFileError: It cannot be read.
         """
-        return _json_object(self.path / RUN_FILE) if self.is_folder else {}
+        return read_info(self.path) if self.is_folder else {}
 
     @property
     def rows(self) -> list[Row]:
@@ -224,11 +224,17 @@ def _parsed(line: bytes) -> Any:
         return None
 
 
-def _json_object(path: Path) -> dict[str, Any]:
+def read_info(path: Path) -> dict[str, Any]:
+    """Return what ``run.json`` says in the folder of a run.
+
+    Raises:
+        EpisodeFileError: It cannot be read.
+    """
+    file = path / RUN_FILE
     try:
-        content = json.loads(path.read_bytes())
+        content = json.loads(file.read_bytes())
     except (OSError, ValueError, RecursionError) as error:
-        raise EpisodeFileError(f"cannot read {path}: {error}") from error
+        raise EpisodeFileError(f"cannot read {file}: {error}") from error
     if not isinstance(content, dict):
-        raise EpisodeFileError(f"cannot read {path}: it holds no JSON object")
+        raise EpisodeFileError(f"cannot read {file}: it holds no JSON object")
     return content

@@ -15,7 +15,7 @@ from gem_core import Episode, PlanItem
 from gem_core.errors import ArgumentError, EpisodeFileError, GemError
 from gem_core.records import to_plain, without_secrets
 from gem_core.rollouts import Agent, FinishedEpisodes, as_agent, close_agent, load_agent, load_agents, prepare_agent
-from gem_eval.records import Row, Run, RunWriter
+from gem_eval.records import Row, Run, RunWriter, read_info
 from gem_eval.running.cache import ResponseCache
 from gem_eval.running.limits import RUN_LIMITS, Limits, MeteredAgent, RunMeter, metered
 from gem_eval.running.planning import Evaluation, digest, plan_evaluation
@@ -136,12 +136,16 @@ class EvaluationSession:
             ]
         )
         self.path, self.goes_on = self._find_folder(out, new)
+        self._run: Run | None = None
         self._check_prices()
 
     @property
     def run(self) -> Run:
         """The run as it is recorded so far."""
-        return Run(self.path)
+        if self._run is None:
+            self._run = Run(self.path)
+        self._run.refresh()
+        return self._run
 
     def rows(self) -> list[Row]:
         """Return the rows so far, in the order of the plan."""
@@ -175,6 +179,7 @@ class EvaluationSession:
                 prepare_agent(agent)  # it says at the start what would fail later
                 at_end.callback(partial(close_agent, agent))
             writer = at_end.enter_context(RunWriter(self.path))
+            self._run = None  # the writer may have mended what was read before
             info = self._info()
             writer.write_info(info)
             before = self.run.rows
@@ -425,8 +430,8 @@ def _new_folder(name: str) -> Path:
 def _read_info(path: Path) -> dict[str, Any] | None:
     """Return what a folder says of its run; None where it holds none."""
     try:
-        return Run(path).info
-    except (ArgumentError, EpisodeFileError):
+        return read_info(path)
+    except EpisodeFileError:
         return None
 
 

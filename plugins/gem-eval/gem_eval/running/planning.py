@@ -169,8 +169,11 @@ def _rows_of(env: Any, task: SuiteTask, label: str, seed: int) -> tuple[list[Pla
         seeds = [stable_hash(seed, "row", label, number) for number in range(task.limit or task.episodes)]
         return [PlannedRow(f"{label}/seed {each}", each, None) for each in seeds], None, None
     chosen = _chosen(env, task, total)
-    facts = [env.task_row(index) for index in chosen]
-    names = [str(each.get("task_id", index)) for index, each in zip(chosen, facts, strict=True)]
+    names, content = [], hashlib.sha256()
+    for index in chosen:
+        facts = dict(env.task_row(index))
+        names.append(str(facts.get("task_id", index)))
+        content.update(_json(to_plain(facts)))
     counts = Counter(names)
     # A task_id that several rows share does not tell them apart.
     names = [name if counts[name] == 1 else f"{name} #{index}" for name, index in zip(names, chosen, strict=True)]
@@ -178,7 +181,7 @@ def _rows_of(env: Any, task: SuiteTask, label: str, seed: int) -> tuple[list[Pla
         PlannedRow(f"{label}/{name}", stable_hash(seed, "row", label, name), index)
         for name, index in zip(names, chosen, strict=True)
     ]
-    return rows, total, digest([to_plain(dict(each)) for each in facts])
+    return rows, total, content.hexdigest()
 
 
 def _chosen(env: Any, task: SuiteTask, total: int) -> list[int]:
@@ -219,4 +222,8 @@ def _stack(task: SuiteTask) -> list[Any]:
 
 def digest(content: Any) -> str:
     """Return the SHA-256 of plain JSON."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True, ensure_ascii=True).encode("ascii")).hexdigest()
+    return hashlib.sha256(_json(content)).hexdigest()
+
+
+def _json(content: Any) -> bytes:
+    return json.dumps(content, sort_keys=True, ensure_ascii=True).encode("ascii")

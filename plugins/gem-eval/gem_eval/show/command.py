@@ -8,7 +8,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -21,6 +21,7 @@ from gem_core.suggestions import did_you_mean
 from gem_eval.filters import SORTS, at_seat, ordered, parse_comparison, select
 from gem_eval.run_entries import open_episodes
 from gem_eval.show.lines import episode_lines, list_lines
+from gem_eval.show.paging import write_lines
 from gem_eval.show.text import count, one_line
 
 if TYPE_CHECKING:
@@ -135,7 +136,7 @@ def _show_list(file: EpisodeFile | RunEntries, entries: Iterator[Entry], as_json
     if as_json:
         click.echo(json.dumps([to_plain(entry.to_dict()) for entry in entries], indent=1))
     else:
-        _write(list_lines(entries, output_width()))
+        write_lines(list_lines(entries, output_width()))
     if not first:
         whole = _count_whole(file)
         if not as_json:
@@ -147,7 +148,7 @@ def _show_episode(file: EpisodeFile | RunEntries, number: int, seat: str | None,
     if as_json:
         click.echo(json.dumps(to_plain({"number": number, **episode.to_dict()}), indent=1))
     else:
-        _write(episode_lines(episode, number, full=full))
+        write_lines(episode_lines(episode, number, full=full))
 
 
 def _read(file: EpisodeFile | RunEntries, entry: Entry, seat: str | None) -> Record:
@@ -169,7 +170,7 @@ def _show_diff(file: EpisodeFile | RunEntries, numbers: tuple[int, int], seat: s
     from gem_eval.show.diff import diff_lines
 
     one, other = (_one_seat(file, number, seat) for number in numbers)
-    _write(diff_lines(numbers, (one, other)))
+    write_lines(diff_lines(numbers, (one, other)))
 
 
 def _one_seat(file: EpisodeFile | RunEntries, number: int, seat: str | None) -> Episode:
@@ -230,18 +231,6 @@ def _report_damage(file: EpisodeFile | RunEntries) -> None:
         more = f"; lines passed over in all: {len(damaged):,}" if len(damaged) > 1 else ""
         reason = one_line(f"{damaged[0].damage}", 300)
         click.echo(f"gem: {file.path}, line {damaged[0].number}: passed over, because {reason}{more}", err=True)
-
-
-def _write(lines: Iterable[str]) -> None:
-    """Write lines: paged in a terminal, else plain and as they come."""
-    if not sys.stdout.isatty():
-        # click.echo would flush each line, at the cost of a system call.
-        sys.stdout.writelines(f"{click.unstyle(line)}\n" for line in lines)
-        return
-    # F: what fits the screen stays there without a pager. R: colours, and no other codes. X: no clearing.
-    os.environ.setdefault("LESS", "-FRX")
-    colours = not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
-    click.echo_via_pager((f"{line}\n" for line in lines), color=colours)
 
 
 def _with_progress(file: EpisodeFile | RunEntries) -> Iterator[Entry]:

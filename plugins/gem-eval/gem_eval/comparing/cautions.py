@@ -1,0 +1,152 @@
+"""Why two runs may not be comparable: they differ in more than who acted."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from gem_core import Episode
+from gem_core.errors import EpisodeFileError
+from gem_core.records import to_plain
+
+if TYPE_CHECKING:
+    from gem_eval.comparing.sides import Side, Task
+
+_MOST = 8
+_LONGEST = 60
+
+_STARTS = {"kwargs": "arguments", "wrappers": "wrappers", "tools": "tools", "system": "system prompt"}
+
+
+def cautions_of(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
+    """Return in words what two sides differ in besides their models.
+
+    Compared are, where there is a ``run.json``, arguments and hash of the data of the tasks that both have, the limits,
+    the roles of models and how the models were sampled; and of the records the seeds of all rows and, of one row of
+    each task, versions, arguments, wrappers, tools, system prompt and the first observation.
+
+    Args:
+        a: The first side.
+        b: The second.
+        paired: The rows that both have.
+    """
+    runs = [a.run] if a.run is b.run else [a.run, b.run]
+    found = [f"{run.damaged} lines of {run.path} cannot be read, and are left out" for run in runs if run.damaged]
+    if a.run is not b.run:
+        found += _of_settings("settings", _settings(a), _settings(b))
+    found += _of_settings("the sampling", _sampling(a), _sampling(b))
+    told = a.run is b.run or (a.run.is_folder and b.run.is_folder)
+    return found + _of_seeds(a, b, paired) + list(_of_records(a, b, paired, told=told))
+
+
+def _settings(side: Side) -> dict[str, Any] | None:
+    """Return what the scores of a run depend on besides the model; None for a file of episodes, which does not say."""
+    info = side.run.info
+    if not info:
+        return None
+    tasks = {}
+    for task in _mappings(info.get("tasks")):
+        tasks[str(task.get("id"))] = {name: task.get(name) for name in ("env", "kwargs", "rows", "data_sha256")}
+    suite = info.get("suite")
+    roles = suite.get("roles") if isinstance(suite, Mapping) else None
+    return {"limits": info.get("limits"), "roles": roles, "tasks": tasks}
+
+
+def _sampling(side: Side) -> dict[str, Any] | None:
+    for model in _mappings(side.run.info.get("models")):
+        if model.get("name") == side.model:
+            return {"": model.get("options")}
+    return None
+
+
+def _mappings(value: Any) -> list[Mapping[str, Any]]:
+    return [each for each in value if isinstance(each, Mapping)] if isinstance(value, list) else []
+
+
+def _of_settings(what: str, one: dict[str, Any] | None, other: dict[str, Any] | None) -> list[str]:
+    if one is None or other is None:
+        return []
+    for name, task in one.get("tasks", {}).items():
+        also = other["tasks"].get(name)
+        if also is not None and task.pop("rows") != also.pop("rows"):
+            # The hash is of the rows that were played; of those that both have, the first is looked at below.
+            task["data_sha256"] = also["data_sha256"] = None
+    if "tasks" in one:
+        both = [name for name in one["tasks"] if name in other["tasks"]]
+        one, other = ({**each, "tasks": {name: each["tasks"][name] for name in both}} for each in (one, other))
+    first, second = (dict(_leaves(each)) for each in (one, other))
+    differing = [name for name in dict.fromkeys([*first, *second]) if first.get(name) != second.get(name)]
+    if not differing:
+        return []
+    told = [f"{name} {_short(first.get(name))} and {_short(second.get(name))}" for name in differing[:_MOST]]
+    more = f"; and {len(differing) - _MOST} more" if len(differing) > _MOST else ""
+    return [f"{what} differ{'s' if what.startswith('the') else ''}: {'; '.join(told)}{more}"]
+
+
+def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Mapping):
+        for name, part in value.items():
+            yield from _leaves(part, f"{path}.{name}".strip("."))
+    else:
+        yield path, value
+
+
+def _of_seeds(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
+    seeds: list[dict[Task, set[int | None]]] = []
+    for side in (a, b):
+        own: dict[Task, set[int | None]] = {}
+        for row in side.rows:
+            own.setdefault((row.id, row.row), set()).add(row.seed)
+        seeds.append(own)
+    differing = sum(not seeds[0][task] & seeds[1][task] for task in paired)
+    return [f"the seeds differ in {differing} of {len(paired)} rows that both have"] if differing else []
+
+
+def _of_records(a: Side, b: Side, paired: Sequence[Task], *, told: bool) -> Iterator[str]:
+    """Compare the record of one row of each task; what holds for several tasks is said once.
+
+    Args:
+        a: The first side.
+        b: The second.
+        paired: The rows that both have.
+        told: Whether the settings of both runs, which arguments and wrappers are part of, have been compared.
+    """
+    said: dict[str, str] = {}
+    firsts = {task: row for task, row in reversed(paired)}
+    for task, row in firsts.items():
+        one, other = _record(a, (task, row)), _record(b, (task, row))
+        if one is None or other is None:
+            continue
+        for difference in _record_differences(one, other, told=told):
+            said.setdefault(difference, task)
+    for difference, task in said.items():
+        yield f"{difference} (as in {task})"
+
+
+def _record_differences(one: Episode, other: Episode, *, told: bool) -> Iterator[str]:
+    for name in sorted({*one.versions, *other.versions}):
+        if one.versions.get(name) != other.versions.get(name):
+            yield f"the versions of {name} differ: {one.versions.get(name)} and {other.versions.get(name)}"
+    alike = True
+    for name, called in _STARTS.items():
+        first, second = to_plain(getattr(one, name)), to_plain(getattr(other, name))
+        if first != second:
+            alike = False
+            if not told:
+                yield f"{called} differ: {_short(first)} and {_short(second)}"
+    if alike and one.seed == other.seed and to_plain(one.observation) != to_plain(other.observation):
+        yield "the first observation of a row differs: its data or its prompt was changed"
+
+
+def _record(side: Side, task: Task) -> Episode | None:
+    row = next(row for row in side.rows if (row.id, row.row) == task)
+    try:
+        return side.run.episode(row)
+    except EpisodeFileError:
+        return None  # whoever opens its transcript is told
+
+
+def _short(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"

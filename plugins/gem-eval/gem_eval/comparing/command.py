@@ -1,0 +1,108 @@
+"""``gem compare``: two runs or more, paired by row."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import click
+
+from gem_core.cli import output_width
+from gem_core.errors import ArgumentError
+from gem_core.records import to_plain
+from gem_core.suggestions import did_you_mean
+from gem_eval.comparing.browse import browse, show_flip
+from gem_eval.comparing.comparison import Comparison, Flip, compare_all, default_metric
+from gem_eval.comparing.sides import Metric, sides_of
+from gem_eval.comparing.text import flip_lines, print_comparison, print_matrix
+from gem_eval.show.text import one_line
+
+
+@click.command(
+    "compare",
+    epilog="""\b
+Examples:
+  gem compare runs/before runs/after                  the difference, its interval, a test, what flipped
+  gem compare runs/both                               the models of one run
+  gem compare runs/both@openai:gpt-5-mini runs/other  one model of a run, and another run
+  gem compare runs/a runs/b --metric return
+  gem compare runs/a runs/b --flip math:GSM8K/17      both transcripts of a row
+  gem compare runs/a runs/b runs/c                    a matrix of differences
+  gem compare runs/a runs/b --scores openai-gpt-5     by the scores of 'gem score'
+\b
+Rows that both have are paired: a row is a task of an environment, and the same in every run with the same
+seed. Others are left out, and so are errors and episodes without a verdict; they are counted. An episode
+that a limit cut off is not solved; where leaving these out changes the verdict, that is said.
+\b
+Success with one epoch of each row is tested by McNemar's exact test, everything else by a permutation
+test that gives each row's difference a random sign. Where several tasks, or several pairs of runs, are
+tested, p-values are corrected by Holm.
+\b
+In a terminal, the rows that only one solved are a list: j and k move, Enter shows both transcripts,
+d where they part, q ends; --plain leaves it out.
+""",
+)
+@click.argument("runs", metavar="RUN…", nargs=-1, required=True)
+@click.option(
+    "-m", "--model", "models", multiple=True, metavar="NAME", help="Take this model of every run; can be repeated."
+)
+@click.option(
+    "--metric", type=click.Choice(["success", "return"]), help="What is compared.  [default: success, if told]"
+)
+@click.option("--scores", metavar="NAME", help="Compare by these scores of 'gem score'.")
+@click.option("--flip", metavar="ROW", help="Show both transcripts of a row.")
+@click.option("--diff", is_flag=True, help="With --flip: show where the two part.")
+@click.option("--all", "every", is_flag=True, help="List all rows that flipped, not only the first 20.")
+@click.option("--plain", is_flag=True, help="In a terminal, print the rows that flipped instead of asking for keys.")
+@click.option("--json", "as_json", is_flag=True, help="Write the comparisons as JSON.")
+def command(
+    runs: tuple[str, ...],
+    models: tuple[str, ...],
+    metric: Metric | None,
+    scores: str | None,
+    flip: str | None,
+    diff: bool,
+    every: bool,
+    plain: bool,
+    as_json: bool,
+) -> None:
+    """Compare runs, or models of one run, row by row.
+
+    RUN is a folder that 'gem eval' wrote, or a file of 'gem run'; RUN@MODEL is one of its models.
+    """
+    if diff and flip is None:
+        raise ArgumentError("--diff goes with --flip ROW; 'gem compare' lists the rows")
+    sides = sides_of(runs, models, scores)
+    if flip is not None and len(sides) > 2:
+        raise ArgumentError(f"--flip shows two episodes, and {len(sides)} runs are given: give two")
+    comparisons = compare_all(sides, metric or default_metric(sides), scores)
+    first = comparisons[0]
+    if flip is not None:
+        show_flip(first, _find(first, flip), diff=diff)
+    elif as_json:
+        click.echo(json.dumps({"comparisons": [to_plain(each.to_dict()) for each in comparisons]}, indent=1))
+    elif len(sides) > 2:
+        print_matrix(sides, comparisons)
+    else:
+        print_comparison(first)
+        if not first.flips:
+            return
+        click.echo()
+        if sys.stdin.isatty() and output_width() is not None and not plain:
+            browse(first)
+        else:
+            for line in flip_lines(first, every=every):
+                click.echo(line)
+
+
+def _find(comparison: Comparison, row: str) -> Flip:
+    """Return the episodes of a row that both sides have: those that flipped, or else the first of each."""
+    for flip in comparison.flips:
+        if flip.row == row:
+            return flip
+    a, b = (side.by_task(comparison.metric) for side in (comparison.a, comparison.b))
+    both = {task[1]: task for task in a if task in b and a[task].rows and b[task].rows}
+    if row not in both:
+        raise ArgumentError(f"the two share no row {one_line(row)!r} with a value.{did_you_mean(row, list(both))}")
+    one, other = a[both[row]], b[both[row]]
+    return Flip(both[row][0], row, one.mean, other.mean, one.rows[0], other.rows[0])

@@ -1,0 +1,200 @@
+"""A comparison as a person reads it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import TYPE_CHECKING
+
+import click
+
+from gem_core.cli import Column, echo_line, print_table, shown
+from gem_eval.show.text import count, one_line
+
+if TYPE_CHECKING:
+    from gem_eval.comparing.comparison import Comparison, Difference, Flip
+    from gem_eval.comparing.sides import Side
+    from gem_eval.records import Row
+
+_MOST_FLIPS = 20
+_TESTS = {"mcnemar": "McNemar's exact test", "permutation": "a permutation test by row"}
+
+
+def print_comparison(comparison: Comparison) -> None:
+    """Write two sides: the table, the verdict, and what was left out."""
+    a, b = one_line(comparison.a.label), one_line(comparison.b.label)
+    _print_cautions([comparison])
+    click.echo(f"A is {a}, B is {b}. Each row that both have is a pair.")
+    click.echo()
+    several = len(comparison.tasks) > 1
+    print_table(_columns(comparison, several), [*comparison.tasks, comparison.overall][: None if several else 1])
+    click.echo()
+    for line in _verdict_lines(comparison):
+        echo_line(line)
+
+
+def print_matrix(sides: Sequence[Side], comparisons: Sequence[Comparison]) -> None:
+    """Write several sides: what each has over each other."""
+    _print_cautions(comparisons)
+    percent = _in_percent(comparisons[0])
+    found = {(each.a.label, each.b.label): each for each in comparisons}
+
+    def cell(row: Side, column: Side) -> str:
+        if row is column:
+            return "·"
+        direct = found.get((column.label, row.label))
+        overall = (direct or found[row.label, column.label]).overall
+        if overall.difference is None:
+            return "-"
+        gain = overall.difference.mean if direct else -overall.difference.mean
+        return f"{_change(gain + 0.0, percent)} ({_p(overall.p_holm)}){'*' if overall.significant else ''}"
+
+    what = _called(comparisons[0])
+    echo_line(f"The {what} of the run at the left, less that of the run above, on the rows that both have.")
+    click.echo()
+    columns = [Column("run", lambda row: one_line(row.label), name=True)]
+    columns += [Column(one_line(side.label), partial(cell, column=side)) for side in sides]
+    print_table(columns, sides)
+    click.echo()
+    tests = " or ".join(dict.fromkeys(_TESTS[each.overall.test] for each in comparisons))
+    echo_line(f"p by {tests}, corrected by Holm for {len(comparisons)} pairs; * is below 0.05.")
+
+
+def flip_lines(comparison: Comparison, *, every: bool = False) -> Iterator[str]:
+    """Yield the lines of the rows that only one side solved, each with what shows both episodes."""
+    flips = comparison.flips
+    if not flips:
+        return
+    yield f"{flip_title(comparison)}:"
+    for flip in flips if every else flips[:_MOST_FLIPS]:
+        yield f"  {flip_line(comparison, flip)}"
+        one, other = show_command(comparison.a, flip.episode_a), show_command(comparison.b, flip.episode_b)
+        yield f"    {one}; {other}"
+    if not every and len(flips) > _MOST_FLIPS:
+        yield f"  … and {len(flips) - _MOST_FLIPS} more; --all lists them"
+
+
+def flip_title(comparison: Comparison) -> str:
+    """Return what the flips of a comparison are, with their number."""
+    kind = "that only one solved" if comparison.overall.only_a is not None else "that differ"
+    return f"{len(comparison.flips)} {'row' if len(comparison.flips) == 1 else 'rows'} {kind}"
+
+
+def flip_line(comparison: Comparison, flip: Flip) -> str:
+    """Return one row that flipped, with the numbers of both episodes."""
+    episodes = f"A {flip.episode_a.number}, B {flip.episode_b.number}"
+    if comparison.overall.only_a is not None:
+        change = "only A" if flip.a > flip.b else "only B"
+    else:
+        change = f"{_change(flip.b - flip.a, percent=False)}"
+    return f"{change}  {one_line(flip.row, 100)}  (episodes: {episodes})"
+
+
+def show_command(side: Side, episode: Row) -> str:
+    """Return the command that shows an episode."""
+    return f"gem show {shlex.quote(str(side.run.path))} {episode.number}"
+
+
+def _columns(comparison: Comparison, several: bool) -> list[Column]:
+    percent = _in_percent(comparison)
+
+    def level(value: float | None) -> str:
+        return shown(value, ".1%" if percent else ".4g")
+
+    def ends(row: Difference) -> str:
+        if row.difference is None or row.difference.low is None or row.difference.high is None:
+            return "-"
+        return f"{_change(row.difference.low, percent)} to {_change(row.difference.high, percent)}"
+
+    columns = [
+        Column("task", lambda row: one_line(row.id), name=True),
+        Column("rows", lambda row: str(row.rows)),
+        Column("A", lambda row: level(row.a)),
+        Column("B", lambda row: level(row.b)),
+        Column("B - A", lambda row: "-" if row.difference is None else _change(row.difference.mean, percent)),
+        Column("95 % interval", ends),
+        Column("p, corrected" if several else "p", lambda row: _p(row.p_holm if row.id != "all" else row.p)),
+    ]
+    if comparison.overall.only_a is not None:
+        columns += [
+            Column("only A", lambda row: shown(row.only_a, "d"), 1),
+            Column("only B", lambda row: shown(row.only_b, "d"), 1),
+        ]
+    return columns
+
+
+def _verdict_lines(comparison: Comparison) -> Iterator[str]:
+    overall, percent = comparison.overall, _in_percent(comparison)
+    if overall.difference is None or overall.p is None:
+        yield "No row has a value on both sides, so nothing can be said."
+    else:
+        gain = _change(abs(overall.difference.mean), percent).removeprefix("+")
+        unit = " points" if percent else ""
+        tested = f"{_p_is(overall.p)} by {_TESTS[overall.test]}"
+        if overall.verdict == "undecided":
+            yield f"No significant difference in {_called(comparison)}: {tested}."
+        else:
+            better, worse = ("B", "A") if overall.verdict == "b" else ("A", "B")
+            yield f"{better} has a higher {_called(comparison)} than {worse}, by {gain}{unit}: {tested}."
+        if overall.more_rows:
+            yield (
+                f"With about {count(overall.more_rows, 'more row')} ({count(overall.more_episodes or 0, 'episode')} of "
+                "each side), a true difference as large as this would be found with a probability of 80 %."
+            )
+    if comparison.without_cut_off is not None:
+        other = comparison.without_cut_off
+        said = {"a": "A is significantly better", "b": "B is significantly better"}.get(
+            other.verdict, "there is no significant difference"
+        )
+        p = "" if other.p is None else f", {_p_is(other.p)}"
+        yield f"Without the episodes that a limit cut off, {said} ({count(other.rows, 'row')}{p})."
+    if len(comparison.tasks) > 1:
+        yield f"The p-values of tasks are corrected by Holm for {len(comparison.tasks)} tests; that of all is one test."
+    yield from _left_out_lines(comparison)
+
+
+def _left_out_lines(comparison: Comparison) -> Iterator[str]:
+    if comparison.only_a or comparison.only_b:
+        yield f"Left out, as only one side has them: {count(comparison.only_a, 'row')} of A, {comparison.only_b} of B."
+    if comparison.left_out:
+        yield f"Left out, as one side has no value for them: {count(comparison.left_out, 'row')}."
+    for what, (a, b) in {
+        "Episodes with an error, left out": comparison.errors,
+        "Unscored episodes, left out": comparison.unscored,
+        "Episodes that a limit cut off, which count as not solved": comparison.cut_off,
+    }.items():
+        if a or b:
+            if "cut off" in what and (comparison.metric == "return" or comparison.scores is not None):
+                what = what.split(",")[0]
+            yield f"{what}: {a} of A, {b} of B."
+
+
+def _print_cautions(comparisons: Sequence[Comparison]) -> None:
+    for each in comparisons:
+        for caution in each.cautions:
+            where = f"{each.a.label} and {each.b.label}"
+            text = one_line(f"WARNING: {where} may not be comparable: {caution}")
+            click.secho(text, err=True, fg="yellow", bold=True)
+
+
+def _called(comparison: Comparison) -> str:
+    if comparison.scores is not None:
+        return f"score by {comparison.scores}"
+    return "success rate" if comparison.metric == "success" else "mean return"
+
+
+def _in_percent(comparison: Comparison) -> bool:
+    return comparison.overall.only_a is not None and comparison.metric == "success"
+
+
+def _change(value: float, percent: bool) -> str:
+    return f"{100 * value:+.1f}" if percent else f"{value:+.4g}"
+
+
+def _p(value: float | None) -> str:
+    return "-" if value is None else "< 0.001" if value < 0.001 else f"{value:.3f}"
+
+
+def _p_is(value: float) -> str:
+    return f"p {_p(value)}" if value < 0.001 else f"p = {_p(value)}"

@@ -1,0 +1,108 @@
+"""``gem export``: runs in the forms that other programs read."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from gem_core.errors import ArgumentError, EpisodeFileError
+from gem_eval.exporting.episodes import write_jsonl
+from gem_eval.exporting.inspect_log import Part, write_eval, write_json
+from gem_eval.exporting.tables import write_csv, write_parquet
+from gem_eval.files import whole_file
+from gem_eval.records import Row, Run, open_run
+from gem_eval.scores import compute_scores
+from gem_eval.show.text import count
+
+_LOGS = {".json": write_json, ".eval": write_eval}
+
+
+@click.command(
+    "export",
+    epilog="""\b
+Examples:
+  gem export runs/mine --to csv --out mine.csv            a row for each episode
+  gem export runs/mine --to csv --texts --out mine.csv    with questions and responses
+  gem export runs/a runs/b --to parquet --out both.parquet
+  gem export runs/mine --to jsonl --out mine.jsonl        whole episodes, as gem run writes them
+  gem export runs/mine --to inspect --out logs            then: inspect view --log-dir logs
+  gem export runs/mine --to inspect --out mine.eval       of one task and one model
+\b
+csv, parquet   what the index says of each episode: outcome, return, turns, tokens, cost, seconds …
+               In CSV, a text that a spreadsheet would take for a formula gets an apostrophe before it.
+jsonl          episodes to the letter, with images in a folder beside the file
+inspect        logs of inspect_ai, which its viewer and read_eval_log read: one for each task and model,
+               in a folder; or one file, .eval or .json
+\b
+In Python: gem_eval.to_pandas("runs/mine") returns the table of csv as a DataFrame.
+Parquet needs pyarrow: pip install 'gem-eval[parquet]'. Nothing here needs inspect_ai.
+\b
+Exit code: 0 if all was written, 1 if a run cannot be read, 2 for a wrong argument.
+""",
+)
+@click.argument("runs", metavar="RUN…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--to", "form", required=True, type=click.Choice(["csv", "parquet", "jsonl", "inspect"]), help="The form."
+)
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="The file; of inspect, a file or a folder.")
+@click.option("--texts", is_flag=True, help="csv, parquet: the first observation and the last response as well.")
+def command(runs: tuple[Path, ...], form: str, out: Path, texts: bool) -> None:
+    """Write the episodes of runs in a form that other programs read.
+
+    RUN is a folder that 'gem eval' wrote, or a file of 'gem run'.
+    """
+    if texts and form not in ("csv", "parquet"):
+        raise ArgumentError(f"--texts goes with csv and parquet: {form} always has all texts")
+    if any(out.resolve().is_relative_to(path.resolve()) for path in runs):
+        raise ArgumentError(f"--out {out} is the run itself, or inside of it; name another place")
+    opened = [open_run(path) for path in runs]
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        if form == "csv":
+            written = count(write_csv(opened, out, texts=texts), "episode")
+        elif form == "parquet":
+            written = count(write_parquet(opened, out, texts=texts), "episode")
+        elif form == "jsonl":
+            written = count(write_jsonl(opened, out), "episode")
+        else:
+            written = count(_write_logs(opened, out), "log")
+    except OSError as error:
+        raise EpisodeFileError(f"cannot write {out}: {error.strerror or error}") from error
+    click.echo(f"{written} written to {out}")
+    for run in opened:
+        if run.damaged:
+            lines = count(run.damaged, "line")
+            click.echo(f"gem: {run.path}: passed over {lines} without a whole episode of one agent", err=True)
+
+
+def _write_logs(runs: Sequence[Run], out: Path) -> int:
+    """Write a log for each task and model of each run, and return their number."""
+    parts = [part for run in runs for part in _parts(run)]
+    if not parts:
+        raise ArgumentError("there are no episodes in these runs, and no logs to write")
+    if out.suffix in _LOGS:
+        if len(parts) > 1:
+            raise ArgumentError(
+                f"a log of inspect_ai holds one task and one model, and there are {len(parts)}: "
+                f"give a folder, as --out {out.with_suffix('')}"
+            )
+        with whole_file(out) as file:
+            _LOGS[out.suffix](parts[0], file)
+        return 1
+    out.mkdir(exist_ok=True)
+    for number, part in enumerate(parts, start=1):
+        # The number keeps names apart that differ in what no file name may hold.
+        name = "_".join(re.sub(r"[^\w.-]+", "-", text)[:60] for text in (part.run.name, part.id, part.model))
+        with whole_file(out / f"{name}_{number}.eval") as file:
+            write_eval(part, file)
+    return len(parts)
+
+
+def _parts(run: Run) -> list[Part]:
+    rows: dict[tuple[str, str], list[Row]] = {}
+    for row in run.rows:
+        rows.setdefault((row.id, row.model), []).append(row)
+    return [Part(run, task, model, own, compute_scores(own)) for (task, model), own in rows.items()]

@@ -1,0 +1,42 @@
+"""The episodes of runs as a file that ``gem run`` could have written."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gem_core import Episode
+from gem_core.records import ImageFolder
+from gem_eval.files import whole_file
+
+if TYPE_CHECKING:
+    from gem_eval.records import Run
+
+
+def write_jsonl(runs: Sequence[Run], path: Path) -> int:
+    """Write the episodes of runs as JSON lines, their images beside them, and return their number.
+
+    Each line is whole, without references to earlier observations. What a run says of an episode besides stays under
+    ``"evaluation"``, so that ``open_run`` of the file finds the same rows.
+
+    Args:
+        runs: The runs.
+        path: The file.
+
+    Raises:
+        EpisodeFileError: An episode or an image cannot be read.
+        OSError: The file cannot be written.
+    """
+    count = 0
+    images = ImageFolder.beside(path)
+    with whole_file(path) as file:
+        for run in runs:
+            for row in run.rows:
+                line = run.line(row)
+                record = Episode.from_dict(line, run.images).to_dict(images)
+                told = {"evaluation": line["evaluation"]} if "evaluation" in line else {}
+                file.write(json.dumps(record | told, ensure_ascii=True, allow_nan=False).encode("ascii") + b"\n")
+                count += 1
+    return count

@@ -1,0 +1,1 @@
+"""Replay recorded episodes, and go on from any of their turns."""

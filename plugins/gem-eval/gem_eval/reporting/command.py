@@ -1,0 +1,80 @@
+"""``gem report``: the scores of runs as a page, as Markdown or as JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from gem_core.errors import ArgumentError
+from gem_eval.files import write_whole
+from gem_eval.records import open_run
+from gem_eval.reporting.contents import contents_of
+from gem_eval.reporting.markdown import markdown_report
+from gem_eval.reporting.page import html_report
+from gem_eval.show.text import count
+
+_OUT = Path("report.html")
+
+
+@click.command(
+    "report",
+    epilog="""\b
+Examples:
+  gem report runs/mine                              writes report.html
+  gem report runs/a runs/b --out a-and-b.html       side by side, with the differences on shared rows
+  gem report runs/mine --format markdown            tables for a pull request, to standard output
+  gem report runs/mine --json                       the scores, for a program
+\b
+The page is one file that needs no network: it can be mailed, printed, and opened years later. It holds
+scores with 95 % intervals, how episodes ended, returns and turns, tokens and cost, what was asked, and
+some episodes that failed, were cut off or had an error (--examples sets how many). Texts of models are
+in it only as those examples.
+\b
+Exit code: 0 if the report was written, 1 if a run cannot be read, 2 for a wrong argument.
+""",
+)
+@click.argument("runs", metavar="RUN…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--out", type=click.Path(path_type=Path, dir_okay=False), help=f"The file.  [default: {_OUT}; markdown: printed]"
+)
+@click.option("--format", "form", type=click.Choice(["html", "markdown"]), default="html", help="html if not given.")
+@click.option(
+    "--examples", type=click.IntRange(min=0), default=8, show_default=True, help="Episodes to show turn by turn."
+)
+@click.option("--json", "as_json", is_flag=True, help="Write the scores as JSON to standard output, and no page.")
+def command(runs: tuple[Path, ...], out: Path | None, form: str, examples: int, as_json: bool) -> None:
+    """Write the scores of runs, with intervals and plots, as one page.
+
+    RUN is a folder that 'gem eval' wrote, or a file of 'gem run'. Of several runs, models stand side by side.
+    """
+    contents = contents_of([open_run(path) for path in runs])
+    for run in contents.runs:
+        if run.damaged:
+            lines = count(run.damaged, "line")
+            click.echo(f"gem: {run.path}: passed over {lines} without a whole episode of one agent", err=True)
+    if as_json:
+        scores = [
+            {"run": str(entrant.run.path), **score.to_dict()}
+            for entrant in contents.entrants
+            for score in entrant.scores.values()
+        ]
+        click.echo(json.dumps({"scores": scores}, indent=1))
+        return
+    if form == "markdown":
+        content = markdown_report(contents)
+        if out is None:
+            click.echo(content, nl=False)
+            return
+    else:
+        content = html_report(contents, examples)
+    out = out or _OUT
+    if out.exists() and any(out.resolve().is_relative_to(path.resolve()) for path in runs):
+        raise ArgumentError(f"--out {out} is part of a run; name another file")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(out, content.encode("utf-8"))
+    except OSError as error:
+        raise ArgumentError(f"cannot write {out}: {error.strerror or error}") from error
+    click.echo(f"report of {count(len(contents.rows), 'episode')} written to {out}")

@@ -1,0 +1,109 @@
+"""A report as one self-contained page: no script, no network, and no style but its own."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from importlib import resources
+from typing import TYPE_CHECKING
+
+from gem_eval.reporting import details, figures, plots, score_tables, sections
+from gem_eval.reporting.contents import Contents, Entrant
+from gem_eval.reporting.contents import examples as choose_examples
+from gem_eval.reporting.markup import text
+from gem_eval.show.text import count
+
+if TYPE_CHECKING:
+    from gem_eval.scores import Score
+
+_MOST_CARDS = 8
+_LONGEST_COMMAND = 1000
+
+
+def html_report(contents: Contents, examples: int) -> str:
+    """Return a report as HTML.
+
+    Args:
+        contents: What it says.
+        examples: How many episodes to show turn by turn, at most.
+    """
+    title = " and ".join(run.name for run in contents.runs)
+    if contents.rows:
+        parts = [
+            _cards(contents),
+            score_tables.scores(contents),
+            score_tables.differences(contents),
+            sections.outcomes(contents),
+            sections.epochs(contents),
+            sections.distributions(contents),
+            sections.costs(contents),
+            details.examples(choose_examples(contents.entrants, examples)),
+            details.numbers(contents),
+        ]
+    else:
+        parts = ["<section><p>No episode has ended yet: there is nothing to score.</p></section>"]
+    commands = [command for run in contents.runs if isinstance(command := run.info.get("command"), str)]
+    asked = "".join(f"<p><code>{text(command, _LONGEST_COMMAND)}</code></p>" for command in commands)
+    head = f'<header>\n<h1>{text(title)}</h1>\n<p class="lead">{text(summary(contents))}</p>{asked}\n</header>'
+    footer = "<footer>Made by <code>gem report</code>.</footer>"
+    body = "\n".join([head, *filter(None, parts), details.asked(contents), details.notes(contents), footer])
+    style, page = (
+        (resources.files("gem_eval.reporting") / "assets" / name).read_text(encoding="utf-8").replace("\r\n", "\n")
+        for name in ("report.css", "report.html")
+    )
+    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
+    filled = {"HASH": f"sha256-{digest}", "STYLE": style, "TITLE": text(title), "BODY": body}
+    # In one pass, so that a mark in a text of others stays what it is.
+    return re.sub(r"\{\{(\w+)\}\}", lambda mark: filled[mark[1]], page)
+
+
+def summary(contents: Contents) -> str:
+    """Return in a sentence how much was played."""
+    rows = contents.rows
+    if not rows:
+        return "No episodes."
+    different = len({(row.id, row.row) for row in rows})
+    errors = sum(row.error is not None for row in rows)
+    told = (
+        f"{count(len({each.model for each in contents.entrants}), 'model')} on {count(len(contents.tasks), 'task')}: "
+    )
+    if len(contents.runs) > 1:
+        told = f"{count(len(contents.runs), 'run')}, {told}"
+    told += f"{count(len(rows), 'episode')} of {count(different, 'row')}"
+    told += f", {count(errors, 'error')}." if errors else "."
+    unfinished = [run.name for run in contents.runs if run.info.get("status", "finished") != "finished"]
+    told += f" Not finished: {' and '.join(unfinished)}." if unfinished else ""
+    ended = [row.finished for row in rows if row.finished is not None]
+    return f"{told} Last episode: {figures.moment(max(ended))}." if ended else told
+
+
+def main_score(contents: Contents, entrant: Entrant) -> Score | None:
+    """Return the score that says most of an entrant: of all tasks where there are several, of success where told."""
+    tasks = list(entrant.by_task)
+    told = contents.tasks_with("success")
+    tasks = [task for task in tasks if task in told] or tasks
+    if not told and len(tasks) > 1:
+        return None  # returns of different tasks are of different sizes
+    return entrant.scores.get((tasks[0] if len(tasks) == 1 else "all", "success" if told else "return"))
+
+
+def _cards(contents: Contents) -> str:
+    cards = []
+    for entrant in contents.entrants[:_MOST_CARDS]:
+        score = main_score(contents, entrant)
+        if score is None:
+            continue
+        if score.mean is None:
+            told = f"no score: {count(score.errors, 'error')}"
+        else:
+            told = f"{'success' if score.metric == 'success' else 'mean return'}<br>"
+            told += f"95 % interval {figures.bounds(score.low, score.high, score.metric)}<br>"
+            told += f"{count(score.episodes, 'episode')} of {count(score.rows, 'row')}"
+            told += f", {count(score.errors, 'error')}" if score.errors else ""
+        figure = figures.score(score.mean, score.metric)
+        cards.append(
+            f'<div class="card s{entrant.place % plots.COLOURS}"><div class="name">{text(entrant.label)}</div>'
+            f'<b>{figure}</b><div class="figures">{told}</div></div>'
+        )
+    return f'<div class="cards">{"".join(cards)}</div>' if cards else ""

@@ -1,0 +1,1 @@
+"""Grade the episodes of a run again."""

@@ -1,0 +1,184 @@
+"""``gem score``: grade a run again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from gem_core.cli import Column, agent_options, arguments_option, counted, echo_line, env_arguments, given, print_table
+from gem_core.errors import ArgumentError
+from gem_core.progress import Progress
+from gem_core.records import to_plain
+from gem_eval.records import open_run
+from gem_eval.scoring.grading import Rescored, TaskScore, score
+from gem_eval.show.text import one_line
+
+if TYPE_CHECKING:
+    from gem_eval.statistics import Estimate
+
+_MOST_LISTED = 20
+
+
+@click.command(
+    "score",
+    epilog="""\b
+Examples:
+  gem score runs/mine --grader my_module:grade         a function of your own
+  gem score runs/mine --grader env                     the environment's grading, as it is now
+  gem score runs/mine --grader openai:gpt-5-mini --repeat 3
+  gem score runs/mine --grader openai:gpt-5-mini --rubric rubric.txt --name polite
+  gem compare runs/mine runs/other --scores polite
+\b
+A grader of your own is called with a gem.Episode, and returns True or False, a number, several by name
+({"polite": 1, "short": 0.5}; the first is what is compared), or None where it cannot tell. It may be a
+coroutine function. 'env' makes the environment from the record and replays the recorded responses; what
+goes another way than recorded is named. A model judges by a rubric, ours or that of --rubric; it is shown
+the conversation as data.
+\b
+The scores are lines of RUN/scores/NAME.jsonl, or of RUN.scores/NAME.jsonl for a file of 'gem run'. The run
+itself is never changed. After Ctrl-C, the same command goes on. Episodes with an error are not graded; where
+the grader fails, that is an error of the episode, and never a score of 0: the same command tries it again.
+\b
+Exit code: 0 if the grader failed for no episode, 1 if it did, 2 for a wrong argument, 130 after Ctrl-C.
+""",
+)
+@click.argument("path", metavar="RUN", type=click.Path(exists=True))
+@click.option(
+    "-g", "--grader", required=True, metavar="GRADER", help="MODULE:FUNCTION, 'env', or 'openai:MODEL' for a judge."
+)
+@click.option("--repeat", metavar="N", type=click.IntRange(min=1), default=1, show_default=True, help="How often.")
+@click.option("--name", help="Name of the scores.  [default: the grader's]")
+@click.option(
+    "--rubric", metavar="FILE", type=click.Path(exists=True, dir_okay=False), help="What makes an episode pass."
+)
+@arguments_option
+@click.option("--overwrite", is_flag=True, help="Grade all anew.")
+@click.option("--all", "every", is_flag=True, help="List all verdicts that changed, not only the first 20.")
+@click.option("--json", "as_json", is_flag=True, help="Write the scores as JSON.")
+@agent_options
+@click.pass_context
+def command(
+    ctx: click.Context,
+    /,
+    path: str,
+    grader: str,
+    repeat: int,
+    name: str | None,
+    rubric: str | None,
+    arguments: tuple[str, ...],
+    overwrite: bool,
+    every: bool,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Grade the episodes of a run again, without playing them again.
+
+    RUN is a folder that 'gem eval' wrote, or a file of 'gem run'.
+    """
+    of_model = given(options)
+    limit = of_model.get("max_concurrency") if grader.startswith("openai:") else of_model.pop("max_concurrency", None)
+    if "system" in of_model:
+        raise ArgumentError("the judge has a system prompt of its own; say what makes an episode pass by --rubric FILE")
+    with Progress(None, "episodes graded") as bar:
+        found = score(
+            open_run(path),
+            grader,
+            repeat=repeat,
+            name=name,
+            rubric=None if rubric is None else _text(rubric),
+            kwargs=env_arguments(arguments),
+            options=of_model,
+            max_concurrency=limit,
+            overwrite=overwrite,
+            on_graded=lambda done, total: bar.advance(done, f"of {total}"),
+        )
+    if as_json:
+        click.echo(json.dumps(to_plain(_as_dict(found)), indent=1))
+    else:
+        _report(found, every)
+    ctx.exit(1 if found.errors else 0)
+
+
+def _text(path: str) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ArgumentError(f"--rubric: cannot read {path!r}: {error}") from error
+
+
+def _report(found: Rescored, every: bool) -> None:
+    columns = [
+        Column("task", lambda row: one_line(row.id), name=True),
+        Column("model", lambda row: one_line(row.model) or "-", 0),
+        Column("graded", lambda row: str(row.episodes)),
+        Column("old", lambda row: _shown(row.old)),
+        Column("new", lambda row: _shown(row.new)),
+        Column("changed", lambda row: str(row.changed)),
+        Column("cannot tell", lambda row: str(row.unknown)),
+        Column("errors", lambda row: str(row.errors), alarm=True),
+    ]
+    print_table(columns, found.tasks)
+    click.echo()
+    if found.agreement is not None and found.agreement.share is not None:
+        alpha = "" if found.agreement.alpha is None else f", Krippendorff's alpha {found.agreement.alpha:.2f}"
+        echo_line(
+            f"Two repeats agree in {found.agreement.share:.1%} of cases{alpha}; variance between the repeats of an "
+            f"episode: {found.agreement.variance:.3g} on average ({counted(found.agreement.items, 'episode')})."
+        )
+    if found.run.damaged:
+        echo_line(f"{counted(found.run.damaged, 'line')} of {found.run.path} cannot be read as episodes of one agent.")
+    if found.not_graded:
+        echo_line(f"{counted(found.not_graded, 'episode')} ended in an error, and cannot be graded.")
+    differing = [each for each in found.notes if (each.note or "").startswith("not as recorded")]
+    if differing:
+        echo_line(f"{counted(len(differing), 'replay')} went another way than recorded:")
+        _list([f"episode {each.episode}: {one_line(each.note or '', 200)}" for each in differing], every)
+    if found.errors:
+        echo_line(f"The grader failed {counted(len(found.errors), 'time')}; the same command tries again:")
+        _list([f"episode {each.episode}: {one_line(each.error or '', 200)}" for each in found.errors], every)
+    if found.changed:
+        verdicts = counted(len(found.changed), "verdict")
+        echo_line(f"{verdicts} changed:")
+        lines = [
+            f"episode {each.row.number}: {'passes now' if each.new else 'fails now'}  {one_line(each.row.row, 100)}"
+            for each in found.changed
+        ]
+        _list(lines, every)
+    echo_line(f"Written to {found.path}; compare runs by these scores with --scores {found.name}.")
+
+
+def _list(lines: list[str], every: bool) -> None:
+    for line in lines if every else lines[:_MOST_LISTED]:
+        click.echo(f"  {line}")
+    if not every and len(lines) > _MOST_LISTED:
+        click.echo(f"  … and {len(lines) - _MOST_LISTED} more; --all lists them")
+
+
+def _shown(estimate: Estimate | None) -> str:
+    if estimate is None:
+        return "-"
+    form = ".1%" if 0 <= estimate.mean <= 1 else ".4g"
+    error = "" if estimate.stderr is None else f" ± {format(estimate.stderr, form)}"
+    return f"{format(estimate.mean, form)}{error}"
+
+
+def _as_dict(found: Rescored) -> dict[str, Any]:
+    def task(each: TaskScore) -> dict[str, Any]:
+        estimates = {"old": each.old, "new": each.new}
+        return {**vars(each), **{name: own and own._asdict() for name, own in estimates.items()}}
+
+    return {
+        "name": found.name,
+        "path": str(found.path),
+        "scores": [task(each) for each in found.tasks],
+        "changed": [
+            {"episode": each.row.number, "row": each.row.row, "old": each.old, "new": each.new}
+            for each in found.changed
+        ],
+        "agreement": found.agreement and found.agreement._asdict(),
+        "errors": [{"episode": each.episode, "repeat": each.repeat, "error": each.error} for each in found.errors],
+        "not_graded": found.not_graded,
+    }

@@ -1,0 +1,191 @@
+"""``ScoreFile``: the scores of a run by one grader, one JSON line for each episode and repeat."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, Self
+
+from gem_core.errors import ArgumentError, EpisodeFileError
+from gem_core.records import to_plain, without_secrets
+from gem_core.suggestions import did_you_mean
+
+if TYPE_CHECKING:
+    from gem_eval.records import Run
+
+_NAME = re.compile(r"[\w.-]{1,100}", re.ASCII)
+
+
+@dataclass(frozen=True)
+class GradedEpisode:
+    """What a grader said of an episode, once.
+
+    Args:
+        episode: Number of the episode in its run.
+        repeat: Which time it was asked, from 0.
+        value: The score; a verdict is 0 or 1. None where the grader cannot tell, or failed.
+        metrics: All that it returned, where it returned several.
+        error: Why it failed; None where it did not.
+        note: What it said besides, as the reason of a judge, or where a replay differs from the record.
+    """
+
+    episode: int
+    repeat: int
+    value: float | None
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    error: str | None = None
+    note: str | None = None
+
+    @classmethod
+    def from_dict(cls, record: Any) -> Self:
+        """Return what a line says.
+
+        Raises:
+            EpisodeFileError: It says nothing of the kind.
+        """
+        try:
+            value = None if record["value"] is None else float(record["value"])
+            told = {name: record.get(name) for name in ("error", "note")}
+            return cls(int(record["episode"]), int(record["repeat"]), value, dict(record.get("metrics") or {}), **told)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise EpisodeFileError(f"it is no score ({error})") from error
+
+
+class ScoreFile:
+    """The file of scores of one name, read when it is made, and appended to.
+
+    It stands in ``scores/`` of the run's folder; of a file ``mine.jsonl``, in ``mine.scores/`` beside it.
+
+    Args:
+        path: The file.
+
+    ``grader`` is what graded, as the first line says it; None for a new file. ``graded`` holds the lines, of those that
+    are of the same episode and repeat the last.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.grader: dict[str, Any] | None = None
+        self.graded: dict[tuple[int, int], GradedEpisode] = {}
+        self._file: BinaryIO | None = None
+        self._whole = 0
+        """Bytes of the file without a line that was torn."""
+        try:
+            self._read()
+        except OSError as error:
+            raise EpisodeFileError(f"cannot read {path}: {error.strerror or error}") from error
+
+    @classmethod
+    def new_or_begun(cls, run: Run, name: str) -> Self:
+        """Return the scores of a name, which need not be there yet.
+
+        Raises:
+            ArgumentError: It cannot be the name of a file.
+            EpisodeFileError: The file cannot be read.
+        """
+        if not _NAME.fullmatch(name) or name.startswith("."):
+            raise ArgumentError(f"{name!r} is no name of scores: use letters, digits, '.', '-' and '_'; give --name")
+        return cls(folder_of(run) / f"{name}.jsonl")
+
+    @classmethod
+    def of(cls, run: Run, name: str) -> Self:
+        """Return the scores of a name.
+
+        Raises:
+            ArgumentError: There are none.
+            EpisodeFileError: They cannot be read.
+        """
+        found = cls.new_or_begun(run, name)
+        if not found.graded:
+            there = sorted(path.stem for path in folder_of(run).glob("*.jsonl"))
+            listed = f" There are: {', '.join(there)}" if there else f" Run 'gem score {run.path} --grader …'"
+            raise ArgumentError(f"{run.path} has no scores {name!r}.{did_you_mean(name, there)}{listed}")
+        return found
+
+    def means(self) -> dict[int, float | None]:
+        """Return for each episode the mean of its repeats; None where there is none that can tell."""
+        values: dict[int, list[float]] = {}
+        for each in self.graded.values():
+            own = values.setdefault(each.episode, [])
+            if each.value is not None:
+                own.append(each.value)
+        return {number: math.fsum(own) / len(own) if own else None for number, own in values.items()}
+
+    def begin(self, grader: Mapping[str, Any], *, overwrite: bool = False) -> None:
+        """Open the file to append; of a new one, write what grades to its first line.
+
+        Args:
+            grader: What grades, as plain JSON.
+            overwrite: Begin anew.
+
+        Raises:
+            ArgumentError: Something else has graded under this name.
+            EpisodeFileError: It cannot be written.
+        """
+        told = without_secrets(to_plain(dict(grader)))
+        if overwrite:
+            self.grader, self.graded, self._whole = None, {}, 0
+        if self.grader not in (None, told):
+            raise ArgumentError(
+                f"{self.path} holds the scores of another grader, or of one with other settings or code; give --name "
+                "for a file of its own, or --overwrite"
+            )
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self.path.open("ab", buffering=0)
+            self._file.truncate(self._whole)
+            if self.grader is None:
+                self._write({"grader": told})
+        except OSError as error:
+            raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
+        self.grader = told
+
+    def add(self, graded: GradedEpisode) -> None:
+        """Append a line.
+
+        Raises:
+            EpisodeFileError: It cannot be written.
+        """
+        try:
+            self._write(asdict(graded))
+        except OSError as error:
+            raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
+        self.graded[graded.episode, graded.repeat] = graded
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            self._file.close()
+
+    def _write(self, record: Mapping[str, Any]) -> None:
+        if self._file is not None:
+            # One system call, which Ctrl-C cannot cut in two.
+            self._file.write(json.dumps(to_plain(record), ensure_ascii=True).encode("ascii") + b"\n")
+
+    def _read(self) -> None:
+        if not self.path.exists():
+            return
+        for line in self.path.read_bytes().splitlines(keepends=True):
+            if not line.endswith(b"\n"):
+                return  # torn by a kill: it is cut off before the next is written
+            self._whole += len(line)
+            try:
+                record = json.loads(line)
+                if isinstance(record, dict) and "grader" in record:
+                    self.grader = record["grader"]
+                else:
+                    graded = GradedEpisode.from_dict(record)
+                    self.graded[graded.episode, graded.repeat] = graded
+            except (ValueError, RecursionError, EpisodeFileError) as error:
+                raise EpisodeFileError(
+                    f"cannot read {self.path}: a line is damaged ({error}); delete the file"
+                ) from error
+
+
+def folder_of(run: Run) -> Path:
+    """Return the folder of the scores of a run."""
+    return run.path / "scores" if run.is_folder else run.path.with_suffix(".scores")

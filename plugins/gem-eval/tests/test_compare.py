@@ -1,0 +1,219 @@
+"""``gem compare``: pairs, what is left out, tests, flips, cautions, and few false alarms."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from indexed_runs import made_run, verdicts
+
+import gem_core as gem
+import gem_eval
+from gem_core.errors import ArgumentError
+from gem_core.records import write_episodes
+from gem_eval.comparing.browse import browse
+from gem_eval.comparing.command import command
+from gem_eval.statistics import mcnemar, paired_difference
+
+if TYPE_CHECKING:
+    from gem_eval.comparing.comparison import Comparison
+
+ID = "game:GuessTheNumber-v0"
+
+
+def call(*arguments: object) -> Result:
+    return CliRunner().invoke(command, list(map(str, arguments)))
+
+
+def compared(path: Path, a: str, b: str, **options: Any) -> Comparison:
+    paths = [made_run(path / name, verdicts(solved)) for name, solved in (("a", a), ("b", b))]
+    return gem_eval.compare(*paths, **options)
+
+
+def test_rows_of_one_epoch_are_tested_by_mcnemar(tmp_path: Path) -> None:
+    """With the difference of the pairs, and its interval."""
+    found = compared(tmp_path, "1110000000", "0011111110").overall
+    assert (found.rows, found.a, found.b, found.only_a, found.only_b) == (10, 0.3, 0.7, 2, 6)
+    assert (found.test, found.p) == ("mcnemar", mcnemar(2, 6))
+    rows = [[[float(letter)] for letter in solved] for solved in ("0011111110", "1110000000")]
+    assert found.difference == paired_difference(*rows, rates=True)
+    assert found.verdict == "undecided"
+    assert found.more_rows
+
+
+def test_epochs_and_returns_are_tested_by_permutation(tmp_path: Path) -> None:
+    """McNemar's test knows no mean of several epochs."""
+    twice = [row for epoch in (0, 1) for row in verdicts("1" * 12, epoch=epoch)]
+    a = made_run(tmp_path / "a", twice)
+    b = made_run(tmp_path / "b", verdicts("0" * 12))
+    found = gem_eval.compare(a, b).overall
+    assert (found.test, found.verdict, found.p) == ("permutation", "a", 2 / 2**12)
+    assert gem_eval.compare(b, a, metric="return").overall.test == "permutation"
+
+
+def test_what_has_no_value_is_left_out_in_pairs_and_counted(tmp_path: Path) -> None:
+    """An error of one side takes the row of the other out as well; what only one has is no pair."""
+    found = compared(tmp_path, "1e1u01", "11e10")
+    assert (found.overall.rows, found.left_out, found.only_a, found.only_b) == (2, 3, 1, 0)
+    assert (found.errors, found.unscored) == ((1, 1), (1, 0))
+    returns = gem_eval.compare(tmp_path / "a", tmp_path / "b", metric="return")
+    assert (returns.overall.rows, returns.left_out) == (3, 2)
+
+
+def test_cut_off_counts_as_not_solved_and_is_said_where_it_decides(tmp_path: Path) -> None:
+    """Ten rows that one side was cut off in make it worse, and leaving them out does not."""
+    found = compared(tmp_path, "1" * 14, "1111" + "c" * 10)
+    assert (found.overall.verdict, found.cut_off) == ("a", (0, 10))
+    assert found.without_cut_off is not None
+    assert found.without_cut_off.verdict == "undecided"
+    assert "Without the episodes that a limit cut off, there is no significant difference (4 rows, p = 1.000)." in (
+        call(tmp_path / "a", tmp_path / "b").output
+    )
+
+
+def test_flips_name_both_episodes_and_their_commands(tmp_path: Path) -> None:
+    """What only the first solved comes first."""
+    found = compared(tmp_path, "0110", "1010")
+    assert [(flip.row, flip.episode_a.number, flip.episode_b.number) for flip in found.flips] == [
+        ("t:A/1", 2, 2),
+        ("t:A/0", 1, 1),
+    ]
+    a, b = tmp_path / "a", tmp_path / "b"
+    assert f"only A  t:A/1  (episodes: A 2, B 2)\n    gem show {a} 2; gem show {b} 2\n" in call(a, b).output
+
+
+def test_tasks_are_compared_one_by_one_and_together(tmp_path: Path) -> None:
+    """P-values of tasks are corrected for their number, that of all is not."""
+    paths = [
+        made_run(tmp_path / name, [*verdicts(one, id="t:A"), *verdicts(two, id="t:B")])
+        for name, one, two in (("a", "0000000", "10"), ("b", "1111111", "01"))
+    ]
+    found = gem_eval.compare(*paths)
+    assert [(each.id, each.rows, each.p_holm) for each in found.tasks] == [("t:A", 7, 2 * 2 / 2**7), ("t:B", 2, 1.0)]
+    assert (found.overall.id, found.overall.rows, found.overall.only_b) == ("all", 9, 8)
+
+
+def test_models_of_one_run_are_compared(tmp_path: Path) -> None:
+    """All of it, by --model, or as RUN@MODEL."""
+    run = made_run(
+        tmp_path / "run",
+        [row for m, s in zip("xyz", ("110", "010", "011"), strict=True) for row in verdicts(s, model=m)],
+    )
+    assert "-33.3 (1.000)" in call(run).output
+    assert json.loads(call(run, "-m", "x", "-m", "y", "--json").output)["comparisons"][0]["overall"]["only_a"] == 1
+    found = gem_eval.compare(f"{run}@z", f"{run}@x")
+    assert (found.a.label, found.b.label) == ("z", "x")
+    with pytest.raises(ArgumentError, match=r"has no model 'w'.* It has x, y, z"):
+        gem_eval.compare(f"{run}@w", f"{run}@x")
+    with pytest.raises(ArgumentError, match=r"has 3 models: name one, as .*@x or "):
+        gem_eval.compare(run, f"{run}@x")
+
+
+def test_a_matrix_corrects_for_all_pairs(tmp_path: Path) -> None:
+    """Each cell is the run at the left less that above."""
+    paths = [
+        made_run(tmp_path / name, verdicts(solved)) for name, solved in (("a", "1" * 9), ("b", "0" * 9), ("c", "0" * 9))
+    ]
+    output = " ".join(call(*paths).output.split())
+    assert "a · +100.0 (0.012)* +100.0 (0.012)* b -100.0 (0.012)* · +0.0 (1.000)" in output
+    assert "corrected by Holm for 3 pairs" in output
+
+
+def test_runs_without_a_shared_row_are_refused(tmp_path: Path) -> None:
+    """With what would make them share rows."""
+    a, b = made_run(tmp_path / "a", verdicts("1")), made_run(tmp_path / "b", verdicts("1", id="t:B"))
+    with pytest.raises(ArgumentError, match="share no row to compare by success: the first has 't:A/0' …"):
+        gem_eval.compare(a, b)
+
+
+def test_success_is_not_compared_where_tasks_never_tell_it(tmp_path: Path) -> None:
+    """The return is, unless success was asked for."""
+    a, b = (made_run(tmp_path / name, verdicts("uu")) for name in "ab")
+    assert gem_eval.compare(a, b).metric == "return"
+    with pytest.raises(ArgumentError, match="no task of a and b tells whether it was solved; compare --metric return"):
+        gem_eval.compare(a, b, metric="success")
+
+
+def test_settings_seeds_and_sampling_that_differ_are_warned_of(tmp_path: Path) -> None:
+    """What runs say of hosts and times is no setting."""
+    settings = [
+        {
+            "host": sha,
+            "limits": {"max_cost": heat},
+            "tasks": [{"id": "t:A", "env": "t:A", "kwargs": {"max_turns": turns}, "rows": 2, "data_sha256": sha}],
+            "models": [{"name": "toy", "options": {"temperature": heat}}],
+        }
+        for turns, sha, heat in ((5, "aa", 0), (9, "bb", 1))
+    ]
+    a = made_run(tmp_path / "a", verdicts("10"), **settings[0])
+    b = made_run(tmp_path / "b", verdicts("10", seed=2), **settings[1])
+    assert gem_eval.compare(a, b).cautions == [
+        "settings differ: limits.max_cost 0 and 1; tasks.t:A.kwargs.max_turns 5 and 9; tasks.t:A.data_sha256 aa and bb",
+        "the sampling differs: temperature 0 and 1",
+        "the seeds differ in 2 of 2 rows that both have",
+    ]
+    assert "WARNING: a and b may not be comparable: the sampling differs" in call(a, b).stderr
+
+
+@pytest.fixture
+def played(tmp_path: Path) -> list[Path]:
+    """Two runs of a real game, the second with another limit of turns."""
+    paths = []
+    for name, kwargs in (("a", {"max_turns": 3}), ("b", {})):
+        env = gem.make(ID, **kwargs)
+        paths.append(tmp_path / f"{name}.jsonl")
+        write_episodes(paths[-1], gem.rollout(env, "bisect", episodes=8, seed=1))
+    return paths
+
+
+def test_records_that_differ_in_their_start_are_warned_of(played: list[Path]) -> None:
+    """Files of gem run have no settings, and their episodes tell."""
+    found = gem_eval.compare(*played)
+    assert found.cautions == [f'arguments differ: {{"max_turns": 3}} and {{}} (as in {ID})']
+
+
+def test_both_transcripts_of_a_row_are_shown(played: list[Path]) -> None:
+    """One after the other, or where they part."""
+    flip = gem_eval.compare(*played).flips[0]
+    output = call(*played, "--flip", flip.row).output
+    assert output.index("── A: a ") < output.index(f"Episode {flip.episode_a.number} · {ID}") < output.index("── B: b ")
+    assert "They part at turn" in call(*played, "--flip", flip.row, "--diff").output
+    result = call(*played, "--flip", flip.row[:-1])
+    assert isinstance(result.exception, ArgumentError)
+    assert f"Did you mean '{flip.row}'" in str(result.exception)
+
+
+def test_keys_walk_through_the_flips(played: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
+    """The letter j moves on, Enter shows both episodes, q ends."""
+    found = gem_eval.compare(*played)
+    keys = iter(["j", "j", "k", "\r", "q"])
+    browse(found, lambda: next(keys))
+    shown = capsys.readouterr().out
+    assert f"Episode {found.flips[1].episode_a.number} · {ID}" in shown
+    assert f"Episode {found.flips[1].episode_b.number} · {ID}" in shown
+    assert next(keys, None) is None
+
+
+@pytest.mark.parametrize(
+    ("epochs", "trials"), [(1, 40), *(pytest.param(epochs, 600, marks=pytest.mark.thorough) for epochs in (1, 4))]
+)
+def test_two_runs_of_one_model_seldom_differ(tmp_path: Path, epochs: int, trials: int) -> None:
+    """In at most 5 %, and what chance adds to that."""
+    draws = np.random.default_rng(epochs)
+    alarms = 0
+    for trial in range(trials):
+        rates = draws.beta(0.6, 0.6, 30)
+        paths = []
+        for name in "ab":
+            rows = [
+                {"row": f"t:A/{row}", "epoch": epoch, "success": bool(draws.random() < rate)}
+                for row, rate in enumerate(rates)
+                for epoch in range(epochs)
+            ]
+            paths.append(made_run(tmp_path / f"{trial}{name}", rows))
+        alarms += gem_eval.compare(*paths).overall.significant
+    assert alarms <= 0.05 * trials + 2.33 * (0.0475 * trials) ** 0.5
