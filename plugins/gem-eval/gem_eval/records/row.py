@@ -93,13 +93,20 @@ class Row:
         return cls(*values)
 
     @classmethod
-    def of(cls, record: Mapping[str, Any], number: int, offset: int, length: int) -> Row:
-        """Return the row of an episode's record, as it stands in the file; of several agents, of all together.
+    def of(cls, record: Mapping[str, Any], number: int, offset: int, length: int, *, joint: bool = False) -> Row:
+        """Return the row of an episode's record, as it stands in the file.
+
+        Args:
+            record: The record.
+            number: See the class.
+            offset: See the class.
+            length: See the class.
+            joint: Whether an episode of several agents has a row, of all of them together.
 
         Raises:
             EpisodeFileError: It is no record of an episode.
         """
-        episode = record_from_dict(record)
+        episode = record_from_dict(record) if joint else Episode.from_dict(record)
         if isinstance(episode, JointEpisode):
             return cls._of_joint(episode, number, offset, length)
         told = record.get("evaluation")

@@ -33,17 +33,20 @@ class Run:
     Args:
         path: Folder of the run; or a file of episodes that ``gem run`` wrote.
         read: Whether the rows are read at once, or by ``refresh``.
+        joint: Whether episodes of several agents in a file have a row, which only ``record`` reads; else their lines
+            count as damaged.
 
     Raises:
         ArgumentError: There is no run.
         EpisodeFileError: It cannot be read.
     """
 
-    def __init__(self, path: str | Path, *, read: bool = True) -> None:
+    def __init__(self, path: str | Path, *, read: bool = True, joint: bool = False) -> None:
         self.path = Path(path)
         self.is_folder = self.path.is_dir()
         self._episodes = self.path / EPISODES_FILE if self.is_folder else self.path
         self._index = self.path / INDEX_FILE
+        self._joint = joint
         self._read = 0
         """Bytes of the index, or of the file of episodes, that have been read."""
         self._lines = 0
@@ -111,8 +114,9 @@ class Run:
         Raises:
             EpisodeFileError: It is not there, or is damaged.
         """
+        line = self.line_bytes(row)
         try:
-            return unpack(self.line_bytes(row))
+            return unpack(line)
         except EpisodeFileError as error:
             raise self._damaged_at(row, error) from error
 
@@ -191,7 +195,7 @@ class Run:
         for offset, line in lines:
             self._lines += 1
             try:
-                yield Row.of(unpack(line), self._lines, offset, len(line))
+                yield Row.of(unpack(line), self._lines, offset, len(line), joint=self._joint)
             except EpisodeFileError:
                 self.damaged += 1
 

@@ -38,7 +38,7 @@ class ViewedRun:
     def __init__(self, name: str, path: Path) -> None:
         self.name = name
         self.path = path
-        self.run = Run(path, read=False)
+        self.run = Run(path, read=False, joint=True)
         self.rows: list[Row] = []
         self.version = 0
         """Counts how often the rows have changed."""
