@@ -46,6 +46,7 @@ def rows(task, folder):
         episode.close()
 
 
+@pytest.mark.thorough
 def test_a_file_of_sql_plain_and_packed(task, tmp_path):
     (tmp_path / "shop.sql").write_text(DUMP)
     assert rows(task, tmp_path) == 2

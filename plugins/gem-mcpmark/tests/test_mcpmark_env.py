@@ -70,6 +70,7 @@ def test_wrong_arguments_are_refused():
         env.reset(options={"task": "lending/fees"})
 
 
+@pytest.mark.thorough
 def test_another_mcp_server(tmp_path):
     """It is started with the variables of the episode's database, and may have the address as an argument."""
     root = write_task(tmp_path, verify=SOLD)
@@ -129,6 +130,7 @@ def test_a_verifier_that_finds_no_table_fails_the_agent(tmp_path):
     env.close()
 
 
+@pytest.mark.thorough
 def test_the_example_of_the_page_runs():
     page = Path(__file__).parents[3] / "docs" / "mcpmark.md"
     if not page.exists():

@@ -53,6 +53,7 @@ def test_an_agent_does_not_reach_the_database_of_another(tmp_path):
     other.close()
 
 
+@pytest.mark.thorough
 def test_episodes_that_make_the_same_role(tmp_path):
     """Each has a server to itself; the verifier may act as that role, which is gone afterwards.
 

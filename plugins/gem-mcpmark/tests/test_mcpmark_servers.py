@@ -65,6 +65,7 @@ def test_roles_of_a_task_are_gone_after_its_episode(untouched, tmp_path):
     episode.close()  # which may be called again
 
 
+@pytest.mark.thorough
 def test_what_a_killed_process_left_is_removed_by_the_next(untouched, tmp_path):
     from gem_mcpmark.server import Server
 
