@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from gem_core.cli import Column, echo_line, print_table, shown
-from gem_eval.show.text import count, one_line
+from gem_core.cli import Column, counted, echo_line, print_table, shown
+from gem_eval.show.text import one_line
 
 if TYPE_CHECKING:
     from gem_eval.comparing.comparison import Comparison, Difference, Flip
@@ -78,7 +78,7 @@ def flip_lines(comparison: Comparison, *, every: bool = False) -> Iterator[str]:
 def flip_title(comparison: Comparison) -> str:
     """Return what the flips of a comparison are, with their number."""
     kind = "that only one solved" if comparison.overall.only_a is not None else "that differ"
-    return f"{len(comparison.flips)} {'row' if len(comparison.flips) == 1 else 'rows'} {kind}"
+    return f"{counted(len(comparison.flips), 'row')} {kind}"
 
 
 def flip_line(comparison: Comparison, flip: Flip) -> str:
@@ -138,9 +138,10 @@ def _verdict_lines(comparison: Comparison) -> Iterator[str]:
             better, worse = ("B", "A") if overall.verdict == "b" else ("A", "B")
             yield f"{better} has a higher {_called(comparison)} than {worse}, by {gain}{unit}: {tested}."
         if overall.more_rows:
+            episodes = counted(overall.more_episodes or 0, "episode")
             yield (
-                f"With about {count(overall.more_rows, 'more row')} ({count(overall.more_episodes or 0, 'episode')} of "
-                "each side), a true difference as large as this would be found with a probability of 80 %."
+                f"With about {counted(overall.more_rows, 'more row')} ({episodes} of each side), a true "
+                "difference as large as this would be found with a probability of 80 %."
             )
     if comparison.without_cut_off is not None:
         other = comparison.without_cut_off
@@ -148,7 +149,7 @@ def _verdict_lines(comparison: Comparison) -> Iterator[str]:
             other.verdict, "there is no significant difference"
         )
         p = "" if other.p is None else f", {_p_is(other.p)}"
-        yield f"Without the episodes that a limit cut off, {said} ({count(other.rows, 'row')}{p})."
+        yield f"Without the episodes that a limit cut off, {said} ({counted(other.rows, 'row')}{p})."
     if len(comparison.tasks) > 1:
         yield f"The p-values of tasks are corrected by Holm for {len(comparison.tasks)} tests; that of all is one test."
     yield from _left_out_lines(comparison)
@@ -156,9 +157,10 @@ def _verdict_lines(comparison: Comparison) -> Iterator[str]:
 
 def _left_out_lines(comparison: Comparison) -> Iterator[str]:
     if comparison.only_a or comparison.only_b:
-        yield f"Left out, as only one side has them: {count(comparison.only_a, 'row')} of A, {comparison.only_b} of B."
+        only_a = counted(comparison.only_a, "row")
+        yield f"Left out, as only one side has them: {only_a} of A, {comparison.only_b} of B."
     if comparison.left_out:
-        yield f"Left out, as one side has no value for them: {count(comparison.left_out, 'row')}."
+        yield f"Left out, as one side has no value for them: {counted(comparison.left_out, 'row')}."
     for what, (a, b) in {
         "Episodes with an error, left out": comparison.errors,
         "Unscored episodes, left out": comparison.unscored,

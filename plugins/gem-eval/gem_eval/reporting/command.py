@@ -7,13 +7,13 @@ from pathlib import Path
 
 import click
 
+from gem_core.cli import counted
 from gem_core.errors import ArgumentError
 from gem_eval.files import write_whole
 from gem_eval.records import open_run
 from gem_eval.reporting.contents import contents_of
 from gem_eval.reporting.markdown import markdown_report
 from gem_eval.reporting.page import html_report
-from gem_eval.show.text import count
 
 _OUT = Path("report.html")
 
@@ -52,7 +52,7 @@ def command(runs: tuple[Path, ...], out: Path | None, form: str, examples: int, 
     contents = contents_of([open_run(path) for path in runs])
     for run in contents.runs:
         if run.damaged:
-            lines = count(run.damaged, "line")
+            lines = counted(run.damaged, "line")
             click.echo(f"gem: {run.path}: passed over {lines} without a whole episode of one agent", err=True)
     if as_json:
         scores = [
@@ -77,4 +77,4 @@ def command(runs: tuple[Path, ...], out: Path | None, form: str, examples: int, 
         write_whole(out, content.encode("utf-8"))
     except OSError as error:
         raise ArgumentError(f"cannot write {out}: {error.strerror or error}") from error
-    click.echo(f"report of {count(len(contents.rows), 'episode')} written to {out}")
+    click.echo(f"report of {counted(len(contents.rows), 'episode')} written to {out}")

@@ -8,11 +8,11 @@ import re
 from importlib import resources
 from typing import TYPE_CHECKING
 
+from gem_core.cli import counted
 from gem_eval.reporting import details, figures, plots, score_tables, sections
 from gem_eval.reporting.contents import Contents, Entrant
 from gem_eval.reporting.contents import examples as choose_examples
 from gem_eval.reporting.markup import text
-from gem_eval.show.text import count
 
 if TYPE_CHECKING:
     from gem_eval.scores import Score
@@ -65,13 +65,12 @@ def summary(contents: Contents) -> str:
         return "No episodes."
     different = len({(row.id, row.row) for row in rows})
     errors = sum(row.error is not None for row in rows)
-    told = (
-        f"{count(len({each.model for each in contents.entrants}), 'model')} on {count(len(contents.tasks), 'task')}: "
-    )
+    models = {each.model for each in contents.entrants}
+    told = f"{counted(len(models), 'model')} on {counted(len(contents.tasks), 'task')}: "
     if len(contents.runs) > 1:
-        told = f"{count(len(contents.runs), 'run')}, {told}"
-    told += f"{count(len(rows), 'episode')} of {count(different, 'row')}"
-    told += f", {count(errors, 'error')}." if errors else "."
+        told = f"{counted(len(contents.runs), 'run')}, {told}"
+    told += f"{counted(len(rows), 'episode')} of {counted(different, 'row')}"
+    told += f", {counted(errors, 'error')}." if errors else "."
     unfinished = [run.name for run in contents.runs if run.info.get("status", "finished") != "finished"]
     told += f" Not finished: {' and '.join(unfinished)}." if unfinished else ""
     ended = [row.finished for row in rows if row.finished is not None]
@@ -95,12 +94,12 @@ def _cards(contents: Contents) -> str:
         if score is None:
             continue
         if score.mean is None:
-            told = f"no score: {count(score.errors, 'error')}"
+            told = f"no score: {counted(score.errors, 'error')}"
         else:
             told = f"{'success' if score.metric == 'success' else 'mean return'}<br>"
             told += f"95 % interval {figures.bounds(score.low, score.high, score.metric)}<br>"
-            told += f"{count(score.episodes, 'episode')} of {count(score.rows, 'row')}"
-            told += f", {count(score.errors, 'error')}" if score.errors else ""
+            told += f"{counted(score.episodes, 'episode')} of {counted(score.rows, 'row')}"
+            told += f", {counted(score.errors, 'error')}" if score.errors else ""
         figure = figures.score(score.mean, score.metric)
         cards.append(
             f'<div class="card s{entrant.place % plots.COLOURS}"><div class="name">{text(entrant.label)}</div>'

@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from gem_core import Episode
-from gem_core.cli import output_width
+from gem_core.cli import counted, output_width
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records import ImageFolder, Record, to_plain
 from gem_core.suggestions import did_you_mean
@@ -22,7 +22,7 @@ from gem_eval.episode_file import Entry, EpisodeFile
 from gem_eval.filters import SORTS, at_seat, ordered, parse_comparison, select
 from gem_eval.show.lines import episode_lines, list_lines
 from gem_eval.show.paging import write_lines
-from gem_eval.show.text import count, one_line
+from gem_eval.show.text import one_line
 
 _HTML_LIMIT = 500
 _SILENT_S = 2.0
@@ -204,7 +204,7 @@ def _write_page(file: EpisodeFile, entries: Iterator[Entry], seat: str | None, o
         page.notes.append(f"{len(file.damaged):,} lines of the file hold no whole episode.")
     page.write(out)
     rest = f" ({left_out:,} more left out: raise --limit)" if left_out else ""
-    click.echo(f"{count(written, 'episode')} written to {out}{rest}")
+    click.echo(f"{counted(written, 'episode')} written to {out}{rest}")
 
 
 def _count_whole(file: EpisodeFile) -> int:
