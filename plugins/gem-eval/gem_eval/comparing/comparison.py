@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from gem_core.errors import ArgumentError
 from gem_eval.comparing.cautions import cautions_of
-from gem_eval.comparing.sides import Given, Metric, Played, Side, Task, sides_of
-from gem_eval.scores import tells_success
+from gem_eval.comparing.sides import Given, Played, Side, Task, sides_of
+from gem_eval.scores import Metric, tells_success
 from gem_eval.statistics import (
     Estimate,
     differences,

@@ -6,14 +6,17 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING
 
 from gem_core.errors import ArgumentError
 from gem_core.suggestions import did_you_mean
+from gem_eval.opening import require_episodes
 from gem_eval.records import Row, Run, open_run
 from gem_eval.scoring.file import ScoreFile
 
-Metric = Literal["success", "return"]
+if TYPE_CHECKING:
+    from gem_eval.scores import Metric
+
 Task = tuple[str, str]
 """Id of a task, and the row of it."""
 
@@ -121,10 +124,8 @@ def sides_of(given: Iterable[Given], models: Sequence[str] = (), scores: str | N
             found.append(each)
             continue
         run, model = _run_and_model(each)
+        require_episodes(run)
         names = list(dict.fromkeys(row.model for row in run.rows))
-        if not names:
-            unread = f"; {run.damaged} lines cannot be read as such" if run.damaged else ""
-            raise ArgumentError(f"{run.path} holds no episodes of one agent (yet){unread}")
         chosen = [model] if model is not None else list(models) or names
         if len(chosen) > 1 and not models and len(given) > 1:
             choices = " or ".join(f"{run.path}@{name}" for name in names[:3])

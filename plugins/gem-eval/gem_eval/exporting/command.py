@@ -14,6 +14,7 @@ from gem_eval.exporting.episodes import write_jsonl
 from gem_eval.exporting.inspect_log import Part, write_eval, write_json
 from gem_eval.exporting.tables import write_csv, write_parquet
 from gem_eval.files import whole_file
+from gem_eval.opening import warn_of_damage
 from gem_eval.records import Row, Run, open_run
 from gem_eval.scores import compute_scores
 
@@ -73,9 +74,7 @@ def command(runs: tuple[Path, ...], form: str, out: Path, texts: bool) -> None:
         raise EpisodeFileError(f"cannot write {out}: {error.strerror or error}") from error
     click.echo(f"{written} written to {out}")
     for run in opened:
-        if run.damaged:
-            lines = counted(run.damaged, "line")
-            click.echo(f"gem: {run.path}: passed over {lines} without a whole episode of one agent", err=True)
+        warn_of_damage(run)
 
 
 def _write_logs(runs: Sequence[Run], out: Path) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
@@ -28,6 +27,7 @@ from gem_core.cli import (
 )
 from gem_core.errors import GemError
 from gem_core.making import WrapperChoice
+from gem_eval.output import print_json
 
 if TYPE_CHECKING:
     from gem_core import Episode
@@ -139,8 +139,8 @@ def command(
             measurements.append(measured)
     interrupted = len(measurements) < len(envs)
     if as_json:
-        shown = {"model": model, "seed": seed, "group_size": group_size, "tokenizer": tokenizer or "characters/4"}
-        click.echo(json.dumps({**shown, "environments": [each.to_dict() for each in measurements]}, indent=1))
+        asked = {"model": model, "seed": seed, "group_size": group_size, "tokenizer": tokenizer or "characters/4"}
+        print_json({**asked, "environments": [each.to_dict() for each in measurements]})
     else:
         _print([each for each in measurements if each.error is None])
     for each in measurements:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
@@ -10,6 +9,8 @@ import click
 from gem_core.cli import counted
 from gem_core.errors import ArgumentError
 from gem_eval.files import write_whole
+from gem_eval.opening import warn_of_damage
+from gem_eval.output import print_json
 from gem_eval.records import open_run
 from gem_eval.reporting.contents import contents_of
 from gem_eval.reporting.markdown import markdown_report
@@ -51,16 +52,14 @@ def command(runs: tuple[Path, ...], out: Path | None, form: str, examples: int, 
     """
     contents = contents_of([open_run(path) for path in runs])
     for run in contents.runs:
-        if run.damaged:
-            lines = counted(run.damaged, "line")
-            click.echo(f"gem: {run.path}: passed over {lines} without a whole episode of one agent", err=True)
+        warn_of_damage(run)
     if as_json:
         scores = [
             {"run": str(entrant.run.path), **score.to_dict()}
             for entrant in contents.entrants
             for score in entrant.scores.values()
         ]
-        click.echo(json.dumps({"scores": scores}, indent=1))
+        print_json({"scores": scores})
         return
     if form == "markdown":
         content = markdown_report(contents)

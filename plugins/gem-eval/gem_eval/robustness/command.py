@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -29,6 +28,7 @@ from gem_core.cli import (
     wrapper_stack,
 )
 from gem_core.errors import ArgumentError, GemError
+from gem_eval.output import print_json
 
 if TYPE_CHECKING:
     from gem_core import Episode
@@ -161,7 +161,7 @@ def command(
             stopped_by = error
     rows = [*results, *in_all(results)]
     if as_json:
-        click.echo(json.dumps({"scores": [row.to_dict(model) for row in rows], "seed": seed}, indent=1))
+        print_json({"scores": [row.to_dict(model) for row in rows], "seed": seed})
     else:
         print_table(_COLUMNS, rows)
     failed = [row for row in results if row.first_error is not None and not row.disturbance.server_faults]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,8 @@ import click
 from gem_core.cli import Column, agent_options, arguments_option, counted, echo_line, env_arguments, given, print_table
 from gem_core.errors import ArgumentError
 from gem_core.progress import Progress
-from gem_core.records import to_plain
+from gem_eval.opening import warn_of_damage
+from gem_eval.output import print_json
 from gem_eval.records import open_run
 from gem_eval.scoring.grading import Rescored, TaskScore, score
 from gem_eval.show.text import one_line
@@ -96,7 +96,7 @@ def command(
             on_graded=lambda done, total: bar.advance(done, f"of {total}"),
         )
     if as_json:
-        click.echo(json.dumps(to_plain(_as_dict(found)), indent=1))
+        print_json(_as_dict(found))
     else:
         _report(found, every)
     ctx.exit(1 if found.errors else 0)
@@ -128,8 +128,7 @@ def _report(found: Rescored, every: bool) -> None:
             f"Two repeats agree in {found.agreement.share:.1%} of cases{alpha}; variance between the repeats of an "
             f"episode: {found.agreement.variance:.3g} on average ({counted(found.agreement.items, 'episode')})."
         )
-    if found.run.damaged:
-        echo_line(f"{counted(found.run.damaged, 'line')} of {found.run.path} cannot be read as episodes of one agent.")
+    warn_of_damage(found.run)
     if found.not_graded:
         echo_line(f"{counted(found.not_graded, 'episode')} ended in an error, and cannot be graded.")
     differing = [each for each in found.notes if (each.note or "").startswith("not as recorded")]

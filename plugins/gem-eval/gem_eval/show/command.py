@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import itertools
-import json
 import os
 import sys
 import time
@@ -16,10 +15,11 @@ import click
 from gem_core import Episode
 from gem_core.cli import counted, output_width
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records import ImageFolder, Record, to_plain
+from gem_core.records import ImageFolder, Record
 from gem_core.suggestions import did_you_mean
 from gem_eval.episode_file import Entry, EpisodeFile
 from gem_eval.filters import SORTS, at_seat, ordered, parse_comparison, select
+from gem_eval.output import print_json
 from gem_eval.show.lines import episode_lines, list_lines
 from gem_eval.show.paging import write_lines
 from gem_eval.show.text import one_line
@@ -129,7 +129,7 @@ def _show_list(file: EpisodeFile, entries: Iterator[Entry], as_json: bool) -> No
     first = list(itertools.islice(entries, 1))
     entries = itertools.chain(first, entries)
     if as_json:
-        click.echo(json.dumps([to_plain(entry.to_dict()) for entry in entries], indent=1))
+        print_json([entry.to_dict() for entry in entries])
     else:
         write_lines(list_lines(entries, output_width()))
     if not first:
@@ -141,7 +141,7 @@ def _show_list(file: EpisodeFile, entries: Iterator[Entry], as_json: bool) -> No
 def _show_episode(file: EpisodeFile, number: int, seat: str | None, full: bool, as_json: bool) -> None:
     episode = _read(file, file.entry(number), seat)
     if as_json:
-        click.echo(json.dumps(to_plain({"number": number, **episode.to_dict()}), indent=1))
+        print_json({"number": number, **episode.to_dict()})
     else:
         write_lines(episode_lines(episode, number, full=full))
 
