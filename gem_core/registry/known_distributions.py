@@ -46,6 +46,7 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("command", "replay"): ("gem-eval",),
     ("command", "report"): ("gem-eval",),
     ("command", "export"): ("gem-eval",),
+    ("command", "view"): ("gem-eval",),
     ("command", "mcp"): ("gem-tools",),
     ("command", "serve-search"): ("gem-tools",),
     ("command", "tau"): ("gem-tau",),

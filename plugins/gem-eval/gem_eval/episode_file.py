@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Self
 
 from gem_core import Episode, JointEpisode
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records import Record, record_from_dict
+from gem_core.records import ImageFolder, Record, record_from_dict
 from gem_eval.files import write_whole
 from gem_eval.turns import error_text, some_success
 
@@ -134,6 +134,11 @@ class EpisodeFile:
         if self._keeps_index and self._covered > self._saved:
             self._save()
         self._file.close()
+
+    @property
+    def images(self) -> ImageFolder:
+        """Folder of the images."""
+        return ImageFolder.beside(self.path)
 
     @property
     def share_indexed(self) -> float:

@@ -108,10 +108,15 @@ def plan_evaluation(suite: Suite, models: Sequence[str]) -> Evaluation:
         ArgumentError: A task that cannot be played, or of which no row is left; or two tasks of one name.
         UnknownEnvError: There is no such environment.
     """
-    tasks = [planned for task in suite.with_defaults() for planned in _planned(task, suite)]
+    given = suite.with_defaults()
+    once = [task for place, task in enumerate(given) if task not in given[:place]]  # two suites may share a task
+    tasks = [planned for task in once for planned in _planned(task, suite)]
     twice = [label for label, count in Counter(task.label for task in tasks).items() if count > 1]
     if twice:
-        raise ArgumentError(f"two tasks are called {twice[0]!r}: give one of them another name in the suite")
+        raise ArgumentError(
+            f"two tasks are called {twice[0]!r} and differ: give one of them another name in the suite, or evaluate "
+            "the suites apart"
+        )
     items, row_of = [], []
     for task in tasks:
         for row in task.rows:
