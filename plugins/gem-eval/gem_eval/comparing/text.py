@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 import click
 
 from gem_core.cli import Column, counted, echo_line, print_table, shown
+from gem_eval import figures
 from gem_eval.show.text import one_line
 
 if TYPE_CHECKING:
     from gem_eval.comparing.comparison import Comparison, Difference, Flip
     from gem_eval.comparing.sides import Side
     from gem_eval.records import Row
+    from gem_eval.scores import Metric
 
 _MOST_FLIPS = 20
 _TESTS = {"mcnemar": "McNemar's exact test", "permutation": "a permutation test by row"}
@@ -37,7 +39,7 @@ def print_comparison(comparison: Comparison) -> None:
 def print_matrix(sides: Sequence[Side], comparisons: Sequence[Comparison]) -> None:
     """Write several sides: what each has over each other."""
     _print_cautions(comparisons)
-    percent = _in_percent(comparisons[0])
+    metric = _shown_as(comparisons[0])
     found = {(each.a.label, each.b.label): each for each in comparisons}
 
     def cell(row: Side, column: Side) -> str:
@@ -48,7 +50,8 @@ def print_matrix(sides: Sequence[Side], comparisons: Sequence[Comparison]) -> No
         if overall.difference is None:
             return "-"
         gain = overall.difference.mean if direct else -overall.difference.mean
-        return f"{_change(gain + 0.0, percent)} ({_p(overall.p_holm)}){'*' if overall.significant else ''}"
+        star = "*" if overall.significant else ""
+        return f"{figures.change(gain + 0.0, metric)} ({figures.p_value(overall.p_holm)}){star}"
 
     what = _called(comparisons[0])
     echo_line(f"The {what} of the run at the left, less that of the run above, on the rows that both have.")
@@ -87,7 +90,7 @@ def flip_line(comparison: Comparison, flip: Flip) -> str:
     if comparison.overall.only_a is not None:
         change = "only A" if flip.a > flip.b else "only B"
     else:
-        change = f"{_change(flip.b - flip.a, percent=False)}"
+        change = figures.change(flip.b - flip.a, "return")
     return f"{change}  {one_line(flip.row, 100)}  (episodes: {episodes})"
 
 
@@ -97,24 +100,22 @@ def show_command(side: Side, episode: Row) -> str:
 
 
 def _columns(comparison: Comparison, several: bool) -> list[Column]:
-    percent = _in_percent(comparison)
+    metric = _shown_as(comparison)
 
-    def level(value: float | None) -> str:
-        return shown(value, ".1%" if percent else ".4g")
+    def mean(row: Difference) -> str:
+        return figures.change(None if row.difference is None else row.difference.mean, metric)
 
     def ends(row: Difference) -> str:
-        if row.difference is None or row.difference.low is None or row.difference.high is None:
-            return "-"
-        return f"{_change(row.difference.low, percent)} to {_change(row.difference.high, percent)}"
+        return "-" if row.difference is None else figures.change_bounds(row.difference.low, row.difference.high, metric)
 
     columns = [
         Column("task", lambda row: one_line(row.id), name=True),
         Column("rows", lambda row: str(row.rows)),
-        Column("A", lambda row: level(row.a)),
-        Column("B", lambda row: level(row.b)),
-        Column("B - A", lambda row: "-" if row.difference is None else _change(row.difference.mean, percent)),
+        Column("A", lambda row: figures.score(row.a, metric)),
+        Column("B", lambda row: figures.score(row.b, metric)),
+        Column("B - A", mean),
         Column("95 % interval", ends),
-        Column("p, corrected" if several else "p", lambda row: _p(row.p_holm if row.id != "all" else row.p)),
+        Column("p, corrected" if several else "p", lambda row: figures.p_value(row.shown_p)),
     ]
     if comparison.overall.only_a is not None:
         columns += [
@@ -125,12 +126,12 @@ def _columns(comparison: Comparison, several: bool) -> list[Column]:
 
 
 def _verdict_lines(comparison: Comparison) -> Iterator[str]:
-    overall, percent = comparison.overall, _in_percent(comparison)
+    overall, metric = comparison.overall, _shown_as(comparison)
     if overall.difference is None or overall.p is None:
         yield "No row has a value on both sides, so nothing can be said."
     else:
-        gain = _change(abs(overall.difference.mean), percent).removeprefix("+")
-        unit = " points" if percent else ""
+        gain = figures.change(abs(overall.difference.mean), metric).removeprefix("+")
+        unit = " points" if metric == "success" else ""
         tested = f"{_p_is(overall.p)} by {_TESTS[overall.test]}"
         if overall.verdict == "undecided":
             yield f"No significant difference in {_called(comparison)}: {tested}."
@@ -186,17 +187,11 @@ def _called(comparison: Comparison) -> str:
     return "success rate" if comparison.metric == "success" else "mean return"
 
 
-def _in_percent(comparison: Comparison) -> bool:
-    return comparison.overall.only_a is not None and comparison.metric == "success"
-
-
-def _change(value: float, percent: bool) -> str:
-    return f"{100 * value:+.1f}" if percent else f"{value:+.4g}"
-
-
-def _p(value: float | None) -> str:
-    return "-" if value is None else "< 0.001" if value < 0.001 else f"{value:.3f}"
+def _shown_as(comparison: Comparison) -> Metric:
+    """Return how values are written: verdicts in percent, all else as numbers."""
+    verdicts = comparison.overall.only_a is not None and comparison.metric == "success"
+    return "success" if verdicts else "return"
 
 
 def _p_is(value: float) -> str:
-    return f"p {_p(value)}" if value < 0.001 else f"p = {_p(value)}"
+    return f"p {'' if value < 0.001 else '= '}{figures.p_value(value)}"

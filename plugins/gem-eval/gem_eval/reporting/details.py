@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from gem_core.cli import counted
 from gem_core.errors import EpisodeFileError
-from gem_eval.reporting import figures
+from gem_eval.reporting import amounts
 from gem_eval.reporting.contents import Contents, Entrant, ending_of, endings
 from gem_eval.reporting.markup import section, text
 from gem_eval.turns import TurnView, error_text, figures_of, parts_of, text_of, turn_views
@@ -102,8 +102,8 @@ def notes(contents: Contents) -> str:
     ]
     if contents.differences:
         told.append(
-            "<b>Differences</b> are means over rows that both played, of the differences of the rows' means; p is of a "
-            "permutation test of their signs. With many comparisons some fall below 0.05 by chance."
+            "<b>Differences</b> are means over rows that both played, of the differences of the rows' means, tested as "
+            "by <code>gem compare</code>; the p-values of several tasks are corrected by Holm."
         )
     damaged = [run for run in contents.runs if run.damaged]
     told += [
@@ -164,7 +164,7 @@ def _words(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float) and 1e9 < value < 1e10:
-        return figures.moment(value)
+        return amounts.moment(value)
     if isinstance(value, Mapping):
         told = ((name, part, _words(part)) for name, part in value.items())
         inside = (

@@ -9,7 +9,8 @@ from importlib import resources
 from typing import TYPE_CHECKING
 
 from gem_core.cli import counted
-from gem_eval.reporting import details, figures, plots, score_tables, sections
+from gem_eval import figures
+from gem_eval.reporting import amounts, details, plots, score_tables, sections
 from gem_eval.reporting.contents import Contents, Entrant
 from gem_eval.reporting.contents import examples as choose_examples
 from gem_eval.reporting.markup import text
@@ -74,7 +75,7 @@ def summary(contents: Contents) -> str:
     unfinished = [run.name for run in contents.runs if run.info.get("status", "finished") != "finished"]
     told += f" Not finished: {' and '.join(unfinished)}." if unfinished else ""
     ended = [row.finished for row in rows if row.finished is not None]
-    return f"{told} Last episode: {figures.moment(max(ended))}." if ended else told
+    return f"{told} Last episode: {amounts.moment(max(ended))}." if ended else told
 
 
 def main_score(contents: Contents, entrant: Entrant) -> Score | None:
