@@ -48,7 +48,9 @@ Exit code: 0 if all was written, 1 if a run cannot be read, 2 for a wrong argume
 @click.option(
     "--to", "form", required=True, type=click.Choice(["csv", "parquet", "jsonl", "inspect"]), help="The form."
 )
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="The file; of inspect, a file or a folder.")
+@click.option(
+    "-o", "--out", required=True, type=click.Path(path_type=Path), help="The file; of inspect, a file or a folder."
+)
 @click.option("--texts", is_flag=True, help="csv, parquet: the first observation and the last response as well.")
 def command(runs: tuple[Path, ...], form: str, out: Path, texts: bool) -> None:
     """Write the episodes of runs in a form that other programs read.

@@ -64,13 +64,18 @@ argument, 130 after Ctrl-C, with what was measured until then.
 )
 @click.argument("ids", nargs=-1, required=True, metavar="ID...")
 @click.option(
-    "-m", "--model", default="random", show_default=True, metavar="AGENT", help="Who acts, as for gem run --agent."
+    "-m",
+    "--model",
+    default="random",
+    show_default=True,
+    metavar="AGENT",
+    help="openai:MODEL, MODULE:CALLABLE, or an agent's name.",
 )
-@click.option("-n", "--groups", type=AtLeast(min=1), default=16, show_default=True, help="Starts of each ID.")
+@click.option("--groups", type=AtLeast(min=1), default=16, show_default=True, help="Starts of each ID.")
 @click.option(
-    "-g", "--group-size", type=AtLeast(min=1), default=8, show_default=True, help="Episodes of each start, as in GRPO."
+    "--group-size", type=AtLeast(min=1), default=8, show_default=True, help="Episodes of each start, as in GRPO."
 )
-@click.option("-k", "--num-envs", type=AtLeast(min=1), help="Environments at once.  [default: --max-concurrency, or 8]")
+@click.option("-k", "--num-envs", type=AtLeast(min=1), help="Episodes at once.  [default: --max-concurrency, or 8]")
 @click.option("-s", "--seed", type=AtLeast(min=0), default=0, show_default=True, help="Seed of the run.")
 @click.option(
     "--seconds",

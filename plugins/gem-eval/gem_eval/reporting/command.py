@@ -38,9 +38,14 @@ Exit code: 0 if the report was written, 1 if a run cannot be read, 2 for a wrong
 )
 @click.argument("runs", metavar="RUN…", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False), help=f"The file.  [default: {_OUT}; markdown: printed]"
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help=f"The file.  [default: {_OUT}; markdown: printed]",
 )
-@click.option("--format", "form", type=click.Choice(["html", "markdown"]), default="html", help="html if not given.")
+@click.option(
+    "--format", "form", type=click.Choice(["html", "markdown"]), default="html", show_default=True, help="The form."
+)
 @click.option(
     "--examples", type=click.IntRange(min=0), default=8, show_default=True, help="Episodes to show turn by turn."
 )

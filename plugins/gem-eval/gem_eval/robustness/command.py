@@ -43,7 +43,7 @@ _DEFAULT_SLOTS = 8
     epilog="""\b
 Examples:
   gem robustness game:GuessTheNumber-v0 --model openai:gpt-5-mini --episodes 50
-  gem robustness math:GSM8K --model openai:gpt-5-mini --tools python --episodes 200
+  gem robustness math:GSM8K --model openai:gpt-5-mini --tools python --limit 200
   gem robustness math:GSM8K --model openai:gpt-5-mini --tools python --perturb tool_429:rate=0.5
   gem robustness qa:NaturalQuestions --model openai:gpt-5-mini --tools search \\
       --perturb distractor_tools:count=8 --perturb paraphrase,typos:rate=0.05
@@ -82,14 +82,19 @@ argument, 130 after Ctrl-C, with what was scored until then.
     help="A line of the table; names joined by commas are applied together. Can be repeated.  [default: the first "
     "seven below]",
 )
-@click.option("-n", "--episodes", type=AtLeast(min=1), help="Rows of each ID.  [default: each row once, else 10]")
-@click.option("--epochs", type=AtLeast(min=1), default=1, show_default=True, help="How often each row is played.")
-@click.option("-k", "--num-envs", type=AtLeast(min=1), help="Environments at once.  [default: --max-concurrency, or 8]")
-@click.option("-s", "--seed", type=AtLeast(min=0), default=0, show_default=True, help="Seed of every run.")
+@click.option("--limit", type=AtLeast(min=1), help="Rows of each ID at most.")
+@click.option(
+    "-n", "--episodes", type=AtLeast(min=1), default=10, show_default=True, help="Rows of IDs without a data set."
+)
+@click.option("-e", "--epochs", type=AtLeast(min=1), default=1, show_default=True, help="How often each row is played.")
+@click.option("-k", "--num-envs", type=AtLeast(min=1), help="Episodes at once.  [default: --max-concurrency, or 8]")
+@click.option("-s", "--seed", type=AtLeast(min=0), default=0, show_default=True, help="Seed of the run.")
 @arguments_option
 @stack_options("Perturbations go inside views, and outside tools.")
-@click.option("-o", "--out", type=click.Path(file_okay=False), help="Folder for the episodes, a file for each run.")
-@click.option("--json", "as_json", is_flag=True, help="Write the table as JSON.")
+@click.option(
+    "-o", "--out", type=click.Path(file_okay=False), help="Folder for the episodes, a file for each line of the table."
+)
+@click.option("--json", "as_json", is_flag=True, help="Write the scores as JSON.")
 @agent_options
 @click.pass_context
 def command(
@@ -98,7 +103,8 @@ def command(
     ids: tuple[str, ...],
     model: str,
     perturbations: tuple[str, ...],
-    episodes: int | None,
+    limit: int | None,
+    episodes: int,
     epochs: int,
     num_envs: int | None,
     seed: int,
@@ -152,6 +158,7 @@ def command(
                     fit,
                     wrappers=stack,
                     seed=seed,
+                    limit=limit,
                     episodes=episodes,
                     epochs=epochs,
                     num_envs=num_envs or getattr(agent, "max_concurrency", _DEFAULT_SLOTS),

@@ -134,7 +134,8 @@ def score_disturbed(
     *,
     wrappers: Sequence[WrapperChoice],
     seed: int,
-    episodes: int | None = None,
+    limit: int | None = None,
+    episodes: int = 10,
     epochs: int = 1,
     num_envs: int | None = None,
     on_episode: Callable[[Disturbance, Episode], None] = lambda disturbance, episode: None,
@@ -147,7 +148,8 @@ def score_disturbed(
         disturbances: One run each, after one without any.
         wrappers: Put around the environment in every run, tools first.
         seed: Of all runs.
-        episodes: Number of rows; None for each row of a data set once, or ten.
+        limit: Number of rows at most; None for all of a data set.
+        episodes: Number of rows where there is no data set and no limit.
         epochs: How often each row is played.
         num_envs: Environments at once.
         on_episode: Called with each episode as it finishes.
@@ -159,7 +161,9 @@ def score_disturbed(
     for disturbance in (Disturbance(UNDISTURBED), *disturbances):
         stack = stacked(wrappers, disturbance.wrappers)
         with closing(gem.make_vec([env], num_envs or 1, seed=seed, wrappers=stack)) as vector:
-            plan = list(group_plan(default_plan(vector, episodes), epochs))
+            total = vector.num_tasks(*env)
+            rows = limit or episodes if total is None else min(limit or total, total)
+            plan = list(group_plan(default_plan(vector, rows), epochs))
             played = []
             for episode in gem.rollout(vector, disturbance.around(agent, seed), plan=plan):
                 played.append(episode)
