@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from gem_eval.scores import Metric
 
 NONE = "-"
+
+
+class Bounded(Protocol):
+    """A mean with the ends of its interval: an ``Estimate`` or a ``Score``."""
+
+    @property
+    def mean(self) -> float | None:
+        """The mean."""
+
+    @property
+    def low(self) -> float | None:
+        """Lower end of the interval."""
+
+    @property
+    def high(self) -> float | None:
+        """Upper end of the interval."""
 
 
 def score(value: float | None, metric: Metric) -> str:
@@ -22,6 +38,17 @@ def bounds(low: float | None, high: float | None, metric: Metric) -> str:
     if low is None or high is None:
         return NONE
     return f"{100 * low:.1f} to {100 * high:.1f}" if metric == "success" else f"{low:.3f} to {high:.3f}"
+
+
+def with_bounds(estimate: Bounded | None, metric: Metric) -> str:
+    """Return a score with its interval, as far as they are known."""
+    if estimate is None or estimate.mean is None:
+        return NONE
+    shown = score(estimate.mean, metric)
+    if estimate.low is None or estimate.high is None:
+        return shown
+    low, high = (score(end, metric).removesuffix("%") for end in (estimate.low, estimate.high))
+    return f"{shown} [{low}, {high}]"
 
 
 def change(value: float | None, metric: Metric) -> str:

@@ -13,12 +13,28 @@ from gem_eval.statistics import Estimate, mean, pass_at, pass_hat, rate
 Metric = Literal["success", "return"]
 
 
-class Scored(Protocol):
-    """What scores need to know of an episode: a row of a run's index has it.
+class Ended(Protocol):
+    """How an episode ended: an ``Episode`` says it, and a row of a run's index.
 
-    ``success`` is that of ``Episode``: None for an episode with an error, and for one that ended and did not tell;
-    False for one that was cut off without a verdict.
+    ``success`` is None for an episode with an error, and for one that ended and did not tell; False for one that was
+    cut off without a verdict.
     """
+
+    @property
+    def success(self) -> bool | None:
+        """Whether the task was solved; None for unknown."""
+
+    @property
+    def error(self) -> object:
+        """The failure of the machinery; None for an episode that counts."""
+
+    @property
+    def cut_off(self) -> str | None:
+        """The limit that cut the episode off; None for one that ended by itself."""
+
+
+class Scored(Ended, Protocol):
+    """What scores need to know of an episode: a row of a run's index has it."""
 
     @property
     def id(self) -> str:
@@ -37,20 +53,8 @@ class Scored(Protocol):
         """How often the row was played before."""
 
     @property
-    def success(self) -> bool | None:
-        """Whether the task was solved; None for unknown."""
-
-    @property
     def episode_return(self) -> float:
         """Sum of the rewards."""
-
-    @property
-    def error(self) -> str | None:
-        """The failure of the machinery; None for an episode that counts."""
-
-    @property
-    def cut_off(self) -> str | None:
-        """The limit that cut the episode off; None for one that ended by itself."""
 
     @property
     def unreadable(self) -> bool:
@@ -191,7 +195,7 @@ def compute_row_scores(episodes: Iterable[Scored]) -> list[RowScore]:
     return found
 
 
-def tells_success(played: Sequence[Scored]) -> bool:
+def tells_success(played: Sequence[Ended]) -> bool:
     """Whether a task says if it was solved; one that never does fails only where it is cut off."""
     verdicts = [(episode.success, episode.cut_off) for episode in played if episode.error is None]
     if any(success is not None and (success or cut_off is None) for success, cut_off in verdicts):

@@ -115,7 +115,7 @@ def test_episodes_with_errors_are_left_out_and_told(bench: Any) -> None:
     outcome = bench("perturbed:Echo-v0", "--model", "perturbed:never_answers", "--no-memory", "--groups", "1")
     assert (outcome.code, outcome.out) == (1, "")
     assert outcome.err == (
-        "gem: perturbed:Echo-v0 is not measured: every episode had an error; the first: the server is gone\n"
+        "gem: perturbed:Echo-v0 is not measured: every episode had an error; the first: agent: the server is gone\n"
     )
     outcome = bench("perturbed:Echo-v0", "--no-memory")  # with the random agent, for which it has no action
     assert "perturbed:Echo-v0 is not measured: Echo does not say what a valid action is" in outcome.err

@@ -28,6 +28,7 @@ from gem_core.cli import (
 from gem_core.errors import GemError
 from gem_core.making import WrapperChoice
 from gem_eval.output import print_json
+from gem_eval.turns import error_text
 
 if TYPE_CHECKING:
     from gem_core import Episode
@@ -181,7 +182,7 @@ def _measured(
             on_episode(episode)
             if episode.error is not None:
                 measured.errors += 1
-                first_error = first_error or str(episode.error.get("message", episode.error))
+                first_error = first_error or error_text(episode.error)
                 continue
             measured.episodes.append(episode)
             measured.tokens.append(count_sent(episode, count_tokens))

@@ -23,11 +23,11 @@ from gem_core.cli import (
     given,
     parsed_choices,
     print_table,
-    shown,
     stack_options,
     wrapper_stack,
 )
 from gem_core.errors import ArgumentError, GemError
+from gem_eval import figures
 from gem_eval.output import print_json
 
 if TYPE_CHECKING:
@@ -227,37 +227,24 @@ def _recording(folder: str | None) -> Iterator[Callable[[str, Episode], None]]:
         yield write
 
 
-def _form(row: Disturbed) -> str:
-    return ".1%" if row.metric == "success" else ".3f"
-
-
-def _score(row: Disturbed) -> str:
-    score = row.score
-    if score is None:
-        return "-"
-    return f"{score.mean:{_form(row)}}" + ("" if score.stderr is None else f" ± {score.stderr:{_form(row)}}")
-
-
 def _difference(row: Disturbed) -> str:
     if row.plain is None:
         return ""
-    return shown(None if row.difference is None else row.difference.mean, f"+{_form(row)}")
+    return figures.change(None if row.difference is None else row.difference.mean, row.metric)
 
 
 def _interval(row: Disturbed) -> str:
     if row.plain is None:
         return ""
-    found = row.difference
-    if found is None or found.low is None or found.high is None:
-        return "-"
-    return f"{found.low:+{_form(row)}} to {found.high:+{_form(row)}}"
+    low, high = (None, None) if row.difference is None else row.difference[2:]
+    return figures.change_bounds(low, high, row.metric)
 
 
 _COLUMNS = [
     Column("environment", lambda row: str(row.id), name=True),
     Column("perturbation", lambda row: str(row.disturbance.name), name=True),
     Column("metric", lambda row: str(row.metric), 0),
-    Column("score", _score),
+    Column("score [95 %]", lambda row: figures.with_bounds(row.score, row.metric)),
     Column("difference", _difference),
     Column("95 % interval", _interval),
     Column("rows", lambda row: str(len(row.rows)), 1),

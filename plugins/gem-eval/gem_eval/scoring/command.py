@@ -10,6 +10,7 @@ import click
 from gem_core.cli import Column, agent_options, arguments_option, counted, echo_line, env_arguments, given, print_table
 from gem_core.errors import ArgumentError
 from gem_core.progress import Progress
+from gem_eval import figures
 from gem_eval.opening import warn_of_damage
 from gem_eval.output import print_json
 from gem_eval.records import open_run
@@ -116,8 +117,8 @@ def _report(found: Rescored, every: bool) -> None:
         Column("task", lambda row: one_line(row.id), name=True),
         Column("model", lambda row: one_line(row.model) or "-", 0),
         Column("graded", lambda row: str(row.episodes)),
-        Column("old", lambda row: _shown(row.old)),
-        Column("new", lambda row: _shown(row.new)),
+        Column("old [95 %]", lambda row: _shown(row.old)),
+        Column("new [95 %]", lambda row: _shown(row.new)),
         Column("changed", lambda row: str(row.changed)),
         Column("cannot tell", lambda row: str(row.unknown)),
         Column("errors", lambda row: str(row.errors), alarm=True),
@@ -159,11 +160,7 @@ def _list(lines: list[str], every: bool) -> None:
 
 
 def _shown(estimate: Estimate | None) -> str:
-    if estimate is None:
-        return "-"
-    form = ".1%" if 0 <= estimate.mean <= 1 else ".4g"
-    error = "" if estimate.stderr is None else f" ± {format(estimate.stderr, form)}"
-    return f"{format(estimate.mean, form)}{error}"
+    return figures.with_bounds(estimate, "success" if estimate is None or 0 <= estimate.mean <= 1 else "return")
 
 
 def _as_dict(found: Rescored) -> dict[str, Any]:
