@@ -158,7 +158,7 @@ def figures_of(episode: Episode) -> str:
 
 def outcome_of(success: bool | None, *, failed: bool) -> str:
     """Return how an episode ended, in one word; ``failed`` stands for an error of the machinery."""
-    return "error" if failed else {True: "success", False: "failure", None: "unknown"}[success]
+    return "error" if failed else {True: "success", False: "failure", None: "unscored"}[success]
 
 
 def error_text(error: Mapping[str, Any] | None) -> str:

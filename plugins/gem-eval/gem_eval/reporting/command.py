@@ -8,7 +8,7 @@ import click
 
 from gem_core.cli import counted
 from gem_core.errors import ArgumentError
-from gem_eval.files import write_whole
+from gem_eval.files import write_page
 from gem_eval.opening import warn_of_damage
 from gem_eval.output import print_json
 from gem_eval.records import open_run
@@ -76,9 +76,5 @@ def command(runs: tuple[Path, ...], out: Path | None, form: str, examples: int, 
     out = out or _OUT
     if out.exists() and any(out.resolve().is_relative_to(path.resolve()) for path in runs):
         raise ArgumentError(f"--out {out} is part of a run; name another file")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(out, content.encode("utf-8"))
-    except OSError as error:
-        raise ArgumentError(f"cannot write {out}: {error.strerror or error}") from error
+    write_page(out, content)
     click.echo(f"report of {counted(len(contents.rows), 'episode')} written to {out}")

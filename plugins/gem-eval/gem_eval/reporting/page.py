@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import re
-from importlib import resources
 from typing import TYPE_CHECKING
 
 from gem_core.cli import counted
 from gem_eval import figures
+from gem_eval.assets import hash_source, read_assets
 from gem_eval.reporting import amounts, details, plots, score_tables, sections
 from gem_eval.reporting.contents import Contents, Entrant
 from gem_eval.reporting.contents import examples as choose_examples
@@ -49,14 +47,10 @@ def html_report(contents: Contents, examples: int) -> str:
     head = f'<header>\n<h1>{text(title)}</h1>\n<p class="lead">{text(summary(contents))}</p>{asked}\n</header>'
     footer = "<footer>Made by <code>gem report</code>.</footer>"
     body = "\n".join([head, *filter(None, parts), details.asked(contents), details.notes(contents), footer])
-    style, page = (
-        (resources.files("gem_eval.reporting") / "assets" / name).read_text(encoding="utf-8").replace("\r\n", "\n")
-        for name in ("report.css", "report.html")
-    )
-    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
-    filled = {"HASH": f"sha256-{digest}", "STYLE": style, "TITLE": text(title), "BODY": body}
+    style = read_assets("report.css")
+    filled = {"HASH": hash_source(style), "STYLE": style, "TITLE": text(title), "BODY": body}
     # In one pass, so that a mark in a text of others stays what it is.
-    return re.sub(r"\{\{(\w+)\}\}", lambda mark: filled[mark[1]], page)
+    return re.sub(r"\{\{(\w+)\}\}", lambda mark: filled[mark[1]], read_assets("report.html"))
 
 
 def summary(contents: Contents) -> str:
