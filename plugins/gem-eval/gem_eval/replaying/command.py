@@ -43,7 +43,7 @@ Exit code: 0 if all that was repeated went as recorded, and no branch has an err
 argument.
 """,
 )
-@click.argument("path", metavar="RUN", type=click.Path(exists=True))
+@click.argument("path", metavar="RUN", type=click.Path())
 @click.argument("number", metavar="EPISODE", type=click.IntRange(min=1))
 @click.option("--from-turn", metavar="K", type=click.IntRange(min=1), help="The first turn that is played anew.")
 @click.option("-a", "--agent", metavar="AGENT", help=f"Who goes on; '{_PERSON}' for yourself.")

@@ -46,7 +46,7 @@ the grader fails, that is an error of the episode, and never a score of 0: the s
 Exit code: 0 if the grader failed for no episode, 1 if it did, 2 for a wrong argument, 130 after Ctrl-C.
 """,
 )
-@click.argument("path", metavar="RUN", type=click.Path(exists=True))
+@click.argument("path", metavar="RUN", type=click.Path())
 @click.option(
     "-g", "--grader", required=True, metavar="GRADER", help="MODULE:FUNCTION, 'env', or 'openai:MODEL' for a judge."
 )
