@@ -51,18 +51,18 @@ Of several agents, one episode is told in the order in which they acted; --succe
 one of them did, --return looks at the sum. With --seat all is that of one seat: its outcome, return,
 turns and observations.
 \b
-The number of an episode is its line in the file. In a terminal, the output is paged: '/' searches,
+The number of an episode in a file is its line there. In a terminal, the output is paged: '/' searches,
 'n' finds the next, 'q' leaves; PAGER names another pager, NO_COLOR switches colours off. What could
 move the cursor or hide text is shown as its code. Images are named; --html shows them.
 \b
-A file of some size gets an index beside it, FILE.index, so that it opens at once the next time; it
+A file of some size gets an index beside it, RUN.index, so that it opens at once the next time; it
 may be deleted. A line that is cut off or damaged is passed over, and named on standard error.
 \b
 Exit code: 0 if the file could be read, even where no episode fits, 1 if it holds no whole episode or
 the one asked for is damaged, 2 for a wrong argument.
 """,
 )
-@click.argument("path", metavar="FILE", type=click.Path(exists=True))
+@click.argument("path", metavar="RUN", type=click.Path(exists=True))
 @click.argument("number", metavar="[N]", required=False, type=click.IntRange(min=1))
 @click.option("--episode", "option_number", metavar="N", type=click.IntRange(min=1), help="The same as N.")
 @click.option("--env", metavar="PATTERN", help="Only ids with this part, or that fit a glob in quotes.")
@@ -99,7 +99,7 @@ def command(
 ) -> None:
     """Show recorded episodes: a list, one of them turn by turn, two compared, or a page for the browser.
 
-    FILE is what 'gem run' wrote, or the folder of a run that 'gem eval' wrote. N is the number of one episode.
+    RUN is a folder that 'gem eval' wrote, or a file of 'gem run'. N is the number of one episode.
     """
     if number is not None and option_number not in (None, number):
         raise ArgumentError(f"N is {number}, but --episode is {option_number}; name one")
