@@ -2,28 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from gem_eval.scores import Metric
+    from gem_eval.scores import Metric, Score
+    from gem_eval.statistics import Estimate
 
 NONE = "-"
-
-
-class Bounded(Protocol):
-    """A mean with the ends of its interval: an ``Estimate`` or a ``Score``."""
-
-    @property
-    def mean(self) -> float | None:
-        """The mean."""
-
-    @property
-    def low(self) -> float | None:
-        """Lower end of the interval."""
-
-    @property
-    def high(self) -> float | None:
-        """Upper end of the interval."""
 
 
 def score(value: float | None, metric: Metric) -> str:
@@ -40,7 +25,7 @@ def bounds(low: float | None, high: float | None, metric: Metric) -> str:
     return f"{100 * low:.1f} to {100 * high:.1f}" if metric == "success" else f"{low:.3f} to {high:.3f}"
 
 
-def with_bounds(estimate: Bounded | None, metric: Metric) -> str:
+def with_bounds(estimate: Estimate | Score | None, metric: Metric) -> str:
     """Return a score with its interval, as far as they are known."""
     if estimate is None or estimate.mean is None:
         return NONE

@@ -47,14 +47,7 @@ argument.
 @click.argument("number", metavar="EPISODE", type=click.IntRange(min=1))
 @click.option("--from-turn", metavar="K", type=click.IntRange(min=1), help="The first turn that is played anew.")
 @click.option("-a", "--agent", metavar="AGENT", help=f"Who goes on; '{_PERSON}' for yourself.")
-@click.option(
-    "--branches",
-    metavar="N",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="How many times it goes on.",
-)
+@click.option("--branches", metavar="N", type=click.IntRange(min=1), default=1, show_default=True, help="How often.")
 @arguments_option
 @click.option("--force", is_flag=True, help="Go on where the replay is not as recorded.")
 @click.option("-o", "--out", metavar="PATH", help="Folder, or file .jsonl, for the branches.  [default: in runs/]")

@@ -63,13 +63,7 @@ wrong argument, 130 after Ctrl-C.
     metavar="AGENT",
     help="openai:MODEL, MODULE:CALLABLE, or an agent's name. Can be repeated.",
 )
-@click.option(
-    "--role",
-    "roles",
-    multiple=True,
-    metavar="ROLE=AGENT",
-    help="Who plays another part, as user or judge. Can be repeated.",
-)
+@click.option("--role", "roles", multiple=True, metavar="ROLE=AGENT", help="Who plays another part: user, judge.")
 @click.option("-e", "--epochs", type=AtLeast(min=1), help="How often each row is played.  [default: 1]")
 @click.option("--limit", type=AtLeast(min=1), help="Rows of each task at most.")
 @click.option("--sample-ids", metavar="ID,ID", help="Only the rows with these values of task_id.")

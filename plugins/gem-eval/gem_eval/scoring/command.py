@@ -50,9 +50,7 @@ Exit code: 0 if the grader failed for no episode, 1 if it did, 2 for a wrong arg
 @click.option(
     "-g", "--grader", required=True, metavar="GRADER", help="MODULE:FUNCTION, 'env', or 'openai:MODEL' for a judge."
 )
-@click.option(
-    "--repeat", metavar="N", type=click.IntRange(min=1), default=1, show_default=True, help="How often each is graded."
-)
+@click.option("--repeat", metavar="N", type=click.IntRange(min=1), default=1, show_default=True, help="How often.")
 @click.option("--name", help="Name of the scores.  [default: the grader's]")
 @click.option(
     "--rubric", metavar="FILE", type=click.Path(exists=True, dir_okay=False), help="What makes an episode pass."
