@@ -79,8 +79,8 @@ class Score:
 def compute_scores(episodes: Iterable[Row]) -> list[Score]:
     """Compute the scores of a run.
 
-    Episodes with an error count as nothing but errors. The others have ``success`` as ``Episode`` has it: None where the
-    task did not tell, False for one that was cut off without a verdict. An environment has success rates unless its
+    Episodes with an error count as nothing but errors. The others have ``success`` as ``Episode`` has it: None where
+    the task did not tell, False for one that was cut off without a verdict. An environment has success rates unless its
     task never tells: then the only episodes with ``success`` are those that were cut off. A return that is not finite
     has no value.
 
