@@ -1,4 +1,4 @@
-"""Filter and sort the episodes of a file."""
+"""Filter and sort the episodes of a run."""
 
 from __future__ import annotations
 
@@ -6,38 +6,37 @@ import fnmatch
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from itertools import islice
 from operator import eq, ge, gt, le, lt, ne
 from typing import TYPE_CHECKING, Any
 
-from gem_core import Episode
-from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_eval.text_search import found_text, may_hold
+from gem_core.errors import ArgumentError
+from gem_eval.text_search import found_in
 
 if TYPE_CHECKING:
-    from gem_eval.episode_file import Entry, EpisodeFile
-    from gem_eval.run_entries import RunEntries
+    from gem_eval.records import Row, Run
 
 Comparison = Callable[[float], bool]
 
 _OPERATORS = {">=": ge, "<=": le, "!=": ne, "==": eq, ">": gt, "<": lt, "=": eq, "": eq}
 _COMPARISON = re.compile(r"\s*(>=|<=|!=|==|>|<|=|)\s*(\S+)\s*")
 
-SORTS: dict[str, Callable[[Entry], Any]] = {
-    "number": lambda entry: entry.number,
-    "env": lambda entry: entry.id,
-    "success": lambda entry: -1 if entry.success is None else int(entry.success),
-    "return": lambda entry: -math.inf if math.isnan(entry.episode_return) else entry.episode_return,
-    "turns": lambda entry: entry.turns,
-    "seed": lambda entry: (isinstance(entry.seed, str), -1 if entry.seed is None else entry.seed),
-    "group": lambda entry: entry.group or "",
+SORTS: dict[str, Callable[[Row], Any]] = {
+    "number": lambda row: row.number,
+    "env": lambda row: row.id,
+    "success": lambda row: -1 if row.success is None else int(row.success),
+    "return": lambda row: -math.inf if math.isnan(row.episode_return) else row.episode_return,
+    "turns": lambda row: row.turns,
+    "seed": lambda row: -1 if row.seed is None else row.seed,
+    "group": lambda row: row.group or "",
 }
 """What episodes can be sorted by; those that are alike stay in the order of the file."""
 
 
 def select(
-    file: EpisodeFile | RunEntries,
-    entries: Iterable[Entry],
+    run: Run,
+    rows: Iterable[Row],
     *,
     env: str | None = None,
     success: bool | None = None,
@@ -45,53 +44,51 @@ def select(
     errors: bool | None = None,
     group: str | None = None,
     grep: str | None = None,
-) -> Iterator[Entry]:
-    """Yield those entries of a file that fit all conditions, as they come.
+) -> Iterator[Row]:
+    """Yield those rows of a run that fit all conditions, as they come.
 
     Args:
-        file: The file.
-        entries: Its entries.
+        run: The run.
+        rows: Its rows, or those of one seat.
         env: Part of the id, or a glob for the whole of it.
-        success: True for those that solved the task, False for those that are known not to have; see ``Entry``.
+        success: True for those that solved the task, False for those that are known not to have; see ``Row``.
         returns: A test of the return; of several agents, of their sum.
         errors: True for those with an error of the machinery, False for those without.
         group: The group's name.
         grep: Text that stands in an observation, a response or an info; case does not count.
     """
-    for entry in entries:
+    for row in rows:
         if (
-            (env is None or matches_id(entry.id, env))
-            and (success is None or entry.success is success)
-            and (returns is None or returns(entry.episode_return))
-            and (errors is None or (entry.error is not None) is errors)
-            and (group is None or entry.group == group)
-            and (grep is None or _holds_text(file, entry, grep))
+            (env is None or matches_id(row.id, env))
+            and (success is None or row.success is success)
+            and (returns is None or returns(row.episode_return))
+            and (errors is None or (row.error is not None) is errors)
+            and (group is None or row.group == group)
+            and (grep is None or found_in(run, row, grep) is not None)
         ):
-            yield entry
+            yield row
 
 
-def at_seat(entries: Iterable[Entry], seat: str) -> Iterator[Entry]:
-    """Yield the entries of one seat alone, of those episodes that have it."""
-    for entry in entries:
-        own = (entry.seats or {}).get(seat)
+def at_seat(rows: Iterable[Row], seat: str) -> Iterator[Row]:
+    """Yield the rows of one seat alone, of those episodes that have it."""
+    for row in rows:
+        own = (row.seats or {}).get(seat)
         if own is not None:
-            figures = own._asdict()
-            del figures["agent"]
-            yield entry._replace(**figures, seats={seat: own})
+            yield replace(own, seats={seat: own})
 
 
-def ordered(entries: Iterable[Entry], sort: str | None, reverse: bool, limit: int | None) -> Iterator[Entry]:
-    """Yield entries in order, up to a limit; without a sort as they come.
+def ordered(rows: Iterable[Row], sort: str | None, reverse: bool, limit: int | None) -> Iterator[Row]:
+    """Yield rows in order, up to a limit; without a sort as they come.
 
     Args:
-        entries: What fits.
+        rows: What fits.
         sort: A name of ``SORTS``; None keeps the order.
         reverse: The last first.
         limit: How many at most.
     """
     if sort is not None or reverse:
-        entries = sorted(entries, key=SORTS[sort or "number"], reverse=reverse)
-    return islice(entries, limit)
+        rows = sorted(rows, key=SORTS[sort or "number"], reverse=reverse)
+    return islice(rows, limit)
 
 
 def matches_id(env_id: str, pattern: str) -> bool:
@@ -117,14 +114,3 @@ def parse_comparison(text: str) -> Comparison:
             f"{text!r} is no comparison with a number; write '>0.5', '>=0.5', '<0.5', '<=0.5', '=1' or '!=0', in quotes"
         ) from None
     return lambda value: compare(value, bound)
-
-
-def _holds_text(file: EpisodeFile | RunEntries, entry: Entry, text: str) -> bool:
-    try:
-        if not may_hold(file.line(entry), text):
-            return False
-        record = file.read(entry)
-    except EpisodeFileError:
-        return False  # Damaged in a part that the index does not look at.
-    episodes = [record] if isinstance(record, Episode) else [record.seats[seat] for seat in entry.seats or record.seats]
-    return any(found_text(episode, text) is not None for episode in episodes)

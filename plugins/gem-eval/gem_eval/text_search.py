@@ -4,15 +4,37 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gem_core import Episode
+from gem_core.errors import EpisodeFileError
+
+if TYPE_CHECKING:
+    from gem_eval.records import Row, Run
 
 # Characters that JSON writes as they are.
 _PLAIN_RUN = re.compile(r"[A-Za-z0-9 .,:;=()_-]+", re.ASCII)
 
 
-def may_hold(line: bytes, text: str) -> bool:
+def found_in(run: Run, row: Row, text: str) -> str | None:
+    """Return the first piece of a recorded episode that holds a text; None where none does, or it is damaged.
+
+    Args:
+        run: The run.
+        row: The episode, or that of one seat.
+        text: What is looked for.
+    """
+    try:
+        if not _may_hold(run.line_bytes(row), text):
+            return None
+        record = run.record(row)
+    except EpisodeFileError:
+        return None
+    episodes = [record] if isinstance(record, Episode) else [record.seats[seat] for seat in row.seats or ()]
+    return next(filter(None, (_found_text(episode, text) for episode in episodes)), None)
+
+
+def _may_hold(line: bytes, text: str) -> bool:
     """Whether a recorded line may hold a text.
 
     To read an episode takes 20 times as long as to see that its line lacks the part of the text that JSON writes as it
@@ -22,7 +44,7 @@ def may_hold(line: bytes, text: str) -> bool:
     return run.encode("ascii") in line.lower()
 
 
-def found_text(episode: Episode, text: str) -> str | None:
+def _found_text(episode: Episode, text: str) -> str | None:
     """Return the first piece of an episode that holds a text: an observation, a response, or what an info says."""
     wanted = text.casefold()
     return next((piece for piece in _texts(_shown(episode)) if wanted in piece.casefold()), None)

@@ -22,9 +22,8 @@ from gem_core import Episode, Response, write_episodes
 from gem_core.cli import main
 from gem_core.errors import ArgumentError
 from gem_core.testing import check_plugin
-from gem_eval.episode_file import EpisodeFile
 from gem_eval.filters import matches_id, parse_comparison
-from gem_eval.records import RunWriter
+from gem_eval.records import RunWriter, open_run
 from gem_eval.show.diff import diff_lines
 from gem_eval.show.lines import episode_lines, list_lines
 from gem_eval.show.text import escaped, highlighted, one_line
@@ -87,8 +86,7 @@ def test_the_list_has_a_line_for_each_episode(show) -> None:
 def test_the_list_keeps_ids_and_outcomes_whole_in_any_width(tmp_path: Path, width: int) -> None:
     """What matters least is left out, or each episode is a paragraph."""
     write_episodes(tmp_path / "run.jsonl", [maze(), failed()])
-    with EpisodeFile(tmp_path / "run.jsonl") as file:
-        lines = plain(list_lines(file.entries(), width))
+    lines = plain(list_lines(open_run(tmp_path / "run.jsonl").rows, width))
     assert max(map(len, lines)) <= width
     assert "\n".join(lines).count("maze:Room-v0") == 2
     assert {"success", "failure"} <= {word for line in lines for word in re.findall(r"\w+", line)}
@@ -452,7 +450,8 @@ def test_the_folder_of_a_run_is_shown_as_a_file_is(show, tmp_path: Path) -> None
             episode.key = str(number)
             writer.write(episode, {})
     code, out, _ = show("--grep", "night falls", "--json", file="run")
-    assert (code, [entry["number"] for entry in json.loads(out)]) == (0, [2])
+    assert (code, [row["number"] for row in json.loads(out)]) == (0, [2])
+    assert numbers(show("--group", "g1", file="run")) == [1, 2]
     assert "Where is the door?" in show("1", file="run")[1]
     assert show("9", file="run")[2].startswith("gem: no episode 9 in run, which has 3. Run 'gem show run'")
     assert show("--html", "page.html", file="run")[1] == "3 episodes written to page.html\n"

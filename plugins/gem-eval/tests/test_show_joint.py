@@ -1,4 +1,4 @@
-"""gem show on episodes of several agents: the list, one as a transcript, one seat of it, the page, the index."""
+"""gem show on episodes of several agents: the list, one as a transcript, one seat of it, the page."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from recorded import HOSTILE, broken_duel, duel, failed, maze, seat_of_duel, turn
+from recorded import HOSTILE, broken_duel, duel, failed, seat_of_duel, turn
 
 from gem_core import JointEpisode, write_episodes
 from gem_core.cli import main
-from gem_eval.episode_file import EpisodeFile
 from gem_eval.show.lines import episode_lines
 from gem_eval.show.text import escaped
 
@@ -175,21 +174,6 @@ def test_page_holds_the_turns_of_all_seats(show) -> None:
     assert (third["returns"], third["turns"][0]["seat"], last["error"]) == ("", "", "agent: no route")
     (first, *_) = page_data(show, "--seat", "black")
     assert [each["response"] for each in first["turns"]] == ["pear", "fig"]
-
-
-def test_index_keeps_what_a_list_says_of_seats(tmp_path: Path) -> None:
-    """What is read from the index beside the file is what the lines say, and whole records are still read."""
-    path = tmp_path / "run.jsonl"
-    write_episodes(path, [duel(), maze(), broken_duel()])
-    found = []
-    for _ in range(2):
-        with EpisodeFile(path, index_from_bytes=0) as file:
-            found.append(list(file.entries()))
-            assert [file.read(entry) for entry in file.entries()] == [duel(), maze(), broken_duel()]
-    assert found[0] == found[1]
-    seats = found[1][0].seats
-    assert seats is not None
-    assert (seats["white"].agent, seats["white"].episode_return, seats["black"].success) == ("openai:tiny", 0.5, False)
 
 
 @pytest.mark.parametrize(

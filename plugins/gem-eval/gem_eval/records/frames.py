@@ -32,10 +32,13 @@ def unpack(frame: bytes) -> Any:
     Raises:
         EpisodeFileError: It holds none.
     """
+    line = decompressed(frame)
+    if line.lstrip()[:1] != b"{":
+        raise EpisodeFileError("it is no JSON object")
     try:
-        return json.loads(decompressed(frame))
+        return json.loads(line)
     except (ValueError, RecursionError) as error:
-        raise EpisodeFileError(f"it is no record of an episode ({error})") from error
+        raise EpisodeFileError(f"it is no valid JSON ({error})") from error
 
 
 def decompressed(frame: bytes) -> bytes:

@@ -22,18 +22,18 @@ class Row:
     """What the index says of one episode.
 
     Args:
-        number: From 1, in the order in which episodes were written.
-        offset: Where the frame begins in the file of episodes, in bytes.
-        length: Length of the frame in bytes.
+        number: From 1, in the order in which episodes were written; in a file of ``gem run``, the line.
+        offset: Where the frame, or the line, begins in the file of episodes, in bytes.
+        length: Its length in bytes.
         id: Name of the task in the suite, by default the id of the environment.
         model: Name of the agent that acted.
         row: Identity of what was asked, the same in every run: the task, and the row of its data set or the seed.
         epoch: Which time the row was played, from 0.
         key: Place in the plan.
         seed: Seed of the episode.
-        success: Whether the task was solved; None where that is not known.
-        episode_return: Sum of the rewards.
-        turns: Number of turns.
+        success: Whether the task was solved; None where that is not known. Of several agents, whether one of them did.
+        episode_return: Sum of the rewards, of several agents those of all.
+        turns: Number of turns, of several agents the steps in which one or more acted.
         error: What failed in the machinery, as ``kind: message``; None for an episode that counts.
         cause: Kind of that error in a word, as ``"rate_limit"`` or ``"exception"``.
         cut_off: Why the episode was cut off; None for one that ended by itself.
@@ -45,6 +45,8 @@ class Row:
         model_seconds: Those in which the model was asked.
         finished: When the episode ended, in seconds since 1970.
         cached: How many responses came from the cache.
+        group: Shared by episodes that started alike.
+        seats: Of several agents, the row of each of them, by seat; the index of a folder has none.
     """
 
     number: int
@@ -70,6 +72,8 @@ class Row:
     model_seconds: float | None = None
     finished: float | None = None
     cached: int = 0
+    group: str | None = None
+    seats: dict[str, Row] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the row as plain JSON, without what is as it is by default."""
@@ -106,12 +110,17 @@ class Row:
         Raises:
             EpisodeFileError: It is no record of an episode.
         """
-        episode = record_from_dict(record) if joint else Episode.from_dict(record)
-        if isinstance(episode, JointEpisode):
-            return cls._of_joint(episode, number, offset, length)
+        episode = record_from_dict(record)
         told = record.get("evaluation")
         own = told if isinstance(told, Mapping) else {}
-        row = cls.of_episode(episode, own, number, offset, length)
+        try:
+            if isinstance(episode, JointEpisode):
+                if not joint:
+                    raise EpisodeFileError("it is an episode of several agents")
+                return cls._of_joint(episode, number, offset, length)
+            row = cls.of_episode(episode, own, number, offset, length)
+        except (AttributeError, TypeError, ArithmeticError) as error:
+            raise EpisodeFileError(f"the record of an episode is damaged ({type(error).__name__}: {error})") from error
         return cls(*_checked(_values_of({name: getattr(row, name) for name in _FIELDS})))
 
     @classmethod
@@ -146,12 +155,14 @@ class Row:
             unreadable=episode.unreadable,
             tokens_in=_tokens(episode, "prompt_tokens"),
             tokens_out=_tokens(episode, "completion_tokens"),
+            group=None if episode.group is None else _clipped(episode.group),
             **{name: own[name] for name in _MEASURED if name in own},
         )
 
     @classmethod
     def _of_joint(cls, episode: JointEpisode, number: int, offset: int, length: int) -> Row:
-        seats = [cls.of_episode(each, {}, number, offset, length) for each in episode]
+        by_seat = {seat: cls.of_episode(own, {}, number, offset, length) for seat, own in episode.seats.items()}
+        seats = list(by_seat.values())
         values = {
             "number": number,
             "offset": offset,
@@ -170,8 +181,11 @@ class Row:
             "cut_off": next((seat.cut_off for seat in seats if seat.cut_off), None),
             "tokens_in": sum(known) if (known := [seat.tokens_in for seat in seats if seat.tokens_in]) else None,
             "tokens_out": sum(known) if (known := [seat.tokens_out for seat in seats if seat.tokens_out]) else None,
+            "group": None if episode.group is None else _clipped(episode.group),
         }
-        return cls(*_checked(_values_of({**_DEFAULTS, **values})))
+        row = cls(*_checked(_values_of({**_DEFAULTS, **values})))
+        row.seats = by_seat
+        return row
 
 
 _FIELDS = tuple(each.name for each in fields(Row))
@@ -186,6 +200,7 @@ _TYPES = {
     "str | None": (str, type(None)),
     "bool | None": (bool, type(None)),
     "float | None": (float, int, type(None)),
+    "dict[str, Row] | None": (type(None),),
 }
 _ALLOWED = tuple(_TYPES[str(each.type)] for each in fields(Row))
 _sound_types: set[tuple[type, ...]] = set()

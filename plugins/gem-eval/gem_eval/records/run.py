@@ -26,6 +26,9 @@ RUN_FILE, EPISODES_FILE, INDEX_FILE, METRICS_FILE, IMAGES = (
 
 _LINES_AT_ONCE = 500
 
+_Line = tuple[int, int, bytes]
+"""A line of a file: its number, where it begins, and what it says."""
+
 
 class Run:
     """A run that was recorded, or is being recorded: its rows are in memory, its episodes are read one by one.
@@ -45,16 +48,19 @@ class Run:
         self.path = Path(path)
         self.is_folder = self.path.is_dir()
         self._episodes = self.path / EPISODES_FILE if self.is_folder else self.path
-        self._index = self.path / INDEX_FILE
+        self._source = self.path / INDEX_FILE if self.is_folder else self.path
+        """The file whose lines have the rows."""
         self._joint = joint
         self._read = 0
         """Bytes of the index, or of the file of episodes, that have been read."""
         self._lines = 0
         self._latest: dict[object, Row] = {}
-        self.damaged = 0
-        """Lines of the index, or of the file, that could not be read."""
+        self.damage: dict[int, str] = {}
+        """Why a line of the index, or of the file, holds no whole episode, by its number."""
         if not self.path.exists():
             raise ArgumentError(f"there is no run {path}: give the folder that 'gem eval' wrote, or a file of episodes")
+        if not self.is_folder and not self.path.is_file():
+            raise EpisodeFileError(f"cannot read {path}: it is no regular file; write it to one first")
         if self.is_folder and not (self.path / RUN_FILE).exists():
             raise ArgumentError(f"{path} is no run: there is no {RUN_FILE} in it")
         if read:
@@ -80,10 +86,15 @@ class Run:
         return list(self._latest.values())
 
     @property
+    def damaged(self) -> int:
+        """How many lines of the index, or of the file, could not be read."""
+        return len(self.damage)
+
+    @property
     def share_read(self) -> float:
         """How much of the run is read, from 0 to 1."""
         with suppress(OSError):
-            return min(1.0, self._read / ((self._index if self.is_folder else self._episodes).stat().st_size or 1))
+            return min(1.0, self._read / (self._source.stat().st_size or 1))
         return 1.0
 
     def refresh(self, most: int | None = None) -> list[Row]:
@@ -97,16 +108,24 @@ class Run:
         Raises:
             EpisodeFileError: The run cannot be read.
         """
-        path = self._index if self.is_folder else self._episodes
-        if self._read and (not path.exists() or path.stat().st_size < self._read):
+        if self._read and (not self._source.exists() or self._source.stat().st_size < self._read):
             self._latest.clear()
-            self._read = self._lines = self.damaged = 0
-        lines = itertools.islice(self._new_lines(path), most)
-        found = list(self._index_rows(lines) if self.is_folder else self._file_rows(lines))
-        for row in found:
-            # In a file, several runs may have been appended, and their keys are the same.
-            self._latest[(row.key, row.epoch) if self.is_folder else row.number] = row
-        return found
+            self.damage.clear()
+            self._read = self._lines = 0
+        lines = itertools.islice(self._new_lines(), most)
+        return list(self._index_rows(lines) if self.is_folder else self._file_rows(lines))
+
+    def read_all(self) -> Iterator[Row]:
+        """Yield the rows, those of a file as they are found, also that of a last line without its end.
+
+        Raises:
+            EpisodeFileError: The run cannot be read.
+        """
+        if self.is_folder:
+            self.refresh()
+        yield from self.rows
+        if not self.is_folder:
+            yield from self._file_rows(self._new_lines(torn=True))
 
     def line(self, row: Row) -> Any:
         """Return the record of an episode as it was written, with what stands under ``"evaluation"``.
@@ -163,57 +182,102 @@ class Run:
             yield row, self.episode(row)
 
     def row(self, number: int) -> Row:
-        """Return the row of an episode by its number.
+        """Return the row of an episode by its number; in a file without the rows of the lines before it.
 
         Raises:
             ArgumentError: There is none.
+            EpisodeFileError: The line holds no whole episode.
         """
-        for row in self._latest.values():
+        for row in self.rows:
             if row.number == number:
                 return row
-        raise ArgumentError(f"no episode {number} in {self.path}, which has {len(self._latest)}; run 'gem show' on it")
+        has = f", which has {len(self._latest):,}"
+        if not self.is_folder:
+            lines = 0
+            for lines, offset, line in _lines(self._source, 0, 0, torn=True):
+                if lines == number and line.strip():
+                    try:
+                        return self._row(number, offset, line)
+                    except EpisodeFileError as error:
+                        place = f"{self.path}, line {number}"
+                        raise EpisodeFileError(f"{place} holds no whole episode: {error}") from error
+            has = f", which has {lines:,} lines" if number > lines else ": that line is blank"
+        raise ArgumentError(f"no episode {number} in {self.path}{has}. Run 'gem show {self.path}'")
 
     @property
     def images(self) -> ImageFolder:
         """Folder of the images."""
         return ImageFolder(self.path / IMAGES) if self.is_folder else ImageFolder.beside(self.path)
 
-    def _index_rows(self, lines: Iterator[tuple[int, bytes]]) -> Iterator[Row]:
+    def _index_rows(self, lines: Iterator[_Line]) -> Iterator[Row]:
         # To parse many lines as one list takes half the time.
-        while chunk := [line for _, line in itertools.islice(lines, _LINES_AT_ONCE)]:
+        while chunk := list(itertools.islice(lines, _LINES_AT_ONCE)):
             try:
-                records = json.loads(b"[" + b",".join(chunk) + b"]")
+                records = json.loads(b"[" + b",".join(line for _, _, line in chunk) + b"]")
             except (ValueError, RecursionError):
                 records = []
-            for record in records if len(records) == len(chunk) else map(_parsed, chunk):
+            if len(records) != len(chunk):
+                records = [_parsed(line) for _, _, line in chunk]
+            for (number, _, _), record in zip(chunk, records, strict=True):
                 try:
-                    yield Row.from_dict(record)
-                except EpisodeFileError:
-                    self.damaged += 1
+                    row = Row.from_dict(record)
+                except EpisodeFileError as error:
+                    self.damage[number] = str(error)
+                else:
+                    self._latest[row.key, row.epoch] = row
+                    yield row
 
-    def _file_rows(self, lines: Iterator[tuple[int, bytes]]) -> Iterator[Row]:
-        for offset, line in lines:
-            self._lines += 1
+    def _file_rows(self, lines: Iterator[_Line]) -> Iterator[Row]:
+        for number, offset, line in lines:
             try:
-                yield Row.of(unpack(line), self._lines, offset, len(line), joint=self._joint)
-            except EpisodeFileError:
-                self.damaged += 1
+                # In a file, several runs may have been appended, and their keys are the same.
+                row = self._latest[number] = self._row(number, offset, line)
+            except EpisodeFileError as error:
+                self.damage[number] = str(error)
+            else:
+                yield row
 
-    def _new_lines(self, path: Path) -> Iterator[tuple[int, bytes]]:
-        """Yield the whole lines that have been added to a file, each with its offset."""
+    def _row(self, number: int, offset: int, line: bytes) -> Row:
         try:
-            with path.open("rb") as file:
-                file.seek(self._read)
-                for line in file:
-                    if not line.endswith(b"\n"):
-                        return  # it is still being written
-                    offset, self._read = self._read, self._read + len(line)
-                    if line.strip():
-                        yield offset, line
-        except FileNotFoundError:
-            return  # no episode has ended
-        except OSError as error:
-            raise EpisodeFileError(f"cannot read {path}: {error.strerror or error}") from error
+            return Row.of(unpack(line), number, offset, len(line), joint=self._joint)
+        except EpisodeFileError as error:
+            if line.endswith(b"\n"):
+                raise
+            text = f"{error}. The line is cut off: the writer was interrupted, or is still at it"
+            raise EpisodeFileError(text) from error
+
+    def _new_lines(self, *, torn: bool = False) -> Iterator[_Line]:
+        """Yield the lines that have been added to a file and are not blank."""
+        for number, offset, line in _lines(self._source, self._lines, self._read, torn=torn):
+            self._lines, self._read = number, offset + len(line)
+            if line.strip():
+                yield number, offset, line
+
+
+def _lines(path: Path, number: int, offset: int, *, torn: bool = False) -> Iterator[_Line]:
+    """Yield the lines of a file after a number of lines.
+
+    Args:
+        path: The file.
+        number: Number of the lines before.
+        offset: Where they end.
+        torn: Whether a last line without its end, which may still be written to, is one of them.
+
+    Raises:
+        EpisodeFileError: The file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            file.seek(offset)
+            for line in file:
+                if line.endswith(b"\n") or torn:
+                    number += 1
+                    yield number, offset, line
+                    offset += len(line)
+    except FileNotFoundError:
+        return  # no episode has ended
+    except OSError as error:
+        raise EpisodeFileError(f"cannot read {path}: {error.strerror or error}") from error
 
 
 def open_run(path: str | Path) -> Run:

@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -19,14 +19,10 @@ from gem_core.records import Record
 from gem_core.suggestions import did_you_mean
 from gem_eval.filters import SORTS, at_seat, ordered, parse_comparison, select
 from gem_eval.output import print_json
-from gem_eval.run_entries import open_episodes
+from gem_eval.records import Row, Run
 from gem_eval.show.lines import episode_lines, list_lines
 from gem_eval.show.paging import write_lines
 from gem_eval.show.text import one_line
-
-if TYPE_CHECKING:
-    from gem_eval.episode_file import Entry, EpisodeFile
-    from gem_eval.run_entries import RunEntries
 
 _HTML_LIMIT = 500
 _SILENT_S = 2.0
@@ -55,8 +51,7 @@ The number of an episode in a file is its line there. In a terminal, the output 
 'n' finds the next, 'q' leaves; PAGER names another pager, NO_COLOR switches colours off. What could
 move the cursor or hide text is shown as its code. Images are named; --html shows them.
 \b
-A file of some size gets an index beside it, RUN.index, so that it opens at once the next time; it
-may be deleted. A line that is cut off or damaged is passed over, and named on standard error.
+A line of a file that is cut off or damaged is passed over, and named on standard error.
 \b
 Exit code: 0 if the file could be read, even where no episode fits, 1 if it holds no whole episode or
 the one asked for is damaged, 2 for a wrong argument.
@@ -110,138 +105,147 @@ def command(
         raise ArgumentError("--html and --json are two forms; choose one")
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # for what its encoding does not have
-    with open_episodes(path) as file:
-        if not file.size:
-            raise EpisodeFileError(f"{path} is empty: it holds no episodes (yet)")
-        if diff is not None:
-            _show_diff(file, diff, seat)
-        elif number is not None and html is None:
-            _show_episode(file, number, seat, full, as_json)
-        else:
-            # A list that grows in a terminal shows by itself how far it is.
-            grows = sys.stdout.isatty() and html is None and not as_json and sort is None and not reverse
-            entries = file.entries() if grows else _with_progress(file)
-            entries = entries if seat is None else at_seat(entries, seat)
-            fitting = select(file, entries, **conditions) if number is None else iter([file.entry(number)])
-            if html is not None:
-                _write_page(file, ordered(fitting, sort, reverse, None), seat, html, limit or _HTML_LIMIT)
-            else:
-                _show_list(file, ordered(fitting, sort, reverse, limit), as_json)
-        _report_damage(file)
-
-
-def _show_list(file: EpisodeFile | RunEntries, entries: Iterator[Entry], as_json: bool) -> None:
-    first = list(itertools.islice(entries, 1))
-    entries = itertools.chain(first, entries)
-    if as_json:
-        print_json([entry.to_dict() for entry in entries])
+    run = Run(path, read=False, joint=True)
+    if not (run.refresh() if run.is_folder else os.path.getsize(path)):
+        raise EpisodeFileError(f"{path} is empty: it holds no episodes (yet)")
+    if diff is not None:
+        _show_diff(run, diff, seat)
+    elif number is not None and html is None:
+        _show_episode(run, number, seat, full, as_json)
     else:
-        write_lines(list_lines(entries, output_width()))
+        # A list that grows in a terminal shows by itself how far it is.
+        grows = sys.stdout.isatty() and html is None and not as_json and sort is None and not reverse
+        rows = run.read_all() if grows else _with_progress(run)
+        rows = rows if seat is None else at_seat(rows, seat)
+        fitting = select(run, rows, **conditions) if number is None else iter([run.row(number)])
+        if html is not None:
+            _write_page(run, ordered(fitting, sort, reverse, None), seat, html, limit or _HTML_LIMIT)
+        else:
+            _show_list(run, ordered(fitting, sort, reverse, limit), as_json)
+    _report_damage(run)
+
+
+def _show_list(run: Run, rows: Iterator[Row], as_json: bool) -> None:
+    first = list(itertools.islice(rows, 1))
+    rows = itertools.chain(first, rows)
+    if as_json:
+        print_json([_json_row(row) for row in rows])
+    else:
+        write_lines(list_lines(rows, output_width()))
     if not first:
-        whole = _count_whole(file)
+        whole = _count_whole(run)
         if not as_json:
-            click.echo(f"gem: none of the {whole:,} episodes of {file.path} fits", err=True)
+            click.echo(f"gem: none of the {whole:,} episodes of {run.path} fits", err=True)
 
 
-def _show_episode(file: EpisodeFile | RunEntries, number: int, seat: str | None, full: bool, as_json: bool) -> None:
-    episode = _read(file, file.entry(number), seat)
+def _json_row(row: Row) -> dict[str, Any]:
+    record = {"number": row.number, "id": row.id, **_figures(row), "seed": row.seed, "group": row.group}
+    if row.seats is not None:
+        record["seats"] = {seat: {"agent": own.model, **_figures(own)} for seat, own in row.seats.items()}
+    return record
+
+
+def _figures(row: Row) -> dict[str, Any]:
+    return {"success": row.success, "return": row.episode_return, "turns": row.turns, "error": row.error}
+
+
+def _show_episode(run: Run, number: int, seat: str | None, full: bool, as_json: bool) -> None:
+    episode = _read(run, run.row(number), seat)
     if as_json:
         print_json({"number": number, **episode.to_dict()})
     else:
         write_lines(episode_lines(episode, number, full=full))
 
 
-def _read(file: EpisodeFile | RunEntries, entry: Entry, seat: str | None) -> Record:
-    """Return the episode of an entry, or that of one of its seats."""
-    record = file.read(entry)
+def _read(run: Run, row: Row, seat: str | None) -> Record:
+    """Return the episode of a row, or that of one of its seats."""
+    record = run.record(row)
     if seat is None:
         return record
     if isinstance(record, Episode):
-        raise ArgumentError(f"episode {entry.number} is of one agent, and has no seats: leave --seat out")
+        raise ArgumentError(f"episode {row.number} is of one agent, and has no seats: leave --seat out")
     if seat not in record.seats:
         raise ArgumentError(
-            f"episode {entry.number} has no seat {seat!r}.{did_you_mean(seat, list(record.seats))} Its seats are "
+            f"episode {row.number} has no seat {seat!r}.{did_you_mean(seat, list(record.seats))} Its seats are "
             f"{', '.join(map(one_line, record.seats))}"
         )
     return record.seats[seat]
 
 
-def _show_diff(file: EpisodeFile | RunEntries, numbers: tuple[int, int], seat: str | None) -> None:
+def _show_diff(run: Run, numbers: tuple[int, int], seat: str | None) -> None:
     from gem_eval.show.diff import diff_lines
 
-    one, other = (_one_seat(file, number, seat) for number in numbers)
+    one, other = (_one_seat(run, number, seat) for number in numbers)
     write_lines(diff_lines(numbers, (one, other)))
 
 
-def _one_seat(file: EpisodeFile | RunEntries, number: int, seat: str | None) -> Episode:
-    record = _read(file, file.entry(number), seat)
+def _one_seat(run: Run, number: int, seat: str | None) -> Episode:
+    record = _read(run, run.row(number), seat)
     if isinstance(record, Episode):
         return record
     options = " or ".join(f"--seat {one_line(each)}" for each in record.seats)
     raise ArgumentError(f"episode {number} is of several agents: --diff compares what one of them saw, with {options}")
 
 
-def _write_page(
-    file: EpisodeFile | RunEntries, entries: Iterator[Entry], seat: str | None, out: str, limit: int
-) -> None:
+def _write_page(run: Run, rows: Iterator[Row], seat: str | None, out: str, limit: int) -> None:
     from gem_eval.show.page import PageWriter
 
-    if os.path.realpath(out) == os.path.realpath(file.path):
+    if os.path.realpath(out) == os.path.realpath(run.path):
         raise ArgumentError(f"--html {out} is the file of episodes itself; name another")
-    page = PageWriter(file.path.name, file.images)
+    page = PageWriter(run.path.name, run.images)
     written = left_out = 0
-    for entry in entries:
+    for row in rows:
         if written == limit:
             left_out += 1
             continue
         try:
-            page.add(entry.number, _read(file, entry, seat))
+            page.add(row.number, _read(run, row, seat))
         except EpisodeFileError as error:
             click.echo(f"gem: passed over, {one_line(str(error))}", err=True)
         else:
             written += 1
     if not written:
-        _count_whole(file)
-        raise ArgumentError(f"no episode of {file.path} fits; no page is written")
+        _count_whole(run)
+        raise ArgumentError(f"no episode of {run.path} fits; no page is written")
     if left_out:
         page.notes.append(
             f"{left_out:,} more episodes are left out of this page; --limit {written + left_out} takes all."
         )
-    if file.damaged:
-        page.notes.append(f"{len(file.damaged):,} lines of the file hold no whole episode.")
+    if run.damaged:
+        page.notes.append(f"{run.damaged:,} lines of the file hold no whole episode.")
     page.write(out)
     rest = f" ({left_out:,} more left out: raise --limit)" if left_out else ""
     click.echo(f"{counted(written, 'episode')} written to {out}{rest}")
 
 
-def _count_whole(file: EpisodeFile | RunEntries) -> int:
-    """Return how many whole episodes a file holds; raise where there is none."""
-    whole = sum(1 for _ in file.entries())
+def _count_whole(run: Run) -> int:
+    """Return how many whole episodes a run holds; raise where there is none."""
+    whole = sum(1 for _ in run.read_all())
     if whole:
         return whole
-    if file.damaged:
-        first = file.damaged[0]
-        raise EpisodeFileError(f"{file.path} holds no whole episode; line {first.number}: {first.damage}")
-    raise EpisodeFileError(f"{file.path} holds no episode: its lines are blank")
+    if run.damage:
+        number, reason = next(iter(run.damage.items()))
+        raise EpisodeFileError(f"{run.path} holds no whole episode; line {number}: {reason}")
+    raise EpisodeFileError(f"{run.path} holds no episode: its lines are blank")
 
 
-def _report_damage(file: EpisodeFile | RunEntries) -> None:
-    damaged = file.damaged
-    if damaged:
-        more = f"; lines passed over in all: {len(damaged):,}" if len(damaged) > 1 else ""
-        reason = one_line(f"{damaged[0].damage}", 300)
-        click.echo(f"gem: {file.path}, line {damaged[0].number}: passed over, because {reason}{more}", err=True)
+def _report_damage(run: Run) -> None:
+    if run.damage:
+        number, reason = next(iter(run.damage.items()))
+        more = f"; lines passed over in all: {run.damaged:,}" if run.damaged > 1 else ""
+        reason = one_line(reason, 300)
+        click.echo(f"gem: {run.path}, line {number}: passed over, because {reason}{more}", err=True)
 
 
-def _with_progress(file: EpisodeFile | RunEntries) -> Iterator[Entry]:
-    """Yield the entries of a file, and say in a terminal how much of it is read, if that takes more than a moment."""
-    shown = sys.stderr.isatty() and file.share_indexed < 1
+def _with_progress(run: Run) -> Iterator[Row]:
+    """Yield the rows of a run, and say in a terminal how much of it is read, if that takes more than a moment."""
+    shown = sys.stderr.isatty() and run.share_read < 1
     due = time.monotonic() + _SILENT_S
     written = False
-    for entry in file.entries():
+    for row in run.read_all():
         if shown and time.monotonic() > due:
             due, written = time.monotonic() + 0.2, True
-            click.echo(f"\rgem: reading {file.path.name}, {file.share_indexed:.0%} ", err=True, nl=False)
-        yield entry
+            click.echo(f"\rgem: reading {run.path.name}, {run.share_read:.0%} ", err=True, nl=False)
+        yield row
     if written:
         click.echo("\r\x1b[K", err=True, nl=False)

@@ -26,19 +26,19 @@ from gem_eval.turns import (
 )
 
 if TYPE_CHECKING:
-    from gem_eval.episode_file import Entry
+    from gem_eval.records import Row
 
 # Of each column the most characters, and what stands in it.
-_COLUMNS: dict[str, tuple[int, Callable[[Entry], object]]] = {
-    "number": (8, lambda entry: entry.number),
-    "environment": (60, lambda entry: entry.id),
-    "outcome": (8, lambda entry: outcome_of(entry.success, failed=entry.error is not None)),
-    "return": (10, lambda entry: "" if len(entry.seats or ()) > 1 else f"{entry.episode_return:.4g}"),
-    "turns": (6, lambda entry: entry.turns),
-    "seed": (17, lambda entry: "-" if entry.seed is None else entry.seed),
-    "group": (24, lambda entry: entry.group or ""),
-    "agents and returns": (100, lambda entry: _agents(entry)),
-    "error": (200, lambda entry: entry.error or ""),
+_COLUMNS: dict[str, tuple[int, Callable[[Row], object]]] = {
+    "number": (8, lambda row: row.number),
+    "environment": (60, lambda row: row.id),
+    "outcome": (8, lambda row: outcome_of(row.success, failed=row.error is not None)),
+    "return": (10, lambda row: "" if len(row.seats or ()) > 1 else f"{row.episode_return:.4g}"),
+    "turns": (6, lambda row: row.turns),
+    "seed": (17, lambda row: "-" if row.seed is None else row.seed),
+    "group": (24, lambda row: row.group or ""),
+    "agents and returns": (100, lambda row: _agents(row)),
+    "error": (200, lambda row: row.error or ""),
 }
 _TO_THE_LEFT = ("environment", "outcome", "group", "agents and returns", "error")
 _IF_ANY = ("return", "group", "agents and returns", "error")
@@ -50,14 +50,14 @@ _LONGEST_VALUE = 300
 _OUTCOME_COLOURS = {"success": "green", "failure": "red", "unscored": "white", "error": "yellow"}
 
 
-def list_lines(entries: Iterable[Entry], width: int | None = None) -> Iterator[str]:
+def list_lines(episodes: Iterable[Row], width: int | None = None) -> Iterator[str]:
     """Yield the lines of a list: a header, then one line for each episode, as they come.
 
     Args:
-        entries: The episodes.
+        episodes: Their rows.
         width: Characters in a line: columns are left out to fit, and errors cut; None leaves all whole.
     """
-    rows = map(_cells, entries)
+    rows = map(_cells, episodes)
     first = list(islice(rows, _ROWS_AHEAD))
     if not first:
         return
@@ -164,11 +164,11 @@ def _facts(facts: dict[str, str], full: bool) -> Iterator[str]:
         yield dim(f"{one_line(name)}: ") + one_line(value, None if full else _LONGEST_VALUE)
 
 
-def _cells(entry: Entry) -> dict[str, str]:
-    return {name: one_line(str(cell(entry)), widest) for name, (widest, cell) in _COLUMNS.items()}
+def _cells(row: Row) -> dict[str, str]:
+    return {name: one_line(str(cell(row)), widest) for name, (widest, cell) in _COLUMNS.items()}
 
 
-def _agents(entry: Entry) -> str:
-    seats = entry.seats or {}
+def _agents(row: Row) -> str:
+    seats = row.seats or {}
     returns = {seat: f" {own.episode_return:.4g}" if len(seats) > 1 else "" for seat, own in seats.items()}
-    return ", ".join(f"{seat}={own.agent}{returns[seat]}" for seat, own in seats.items())
+    return ", ".join(f"{seat}={own.model}{returns[seat]}" for seat, own in seats.items())

@@ -6,10 +6,8 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from gem_core.errors import EpisodeFileError
 from gem_eval.show.text import escaped
-from gem_eval.text_search import found_text, may_hold
-from gem_eval.turns import episodes_of
+from gem_eval.text_search import found_in
 from gem_eval.viewing.table import Place, row_data
 
 MOST_FOUND = 1000
@@ -44,17 +42,9 @@ def search(places: Sequence[Place], text: str) -> Iterator[dict[str, Any]]:
 
 def _excerpt(place: Place, text: str) -> str | None:
     """Return the text with what stands around it; None where an episode does not hold it, or is damaged."""
-    run, row = place.run.run, place.row
-    try:
-        if not may_hold(run.line_bytes(row), text):
-            return None
-        record = run.record(row)
-    except EpisodeFileError:
+    piece = found_in(place.run.run, place.row, text)
+    if piece is None:
         return None
-    for episode in episodes_of(record):
-        piece = found_text(episode, text)
-        if piece is not None:
-            at = max(piece.casefold().find(text.casefold()), 0)
-            start = max(at - _BEFORE, 0)
-            return escaped(("…" if start else "") + piece[start : at + len(text) + _AFTER].strip())
-    return None
+    at = max(piece.casefold().find(text.casefold()), 0)
+    start = max(at - _BEFORE, 0)
+    return escaped(("…" if start else "") + piece[start : at + len(text) + _AFTER].strip())
