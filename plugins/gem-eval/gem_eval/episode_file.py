@@ -20,7 +20,7 @@ from gem_core.records import ImageFolder, Record, record_from_dict
 from gem_eval.files import write_whole
 from gem_eval.turns import error_text, some_success
 
-FORM = 4
+FORM = 5
 """Version of the form of an index; an index of another form is built anew."""
 
 INDEX_FROM_BYTES = 8_000_000
@@ -65,6 +65,8 @@ class Entry(NamedTuple):
         group: Shared by episodes that started alike.
         seats: Of several agents, what each of them did, by seat.
         damage: Why the line holds no whole episode; None where it does.
+        model: Name of the agent; None where that is not recorded, and of several agents.
+        cut_off: What limit cut the episode off; None where none did, and of several agents.
     """
 
     number: int
@@ -79,6 +81,8 @@ class Entry(NamedTuple):
     group: str | None = None
     seats: dict[str, SeatEntry] | None = None
     damage: str | None = None
+    model: str | None = None
+    cut_off: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry as plain JSON, for programs."""
@@ -285,7 +289,8 @@ def _entry(number: int, offset: int, line: bytes) -> Entry:
 
 def _facts(record: dict[str, Any]) -> dict[str, Any]:
     episode = Episode.from_dict(_shortened(record))
-    return {**_start(episode), **_figures(episode, record)}
+    model = None if episode.agent is None else _clipped(episode.agent)
+    return {**_start(episode), **_figures(episode, record), "model": model, "cut_off": episode.cut_off}
 
 
 def _joint_facts(record: dict[str, Any]) -> dict[str, Any]:

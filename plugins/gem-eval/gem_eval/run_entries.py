@@ -101,4 +101,6 @@ def _entry(row: Row) -> Entry:
         turns=row.turns,
         error=row.error,
         seed=row.seed,
+        model=row.model,
+        cut_off=row.cut_off,
     )

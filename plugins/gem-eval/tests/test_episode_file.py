@@ -57,9 +57,9 @@ def test_an_entry_says_what_the_episode_says(tmp_path: Path) -> None:
     path = tmp_path / "run.jsonl"
     write_episodes(path, [maze(), failed(), broken()])
     assert [entry[3:] for entry in entries(path)] == [
-        ("maze:Room-v0", True, 0.75, 3, None, 7, "g1", None, None),
-        ("maze:Room-v0", False, 0.25, 2, None, 7, "g1", None, None),
-        ("chat:Talk-v0", None, 0.0, 1, "timeout: no answer in 5 s", 3, None, None, None),
+        ("maze:Room-v0", True, 0.75, 3, None, 7, "g1", None, None, None, None),
+        ("maze:Room-v0", False, 0.25, 2, None, 7, "g1", None, None, None, None),
+        ("chat:Talk-v0", None, 0.0, 1, "timeout: no answer in 5 s", 3, None, None, None, None, None),
     ]
 
 

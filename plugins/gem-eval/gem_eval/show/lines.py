@@ -32,17 +32,19 @@ if TYPE_CHECKING:
 _COLUMNS: dict[str, tuple[int, Callable[[Entry], object]]] = {
     "number": (8, lambda entry: entry.number),
     "environment": (60, lambda entry: entry.id),
+    "model": (40, lambda entry: entry.model or ""),
     "outcome": (7, lambda entry: outcome_of(entry.success, failed=entry.error is not None)),
     "return": (10, lambda entry: "" if len(entry.seats or ()) > 1 else f"{entry.episode_return:.4g}"),
     "turns": (6, lambda entry: entry.turns),
+    "cut off": (12, lambda entry: entry.cut_off or ""),
     "seed": (17, lambda entry: "-" if entry.seed is None else entry.seed),
     "group": (24, lambda entry: entry.group or ""),
     "agents and returns": (100, lambda entry: _agents(entry)),
     "error": (200, lambda entry: entry.error or ""),
 }
-_TO_THE_LEFT = ("environment", "outcome", "group", "agents and returns", "error")
-_IF_ANY = ("return", "group", "agents and returns", "error")
-_DISPENSABLE = ("group", "seed", "turns", "return")
+_TO_THE_LEFT = ("environment", "model", "outcome", "cut off", "group", "agents and returns", "error")
+_IF_ANY = ("model", "return", "cut off", "group", "agents and returns", "error")
+_DISPENSABLE = ("group", "seed", "turns", "cut off", "return", "model")
 # Columns get the width of the first so many rows; a later cell may be wider.
 _ROWS_AHEAD = 200
 _LONGEST_VALUE = 300
