@@ -209,6 +209,11 @@ def test_what_cannot_be_gone_on_from_is_refused(played: Path) -> None:
         gem_eval.replay(played, 1, 9, guess)
     for arguments, message in {
         ("--agent", "random"): "--agent goes on from a turn: give --from-turn K; 1 is the beginning",
-        ("--branches", "2"): "--branches is for an agent that goes on: name one by --agent, with --from-turn",
+        ("--branches", "2"): (
+            "--branches is for an agent that goes on: name one by --agent, as in --agent random --from-turn 2"
+        ),
+        ("--from-turn", "2"): (
+            "--from-turn is for an agent that goes on: name one by --agent, as in --agent random --from-turn 2"
+        ),
     }.items():
         assert str(call(played, 1, *arguments).exception) == message

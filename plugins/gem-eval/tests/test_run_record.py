@@ -197,6 +197,10 @@ def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
         open_run(tmp_path / "nothing")
     with pytest.raises(ArgumentError, match=r"is no run: there is no run\.json in it"):
         open_run(tmp_path)
+    with RunWriter(tmp_path / "mine") as writer:
+        writer.write_info({})
+    with pytest.raises(ArgumentError, match=r"; name one of the runs in it, as .*/mine$"):
+        open_run(tmp_path)
 
 
 def test_zstdcat_reads_a_run(tmp_path: Path, played: list[Episode]) -> None:

@@ -102,6 +102,8 @@ def test_an_unknown_suite_names_the_nearest() -> None:
         ArgumentError, match=r"no suite 'game'\. Did you mean 'games'.*\? Built in: code, code-hub, games, "
     ):
         load_suite("game")
+    with pytest.raises(ArgumentError, match=r"cannot read the suite nothing\.yaml: No such file or directory"):
+        load_suite("nothing.yaml")
 
 
 def test_targets_are_joined_into_one_suite() -> None:

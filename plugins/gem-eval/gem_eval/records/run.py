@@ -56,7 +56,9 @@ class Run:
         if not self.path.exists():
             raise ArgumentError(f"there is no run {path}: give the folder that 'gem eval' wrote, or a file of episodes")
         if self.is_folder and not (self.path / RUN_FILE).exists():
-            raise ArgumentError(f"{path} is no run: there is no {RUN_FILE} in it")
+            inside = sorted(self.path.glob(f"*/{RUN_FILE}"), key=lambda file: file.stat().st_mtime)
+            hint = f"; name one of the runs in it, as {inside[-1].parent}" if inside else ""
+            raise ArgumentError(f"{path} is no run: there is no {RUN_FILE} in it{hint}")
         if read:
             self.refresh()
 

@@ -44,7 +44,7 @@ class RunWriter:
             self._index = open(self.path / INDEX_FILE, "ab", buffering=0)  # noqa: SIM115
             self._count = self._mend()
         except OSError as error:
-            raise EpisodeFileError(f"cannot write the run {path}: {error.strerror or error}") from error
+            raise EpisodeFileError(f"cannot write the run {path}: {error.strerror or error}; give --out") from error
 
     def write_info(self, info: Mapping[str, Any]) -> None:
         """Write ``run.json`` whole."""

@@ -24,7 +24,6 @@ from gem_core.cli import (
     given,
     parsed_choices,
     print_table,
-    shown,
     stack_options,
     wrapper_stack,
 )
@@ -234,7 +233,7 @@ def _score(row: Disturbed) -> str:
 def _difference(row: Disturbed) -> str:
     if row.plain is None:
         return ""
-    return shown(None if row.difference is None else row.difference.mean, f"+{_form(row)}")
+    return "-" if row.difference is None else _change(row, row.difference.mean)
 
 
 def _interval(row: Disturbed) -> str:
@@ -243,14 +242,19 @@ def _interval(row: Disturbed) -> str:
     found = row.difference
     if found is None or found.low is None or found.high is None:
         return "-"
-    return f"{found.low:+{_form(row)}} to {found.high:+{_form(row)}}"
+    return f"{_change(row, found.low)} to {_change(row, found.high)}"
+
+
+def _change(row: Disturbed, value: float) -> str:
+    """Return a difference in percentage points, as ``gem compare`` has it, or of returns."""
+    return f"{100 * value:+.1f}" if row.metric == "success" else f"{value:+.3f}"
 
 
 _COLUMNS = [
     Column("environment", lambda row: str(row.id), name=True),
     Column("perturbation", lambda row: str(row.disturbance.name), name=True),
     Column("metric", lambda row: str(row.metric), 0),
-    Column("score", _score),
+    Column("score ± stderr", _score),
     Column("difference", _difference),
     Column("95 % interval", _interval),
     Column("rows", lambda row: str(len(row.rows)), 1),

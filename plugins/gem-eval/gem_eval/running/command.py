@@ -194,8 +194,8 @@ def _finish(ctx: click.Context, session: EvaluationSession, rows: list[Row], sto
     reason = session.run.info.get("reason")
     if reason is not None:
         click.echo(
-            f"gem: the {reason} was used up after {len(rows)} of {total} episodes; the same command with a higher "
-            "limit goes on",
+            f"gem: the limit --{reason.replace(' ', '-')} was reached after {len(rows)} of {total} episodes; the same "
+            "command with a higher limit goes on",
             err=True,
         )
     ctx.exit(1 if errors or reason is not None else 0)
@@ -217,7 +217,7 @@ class _Counts:
 
     def status(self) -> str:
         parts = [f"success {self._solved / self._judged:.0%}"] if self._judged else []
-        return ", ".join([*parts, f"{self._errors} errors"] if self._errors else parts)
+        return ", ".join([*parts, counted(self._errors, "error")] if self._errors else parts)
 
 
 def _suite(targets: tuple[str, ...], options: dict[str, Any]) -> Suite:

@@ -160,6 +160,9 @@ def load_suite(name_or_file: str | Path) -> Suite:
     try:
         text = path.read_bytes()
     except (OSError, ValueError) as error:
+        if path.suffix in {".yaml", ".yml"}:
+            reason = error.strerror if isinstance(error, OSError) else error
+            raise ArgumentError(f"cannot read the suite {path}: {reason}") from error
         hint = did_you_mean(str(name_or_file), found)
         raise ArgumentError(
             f"no suite {str(name_or_file)!r}.{hint} Built in: {', '.join(found)}; or give a YAML file, or ids"
