@@ -55,7 +55,7 @@ def test_sound_environments_have_no_problem(name: str) -> None:
     assert kinds(found) == set()
 
 
-@pytest.mark.parametrize("env_id", ["qa:Sample", "game:Wordle-v0-easy", "game:TowerofHanoi-v0-easy"])
+@pytest.mark.parametrize("env_id", ["math:Sample", "game:Wordle-v0-easy", "game:TowerofHanoi-v0-easy"])
 def test_our_own_are_sound(env_id: str) -> None:
     """Gold actions succeed in all rows, and no exploit in any."""
     (found,) = gem_eval.audit(env_id, limit=6)
@@ -137,8 +137,8 @@ def test_an_environment_that_cannot_be_made_is_not_sound(capsys: pytest.CaptureF
 
 def test_environments_of_several_agents_are_refused() -> None:
     """By name; a glob leaves them out."""
-    with pytest.raises(ArgumentError, match="tau:Sample is for several agents"):
-        gem_eval.audit("tau:Sample")
+    with pytest.raises(ArgumentError, match="game:TicTacToe-v0 is for several agents"):
+        gem_eval.audit("game:TicTacToe-v0")
 
 
 def test_the_same_seed_finds_the_same() -> None:
