@@ -40,6 +40,7 @@ def select(
     entries: Iterable[Entry],
     *,
     env: str | None = None,
+    model: str | None = None,
     success: bool | None = None,
     returns: Comparison | None = None,
     errors: bool | None = None,
@@ -52,6 +53,7 @@ def select(
         file: The file.
         entries: Its entries.
         env: Part of the id, or a glob for the whole of it.
+        model: Part of the name of the agent, or a glob for the whole of it.
         success: True for those that solved the task, False for those that are known not to have; see ``Entry``.
         returns: A test of the return; of several agents, of their sum.
         errors: True for those with an error of the machinery, False for those without.
@@ -61,6 +63,7 @@ def select(
     for entry in entries:
         if (
             (env is None or matches_id(entry.id, env))
+            and (model is None or matches_id(entry.model or "", model))
             and (success is None or entry.success is success)
             and (returns is None or returns(entry.episode_return))
             and (errors is None or (entry.error is not None) is errors)

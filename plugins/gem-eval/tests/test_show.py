@@ -455,6 +455,8 @@ def test_the_folder_of_a_run_is_shown_as_a_file_is(show, tmp_path: Path) -> None
             writer.write(episode, {"model": "openai:m"})
     code, out, _ = show("--grep", "night falls", "--json", file="run")
     assert (code, [entry["number"] for entry in json.loads(out)]) == (0, [2])
+    assert numbers(show("--model", "openai", file="run")) == [1, 2, 3]
+    assert show("--model", "mini", file="run").err == "gem: none of the 3 episodes of run fits\n"
     assert show(file="run").out.splitlines()[2].split()[:4] == ["2", "maze:Room-v0", "openai:m", "failure"]
     assert "Where is the door?" in show("1", file="run")[1]
     assert "\nmodel: openai:m\n" in show("1", file="run")[1]
