@@ -154,6 +154,12 @@ def test_wrong_arguments_are_told_in_one_line(
     assert not os.path.exists("runs")
 
 
+def test_a_role_that_no_task_has_is_told() -> None:
+    """A word mistyped would leave the part to another."""
+    done = gem_eval(GAME, "--model", "random", "-n", "1", "--role", "usr=random")
+    assert done.stderr.startswith("gem: --role usr has no effect: no task has a keyword of that name; 'gem info ID'")
+
+
 def test_suites_are_listed() -> None:
     """With what they are."""
     listed = json.loads(gem_eval("--list", "--json").stdout)

@@ -311,7 +311,7 @@ def test_a_limit_of_cost_needs_a_price() -> None:
 
 
 def test_answers_come_from_the_cache_where_a_request_is_the_same() -> None:
-    """Other epochs are other requests."""
+    """Other epochs are other requests, and so are other rows that begin with the same observation."""
     asked: list[int] = []
     lock = threading.Lock()
 
@@ -321,10 +321,10 @@ def test_answers_come_from_the_cache_where_a_request_is_the_same() -> None:
         return Response(f"\\boxed{{{len(asked)}}}", usage={"prompt_tokens": 1, "completion_tokens": 1})
 
     counted.reads = "messages"  # type: ignore[attr-defined]
-    tasks = suite({"id": "evaltest:Sums", "limit": 3}, epochs=2)
+    tasks = suite({"id": "evaltest:Sums", "limit": 3}, {"id": GAME, "episodes": 3, "max_turns": 1}, epochs=2)
     first = evaluate(tasks, {"a": counted}, out="one", cache="cache")
     second = evaluate(tasks, {"a": counted}, out="two", cache="cache")
-    assert len(asked) == 6
+    assert len(asked) == 12
     assert told(first) == told(second)
     assert {row.cached for row in second.rows} == {1}
 

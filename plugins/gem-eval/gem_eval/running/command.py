@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import signal
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -129,6 +130,7 @@ def command(
         return
     ctx.with_resource(current_folder_importable())  # an agent may import what stands beside it when it first acts
     limits = Limits(**{name: options.pop(name) for name in list(vars(Limits()))})
+    given_roles = _roles(options["roles"])
     suite = _suite(targets, options)
     session = EvaluationSession(
         suite,
@@ -144,6 +146,7 @@ def command(
         new=new,
         command=shlex.join(without_secrets(shlex.split(call_again(ctx, {"new", "retry_errors"})))),
     )
+    _tell_unused(given_roles, session)
     counts = _Counts(session)
     if counts.before:
         done = f"{counts.before} of {counts.total} episodes are there"
@@ -256,6 +259,13 @@ def _roles(given_roles: tuple[str, ...]) -> dict[str, str]:
             raise ArgumentError(f"--role takes ROLE=AGENT, as user=openai:gpt-5-mini, not {each!r}")
         roles[role] = agent
     return roles
+
+
+def _tell_unused(roles: Iterable[str], session: EvaluationSession) -> None:
+    for role in roles:
+        if not any(role in task.kwargs for task in session.plan.tasks):
+            told = f"--role {role} has no effect: no task has a keyword of that name; 'gem info ID' shows what there is"
+            click.echo(f"gem: {told}", err=True)
 
 
 def _causes(given_causes: str | None) -> list[str] | bool:

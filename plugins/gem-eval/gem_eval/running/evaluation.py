@@ -276,7 +276,8 @@ class EvaluationSession:
         model = next(model for model in self._models if model.label == name)
         # What others answer may depend on more than what they are sent.
         of_model = cache if getattr(agent, "reads", None) == "messages" else None
-        return metered(name, agent, meter, self._prices.find(model.agent), of_model, self._described(model))
+        rows = [row.name for _, row in self.plan.row_of]
+        return metered(name, agent, meter, self._prices.find(model.agent), of_model, self._described(model), rows)
 
     # The record.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, cast
 
@@ -153,6 +153,7 @@ class MeteredAgent:
         price: What its tokens cost; None where that is not known.
         cache: Answers that are there already; None for none.
         identity: What the cache tells requests of this model by, besides what is sent.
+        rows: The row of each episode of the plan, for the cache: rows that begin alike have answers of their own.
     """
 
     def __init__(
@@ -163,9 +164,10 @@ class MeteredAgent:
         price: Price | None = None,
         cache: ResponseCache | None = None,
         identity: Any = None,
+        rows: Sequence[str] = (),
     ) -> None:
         self._name, self._agent, self._meter, self._price = name, agent, meter, price
-        self._cache, self._identity = cache, identity
+        self._cache, self._identity, self._rows = cache, identity, rows
 
     def __getattr__(self, name: str) -> Any:
         if name not in _FORWARDED:
@@ -197,9 +199,10 @@ class MeteredAgent:
         if self._cache is None:
             return "", None
         told = [observation, context.tools, context.system]
-        repeat = [context.env_id, context.turn, context.episode.rpartition(".")[2]]
-        key = self._cache.key([self._identity, told, repeat])
-        return key, self._cache.find(key)
+        key, _, epoch = context.episode.rpartition(".")
+        repeat = [context.env_id, self._rows[int(key)], context.turn, epoch]
+        request = self._cache.key([self._identity, told, repeat])
+        return request, self._cache.find(request)
 
     def _note(self, meter: Meter, asked: float, key: str, answer: str) -> str:
         meter.model_seconds += time.monotonic() - asked
