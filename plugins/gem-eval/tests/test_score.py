@@ -202,7 +202,7 @@ def test_a_judge_that_fails_is_an_error_of_that_episode(played: Path) -> None:
 )
 def test_only_one_clear_verdict_on_the_last_line_counts(reply: str) -> None:
     """Everything else is no verdict, and no 0."""
-    with pytest.raises(GradingError, match="does not end with one clear verdict"):
+    with pytest.raises(GradingError, match="does not end with one of VERDICT: PASS, FAIL or UNKNOWN"):
         parsed_verdict(reply)
 
 
