@@ -70,7 +70,7 @@ def test_the_table_has_a_line_for_each_perturbation_and_for_all_environments(rob
     lines = [line.split("  ") for line in outcome.out.splitlines()]
     cells = [[cell.strip() for cell in line if cell.strip()] for line in lines]
     assert cells[0] == [
-        "environment", "perturbation", "metric", "score ± stderr", "difference", "95 % interval", "rows", "errors",
+        "environment", "perturbation", "metric", "score [95 %]", "difference", "95 % interval", "rows", "errors",
     ]  # fmt: skip
     assert [row[:2] for row in cells[1:]] == [
         [env_id, name]

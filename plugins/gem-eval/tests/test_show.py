@@ -330,7 +330,7 @@ def test_what_is_escaped_stands_as_its_code() -> None:
             1,
             "gem: run.jsonl holds no whole episode; line 1: it is no record of an episode: there is no schema_version",
         ),
-        (None, 2, "gem: Invalid value for 'FILE': Path 'run.jsonl' does not exist. Run 'gem show --help'"),
+        (None, 2, "gem: Invalid value for 'RUN': Path 'run.jsonl' does not exist. Run 'gem show --help'"),
     ],
 )
 def test_what_is_no_file_of_episodes_gets_one_line(show, content: bytes | None, code: int, message: str) -> None:
@@ -345,7 +345,7 @@ def test_what_is_no_file_of_episodes_gets_one_line(show, content: bytes | None, 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["6"], "no episode 6 in run.jsonl, which has 5 lines. Run 'gem show FILE'"),
+        (["6"], "no episode 6 in run.jsonl, which has 5 lines. Run 'gem show run.jsonl'"),
         (["1", "--episode", "2"], "N is 1, but --episode is 2; name one"),
         (["1", "--diff", "1", "2"], "--diff goes with no other form: leave out N, --html and --json"),
         (["--html", "x.html", "--json"], "--html and --json are two forms; choose one"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import itertools
-import json
 import os
 import sys
 import time
@@ -14,15 +13,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gem_core import Episode
-from gem_core.cli import output_width
+from gem_core.cli import counted, output_width
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records import Record, to_plain
+from gem_core.records import Record
 from gem_core.suggestions import did_you_mean
 from gem_eval.filters import SORTS, at_seat, ordered, parse_comparison, select
+from gem_eval.output import print_json
 from gem_eval.run_entries import open_episodes
 from gem_eval.show.lines import episode_lines, list_lines
 from gem_eval.show.paging import write_lines
-from gem_eval.show.text import count, one_line
+from gem_eval.show.text import one_line
 
 if TYPE_CHECKING:
     from gem_eval.episode_file import Entry, EpisodeFile
@@ -51,18 +51,18 @@ Of several agents, one episode is told in the order in which they acted; --succe
 one of them did, --return looks at the sum. With --seat all is that of one seat: its outcome, return,
 turns and observations.
 \b
-The number of an episode is its line in the file. In a terminal, the output is paged: '/' searches,
+The number of an episode in a file is its line there. In a terminal, the output is paged: '/' searches,
 'n' finds the next, 'q' leaves; PAGER names another pager, NO_COLOR switches colours off. What could
 move the cursor or hide text is shown as its code. Images are named; --html shows them.
 \b
-A file of some size gets an index beside it, FILE.index, so that it opens at once the next time; it
+A file of some size gets an index beside it, RUN.index, so that it opens at once the next time; it
 may be deleted. A line that is cut off or damaged is passed over, and named on standard error.
 \b
 Exit code: 0 if the file could be read, even where no episode fits, 1 if it holds no whole episode or
 the one asked for is damaged, 2 for a wrong argument.
 """,
 )
-@click.argument("path", metavar="FILE", type=click.Path(exists=True))
+@click.argument("path", metavar="RUN", type=click.Path(exists=True))
 @click.argument("number", metavar="[N]", required=False, type=click.IntRange(min=1))
 @click.option("--episode", "option_number", metavar="N", type=click.IntRange(min=1), help="The same as N.")
 @click.option("--env", metavar="PATTERN", help="Only ids with this part, or that fit a glob in quotes.")
@@ -100,7 +100,7 @@ def command(
 ) -> None:
     """Show recorded episodes: a list, one of them turn by turn, two compared, or a page for the browser.
 
-    FILE is what 'gem run' wrote, or the folder of a run that 'gem eval' wrote. N is the number of one episode.
+    RUN is a folder that 'gem eval' wrote, or a file of 'gem run'. N is the number of one episode.
     """
     if number is not None and option_number not in (None, number):
         raise ArgumentError(f"N is {number}, but --episode is {option_number}; name one")
@@ -135,7 +135,7 @@ def _show_list(file: EpisodeFile | RunEntries, entries: Iterator[Entry], as_json
     first = list(itertools.islice(entries, 1))
     entries = itertools.chain(first, entries)
     if as_json:
-        click.echo(json.dumps([to_plain(entry.to_dict()) for entry in entries], indent=1))
+        print_json([entry.to_dict() for entry in entries])
     else:
         write_lines(list_lines(entries, output_width()))
     if not first:
@@ -147,7 +147,7 @@ def _show_list(file: EpisodeFile | RunEntries, entries: Iterator[Entry], as_json
 def _show_episode(file: EpisodeFile | RunEntries, number: int, seat: str | None, full: bool, as_json: bool) -> None:
     episode = _read(file, file.entry(number), seat)
     if as_json:
-        click.echo(json.dumps(to_plain({"number": number, **episode.to_dict()}), indent=1))
+        print_json({"number": number, **episode.to_dict()})
     else:
         write_lines(episode_lines(episode, number, full=full))
 
@@ -212,7 +212,7 @@ def _write_page(
         page.notes.append(f"{len(file.damaged):,} lines of the file hold no whole episode.")
     page.write(out)
     rest = f" ({left_out:,} more left out: raise --limit)" if left_out else ""
-    click.echo(f"{count(written, 'episode')} written to {out}{rest}")
+    click.echo(f"{counted(written, 'episode')} written to {out}{rest}")
 
 
 def _count_whole(file: EpisodeFile | RunEntries) -> int:

@@ -33,7 +33,7 @@ _COLUMNS: dict[str, tuple[int, Callable[[Entry], object]]] = {
     "number": (8, lambda entry: entry.number),
     "environment": (60, lambda entry: entry.id),
     "model": (40, lambda entry: entry.model or ""),
-    "outcome": (7, lambda entry: outcome_of(entry.success, failed=entry.error is not None)),
+    "outcome": (8, lambda entry: outcome_of(entry.success, failed=entry.error is not None)),
     "return": (10, lambda entry: "" if len(entry.seats or ()) > 1 else f"{entry.episode_return:.4g}"),
     "turns": (6, lambda entry: entry.turns),
     "cut off": (12, lambda entry: entry.cut_off or ""),
@@ -49,7 +49,7 @@ _DISPENSABLE = ("group", "seed", "turns", "cut off", "return", "model")
 _ROWS_AHEAD = 200
 _LONGEST_VALUE = 300
 
-_OUTCOME_COLOURS = {"success": "green", "failure": "red", "unknown": "white", "error": "yellow"}
+_OUTCOME_COLOURS = {"success": "green", "failure": "red", "unscored": "white", "error": "yellow"}
 
 
 def list_lines(entries: Iterable[Entry], width: int | None = None) -> Iterator[str]:

@@ -7,16 +7,15 @@ page's own script. The policy in its head allows that script and that style by t
 from __future__ import annotations
 
 import base64
-import hashlib
 import json
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from gem_core.errors import ArgumentError, EpisodeFileError
+from gem_core.errors import EpisodeFileError
 from gem_core.records import ImageFolder, Record
+from gem_eval.assets import hash_source, read_assets
 from gem_eval.episode_data import episode_data, image_names, png_of
-from gem_eval.files import write_whole
+from gem_eval.files import write_page
 from gem_eval.show.text import escaped
 
 MOST_TEXT = 100_000
@@ -58,13 +57,10 @@ class PageWriter:
         if left_out := len(self._image_data) - len(images):
             notes.append(f"Images that cannot be read, or would be too much: {left_out}. Their names stand instead.")
         data = {"title": escaped(self.title), "notes": notes, "episodes": self._episodes, "images": images}
-        assets = resources.files("gem_eval") / "assets"
-        style, script, page = (
-            "".join((assets / name).read_text(encoding="utf-8").replace("\r\n", "\n") for name in names)
-            for names in (("episode.css", "page.css"), ("episode.js", "page.js"), ("page.html",))
-        )
+        style, script = read_assets("episode.css", "page.css"), read_assets("episode.js", "page.js")
+        page = read_assets("page.html")
         policy = (
-            f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src data:; "
+            f"default-src 'none'; script-src '{hash_source(script)}'; style-src '{hash_source(style)}'; img-src data:; "
             "base-uri 'none'; form-action 'none'"
         )
         # The data come last, so that a mark in a text of others stays what it is.
@@ -78,13 +74,7 @@ class PageWriter:
         Raises:
             ArgumentError: The file cannot be written.
         """
-        path = Path(path)
-        page = self.html().encode("utf-8")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_whole(path, page)
-        except OSError as error:
-            raise ArgumentError(f"cannot write {path}: {error.strerror or error}") from error
+        write_page(Path(path), self.html())
 
     def _read_image(self, name: str) -> str | None:
         """Return an image as a data URL."""
@@ -107,7 +97,3 @@ def inert_json(value: Any) -> str:
     """Return JSON that may stand in a script element: ASCII, and no character that HTML or JavaScript looks at."""
     text = json.dumps(value, ensure_ascii=True, allow_nan=False)
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
-
-
-def _hash(text: str) -> str:
-    return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}"

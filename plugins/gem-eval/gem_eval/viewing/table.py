@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from gem_core.records import to_plain
 from gem_eval.filters import Comparison, parse_comparison
 from gem_eval.show.text import escaped
+from gem_eval.turns import outcome_of
 
 if TYPE_CHECKING:
     from gem_eval.records import Row
@@ -26,9 +27,7 @@ class Place(NamedTuple):
 
 def outcome_of_row(row: Row) -> str:
     """Return how an episode ended: success, failure, unscored or error."""
-    if row.error is not None:
-        return "error"
-    return {True: "success", False: "failure", None: "unscored"}[row.success]
+    return outcome_of(row.success, failed=row.error is not None)
 
 
 def reason_of_row(row: Row) -> str:
