@@ -154,6 +154,24 @@ def test_a_damaged_frame_is_an_error_that_names_it(tmp_path: Path, played: list[
     assert run.episode(run.rows[2]) == played[2]
 
 
+def test_a_damaged_frame_costs_one_episode_where_the_index_is_lost(tmp_path: Path, played: list[Episode]) -> None:
+    """Those after it are found again, by readers and by the next session."""
+    path = recorded(tmp_path / "run", played)
+    content = bytearray((path / "episodes.jsonl.zst").read_bytes())
+    content[open_run(path).rows[1].offset + 20] ^= 0xFF
+    (path / "episodes.jsonl.zst").write_bytes(content)
+    (path / "index.jsonl").unlink()
+    others = [played[0], *played[2:]]
+    read = open_run(path)
+    assert [read.episode(row) for row in read.rows] == others
+    for _ in range(2):
+        RunWriter(path).close()
+        run = open_run(path)
+        assert [run.episode(row) for row in run.rows] == others
+    assert read.refresh() == run.rows == read.rows
+    assert read.superseded == []
+
+
 def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
     """With what a run is."""
     with pytest.raises(ArgumentError, match="there is no run "):

@@ -11,7 +11,7 @@ from typing import Any
 from gem_core import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records import ImageFolder
-from gem_eval.records.frames import unpack
+from gem_eval.records.frames import frames, unpack
 from gem_eval.records.row import Row
 
 RUN_FILE, EPISODES_FILE, INDEX_FILE, METRICS_FILE, IMAGES = (
@@ -41,8 +41,12 @@ class Run:
         self._index = self.path / INDEX_FILE
         self._read = 0
         """Bytes of the index, or of the file of episodes, that have been read."""
+        self._read_frames = 0
+        """Bytes of the frames that have been read, where the index is gone."""
         self._lines = 0
         self._latest: dict[tuple[str, int], Row] = {}
+        self.superseded: list[Row] = []
+        """Earlier records of episodes that were run again."""
         self.damaged = 0
         """Lines of the index, or of the file, that could not be read."""
         if not self.path.exists():
@@ -75,6 +79,9 @@ class Run:
         new = self._new_index_rows() if self.is_folder else self._new_file_rows()
         found = []
         for row in new:
+            earlier = self._latest.get((row.key, row.epoch), row)
+            if earlier != row:
+                self.superseded.append(earlier)
             self._latest[row.key, row.epoch] = row
             found.append(row)
         return found
@@ -127,11 +134,31 @@ class Run:
         return ImageFolder(self.path / IMAGES) if self.is_folder else ImageFolder.beside(self.path)
 
     def _new_index_rows(self) -> Iterator[Row]:
+        if not self._index.exists():
+            yield from self._new_frame_rows()
         for _, line in self._new_lines(self._index):
             try:
                 yield Row.from_dict(json.loads(line))
             except (ValueError, RecursionError, EpisodeFileError):
                 self.damaged += 1
+
+    def _new_frame_rows(self) -> Iterator[Row]:
+        """Yield the rows that the frames tell, where there is no index."""
+        try:
+            with self._episodes.open("rb") as file:
+                for offset, frame in frames(file, self._read_frames):
+                    self._read_frames = offset + len(frame)
+                    try:
+                        row = Row.of(unpack(frame), self._lines + 1, offset, len(frame))
+                    except EpisodeFileError:
+                        self.damaged += 1
+                        continue
+                    self._lines += 1
+                    yield row
+        except FileNotFoundError:
+            return  # no episode has ended
+        except OSError as error:
+            raise EpisodeFileError(f"cannot read {self._episodes}: {error.strerror or error}") from error
 
     def _new_file_rows(self) -> Iterator[Row]:
         for offset, line in self._new_lines(self._episodes):
