@@ -133,11 +133,12 @@ class EvaluationSession:
                 [self._described(model) for model in self._models],
                 self.suite.seed,
                 dict(self.suite.roles),
+                *filter(None, [self.limits.of_episodes]),
             ]
         )
+        self._check_prices()
         self.path, self.goes_on = self._find_folder(out, new)
         self._run: Run | None = None
-        self._check_prices()
 
     @property
     def run(self) -> Run:
@@ -175,6 +176,8 @@ class EvaluationSession:
             TooManyErrorsError: The share of errors is above the threshold.
         """
         with ExitStack() as at_end:
+            if not self.goes_on:
+                at_end.callback(_remove_if_empty, self.path)
             for agent in self._agents.values():
                 prepare_agent(agent)  # it says at the start what would fail later
                 at_end.callback(partial(close_agent, agent))
@@ -185,8 +188,8 @@ class EvaluationSession:
             before = self.run.rows
             meter = RunMeter(
                 self.limits,
-                sum((row.tokens_in or 0) + (row.tokens_out or 0) for row in before),
-                sum(row.cost or 0.0 for row in before),
+                sum((row.tokens_in or 0) + (row.tokens_out or 0) for row in [*before, *self.run.superseded]),
+                sum(row.cost or 0.0 for row in [*before, *self.run.superseded]),
             )
             ended: dict[str, Any] = {"status": "stopped", "reason": "interrupted"}
             try:
@@ -217,7 +220,10 @@ class EvaluationSession:
             return
         entries = [(task.env_id, task.kwargs) for task in self.plan.tasks]
         slots = min(left, self._slots())
-        vector = gem.make_vec(entries, slots, seed=self.suite.seed, step_timeout=self._step_timeout)
+        # What stops a run that fails is the threshold alone.
+        vector = gem.make_vec(
+            entries, slots, seed=self.suite.seed, step_timeout=self._step_timeout, max_faults=self.plan.episodes
+        )
         at_end.callback(vector.close)
         count = errors = 0
         for episode in gem.rollout(vector, agents, plan=self._until_limit(meter), resume=done):
@@ -344,8 +350,8 @@ class EvaluationSession:
                 raise ArgumentError(f"{path} holds a run; --new begins another, so choose another folder for --out")
             if found.get("fingerprint") != self.fingerprint:
                 raise ArgumentError(
-                    f"{path} holds another run (its tasks, rows, models, sampling or seed differ); choose another "
-                    "folder for --out"
+                    f"{path} holds another run (its tasks, rows, models, sampling, limits of an episode or seed differ)"
+                    "; choose another folder for --out"
                 )
             self._check_versions(path, found)
             return path, True
@@ -425,6 +431,11 @@ def _new_folder(name: str) -> Path:
                 raise EpisodeFileError(f"cannot write {path}: {error.strerror or error}") from error
             return path
     raise EpisodeFileError(f"there is no free name for a folder in runs/ like {stem}")
+
+
+def _remove_if_empty(path: Path) -> None:
+    with suppress(OSError):
+        path.rmdir()
 
 
 def _read_info(path: Path) -> dict[str, Any] | None:

@@ -54,6 +54,11 @@ class Limits:
         return self.episode_cost is not None or self.run_cost is not None
 
     @property
+    def of_episodes(self) -> dict[str, float]:
+        """The limits of an episode, which its score depends on."""
+        return {name: limit for name, limit in vars(self).items() if name.startswith("episode") and limit is not None}
+
+    @property
     def of_usage(self) -> bool:
         """Whether the token counts of servers are needed."""
         return self.of_cost or self.episode_tokens is not None or self.run_tokens is not None
