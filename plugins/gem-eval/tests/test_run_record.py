@@ -172,6 +172,14 @@ def test_a_damaged_frame_costs_one_episode_where_the_index_is_lost(tmp_path: Pat
     assert read.superseded == []
 
 
+def test_long_names_are_cut_and_stay_apart(tmp_path: Path, played: list[Episode]) -> None:
+    """Two rows that begin alike are two rows."""
+    with RunWriter(tmp_path / "run") as writer:
+        names = [writer.write(played[0], {"row": "r" * 10_000 + end}).row for end in ("a", "b")]
+    assert [len(name) for name in names] == [300, 300]
+    assert names[0] != names[1]
+
+
 def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
     """With what a run is."""
     with pytest.raises(ArgumentError, match="there is no run "):
