@@ -97,7 +97,7 @@ def test_two_runs_of_a_suite_have_the_same_rows_and_seeds() -> None:
     ("choice", "chosen"),
     [
         ({"limit": 2}, ["q0", "q1"]),
-        ({"sample_ids": ["q5", "q2"]}, ["q5", "q2"]),
+        ({"sample_ids": ["q5", "q2", "q5"]}, ["q5", "q2"]),
         ({"where": "level == 2 and id != 'q8'"}, ["q2", "q5"]),
         ({"where": "level == 0", "limit": 1}, ["q0"]),
     ],
