@@ -128,6 +128,13 @@ def test_wrong_arguments_are_told_in_one_line(
     assert not os.path.exists("runs")
 
 
+def test_a_role_that_no_task_has_is_told() -> None:
+    """It may be misspelt; a suite may have it for other tasks."""
+    done = gem_eval(GAME, "--model", "random", "-n", "2", "--role", "usr=random", "--out", "run")
+    assert done.exit_code == 0
+    assert "gem: no task has the role 'usr': no environment has a keyword of that name" in done.stderr
+
+
 def test_suites_are_listed() -> None:
     """With what they are."""
     listed = json.loads(gem_eval("--list", "--json").stdout)

@@ -145,9 +145,7 @@ def command(
         command=shlex.join(without_secrets(shlex.split(call_again(ctx, {"new", "retry_errors"})))),
     )
     counts = _Counts(session)
-    if counts.before:
-        done = f"{counts.before} of {counts.total} episodes are there"
-        click.echo(f"gem: going on with {session.path}, where {done}; --new begins another run", err=True)
+    _begin(session, counts)
     stopped_by: BaseException | None = None
     with Progress(counts.total, suite.name, quiet=session.interactive) as progress:
         try:
@@ -173,6 +171,16 @@ def command(
         where = f"The record is in {session.path}; look at it with: gem view {shlex.quote(str(session.path))}"
         click.echo(where)
     _finish(ctx, session, rows, stopped_by)
+
+
+def _begin(session: EvaluationSession, counts: _Counts) -> None:
+    """Say which run goes on, and which roles are of no use."""
+    for role in session.suite.roles:
+        if not any(role in task.kwargs for task in session.plan.tasks):
+            click.echo(f"gem: no task has the role {role!r}: no environment has a keyword of that name", err=True)
+    if counts.before:
+        done = f"{counts.before} of {counts.total} episodes are there"
+        click.echo(f"gem: going on with {session.path}, where {done}; --new begins another run", err=True)
 
 
 def _finish(ctx: click.Context, session: EvaluationSession, rows: list[Row], stopped_by: BaseException | None) -> None:

@@ -27,6 +27,8 @@ RUN_LIMITS = ("run time", "run tokens", "run cost")
 class Limits:
     """What an episode and a run may take; None for no limit. Each is checked before a model is asked.
 
+    What models in other roles take, as a simulated user, is not counted.
+
     Args:
         episode_time: Seconds from the first question of an episode; an open request is given up.
         episode_tokens: Tokens read and written.
