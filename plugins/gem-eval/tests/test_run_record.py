@@ -132,6 +132,19 @@ def test_a_file_of_gem_run_is_read_as_a_run(tmp_path: Path, played: list[Episode
     assert run.rows[0].row == f"{ID}/{played[0].seed}"
 
 
+def test_a_line_of_the_index_with_another_type_is_damaged(tmp_path: Path, played: list[Episode]) -> None:
+    """Each field is what it is said to be."""
+    path = recorded(tmp_path / "run", played)
+    lines = (path / "index.jsonl").read_text().splitlines()
+    fields: list[dict[str, Any]] = [{"success": "no"}, {"epoch": "0"}, {"key": 0}, {"cost": "1"}, {"turns": None}]
+    damaged = [json.dumps({**json.loads(line), **field}) for line, field in zip(lines, fields, strict=False)]
+    (path / "index.jsonl").write_text("\n".join([*damaged, lines[-1]]) + "\n")
+    run = open_run(path)
+    assert (len(run.rows), run.damaged) == (1, 5)
+    RunWriter(path).close()
+    assert len(open_run(path).rows) == 6
+
+
 @pytest.mark.parametrize("content", [b"", b"{}\n", b"\xff\xfe\n", b"[1]\n", b"9" * 5000 + b"\n"])
 def test_a_damaged_index_is_no_crash(tmp_path: Path, played: list[Episode], content: bytes) -> None:
     """Its lines are passed over, and counted."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 from gem_core import Episode
 from gem_core.errors import EpisodeFileError
@@ -82,13 +82,14 @@ class Row:
             EpisodeFileError: It is no row.
         """
         try:
-            row = cls(**{name: record[name] for name in _FIELDS if name in record})
-            # JSON has no word for them.
-            object.__setattr__(row, "episode_return", float(row.episode_return))
-        except (TypeError, ValueError) as error:
+            own = {name: value for name, value in record.items() if name in _KINDS}
+            own["episode_return"] = float(own["episode_return"])  # JSON has no word for NaN and infinity
+            row = cls(**own)
+        except (TypeError, ValueError, LookupError, AttributeError) as error:
             raise EpisodeFileError(f"a line of the index is damaged ({error})") from error
-        if not (isinstance(row.offset, int) and isinstance(row.length, int) and isinstance(row.model, str)):
-            raise EpisodeFileError("a line of the index is damaged")
+        for name, value in own.items():
+            if not isinstance(value, _KINDS[name]):
+                raise EpisodeFileError(f"a line of the index is damaged ({name} is {value!r:.50})")
         return row
 
     @classmethod
@@ -141,6 +142,9 @@ class Row:
 
 _FIELDS = tuple(each.name for each in fields(Row))
 _DEFAULTS = {each.name: each.default for each in fields(Row) if each.default is not MISSING}
+_KINDS = {name: get_args(kind) or (kind,) for name, kind in get_type_hints(Row).items()}
+_KINDS |= {name: (*kinds, int) for name, kinds in _KINDS.items() if float in kinds}
+"""The types of the fields; JSON may write a float without a fraction."""
 _MEASURED = ("cost", "seconds", "model_seconds", "finished", "cached")
 """What only the record says, under ``"evaluation"``."""
 

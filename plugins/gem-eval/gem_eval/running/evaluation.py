@@ -150,7 +150,7 @@ class EvaluationSession:
 
     def rows(self) -> list[Row]:
         """Return the rows so far, in the order of the plan."""
-        return sorted(self.run.rows, key=lambda row: (int(row.key), row.epoch))
+        return sorted(self.run.rows, key=lambda row: (self._place(row.key), row.epoch))
 
     def metrics(self) -> dict[str, Any]:
         """Return the scores so far as plain JSON, with those of each row where there are several epochs."""
@@ -213,7 +213,7 @@ class EvaluationSession:
         done = FinishedEpisodes()
         for row in before:
             if self._stays(row):
-                item = self._item(row.key)
+                item = self.plan.items[self._place(row.key)]
                 done.add_start(row.key, row.epoch, item.id or "", item.seed, item.options, item.agent)
         left = self.plan.episodes - len(done)
         if not left:
@@ -265,9 +265,9 @@ class EvaluationSession:
             return True
         return self._retry is not True and row.cause not in self._retry
 
-    def _item(self, key: str) -> PlanItem:
+    def _place(self, key: str) -> int:
         try:
-            return self.plan.items[int(key)]
+            return range(len(self.plan.items))[int(key)]
         except (ValueError, IndexError):
             raise ArgumentError(f"{self.path} holds an episode with the key {key!r}, which this run has not") from None
 
