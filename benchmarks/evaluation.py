@@ -77,9 +77,15 @@ asyncio.run(main())
 
 NOT_WRITTEN = """
 from gem_core.cli import main
-from gem_eval.records import Row, RunWriter
+from gem_eval.records import Row, Run, RunWriter
 
-RunWriter.write = lambda self, episode, told: Row.of_episode(episode, told, 1, 0, 0)
+rows = []
+
+def write(self, episode, told):
+    rows.append(Row.of_episode(episode, told, len(rows) + 1, 0, 0))
+    return rows[-1]
+
+RunWriter.write, Run.rows = write, rows  # scored and shown as ever
 main()
 """
 
@@ -137,8 +143,11 @@ class Bench:
         self.ours, self.inspect, self.folder, self.url = ours, inspect, folder, url
         self.record_of_run, self.records = folder / "run.jsonl", 0
         self.env = {**os.environ, "OPENAI_BASE_URL": url, "OPENAI_API_KEY": "none"}
-        model = ["--agent", "openai:m", "--episodes", str(EPISODES), "--max-concurrency", str(AT_ONCE)]
-        self.figures_of([ours, "-m", "gem_core", "run", *GAME, *model, "--out", str(self.record_of_run)])
+
+    def record_by_gem_run(self) -> None:
+        """Play the episodes by ``gem run``: its record is compared with ours, and the peers send its texts."""
+        options = ["--agent", "openai:m", "--episodes", str(EPISODES), "--max-concurrency", str(AT_ONCE)]
+        self.figures_of([self.ours, "-m", "gem_core", "run", *GAME, *options, "--out", str(self.record_of_run)])
 
     def commands(self, at_once: int, *, peers: bool = True) -> dict[str, list[str]]:
         """Return the commands of all sides, or of ours, by name, each with a record of its own."""
@@ -224,6 +233,7 @@ def main() -> None:
 
 def measure(bench: Bench, repeats: int) -> None:
     """Run all sides in turn and print the tables."""
+    bench.record_by_gem_run()
     cases: dict[str, harness.Case] = {}
     for round_number in range(repeats):
         for name, command in bench.commands(AT_ONCE, peers=round_number == 0).items():

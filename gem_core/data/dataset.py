@@ -192,7 +192,20 @@ class DatasetEnv(Env):
     def sample_random_action(self) -> str:
         """Return the answer of a row drawn at random: well-formed, and rarely right."""
         row = self.rows[int(self.action_random.integers(self.num_tasks))]
-        return f"\\boxed{{{row[self.answer_key]}}}"
+        return self.gold_response(row) or "\\boxed{}"
+
+    def gold_action(self) -> str | None:
+        """Return a right response to the present row; None where it has no answer."""
+        return self.gold_response(self._row)
+
+    def gold_response(self, row: Row) -> str | None:
+        """Return a right response to a row: its answer in a box; None where it has none.
+
+        Raises:
+            GradingError: The answer of the row is malformed.
+        """
+        answer = row[self.answer_key]
+        return None if answer is None or not str(answer).strip() else boxed_or_tagged(str(answer))
 
     def _take(self, index: int) -> None:
         row = self.rows[index]
@@ -252,6 +265,12 @@ def chosen_index(options: Mapping[str, Any], count: int) -> int:
     if not 0 <= number < count:
         raise ArgumentError(f"options['index'] must be from 0 to {count - 1}, not {index!r}")
     return number
+
+
+def boxed_or_tagged(answer: str) -> str:
+    r"""Return an answer in ``\boxed{}``, or between ``<answer>`` tags where its braces would break a box."""
+    boxed = f"\\boxed{{{answer}}}"
+    return boxed if extract_last_boxed_answer(boxed) == answer.strip() else f"<answer>{answer}</answer>"
 
 
 def _list_columns(row: Row) -> str:

@@ -49,8 +49,8 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
                 right = extract_last_boxed_answer(action) == self.word[::-1]
                 return TERMINAL_STATE, float(right), True, False, {"correct": right}
 
-    It may override ``sample_random_action``, ``render`` and ``close``, and ``_get_state`` with ``_set_state``. Where
-    ``reset`` takes ``options={"index": i}``, it sets ``num_tasks``.
+    It may override ``sample_random_action``, ``gold_action``, ``render`` and ``close``, and ``_get_state`` with
+    ``_set_state``. Where ``reset`` takes ``options={"index": i}``, it sets ``num_tasks``.
     ``gem_core.testing.check_env`` tries whether it keeps what this class promises.
 
     A response is untrusted text of a model: any string gives an observation and a reward, in bounded time.
@@ -151,6 +151,16 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         raise SamplingNotSupported(
             f"{type(self).__name__} does not say what a valid action is; override sample_random_action"
         )
+
+    def gold_action(self) -> str | None:
+        """Return a response that solves the task from the present state, or is the next turn of a solution.
+
+        For audits of the task, which play it and expect success. It is never shown to an agent, and changes nothing.
+
+        Returns:
+            A whole response, as an agent would write it; None where no solution is known.
+        """
+        return None
 
     @property
     def np_random(self) -> np.random.Generator:

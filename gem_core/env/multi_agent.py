@@ -154,6 +154,10 @@ class MultiAgentEnv(Env):
             f"{type(self).__name__} does not say what a valid action is; override sample_random_action(self, agent)"
         )
 
+    def gold_action(self, agent: str) -> str | None:  # type: ignore[override]  # an agent has to be named
+        """Return a response of an agent that acts now, by which its task is solved; see ``Env.gold_action``."""
+        return None
+
     def observation_space(self, agent: str) -> spaces.Space[Any]:  # type: ignore[override]  # as in PettingZoo
         """Return the space of an agent's observations: text, unless a subclass says otherwise."""
         return Text()

@@ -43,6 +43,10 @@ class SeatEnv(AroundEnv, Env):
         """Return a valid response of this seat."""
         return self.env.sample_random_action(self.seat)
 
+    def gold_action(self) -> str | None:
+        """Return a response by which the task of this seat is solved."""
+        return self.env.gold_action(self.seat)
+
     def get_state(self) -> dict[str, Any]:
         """Return the name of the seat; its environment keeps the rest."""
         return {"seat": self.seat}

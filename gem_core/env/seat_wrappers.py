@@ -116,6 +116,10 @@ class SeatWrappers(AroundEnv, MultiAgentEnv):
         """Return a valid response of an agent that acts now."""
         return cast("str", self._stacks[agent].env.get_wrapper_attr("sample_random_action")())
 
+    def gold_action(self, agent: str) -> str | None:  # type: ignore[override]  # an agent has to be named
+        """Return a response of an agent that acts now, by which its task is solved."""
+        return cast("str | None", self._stacks[agent].env.get_wrapper_attr("gold_action")())
+
     def reset(  # type: ignore[override]  # dictionaries by agent
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> JointResetResult:

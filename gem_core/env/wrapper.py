@@ -185,6 +185,10 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         """Return a valid response in the present state; see ``Env.sample_random_action``."""
         return cast("str", self.env.get_wrapper_attr("sample_random_action")())
 
+    def gold_action(self) -> str | None:
+        """Return a response that solves the task from the present state; see ``Env.gold_action``."""
+        return cast("str | None", self.env.get_wrapper_attr("gold_action")())
+
     def get_state(self) -> dict[str, Any]:
         """Return the state of this wrapper and of all inside it; see ``Env.get_state``."""
         return {"wrapper": type(self).__name__, "own": self._get_state(), "env": _inner(self.env).get_state()}

@@ -53,4 +53,7 @@ def _in_common(before: Any, observation: Any) -> int:
         return len(before) if len(before) >= _SHORTEST else 0
     lengths = range(1, min(len(before), len(observation)) + 1)
     same = bisect_left(lengths, True, key=lambda length: not before.startswith(observation[:length]))
+    # Whole lines, where those are enough: a search of the file then finds what stands in a line.
+    lines = observation.rfind("\n", 0, same) + 1
+    same = lines if lines >= _SHORTEST else same
     return same if same >= _SHORTEST else 0

@@ -317,6 +317,10 @@ class SingleAgentEnv(AroundEnv, Env):
         self.env.seed_actions(int(self.action_random.integers(2**53)))
         return self.env.sample_random_action(self.seat)
 
+    def gold_action(self) -> str | None:
+        """Return a response by which the task of the seat is solved; see ``Env.gold_action``."""
+        return self.env.gold_action(self.seat)
+
     # State and the rest.
 
     def _get_state(self) -> dict[str, Any]:

@@ -37,6 +37,7 @@ def gem_register_envs() -> Iterable[EnvSpec]:
             "split": "test",
             "question_key": "prompt",
             "test_key": "test",
+            "solution_key": "canonical_solution",
             "id_key": "task_id",
             "prompt_template": "Complete this function. Answer with the whole function in one fenced block that begins "
             "with ```python.\n\n```python\n{question}```",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, ClassVar, Literal, Unpack
 
 from gem_code.cases import AssertionTests, CallTests, Tests, longest, read_tests
@@ -39,6 +40,8 @@ class CodeEnv(DatasetEnv):
         rows: See ``DatasetEnv``; there ``dataset_name``, ``split`` and more are explained too.
         test_key: Column of the tests.
         entry_key: Column of the name of the function under test, where there is one.
+        solution_key: Column of a right program, which ``gold_action`` answers with, where there is one. A body that
+            completes the function of the question, as in HumanEval, will do.
         reward: ``"all"``: 1 if all tests pass, else 0, and nothing more is run once a test has failed. ``"fraction"``:
             the part of the tests that passed.
         format_error_reward: Reward of a response without a program.
@@ -65,6 +68,7 @@ class CodeEnv(DatasetEnv):
         *,
         test_key: str = "tests",
         entry_key: str = "entry_point",
+        solution_key: str = "solution",
         reward: RewardRule = "all",
         format_error_reward: float = -0.1,
         max_tests: int | None = 12,
@@ -90,6 +94,7 @@ class CodeEnv(DatasetEnv):
         options.setdefault("answer_key", test_key)
         super().__init__(rows, **options)
         self.entry_key = entry_key
+        self.solution_key = solution_key
         self.reward: RewardRule = reward
         self.format_error_reward = float(format_error_reward)
         self.max_tests = max_tests
@@ -165,6 +170,15 @@ class CodeEnv(DatasetEnv):
         name = tests.entry if isinstance(tests, AssertionTests) else getattr(tests, "function", None)
         code = f"print({answer})" if name is None else f"def {name}(*arguments):\n    return {answer}"
         return f"```python\n{code}\n```"
+
+    def gold_response(self, row: Row) -> str | None:
+        """Return the right program of a row in a fenced block; None where it has none."""
+        solution = row.get(self.solution_key)
+        if not isinstance(solution, str) or not solution.strip():
+            return None
+        entry = row.get(self.entry_key)
+        completes = isinstance(entry, str) and not re.search(rf"^(?:async )?def {re.escape(entry)}\b", solution, re.M)
+        return f"```python\n{row[self.question_key] if completes else ''}{solution}\n```"
 
     async def _verdict(self, code: str, tests: Tests) -> Verdict:
         if len(code) > _MOST_CHARACTERS:

@@ -331,3 +331,16 @@ def test_state_goes_on_in_another_instance() -> None:
     assert action == other.sample_random_action()
     assert "def twice(*arguments)" in action
     assert env.step(action) == other.step(action)
+
+
+def test_gold_action_is_the_solution_of_the_row() -> None:
+    """A whole program, or a body that completes the question; none without a column of that name."""
+    whole = {"problem": "def one():\n", "tests": "assert one() == 1", "entry_point": "one"}
+    rows = [whole | {"solution": "def one():\n    return 1\n"}, whole | {"solution": "    return 1\n"}, whole]
+    env = gem.make("code:Sample", dataset_name=None, rows=rows, id_key=None)
+    golds = []
+    for index in range(3):
+        env.reset(options={"index": index})
+        golds.append(env.gold_action())
+    assert golds == ["```python\ndef one():\n    return 1\n\n```"] * 2 + [None]
+    assert env.unwrapped.grade(golds[0], rows[0]).correct

@@ -6,6 +6,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from gem_eval.auditing.audit import audit
     from gem_eval.comparing.comparison import compare
     from gem_eval.exporting.tables import to_pandas
     from gem_eval.records import Row, Run, open_run
@@ -24,6 +25,7 @@ __all__ = [
     "Run",
     "Score",
     "Suite",
+    "audit",
     "compare",
     "compute_row_scores",
     "compute_scores",
@@ -43,6 +45,7 @@ _HOME = {
     "Run": "records",
     "Score": "scores",
     "Suite": "suites",
+    "audit": "auditing.audit",
     "compare": "comparing.comparison",
     "compute_row_scores": "scores",
     "compute_scores": "scores",

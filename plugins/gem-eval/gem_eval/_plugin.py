@@ -22,6 +22,16 @@ def gem_add_commands() -> Iterable[CommandSpec]:
             summary="Show recorded episodes: a list, one of them, two compared, or a page.",
         ),
         CommandSpec(
+            name="view",
+            entry_point="gem_eval.viewing.command:command",
+            summary="Look at runs in the browser: scores, a table of episodes, and each of them.",
+        ),
+        CommandSpec(
+            name="audit",
+            entry_point="gem_eval.auditing.command:command",
+            summary="Check environments: gold answers, exploits, leaks, duplicates.",
+        ),
+        CommandSpec(
             name="compare",
             entry_point="gem_eval.comparing.command:command",
             summary="Compare runs, paired by row: differences with intervals, tests, and what flipped.",

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Self
 
 from gem_core import Episode, JointEpisode
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records import Record, record_from_dict
+from gem_core.records import ImageFolder, Record, record_from_dict
 from gem_eval.files import write_whole
 from gem_eval.turns import error_text, some_success
 
@@ -136,6 +136,11 @@ class EpisodeFile:
         self._file.close()
 
     @property
+    def images(self) -> ImageFolder:
+        """Folder of the images."""
+        return ImageFolder.beside(self.path)
+
+    @property
     def share_indexed(self) -> float:
         """How much of the file is indexed, from 0 to 1."""
         return self._covered / self.size if self.size and not self._ended else 1.0
@@ -188,15 +193,17 @@ class EpisodeFile:
         # In 100 MB this takes 0.03 s, and indexing the lines before 0.5 s.
         offset, lines = (self._covered, self._lines) if number > self._lines else (0, 0)
         self._file.seek(offset)
+        reason = ""
         for line in self._file:
             lines += 1
-            if lines < number:
-                offset += len(line)
-            elif line.strip():
-                return _entry(number, offset, line)
-            else:
-                raise ArgumentError(f"no episode {number} in {self.path}: that line is blank. Run 'gem show FILE'")
-        raise ArgumentError(f"no episode {number} in {self.path}, which has {lines:,} lines. Run 'gem show FILE'")
+            if lines == number:
+                if line.strip():
+                    return _entry(number, offset, line)
+                reason = ": that line is blank"
+                break
+            offset += len(line)
+        reason = reason or f", which has {lines:,} lines"
+        raise ArgumentError(f"no episode {number} in {self.path}{reason}. Run 'gem show {self.path}'")
 
     def _index_line(self) -> None:
         self._file.seek(self._covered)

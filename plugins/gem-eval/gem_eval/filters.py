@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Any
 
 from gem_core import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
+from gem_eval.text_search import found_text, may_hold
 
 if TYPE_CHECKING:
     from gem_eval.episode_file import Entry, EpisodeFile
+    from gem_eval.run_entries import RunEntries
 
 Comparison = Callable[[float], bool]
 
 _OPERATORS = {">=": ge, "<=": le, "!=": ne, "==": eq, ">": gt, "<": lt, "=": eq, "": eq}
 _COMPARISON = re.compile(r"\s*(>=|<=|!=|==|>|<|=|)\s*(\S+)\s*")
-# Characters that JSON writes as they are.
-_PLAIN_RUN = re.compile(r"[A-Za-z0-9 .,:;=()_-]+", re.ASCII)
 
 SORTS: dict[str, Callable[[Entry], Any]] = {
     "number": lambda entry: entry.number,
@@ -36,7 +36,7 @@ SORTS: dict[str, Callable[[Entry], Any]] = {
 
 
 def select(
-    file: EpisodeFile,
+    file: EpisodeFile | RunEntries,
     entries: Iterable[Entry],
     *,
     env: str | None = None,
@@ -119,28 +119,12 @@ def parse_comparison(text: str) -> Comparison:
     return lambda value: compare(value, bound)
 
 
-def _holds_text(file: EpisodeFile, entry: Entry, text: str) -> bool:
-    # Reading an episode takes 20 times as long as seeing that its line lacks what JSON writes as it is.
-    run = max(_PLAIN_RUN.findall(text), key=len, default="").lower()
-    if run.encode("ascii") not in file.line(entry).lower():
-        return False
+def _holds_text(file: EpisodeFile | RunEntries, entry: Entry, text: str) -> bool:
     try:
+        if not may_hold(file.line(entry), text):
+            return False
         record = file.read(entry)
     except EpisodeFileError:
         return False  # Damaged in a part that the index does not look at.
-    episodes = [record] if isinstance(record, Episode) else [record.seats[seat] for seat in entry.seats or ()]
-    wanted = text.casefold()
-    return any(wanted in part.casefold() for episode in episodes for part in _texts(_shown(episode)))
-
-
-def _shown(episode: Episode) -> Any:
-    turns = [(turn.observation, turn.action.text, turn.action.reported(), turn.info) for turn in episode.transitions]
-    return episode.id, episode.observation, episode.info, turns, episode.final_observation
-
-
-def _texts(value: Any) -> Iterator[str]:
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, dict | list | tuple):
-        for part in value.values() if isinstance(value, dict) else value:
-            yield from _texts(part)
+    episodes = [record] if isinstance(record, Episode) else [record.seats[seat] for seat in entry.seats or record.seats]
+    return any(found_text(episode, text) is not None for episode in episodes)

@@ -6,55 +6,15 @@ import math
 import statistics
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal
 
 from gem_eval.statistics import Estimate, mean, pass_at, pass_hat, rate
 
+if TYPE_CHECKING:
+    from gem_core import Episode
+    from gem_eval.records import Row
+
 Metric = Literal["success", "return"]
-
-
-class Scored(Protocol):
-    """What scores need to know of an episode: a row of a run's index has it.
-
-    ``success`` is that of ``Episode``: None for an episode with an error, and for one that ended and did not tell;
-    False for one that was cut off without a verdict.
-    """
-
-    @property
-    def id(self) -> str:
-        """The environment."""
-
-    @property
-    def model(self) -> str:
-        """Name of the agent."""
-
-    @property
-    def row(self) -> str:
-        """Identity of the task that was asked, shared by its epochs."""
-
-    @property
-    def epoch(self) -> int:
-        """How often the row was played before."""
-
-    @property
-    def success(self) -> bool | None:
-        """Whether the task was solved; None for unknown."""
-
-    @property
-    def episode_return(self) -> float:
-        """Sum of the rewards."""
-
-    @property
-    def error(self) -> str | None:
-        """The failure of the machinery; None for an episode that counts."""
-
-    @property
-    def cut_off(self) -> str | None:
-        """The limit that cut the episode off; None for one that ended by itself."""
-
-    @property
-    def unreadable(self) -> bool:
-        """Whether the last response held nothing that the environment could read."""
 
 
 @dataclass(frozen=True)
@@ -116,11 +76,13 @@ class Score:
         return found
 
 
-def compute_scores(episodes: Iterable[Scored]) -> list[Score]:
+def compute_scores(episodes: Iterable[Row]) -> list[Score]:
     """Compute the scores of a run.
 
-    Episodes with an error count as nothing but errors. An environment has success rates unless its task never tells:
-    then the only episodes with ``success`` are those that were cut off. A return that is not finite has no value.
+    Episodes with an error count as nothing but errors. The others have ``success`` as ``Episode`` has it: None where
+    the task did not tell, False for one that was cut off without a verdict. An environment has success rates unless its
+    task never tells: then the only episodes with ``success`` are those that were cut off. A return that is not finite
+    has no value.
 
     Args:
         episodes: The episodes, in any order.
@@ -129,14 +91,14 @@ def compute_scores(episodes: Iterable[Scored]) -> list[Score]:
         For each environment and model, in order of first appearance, the score by success, where there is one, and by
         return; then, for each model, those of all its environments together, where there are several.
     """
-    by_pair: dict[tuple[str, str], list[Scored]] = {}
-    by_env: dict[str, list[Scored]] = {}
+    by_pair: dict[tuple[str, str], list[Row]] = {}
+    by_env: dict[str, list[Row]] = {}
     for episode in episodes:
         by_pair.setdefault((episode.id, episode.model), []).append(episode)
         by_env.setdefault(episode.id, []).append(episode)
     tells = {env_id for env_id, played in by_env.items() if tells_success(played)}
     scores = []
-    by_model: dict[str, dict[Metric, list[list[Scored]]]] = {}
+    by_model: dict[str, dict[Metric, list[list[Row]]]] = {}
     for (env_id, model), played in by_pair.items():
         metrics: list[Metric] = ["success", "return"] if env_id in tells else ["return"]
         for metric in metrics:
@@ -176,9 +138,9 @@ class RowScore:
         return dict(vars(self))
 
 
-def compute_row_scores(episodes: Iterable[Scored]) -> list[RowScore]:
+def compute_row_scores(episodes: Iterable[Row]) -> list[RowScore]:
     """Compute how each model did at each row, in order of first appearance."""
-    played: dict[tuple[str, str, str], list[Scored]] = {}
+    played: dict[tuple[str, str, str], list[Row]] = {}
     for episode in episodes:
         if episode.error is None:
             played.setdefault((episode.id, episode.model, episode.row), []).append(episode)
@@ -191,7 +153,7 @@ def compute_row_scores(episodes: Iterable[Scored]) -> list[RowScore]:
     return found
 
 
-def tells_success(played: Sequence[Scored]) -> bool:
+def tells_success(played: Sequence[Row] | Sequence[Episode]) -> bool:
     """Whether a task says if it was solved; one that never does fails only where it is cut off."""
     verdicts = [(episode.success, episode.cut_off) for episode in played if episode.error is None]
     if any(success is not None and (success or cut_off is None) for success, cut_off in verdicts):
@@ -199,7 +161,7 @@ def tells_success(played: Sequence[Scored]) -> bool:
     return bool(verdicts) and all(success is not None for success, _ in verdicts)
 
 
-def _score(env_id: str, model: str, metric: Metric, played: Sequence[Scored]) -> Score:
+def _score(env_id: str, model: str, metric: Metric, played: Sequence[Row]) -> Score:
     counted = [episode for episode in played if episode.error is None]
     errors = [episode for episode in played if episode.error is not None]
     unscored = [episode for episode in counted if episode.success is None]
@@ -208,14 +170,14 @@ def _score(env_id: str, model: str, metric: Metric, played: Sequence[Scored]) ->
     ks = _ks(rows) if metric == "success" else []
     counts = [(len(row), int(sum(row))) for row in rows]
 
-    def without(left_out: Callable[[Scored], bool]) -> Estimate | None:
+    def without(left_out: Callable[[Row], bool]) -> Estimate | None:
         kept = [episode for episode in counted if not left_out(episode)]
         other = _estimate(metric, _rows(metric, kept)) if len(kept) < len(counted) else None
         if other is None or estimate is None or math.isclose(other.mean, estimate.mean, abs_tol=1e-12):
             return None
         return other
 
-    def with_zeros(failed: list[Scored]) -> float | None:
+    def with_zeros(failed: list[Row]) -> float | None:
         changed = _estimate(metric, _rows(metric, counted, failed)) if failed else None
         return None if changed is None else changed.mean
 
@@ -243,7 +205,7 @@ def _score(env_id: str, model: str, metric: Metric, played: Sequence[Scored]) ->
     )
 
 
-def _rows(metric: Metric, counted: Iterable[Scored], zeros: Iterable[Scored] = ()) -> list[list[float]]:
+def _rows(metric: Metric, counted: Iterable[Row], zeros: Iterable[Row] = ()) -> list[list[float]]:
     """Return the values by row, with 0 for some more episodes; episodes without a value are left out."""
     rows: dict[tuple[str, str], list[float]] = {}
     for episode in counted:

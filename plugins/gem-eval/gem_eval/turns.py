@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from gem_core import Episode, JointEpisode, Observation, Transition
+from gem_core.cli import counted
 from gem_core.records import Record
-from gem_eval.show.text import count
 
 _SHORTEST_REPEAT = 200
 # Shown under names of their own, or (the suffix) as part of the next observation.
@@ -153,12 +153,12 @@ def figures_of(episode: Episode) -> str:
     """Return the return, the turns and what cut the episode off, in words."""
     first = f" ({episode.first_reward:g} before the first turn)" if episode.first_reward else ""
     cut_off = "" if episode.cut_off is None else f", cut off by {episode.cut_off}"
-    return f"return {episode.episode_return:g}{first}, {count(episode.turns, 'turn')}{cut_off}"
+    return f"return {episode.episode_return:g}{first}, {counted(episode.turns, 'turn')}{cut_off}"
 
 
 def outcome_of(success: bool | None, *, failed: bool) -> str:
     """Return how an episode ended, in one word; ``failed`` stands for an error of the machinery."""
-    return "error" if failed else {True: "success", False: "failure", None: "unknown"}[success]
+    return "error" if failed else {True: "success", False: "failure", None: "unscored"}[success]
 
 
 def error_text(error: Mapping[str, Any] | None) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 from gem_eval.records import Row
 
 
-def made_run(path: Path, rows: Iterable[dict[str, Any]], **info: Any) -> Path:
+def write_index(path: Path, rows: Iterable[dict[str, Any]], **info: Any) -> Path:
     """Write a run; each row says what differs from an episode of the task ``t:A`` that failed."""
     path.mkdir(parents=True)
     (path / "run.json").write_text(json.dumps(info))

@@ -90,7 +90,9 @@ def test_the_table_and_the_bars_are_plain_lines(bench: Any) -> None:
 
 def test_what_cannot_run_is_named_and_the_others_are_measured(bench: Any) -> None:
     """The reason is on standard error, and the exit code says that something is missing."""
-    outcome = bench("perturbed:Needy-v0", "perturbed:Echo-v0", "--model", "perturbed:literal", "--no-memory", "-n", "1")
+    outcome = bench(
+        "perturbed:Needy-v0", "perturbed:Echo-v0", "--model", "perturbed:literal", "--no-memory", "--groups", "1"
+    )
     assert outcome.code == 1
     assert outcome.out.splitlines()[1].startswith("perturbed:Echo-v0")
     assert outcome.err == "gem: perturbed:Needy-v0 is not measured: cannot run here: it is only listed\n"
@@ -99,7 +101,8 @@ def test_what_cannot_run_is_named_and_the_others_are_measured(bench: Any) -> Non
 def test_an_interrupt_prints_what_there_is(bench: Any) -> None:
     """The environments that were measured before are in the table."""
     outcome = bench(
-        "perturbed:Echo-v0", "perturbed:Dice-v0", "--model", "perturbed:stops_when_reworded", "--no-memory", "-n", "1"
+        "perturbed:Echo-v0", "perturbed:Dice-v0", "--model", "perturbed:stops_when_reworded", "--no-memory",
+        "--groups", "1",
     )  # fmt: skip
     assert outcome.code == 130
     assert outcome.out.splitlines()[1].startswith("perturbed:Echo-v0")
@@ -109,10 +112,10 @@ def test_an_interrupt_prints_what_there_is(bench: Any) -> None:
 
 def test_episodes_with_errors_are_left_out_and_told(bench: Any) -> None:
     """Where every episode fails, the first reason is told."""
-    outcome = bench("perturbed:Echo-v0", "--model", "perturbed:never_answers", "--no-memory", "-n", "1")
+    outcome = bench("perturbed:Echo-v0", "--model", "perturbed:never_answers", "--no-memory", "--groups", "1")
     assert (outcome.code, outcome.out) == (1, "")
     assert outcome.err == (
-        "gem: perturbed:Echo-v0 is not measured: every episode had an error; the first: the server is gone\n"
+        "gem: perturbed:Echo-v0 is not measured: every episode had an error; the first: agent: the server is gone\n"
     )
     outcome = bench("perturbed:Echo-v0", "--no-memory")  # with the random agent, for which it has no action
     assert "perturbed:Echo-v0 is not measured: Echo does not say what a valid action is" in outcome.err

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from indexed_runs import made_run, verdicts
+from indexed_runs import verdicts, write_index
 
 import gem_core as gem
 import gem_eval
@@ -30,7 +30,7 @@ def call(*arguments: object) -> Result:
 
 
 def compared(path: Path, a: str, b: str, **options: Any) -> Comparison:
-    paths = [made_run(path / name, verdicts(solved)) for name, solved in (("a", a), ("b", b))]
+    paths = [write_index(path / name, verdicts(solved)) for name, solved in (("a", a), ("b", b))]
     return gem_eval.compare(*paths, **options)
 
 
@@ -48,8 +48,8 @@ def test_rows_of_one_epoch_are_tested_by_mcnemar(tmp_path: Path) -> None:
 def test_epochs_and_returns_are_tested_by_permutation(tmp_path: Path) -> None:
     """McNemar's test knows no mean of several epochs."""
     twice = [row for epoch in (0, 1) for row in verdicts("1" * 12, epoch=epoch)]
-    a = made_run(tmp_path / "a", twice)
-    b = made_run(tmp_path / "b", verdicts("0" * 12))
+    a = write_index(tmp_path / "a", twice)
+    b = write_index(tmp_path / "b", verdicts("0" * 12))
     found = gem_eval.compare(a, b).overall
     assert (found.test, found.verdict, found.p) == ("permutation", "a", 2 / 2**12)
     assert gem_eval.compare(b, a, metric="return").overall.test == "permutation"
@@ -58,7 +58,9 @@ def test_epochs_and_returns_are_tested_by_permutation(tmp_path: Path) -> None:
 def test_many_more_epochs_on_one_side_are_cautioned_against(tmp_path: Path) -> None:
     """Differences are then skewed, and tests of their signs too sure."""
     sides = {
-        count: made_run(tmp_path / str(count), [row for epoch in range(count) for row in verdicts("10", epoch=epoch)])
+        count: write_index(
+            tmp_path / str(count), [row for epoch in range(count) for row in verdicts("10", epoch=epoch)]
+        )
         for count in (1, 2, 8)
     }
     assert gem_eval.compare(sides[1], sides[2]).cautions == []
@@ -101,7 +103,7 @@ def test_flips_name_both_episodes_and_their_commands(tmp_path: Path) -> None:
 def test_tasks_are_compared_one_by_one_and_together(tmp_path: Path) -> None:
     """P-values of tasks are corrected for their number, that of all is not."""
     paths = [
-        made_run(tmp_path / name, [*verdicts(one, id="t:A"), *verdicts(two, id="t:B")])
+        write_index(tmp_path / name, [*verdicts(one, id="t:A"), *verdicts(two, id="t:B")])
         for name, one, two in (("a", "0000000", "10"), ("b", "1111111", "01"))
     ]
     found = gem_eval.compare(*paths)
@@ -111,7 +113,7 @@ def test_tasks_are_compared_one_by_one_and_together(tmp_path: Path) -> None:
 
 def test_models_of_one_run_are_compared(tmp_path: Path) -> None:
     """All of it, by --model, or as RUN@MODEL."""
-    run = made_run(
+    run = write_index(
         tmp_path / "run",
         [row for m, s in zip("xyz", ("110", "010", "011"), strict=True) for row in verdicts(s, model=m)],
     )
@@ -128,7 +130,8 @@ def test_models_of_one_run_are_compared(tmp_path: Path) -> None:
 def test_a_matrix_corrects_for_all_pairs(tmp_path: Path) -> None:
     """Each cell is the run at the left less that above."""
     paths = [
-        made_run(tmp_path / name, verdicts(solved)) for name, solved in (("a", "1" * 9), ("b", "0" * 9), ("c", "0" * 9))
+        write_index(tmp_path / name, verdicts(solved))
+        for name, solved in (("a", "1" * 9), ("b", "0" * 9), ("c", "0" * 9))
     ]
     output = " ".join(call(*paths).output.split())
     assert "a · +100.0 (0.012)* +100.0 (0.012)* b -100.0 (0.012)* · +0.0 (1.000)" in output
@@ -137,14 +140,14 @@ def test_a_matrix_corrects_for_all_pairs(tmp_path: Path) -> None:
 
 def test_runs_without_a_shared_row_are_refused(tmp_path: Path) -> None:
     """With what would make them share rows."""
-    a, b = made_run(tmp_path / "a", verdicts("1")), made_run(tmp_path / "b", verdicts("1", id="t:B"))
+    a, b = write_index(tmp_path / "a", verdicts("1")), write_index(tmp_path / "b", verdicts("1", id="t:B"))
     with pytest.raises(ArgumentError, match="share no row to compare by success: the first has 't:A/0' …"):
         gem_eval.compare(a, b)
 
 
 def test_success_is_not_compared_where_tasks_never_tell_it(tmp_path: Path) -> None:
     """The return is, unless success was asked for."""
-    a, b = (made_run(tmp_path / name, verdicts("uu")) for name in "ab")
+    a, b = (write_index(tmp_path / name, verdicts("uu")) for name in "ab")
     assert gem_eval.compare(a, b).metric == "return"
     with pytest.raises(ArgumentError, match="no task of a and b tells whether it was solved; compare --metric return"):
         gem_eval.compare(a, b, metric="success")
@@ -161,8 +164,8 @@ def test_settings_seeds_and_sampling_that_differ_are_warned_of(tmp_path: Path) -
         }
         for turns, sha, heat in ((5, "aa", 0), (9, "bb", 1))
     ]
-    a = made_run(tmp_path / "a", verdicts("10"), **settings[0])
-    b = made_run(tmp_path / "b", verdicts("10", seed=2), **settings[1])
+    a = write_index(tmp_path / "a", verdicts("10"), **settings[0])
+    b = write_index(tmp_path / "b", verdicts("10", seed=2), **settings[1])
     assert gem_eval.compare(a, b).cautions == [
         "settings differ: limits.max_cost 0 and 1; tasks.t:A.kwargs.max_turns 5 and 9; tasks.t:A.data_sha256 aa and bb",
         "the sampling differs: temperature 0 and 1",
@@ -226,6 +229,6 @@ def test_two_runs_of_one_model_seldom_differ(tmp_path: Path, epochs: int, trials
                 for row, rate in enumerate(rates)
                 for epoch in range(epochs)
             ]
-            paths.append(made_run(tmp_path / f"{trial}{name}", rows))
+            paths.append(write_index(tmp_path / f"{trial}{name}", rows))
         alarms += gem_eval.compare(*paths).overall.significant
     assert alarms <= 0.05 * trials + 2.33 * (0.0475 * trials) ** 0.5

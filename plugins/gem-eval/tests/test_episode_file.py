@@ -211,7 +211,7 @@ def test_one_episode_needs_no_index(tmp_path: Path) -> None:
         for number, reason in ((1, blank), (3, blank), (5, ", which has 4 lines"), (99, ", which has 4 lines")):
             with pytest.raises(ArgumentError) as caught:
                 file.entry(number)
-            assert str(caught.value) == f"no episode {number} in {path}{reason}. Run 'gem show FILE'"
+            assert str(caught.value) == f"no episode {number} in {path}{reason}. Run 'gem show {path}'"
 
 
 def test_images_are_not_needed_for_reading(tmp_path: Path) -> None:

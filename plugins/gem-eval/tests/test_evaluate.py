@@ -352,6 +352,11 @@ def test_the_record_says_what_was_run() -> None:
     assert (info["seed"], info["epochs"], info["episodes"], info["status"]) == (0, 1, 1, "finished")
 
 
+def test_a_task_that_two_suites_share_is_played_once() -> None:
+    """As long as both say the same of it."""
+    assert len(evaluate(suite({"id": GAME, "episodes": 2}, {"id": GAME, "episodes": 2}), {"a": guesses}).rows) == 2
+
+
 def test_what_cannot_be_evaluated_is_said() -> None:
     """With what to do instead."""
     for tasks, message in (
@@ -361,7 +366,7 @@ def test_what_cannot_be_evaluated_is_said() -> None:
         ),
         (suite({"id": "evaltest:Sums", "where": "level > 7"}), "none of 9 rows is left by"),
         (suite({"id": "evaltest:Sums", "sample_ids": ["q77"]}), "no row has the task_id 'q77'; the first is 'q0'"),
-        (suite({"id": GAME}, {"id": GAME}), f"two tasks are called '{GAME}'"),
+        (suite({"id": GAME}, {"id": GAME, "limit": 3}), f"two tasks are called '{GAME}' and differ"),
         (suite({"id": "game:TicTacToe-v0"}), "game:TicTacToe-v0 has several seats"),
     ):
         with pytest.raises(ArgumentError) as caught:

@@ -16,6 +16,7 @@ from click.testing import CliRunner
 from gem_core import Episode, Response, Transition
 from gem_core.errors import ArgumentError
 from gem_core.records import write_episodes
+from gem_eval.comparing.comparison import compare
 from gem_eval.records import RunWriter, open_run
 from gem_eval.reporting import plots
 from gem_eval.reporting.command import command
@@ -84,7 +85,7 @@ def test_a_page_shows_the_scores_of_the_run(grid: Path) -> None:
         (task, model) for task in ("mine:a", "mine:b", "all") for model in ("small", "large")
     }
     for score in shown:
-        assert f"{100 * score['mean']:.1f} %{100 * score['low']:.1f} to {100 * score['high']:.1f}" in text
+        assert f"{100 * score['mean']:.1f}%{100 * score['low']:.1f} to {100 * score['high']:.1f}" in text
     assert "pass@2" in text
     assert "large minus small" in text
     assert str(made_runs.INFO["command"]) in text
@@ -119,20 +120,19 @@ def test_tasks_that_never_tell_have_returns(tmp_path: Path) -> None:
     run = made_runs.make_run(tmp_path / "run", ["a", "b"], ["m", "n"], tells=False, failing=0.0)
     contents = contents_of([open_run(run)])
     assert contents.tasks_with("success") == []
-    assert {each.task for each in contents.differences} == {"a", "b"}
+    assert {each.found.id for each in contents.differences} == {"a", "b"}
     assert "Returns" in page_of(run).text
 
 
 def test_runs_are_compared_on_the_rows_that_they_share(tmp_path: Path) -> None:
-    """Of one model in two runs, the runs are named; better and worse are counted by row."""
+    """Of one model in two runs, the runs are named; compared as ``gem compare`` does."""
     one = made_runs.make_run(tmp_path / "one", rows=10, failing=0.0, skill=0.05)
     two = made_runs.make_run(tmp_path / "two", rows=12, failing=0.0, skill=1.3)
     contents = contents_of([open_run(one), open_run(two)])
     assert [entrant.label for entrant in contents.entrants] == ["one", "two"]
     (difference,) = contents.differences
-    assert (difference.rows, difference.metric) == (10, "success")
-    assert difference.better > difference.worse
-    assert difference.estimate.mean == pytest.approx((difference.better - difference.worse) / 10)
+    assert difference.found == compare(one, two).overall
+    assert difference.metric == "success"
     assert "two minus one" in page_of(one, two).text
 
 
@@ -140,7 +140,7 @@ def test_labels_tell_entrants_apart(tmp_path: Path) -> None:
     """Also runs of one name."""
     runs = [made_runs.make_run(tmp_path / folder / "run", rows=2) for folder in "ab"]
     labels = [entrant.label for entrant in contents_of([open_run(run) for run in runs]).entrants]
-    assert labels == [f"openai:small · {run}" for run in runs]
+    assert labels == [f"{run}@openai:small" for run in runs]
 
 
 def test_solved_counts_rows_by_how_often_they_were_solved(tmp_path: Path) -> None:

@@ -70,15 +70,15 @@ def test_the_table_has_a_line_for_each_perturbation_and_for_all_environments(rob
     lines = [line.split("  ") for line in outcome.out.splitlines()]
     cells = [[cell.strip() for cell in line if cell.strip()] for line in lines]
     assert cells[0] == [
-        "environment", "perturbation", "metric", "score", "difference", "95 % interval", "rows", "errors",
+        "environment", "perturbation", "metric", "score [95 %]", "difference", "95 % interval", "rows", "errors",
     ]  # fmt: skip
     assert [row[:2] for row in cells[1:]] == [
         [env_id, name]
         for env_id in ("perturbed:Echo-v0", "perturbed:Dice-v0", "all")
         for name in ("none", "paraphrase")
     ]
-    assert cells[2][4] == "-100.0%"
-    assert cells[6][4] == "-50.0%"
+    assert cells[2][4] == "-100.0"
+    assert cells[6][4] == "-50.0"
 
 
 def test_the_rows_are_the_same_with_and_without(robustness: Any) -> None:

@@ -11,6 +11,7 @@ import pytest
 import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from recorded import duel
 
 import gem_core as gem
 from gem_core import Episode, Response
@@ -136,7 +137,7 @@ def test_a_line_of_the_index_with_another_type_is_damaged(tmp_path: Path, played
     """Each field is what it is said to be."""
     path = recorded(tmp_path / "run", played)
     lines = (path / "index.jsonl").read_text().splitlines()
-    fields: list[dict[str, Any]] = [{"success": "no"}, {"epoch": "0"}, {"key": 0}, {"cost": "1"}, {"turns": None}]
+    fields: list[dict[str, Any]] = [{"success": "no"}, {"epoch": "0"}, {"key": 0}, {"cost": "one"}, {"turns": None}]
     damaged = [json.dumps({**json.loads(line), **field}) for line, field in zip(lines, fields, strict=False)]
     (path / "index.jsonl").write_text("\n".join([*damaged, lines[-1]]) + "\n")
     run = open_run(path)
@@ -153,6 +154,42 @@ def test_a_damaged_index_is_no_crash(tmp_path: Path, played: list[Episode], cont
         file.write(content)
     run = open_run(path)
     assert (len(run.rows), run.damaged) == (6, 1 if content else 0)
+
+
+@pytest.mark.parametrize("field", [{"turns": "two"}, {"success": 1}, {"episode_return": "much"}, {"offset": None}])
+def test_a_row_of_wrong_types_is_damaged(tmp_path: Path, played: list[Episode], field: dict[str, Any]) -> None:
+    """What reads rows may sort and add them; numbers that are not finite are read by their names."""
+    path = recorded(tmp_path / "run", played)
+    last = open_run(path).rows[-1].to_dict()
+    with (path / "index.jsonl").open("a") as file:
+        file.write(json.dumps({**last, "key": "worse", **field}) + "\n")
+        file.write(json.dumps({**last, "key": "endless", "episode_return": "Infinity"}) + "\n")
+    run = open_run(path)
+    assert (len(run.rows), run.damaged) == (7, 1)
+    assert run.rows[-1].episode_return == float("inf")
+
+
+def test_a_run_is_read_in_pieces(tmp_path: Path, played: list[Episode]) -> None:
+    """So that a large one is shown while it is read."""
+    run = Run(recorded(tmp_path / "run", played), read=False)
+    assert run.rows == []
+    assert [len(run.refresh(4)), run.share_read < 1, len(run.refresh(4)), run.share_read] == [4, True, 2, 1.0]
+
+
+def test_episodes_of_a_file_that_were_given_no_key_are_apart(tmp_path: Path, played: list[Episode]) -> None:
+    """A file may hold several runs."""
+    write_episodes(tmp_path / "run.jsonl", [*played, *played])
+    assert len(open_run(tmp_path / "run.jsonl").rows) == 2 * len(played)
+
+
+def test_an_episode_of_several_agents_in_a_file_has_a_row(tmp_path: Path) -> None:
+    """Of all of them together, where it is asked for."""
+    write_episodes(tmp_path / "run.jsonl", [duel("black")])
+    assert open_run(tmp_path / "run.jsonl").damaged == 1
+    run = Run(tmp_path / "run.jsonl", joint=True)
+    (row,) = run.rows
+    assert (row.model, row.turns, row.success) == ("white=openai:tiny, black=random", 3, True)
+    assert run.record(row) == duel("black")
 
 
 def test_a_damaged_frame_is_an_error_that_names_it(tmp_path: Path, played: list[Episode]) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from indexed_runs import made_run, verdicts
+from indexed_runs import verdicts, write_index
 
 import gem_core as gem
 import gem_eval
@@ -82,7 +82,7 @@ def test_what_is_no_grade_is_an_error_and_never_0(played: Path, returned: Any) -
 
 def test_an_episode_that_cannot_be_read_is_an_error_of_its_own(tmp_path: Path) -> None:
     """The others are graded."""
-    run = made_run(tmp_path / "run", verdicts("10"))
+    run = write_index(tmp_path / "run", verdicts("10"))
 
     async def later(episode: Episode) -> bool:
         return True

@@ -24,6 +24,7 @@ from gem_core.errors import ArgumentError
 from gem_core.testing import check_plugin
 from gem_eval.episode_file import EpisodeFile
 from gem_eval.filters import matches_id, parse_comparison
+from gem_eval.records import RunWriter
 from gem_eval.show.diff import diff_lines
 from gem_eval.show.lines import episode_lines, list_lines
 from gem_eval.show.text import escaped, highlighted, one_line
@@ -327,7 +328,7 @@ def test_what_is_escaped_stands_as_its_code() -> None:
             1,
             "gem: run.jsonl holds no whole episode; line 1: it is no record of an episode: there is no schema_version",
         ),
-        (None, 2, "gem: Invalid value for 'FILE': File 'run.jsonl' does not exist. Run 'gem show --help'"),
+        (None, 2, "gem: Invalid value for 'RUN': Path 'run.jsonl' does not exist. Run 'gem show --help'"),
     ],
 )
 def test_what_is_no_file_of_episodes_gets_one_line(show, content: bytes | None, code: int, message: str) -> None:
@@ -342,7 +343,7 @@ def test_what_is_no_file_of_episodes_gets_one_line(show, content: bytes | None, 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["6"], "no episode 6 in run.jsonl, which has 5 lines. Run 'gem show FILE'"),
+        (["6"], "no episode 6 in run.jsonl, which has 5 lines. Run 'gem show run.jsonl'"),
         (["1", "--episode", "2"], "N is 1, but --episode is 2; name one"),
         (["1", "--diff", "1", "2"], "--diff goes with no other form: leave out N, --html and --json"),
         (["--html", "x.html", "--json"], "--html and --json are two forms; choose one"),
@@ -441,3 +442,17 @@ def test_files_without_the_seed_of_the_run_are_shown_alike(show, tmp_path: Path)
     (tmp_path / "old.jsonl").write_text("".join(json.dumps(record) + "\n" for record in lines))
     for arguments in ([], ["1"], ["--diff", "1", "2"], ["--json"]):
         assert show(*arguments, file="old.jsonl") == show(*arguments)
+
+
+def test_the_folder_of_a_run_is_shown_as_a_file_is(show, tmp_path: Path) -> None:
+    """The list, the filters, one episode and the page."""
+    with RunWriter(tmp_path / "run") as writer:
+        writer.write_info({})
+        for number, episode in enumerate([maze(), failed(), hostile()]):
+            episode.key = str(number)
+            writer.write(episode, {})
+    code, out, _ = show("--grep", "night falls", "--json", file="run")
+    assert (code, [entry["number"] for entry in json.loads(out)]) == (0, [2])
+    assert "Where is the door?" in show("1", file="run")[1]
+    assert show("9", file="run")[2].startswith("gem: no episode 9 in run, which has 3. Run 'gem show run'")
+    assert show("--html", "page.html", file="run")[1] == "3 episodes written to page.html\n"

@@ -15,6 +15,7 @@ from gem_core.errors import AgentError
 from gem_core.rollouts import Context
 from gem_core.types import Observation
 from gem_games.mastermind import count_pegs
+from gem_games.tower_of_hanoi import best_move
 
 _RANGE = re.compile(r"The number is from (-?\d+) to (-?\d+)\.", re.ASCII)
 _HINT = re.compile(r"(higher|lower) than (-?\d+)", re.ASCII)
@@ -88,13 +89,7 @@ class HanoiAgent:
         if [name for name, _ in pegs] != ["A", "B", "C"]:
             raise _wrong_game("hanoi", "game:TowerofHanoi-*", context)
         place = {int(disk): name for name, row in pegs if row != "empty" for disk in row.split()}
-        # A disk that must move needs all smaller ones on the third peg; so the last one found can move at once.
-        goal, source, target = "C", "A", "C"
-        for disk in sorted(place, reverse=True):
-            if place[disk] != goal:
-                source, target = place[disk], goal
-                goal = next(name for name in "ABC" if name not in (source, target))
-        return f"\\boxed{{{source} {target}}}"
+        return f"\\boxed{{{' '.join(best_move(place))}}}"
 
 
 @lru_cache(maxsize=2_000)

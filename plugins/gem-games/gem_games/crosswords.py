@@ -162,6 +162,10 @@ class CrosswordsEnv(Game):
     def _solution(self) -> str:
         return f" The words were {', '.join(placed.word for placed in self.placed)}."
 
+    def _gold_answer(self) -> str | None:
+        row, column = next(cell for cell in self.solution if self.grid[cell[0]][cell[1]] == "_")
+        return f"{row} {column} {self.solution[row, column]}"
+
     def _random_answer(self) -> str:
         """Draw a letter for an empty cell where it was not wrong before."""
         random = self.action_random.random

@@ -135,6 +135,10 @@ class Game(Env):
         """Say what would have won, as a whole sentence with a space before it; ``""`` where there is nothing to say."""
         return ""
 
+    def _gold_answer(self) -> str | None:
+        """Return an answer that wins, or is the next of those that do; None where none is known."""
+        return None
+
     def _random_answer(self) -> str:
         """Draw an answer that the rules allow from ``action_random``, by nothing that only the game knows."""
         raise NotImplementedError
@@ -186,6 +190,11 @@ class Game(Env):
         if self.outcome == _NOT_BEGUN:
             raise ResetNeededError(f"{self.env_id or type(self).__name__}: call reset() before sample_random_action()")
         return f"\\boxed{{{self._random_answer()}}}"
+
+    def gold_action(self) -> str | None:
+        """Return an answer that wins, or is the next of those that do; None where the game knows none."""
+        answer = self._gold_answer() if self.outcome == _PLAYING else None
+        return None if answer is None else f"\\boxed{{{answer}}}"
 
     def render(self) -> str | None:
         """Draw the game as text with ANSI colours, if it was made with ``render_mode="ansi"``."""

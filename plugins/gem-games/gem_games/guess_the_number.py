@@ -116,6 +116,9 @@ class GuessTheNumberEnv(Game):
     def _solution(self) -> str:
         return f" The number was {self.number}."
 
+    def _gold_answer(self) -> str | None:
+        return str(self.number)
+
     def _random_answer(self) -> str:
         """Draw a number that has not been guessed, whatever the hints say."""
         while True:

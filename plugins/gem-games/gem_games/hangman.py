@@ -131,6 +131,9 @@ class HangmanEnv(Game):
     def _solution(self) -> str:
         return f" The word was {self.word}."
 
+    def _gold_answer(self) -> str | None:
+        return self.word
+
     def _random_answer(self) -> str:
         """Draw a letter that was not tried, and now and then a word."""
         choice = self.action_random.random()

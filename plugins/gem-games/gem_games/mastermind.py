@@ -144,6 +144,9 @@ class MastermindEnv(Game):
     def _solution(self) -> str:
         return f" The code was {' '.join(map(str, self.code))}."
 
+    def _gold_answer(self) -> str | None:
+        return " ".join(map(str, self.code))
+
     def _random_answer(self) -> str:
         """Draw a code that was not guessed before."""
         while True:

@@ -3,7 +3,7 @@ r"""Tower of Hanoi: move a tower of disks from peg A to peg C."""
 from __future__ import annotations
 
 import re
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from typing import Any
 
 from gem_core.errors import ArgumentError
@@ -125,6 +125,9 @@ class TowerOfHanoiEnv(Game):
     def _share_done(self) -> float:
         return len(self.pegs["C"]) / self.num_disks
 
+    def _gold_answer(self) -> str | None:
+        return " ".join(best_move({disk: peg for peg, disks in self.pegs.items() for disk in disks}))
+
     def _random_answer(self) -> str:
         """Draw a legal move."""
         moves = [f"{a} {b}" for a in "ABC" for b in "ABC" if not self._fault(a, b)]
@@ -153,6 +156,21 @@ class TowerOfHanoiEnv(Game):
         self.num_disks, self.max_turns = int(state["num_disks"]), int(state["max_turns"])
         self.pegs = {name: list(map(int, peg)) for name, peg in zip("ABC", state["pegs"], strict=True)}
         self._rows = {name: "".join(f" {disk}" for disk in peg) for name, peg in self.pegs.items()}
+
+
+def best_move(place: Mapping[int, str]) -> tuple[str, str]:
+    """Return the first of the fewest moves that bring all disks to peg C: from which peg to which.
+
+    Args:
+        place: The peg of each disk.
+    """
+    # A disk that must move needs all smaller ones on the third peg; so the last one found can move at once.
+    goal, source, target = "C", "A", "C"
+    for disk in sorted(place, reverse=True):
+        if place[disk] != goal:
+            source, target = place[disk], goal
+            goal = next(name for name in "ABC" if name not in (source, target))
+    return source, target
 
 
 def _disk(size: int, width: int) -> str:

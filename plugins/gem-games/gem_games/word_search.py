@@ -193,6 +193,18 @@ class WordSearchEnv(Game):
         left = ", ".join(word for word in self.words if word not in self.found)
         return f" The words not found were {left}."
 
+    def _gold_answer(self) -> str | None:
+        word = next(word for word in self.words if word not in self.found)
+        down = ["".join(column) for column in zip(*self.grid, strict=True)]
+        for number, (across, upright) in enumerate(zip(self.grid, down, strict=True)):
+            if word in across:
+                first = across.index(word)
+                return f"{number} {first} {number} {first + len(word) - 1}"
+            if word in upright:
+                first = upright.index(word)
+                return f"{first} {number} {first + len(word) - 1} {number}"
+        return None
+
     def _random_answer(self) -> str:
         """Draw a part of a row or a column that was not given before."""
         size = len(self.grid)

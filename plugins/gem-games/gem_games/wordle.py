@@ -127,6 +127,9 @@ class WordleEnv(Game):
     def _solution(self) -> str:
         return f" The word was {self.word}."
 
+    def _gold_answer(self) -> str | None:
+        return self.word
+
     def _random_answer(self) -> str:
         """Draw an English word that was not guessed before, common or not."""
         words = word_list(self.word_length).every

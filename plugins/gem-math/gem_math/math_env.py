@@ -106,12 +106,16 @@ class MathEnv(DatasetEnv):
             return [self._behind_mark(one) if isinstance(one, str) else one for one in answer]
         return answer
 
-    def sample_random_action(self) -> str:
-        """Return the answer of a row drawn at random: well-formed, and rarely right."""
-        gold = self.gold(self.rows[int(self.action_random.integers(self.num_tasks))])
+    def gold_response(self, row: Any) -> str | None:
+        """Return a right response to a row, the first of its gold answers in a box; None where it has none.
+
+        Raises:
+            GradingError: The gold answer is malformed.
+        """
+        gold = self.gold(row)
         if isinstance(gold, list):
-            gold = gold[0] if gold else ""
-        return f"\\boxed{{{gold}}}"
+            gold = gold[0] if gold else None
+        return None if gold is None or not str(gold).strip() else f"\\boxed{{{gold}}}"
 
     def _warn_of_unreadable(self) -> None:
         """Say once for a data set which gold answers are compared as text."""

@@ -169,3 +169,25 @@ def test_any_text_is_a_formula_or_a_value_error(text: str) -> None:
 def test_a_literal_is_read_back(value: object) -> None:
     """As ``eval`` would."""
     assert literal(repr(value)) == value
+
+
+@pytest.mark.parametrize(
+    ("task", "answers"),
+    [
+        ("game_of_life_halting", ["maybe", "True or False", "0"]),
+        ("puzzle24", ["1*(8 + 8 + 8)", "24 + 1 - 1 + 0", "6*4*1*1"]),
+        ("complex_arithmetic", ["nan", "nan + 1i", "NaN"]),
+        ("coin_flip", ["0", "0.", "-0"]),
+    ],
+)
+def test_scorers_that_took_wrong_answers_are_mended(task: str, answers: list[str]) -> None:
+    """What the library gives 1 to on some row or all, and must not; the row's own answer still has it."""
+    env = gem.make(f"rg:{task}", size=40)
+    for index in range(8):
+        env.reset(seed=0, options={"index": index})
+        gold = env.gold_action()
+        assert env.step(gold)[1] == 1.0
+        for answer in answers:
+            boxed = f"\\boxed{{{answer}}}"
+            env.reset(seed=0, options={"index": index})
+            assert env.step(boxed)[1] < 1.0 or boxed == gold

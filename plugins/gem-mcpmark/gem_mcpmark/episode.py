@@ -6,6 +6,7 @@ import contextlib
 import re
 import secrets
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import psycopg
 from psycopg import sql
@@ -14,11 +15,12 @@ from gem_core.errors import GradingError
 from gem_mcpmark import roles
 from gem_mcpmark.errors import PostgresError
 from gem_mcpmark.scripts import Finished, run_script
-from gem_mcpmark.server import Connection, lease
+from gem_mcpmark.server import lease
 from gem_mcpmark.tasks import VERIFY, Task
-from gem_mcpmark.templates import give, make_role, prepare, template
+from gem_mcpmark.templates import grant_database, make_role, prepare, template
 
-_MAY_MAKE_ROLES = "CREATEROLE"
+if TYPE_CHECKING:
+    from gem_mcpmark.roles import Connection
 
 # Uncaught errors of a script that no state of the database brings about.
 _BROKEN = re.compile(
@@ -92,10 +94,10 @@ class EpisodeDatabase:
 
     def _make(self, source: str | None) -> None:
         server, task = self.server, self.task
-        may = {True: [_MAY_MAKE_ROLES], False: []}
         with server.admin() as admin:
             self._refuse_conflicts(admin)
-            make_role(admin, self.name, self._password, *may[task.prepare_makes_roles and source is None])
+            makes_roles = task.prepare_makes_roles and source is None
+            make_role(admin, self.name, self._password, makes_roles=makes_roles)
             words = None if server.is_private else task.words
             note = roles.snapshot(admin, words if task.makes_roles else ())
             self._alter(admin, sql.SQL("COMMENT ON ROLE {} IS {}"), sql.Literal(note))
@@ -106,7 +108,7 @@ class EpisodeDatabase:
                 inside.execute(
                     sql.SQL("REASSIGN OWNED BY {} TO {}").format(sql.Identifier(source), sql.Identifier(self.name))
                 )
-        give(server, self.name, self.name)
+        grant_database(server, self.name, self.name)
         if source is None:
             prepare(server, task, self.name, self.name, self._password)
         with server.admin() as admin:
@@ -140,7 +142,7 @@ class EpisodeDatabase:
     def _make_verifier(self, admin: Connection, name: str, password: str) -> None:
         """Make a role that may do in the database what the agent may, and all that roles of the episode may."""
         verifier = sql.Identifier(name)
-        make_role(admin, name, password, *([_MAY_MAKE_ROLES] if self.task.verify_makes_roles else []))
+        make_role(admin, name, password, makes_roles=self.task.verify_makes_roles)
         members = [self.name, *roles.made(admin, self.name)]
         listed = sql.SQL(", ").join(map(sql.Identifier, members))
         admin.execute(sql.SQL("GRANT {} TO {}").format(listed, verifier))

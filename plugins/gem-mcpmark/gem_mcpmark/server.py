@@ -10,12 +10,11 @@ import secrets
 import threading
 import weakref
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
 import psycopg
 from psycopg.conninfo import conninfo_to_dict
-from psycopg.rows import TupleRow
 
 from gem_core.errors import MissingRequirementError
 from gem_mcpmark import roles
@@ -23,7 +22,8 @@ from gem_mcpmark.binaries import SERVER_VARIABLE, named_server
 from gem_mcpmark.errors import PostgresError
 from gem_mcpmark.private import PrivateServer
 
-Connection = psycopg.Connection[TupleRow]
+if TYPE_CHECKING:
+    from gem_mcpmark.roles import Connection
 
 PREFIX = "gem_mcpmark"
 _OURS = re.compile(rf"{PREFIX}_(?P<owner>[0-9a-f]{{8}})_.*")

@@ -22,7 +22,8 @@ from gem_mcpmark.scripts import run_script
 from gem_mcpmark.tasks import PREPARE, Task, find_dump
 
 if TYPE_CHECKING:
-    from gem_mcpmark.server import Connection, Server
+    from gem_mcpmark.roles import Connection
+    from gem_mcpmark.server import Server
 
 PREPARE_LIMIT_S = 300.0
 
@@ -100,9 +101,9 @@ def prepare(server: Server, task: Task, database: str, role: str, password: str)
         raise PostgresError(f"{task.name}: {PREPARE} {how}: {done.output.strip()[-500:]}")
 
 
-def make_role(admin: Connection, name: str, password: str, *attributes: str) -> None:
+def make_role(admin: Connection, name: str, password: str, *, makes_roles: bool = False) -> None:
     """Make a role that may log in, and that row security does not hold, as it does not hold MCPMark's superuser."""
-    words = " ".join(["LOGIN BYPASSRLS", *attributes])
+    words = "LOGIN BYPASSRLS" + (" CREATEROLE" if makes_roles else "")
     # The statement takes no parameters; the password is ours, of hexadecimal digits.
     statement = sql.SQL("CREATE ROLE {} " + words + " PASSWORD {}")
     admin.execute(statement.format(sql.Identifier(name), sql.Literal(password)))
@@ -118,10 +119,10 @@ def _make_empty(server: Server, name: str, password: str) -> None:
         make_role(admin, name, password)
         admin.execute(sql.SQL("ALTER ROLE {} SET lc_messages = 'C'").format(sql.Identifier(name)))
         admin.execute(sql.SQL("CREATE DATABASE {} TEMPLATE template0").format(sql.Identifier(name)))
-    give(server, name, name)
+    grant_database(server, name, name)
 
 
-def give(server: Server, database: str, role: str) -> None:
+def grant_database(server: Server, database: str, role: str) -> None:
     """Give a role, and nobody else, what it needs to work in a database: not the database itself, but all in it."""
     place, who = sql.Identifier(database), sql.Identifier(role)
     with server.admin(database) as admin:

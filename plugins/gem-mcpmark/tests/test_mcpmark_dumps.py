@@ -56,6 +56,7 @@ def test_a_file_of_sql_plain_and_packed(task, tmp_path):
     assert rows(task, packed) == 2
 
 
+@pytest.mark.thorough
 def test_what_pg_dump_wrote(task, tmp_path):
     """In its custom form, as MCPMark's dumps are."""
     from gem_mcpmark.binaries import client_program

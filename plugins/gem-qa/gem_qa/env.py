@@ -107,8 +107,11 @@ class QAEnv(DatasetEnv):
         answer = second(action) if answer is None else answer
         return None if answer is None else unwrapped(answer)
 
-    def sample_random_action(self) -> str:
-        """Return an accepted answer of a row drawn at random: well-formed, and rarely right."""
-        row = self.rows[int(self.action_random.integers(self.num_tasks))]
+    def gold_response(self, row: Row) -> str | None:
+        """Return a right response to a row: the first of its accepted answers.
+
+        Raises:
+            GradingError: The row has no accepted answer.
+        """
         answer = accepted_answers(row[self.answer_key])[0]
         return f"\\boxed{{{answer}}}" if self.extract_boxed else f"<answer>{answer}</answer>"

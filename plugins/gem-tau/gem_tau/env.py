@@ -130,6 +130,16 @@ class TauEnv(MultiAgentEnv):
         arguments = dict.fromkeys(tool.parameters_schema().get("properties", {}), "1")
         return f"{CALL_OPEN}{json.dumps({'name': tool.name, 'arguments': arguments})}{CALL_CLOSE}"
 
+    def gold_action(self, agent: str) -> str | None:  # type: ignore[override]  # an agent has to be named
+        """Return the next of the reference actions as a call, and after the last one what the user has to be told."""
+        if agent == USER:
+            return None
+        actions = self.task.actions
+        if len(self._calls) < len(actions):
+            action = actions[len(self._calls)]
+            return f"{CALL_OPEN}{json.dumps({'name': action.name, 'arguments': action.arguments})}{CALL_CLOSE}"
+        return " ".join([*self.task.outputs, "Everything is done."])
+
     def _hear_user(self, words: str) -> Verdict:
         self._shown[ASSISTANT] = words or NOTHING_SAID
         if self._responses and any(stop in words for stop in STOPS):  # the first message ends nothing, as in tau-bench

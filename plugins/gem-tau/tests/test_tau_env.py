@@ -356,3 +356,16 @@ def test_plugin_keeps_its_promises() -> None:
 def test_environments_keep_the_contract(env_id: str) -> None:
     """All that ``check_env`` tries."""
     assert check_env(env_id).skipped == {}
+
+
+def test_gold_actions_get_the_reward() -> None:
+    """The reference actions, then what the user has to be told; the user has none."""
+    env = gem.make("tau:Sample-solo")
+    for index in range(env.num_tasks):
+        env.reset(seed=0, options={"index": index})
+        over = False
+        while not over:
+            _, reward, terminated, truncated, _ = env.step(env.gold_action())
+            over = terminated or truncated
+        assert reward == 1.0
+    assert begun().gold_action("user") is None

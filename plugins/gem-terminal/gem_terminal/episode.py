@@ -54,6 +54,7 @@ class Episode:
         self.number = 0
         self.turns = 0
         self.malformed = 0
+        self._turns_before_step = 0
         self._rewards: list[float] = []
         self._passed: list[bool] = []
         self._remove = remove
@@ -72,6 +73,11 @@ class Episode:
     def step(self) -> Step:
         """The step that the agent is at."""
         return self.task.steps[self.number]
+
+    @property
+    def turns_of_step(self) -> int:
+        """Responses since the step began."""
+        return self.turns - self._turns_before_step
 
     @property
     def is_last_step(self) -> bool:
@@ -94,6 +100,7 @@ class Episode:
         if self.step.healthcheck is not None:
             self._wait_until_healthy(self.step.healthcheck)
         self._step_began = time.monotonic()
+        self._turns_before_step = self.turns
         self._open_shell()
         if self.number == 0:
             self._artifacts = self.settings.artifacts or (self.workdir,)

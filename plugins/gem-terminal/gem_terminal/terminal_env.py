@@ -21,6 +21,7 @@ from gem_terminal.errors import MachineError, MachineLostError
 from gem_terminal.pool import Holdings, shared_pool
 from gem_terminal.selecting import GivenVariables, select_tasks
 from gem_terminal.settings import Settings
+from gem_terminal.verifying.solutions import SOLUTION_S, as_command
 from gem_terminal.verifying.verdict import RewardRule, goes_on, reward_of
 
 if TYPE_CHECKING:
@@ -236,6 +237,14 @@ class TerminalEnv(Env):
         if self.action_random.random() < 0.2:
             return "<finish/>"
         return f"<bash>{_HARMLESS[int(self.action_random.integers(len(_HARMLESS)))]}</bash>"
+
+    def gold_action(self) -> str | None:
+        """Return a command that does what the reference solution of the step does, and then the end."""
+        episode = self._episode
+        if episode is None or episode.turns_of_step:
+            return None if episode is None else "<finish/>"
+        command = as_command(episode.step)
+        return None if command is None else f'<bash timeout="{SOLUTION_S:g}">{command}</bash>'
 
     def _get_state(self) -> dict[str, Any]:
         raise StateNotSupported("a running machine cannot be saved; keep the seed, the options and the actions instead")

@@ -70,3 +70,17 @@ def failed_checks(backend: str, name: str, wrong: Path) -> set[str]:
         return {test["name"] for test in info["verifier"]["tests"] if not test["passed"]}
     finally:
         env.close()
+
+
+@pytest.mark.few(2)
+@each_backend
+def test_gold_actions_are_the_reference_solution(backend: str, monkeypatch: pytest.MonkeyPatch):
+    """A command that does what the solution does, and then the end."""
+    for name, value in environment(backend, "sample-trials").items():
+        monkeypatch.setenv(name, value)
+    env = gem_core.make("terminal:Sample", backend=backend, build_args={"BASE": BASE}, tasks="lost-commit")
+    env.reset(seed=0)
+    assert env.step(env.gold_action())[1:4] == (0.0, False, False)
+    assert env.gold_action() == "<finish/>"
+    assert env.step("<finish/>")[1] == 1.0
+    env.close()

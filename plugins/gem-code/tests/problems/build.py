@@ -30,6 +30,7 @@ def rows() -> Iterator[dict[str, Any]]:
             "problem": problem.statement.strip(),
             "tests": written_tests(problem),
             "entry_point": problem.function,
+            "solution": problem.reference,
         }
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from gem_core import Episode
+from gem_core.cli import counted
 from gem_core.errors import EpisodeFileError
 from gem_core.records import to_plain
 
@@ -33,7 +34,7 @@ def cautions_of(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
         paired: The rows that both have.
     """
     runs = [a.run] if a.run is b.run else [a.run, b.run]
-    found = [f"{run.damaged} lines of {run.path} cannot be read, and are left out" for run in runs if run.damaged]
+    found = [f"{counted(run.damaged, 'line')} of {run.path} cannot be read, left out" for run in runs if run.damaged]
     if a.run is not b.run:
         found += _of_settings("settings", _settings(a), _settings(b))
     found += _of_settings("the sampling", _sampling(a), _sampling(b))

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-import json
 import sys
+from typing import TYPE_CHECKING
 
 import click
 
 from gem_core.cli import output_width
 from gem_core.errors import ArgumentError
-from gem_core.records import to_plain
 from gem_core.suggestions import did_you_mean
 from gem_eval.comparing.browse import browse, show_flip
 from gem_eval.comparing.comparison import Comparison, Flip, compare_all, default_metric
-from gem_eval.comparing.sides import Metric, sides_of
+from gem_eval.comparing.sides import sides_of
 from gem_eval.comparing.text import flip_lines, print_comparison, print_matrix
+from gem_eval.output import print_json
 from gem_eval.show.text import one_line
+
+if TYPE_CHECKING:
+    from gem_eval.scores import Metric
 
 
 @click.command(
@@ -80,7 +83,7 @@ def command(
     if flip is not None:
         show_flip(first, _find(first, flip), diff=diff)
     elif as_json:
-        click.echo(json.dumps({"comparisons": [to_plain(each.to_dict()) for each in comparisons]}, indent=1))
+        print_json({"comparisons": [each.to_dict() for each in comparisons]})
     elif len(sides) > 2:
         print_matrix(sides, comparisons)
     else:

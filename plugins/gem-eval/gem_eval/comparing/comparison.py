@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from gem_core.errors import ArgumentError
 from gem_eval.comparing.cautions import cautions_of
-from gem_eval.comparing.sides import Given, Metric, Played, Side, Task, sides_of
-from gem_eval.scores import tells_success
+from gem_eval.comparing.sides import Given, Played, Side, Task, sides_of
+from gem_eval.scores import Metric, tells_success
 from gem_eval.statistics import (
     Estimate,
     differences,
@@ -67,6 +67,11 @@ class Difference:
     def significant(self) -> bool:
         """Whether the corrected p-value is below the level."""
         return self.p_holm is not None and self.p_holm < LEVEL
+
+    @property
+    def shown_p(self) -> float | None:
+        """The p-value that tables show: corrected for a task, as it is for all tasks together."""
+        return self.p if self.id == "all" else self.p_holm
 
     @property
     def verdict(self) -> str:
@@ -240,6 +245,20 @@ def compare_sides(a: Side, b: Side, metric: Metric, scores: str | None = None) -
         without_cut_off=None if without.verdict == overall.verdict else without,
         cautions=cautions_of(a, b, both),
     )
+
+
+def paired_differences(a: Side, b: Side, metric: Metric) -> list[Difference]:
+    """Return the difference of two sides on each task that both have values for, then, of several, on all of them.
+
+    Args:
+        a: The first side.
+        b: The second.
+        metric: By which tasks are compared; those that do not tell success have no difference in it.
+    """
+    told = _telling_tasks([a, b]) if metric == "success" else None
+    pairs = _pairs(*(side.by_task(metric, lambda row: told is None or row.id in told) for side in (a, b)))
+    tasks, overall = _differences(pairs, verdicts=metric == "success" and _are_verdicts(pairs))
+    return [*tasks, overall] if len(tasks) > 1 else tasks
 
 
 def _telling_tasks(sides: Iterable[Side]) -> set[str]:

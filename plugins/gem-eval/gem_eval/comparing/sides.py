@@ -6,14 +6,17 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING
 
 from gem_core.errors import ArgumentError
 from gem_core.suggestions import did_you_mean
+from gem_eval.opening import require_episodes
 from gem_eval.records import Row, Run, open_run
 from gem_eval.scoring.file import ScoreFile
 
-Metric = Literal["success", "return"]
+if TYPE_CHECKING:
+    from gem_eval.scores import Metric
+
 Task = tuple[str, str]
 """Id of a task, and the row of it."""
 
@@ -121,10 +124,9 @@ def sides_of(given: Iterable[Given], models: Sequence[str] = (), scores: str | N
             found.append(each)
             continue
         run, model = _run_and_model(each)
-        names = list(dict.fromkeys(row.model for row in run.rows))
-        if not names:
-            unread = f"; {run.damaged} lines cannot be read as such" if run.damaged else ""
-            raise ArgumentError(f"{run.path} holds no episodes of one agent (yet){unread}")
+        require_episodes(run)
+        sides = {side.model: side for side in models_of(run, scores)}
+        names = list(sides)
         chosen = [model] if model is not None else list(models) or names
         if len(chosen) > 1 and not models and len(given) > 1:
             choices = " or ".join(f"{run.path}@{name}" for name in names[:3])
@@ -133,11 +135,19 @@ def sides_of(given: Iterable[Given], models: Sequence[str] = (), scores: str | N
             if name not in names:
                 hint = did_you_mean(name, names)
                 raise ArgumentError(f"{run.path} has no model {name!r}.{hint} It has {', '.join(names)}")
-            rows = [row for row in run.rows if row.model == name]
-            found.append(Side("", run, name, rows, _scores_of(run, scores)))
+            found.append(sides[name])
     if len(found) < 2:
         raise ArgumentError("a comparison takes two runs or more, or one run of several models")
-    return _labelled(found)
+    return labelled(found)
+
+
+def models_of(run: Run, scores: str | None = None) -> list[Side]:
+    """Return each model of a run, in order of appearance and without a label; see ``sides_of``."""
+    values = None if scores is None else ScoreFile.of(run, scores).means()
+    rows: dict[str, list[Row]] = {}
+    for row in run.rows:
+        rows.setdefault(row.model, []).append(row)
+    return [Side("", run, model, own, values) for model, own in rows.items()]
 
 
 def _run_and_model(given: str | Path | Run) -> tuple[Run, str | None]:
@@ -152,15 +162,15 @@ def _run_and_model(given: str | Path | Run) -> tuple[Run, str | None]:
     return open_run(path), None
 
 
-def _scores_of(run: Run, name: str | None) -> dict[int, float | None] | None:
-    return None if name is None else ScoreFile.of(run, name).means()
+def labelled(sides: Sequence[Side]) -> list[Side]:
+    """Return the sides with labels: the model where all are of one run, the run where all have one model, or both.
 
-
-def _labelled(sides: list[Side]) -> list[Side]:
-    """Return the sides with labels: the model where all are of one run, the run where all have one model, or both."""
+    Raises:
+        ArgumentError: A model of a run is there twice.
+    """
     runs, models = {side.run.path for side in sides}, {side.model for side in sides}
     if len(runs) == 1:
-        labels = [side.model for side in sides]
+        labels = [side.model or side.run.name for side in sides]
     elif len(models) == 1:
         labels = [side.run.name for side in sides]
     else:
@@ -168,5 +178,5 @@ def _labelled(sides: list[Side]) -> list[Side]:
     if len(set(labels)) < len(sides):
         labels = [f"{side.run.path}@{side.model}" for side in sides]
     if len(set(labels)) < len(sides):
-        raise ArgumentError(f"{next(each for each in labels if labels.count(each) > 1)} is compared with itself")
+        raise ArgumentError(f"{next(each for each in labels if labels.count(each) > 1)} is given twice")
     return [replace(side, label=label) for side, label in zip(sides, labels, strict=True)]

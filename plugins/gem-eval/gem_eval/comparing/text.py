@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from gem_core.cli import Column, echo_line, print_table, shown
-from gem_eval.show.text import count, one_line
+from gem_core.cli import Column, counted, echo_line, print_table, shown
+from gem_eval import figures
+from gem_eval.show.text import one_line
 
 if TYPE_CHECKING:
     from gem_eval.comparing.comparison import Comparison, Difference, Flip
     from gem_eval.comparing.sides import Side
     from gem_eval.records import Row
+    from gem_eval.scores import Metric
 
 _MOST_FLIPS = 20
 _TESTS = {"mcnemar": "McNemar's exact test", "permutation": "a permutation test by row"}
@@ -37,7 +39,7 @@ def print_comparison(comparison: Comparison) -> None:
 def print_matrix(sides: Sequence[Side], comparisons: Sequence[Comparison]) -> None:
     """Write several sides: what each has over each other."""
     _print_cautions(comparisons)
-    percent = _in_percent(comparisons[0])
+    metric = _shown_as(comparisons[0])
     found = {(each.a.label, each.b.label): each for each in comparisons}
 
     def cell(row: Side, column: Side) -> str:
@@ -48,7 +50,8 @@ def print_matrix(sides: Sequence[Side], comparisons: Sequence[Comparison]) -> No
         if overall.difference is None:
             return "-"
         gain = overall.difference.mean if direct else -overall.difference.mean
-        return f"{_change(gain + 0.0, percent)} ({_p(overall.p_holm)}){'*' if overall.significant else ''}"
+        star = "*" if overall.significant else ""
+        return f"{figures.change(gain + 0.0, metric)} ({figures.p_value(overall.p_holm)}){star}"
 
     what = _called(comparisons[0])
     echo_line(f"The {what} of the run at the left, less that of the run above, on the rows that both have.")
@@ -78,7 +81,7 @@ def flip_lines(comparison: Comparison, *, every: bool = False) -> Iterator[str]:
 def flip_title(comparison: Comparison) -> str:
     """Return what the flips of a comparison are, with their number."""
     kind = "that only one solved" if comparison.overall.only_a is not None else "that differ"
-    return f"{len(comparison.flips)} {'row' if len(comparison.flips) == 1 else 'rows'} {kind}"
+    return f"{counted(len(comparison.flips), 'row')} {kind}"
 
 
 def flip_line(comparison: Comparison, flip: Flip) -> str:
@@ -87,7 +90,7 @@ def flip_line(comparison: Comparison, flip: Flip) -> str:
     if comparison.overall.only_a is not None:
         change = "only A" if flip.a > flip.b else "only B"
     else:
-        change = f"{_change(flip.b - flip.a, percent=False)}"
+        change = figures.change(flip.b - flip.a, "return")
     return f"{change}  {one_line(flip.row, 100)}  (episodes: {episodes})"
 
 
@@ -97,24 +100,22 @@ def show_command(side: Side, episode: Row) -> str:
 
 
 def _columns(comparison: Comparison, several: bool) -> list[Column]:
-    percent = _in_percent(comparison)
+    metric = _shown_as(comparison)
 
-    def level(value: float | None) -> str:
-        return shown(value, ".1%" if percent else ".4g")
+    def mean(row: Difference) -> str:
+        return figures.change(None if row.difference is None else row.difference.mean, metric)
 
     def ends(row: Difference) -> str:
-        if row.difference is None or row.difference.low is None or row.difference.high is None:
-            return "-"
-        return f"{_change(row.difference.low, percent)} to {_change(row.difference.high, percent)}"
+        return "-" if row.difference is None else figures.change_bounds(row.difference.low, row.difference.high, metric)
 
     columns = [
         Column("task", lambda row: one_line(row.id), name=True),
         Column("rows", lambda row: str(row.rows)),
-        Column("A", lambda row: level(row.a)),
-        Column("B", lambda row: level(row.b)),
-        Column("B - A", lambda row: "-" if row.difference is None else _change(row.difference.mean, percent)),
+        Column("A", lambda row: figures.score(row.a, metric)),
+        Column("B", lambda row: figures.score(row.b, metric)),
+        Column("B - A", mean),
         Column("95 % interval", ends),
-        Column("p, corrected" if several else "p", lambda row: _p(row.p_holm if row.id != "all" else row.p)),
+        Column("p, corrected" if several else "p", lambda row: figures.p_value(row.shown_p)),
     ]
     if comparison.overall.only_a is not None:
         columns += [
@@ -125,12 +126,12 @@ def _columns(comparison: Comparison, several: bool) -> list[Column]:
 
 
 def _verdict_lines(comparison: Comparison) -> Iterator[str]:
-    overall, percent = comparison.overall, _in_percent(comparison)
+    overall, metric = comparison.overall, _shown_as(comparison)
     if overall.difference is None or overall.p is None:
         yield "No row has a value on both sides, so nothing can be said."
     else:
-        gain = _change(abs(overall.difference.mean), percent).removeprefix("+")
-        unit = " points" if percent else ""
+        gain = figures.change(abs(overall.difference.mean), metric).removeprefix("+")
+        unit = " points" if metric == "success" else ""
         tested = f"{_p_is(overall.p)} by {_TESTS[overall.test]}"
         if overall.verdict == "undecided":
             yield f"No significant difference in {_called(comparison)}: {tested}."
@@ -138,9 +139,10 @@ def _verdict_lines(comparison: Comparison) -> Iterator[str]:
             better, worse = ("B", "A") if overall.verdict == "b" else ("A", "B")
             yield f"{better} has a higher {_called(comparison)} than {worse}, by {gain}{unit}: {tested}."
         if overall.more_rows:
+            episodes = counted(overall.more_episodes or 0, "episode")
             yield (
-                f"With about {count(overall.more_rows, 'more row')} ({count(overall.more_episodes or 0, 'episode')} of "
-                "each side), a true difference as large as this would be found with a probability of 80 %."
+                f"With about {counted(overall.more_rows, 'more row')} ({episodes} of each side), a true "
+                "difference as large as this would be found with a probability of 80 %."
             )
     if comparison.without_cut_off is not None:
         other = comparison.without_cut_off
@@ -148,7 +150,7 @@ def _verdict_lines(comparison: Comparison) -> Iterator[str]:
             other.verdict, "there is no significant difference"
         )
         p = "" if other.p is None else f", {_p_is(other.p)}"
-        yield f"Without the episodes that a limit cut off, {said} ({count(other.rows, 'row')}{p})."
+        yield f"Without the episodes that a limit cut off, {said} ({counted(other.rows, 'row')}{p})."
     if len(comparison.tasks) > 1:
         yield f"The p-values of tasks are corrected by Holm for {len(comparison.tasks)} tests; that of all is one test."
     yield from _left_out_lines(comparison)
@@ -156,9 +158,10 @@ def _verdict_lines(comparison: Comparison) -> Iterator[str]:
 
 def _left_out_lines(comparison: Comparison) -> Iterator[str]:
     if comparison.only_a or comparison.only_b:
-        yield f"Left out, as only one side has them: {count(comparison.only_a, 'row')} of A, {comparison.only_b} of B."
+        only_a = counted(comparison.only_a, "row")
+        yield f"Left out, as only one side has them: {only_a} of A, {comparison.only_b} of B."
     if comparison.left_out:
-        yield f"Left out, as one side has no value for them: {count(comparison.left_out, 'row')}."
+        yield f"Left out, as one side has no value for them: {counted(comparison.left_out, 'row')}."
     for what, (a, b) in {
         "Episodes with an error, left out": comparison.errors,
         "Unscored episodes, left out": comparison.unscored,
@@ -184,17 +187,11 @@ def _called(comparison: Comparison) -> str:
     return "success rate" if comparison.metric == "success" else "mean return"
 
 
-def _in_percent(comparison: Comparison) -> bool:
-    return comparison.overall.only_a is not None and comparison.metric == "success"
-
-
-def _change(value: float, percent: bool) -> str:
-    return f"{100 * value:+.1f}" if percent else f"{value:+.4g}"
-
-
-def _p(value: float | None) -> str:
-    return "-" if value is None else "< 0.001" if value < 0.001 else f"{value:.3f}"
+def _shown_as(comparison: Comparison) -> Metric:
+    """Return how values are written: verdicts in percent, all else as numbers."""
+    verdicts = comparison.overall.only_a is not None and comparison.metric == "success"
+    return "success" if verdicts else "return"
 
 
 def _p_is(value: float) -> str:
-    return f"p {_p(value)}" if value < 0.001 else f"p = {_p(value)}"
+    return f"p {'' if value < 0.001 else '= '}{figures.p_value(value)}"

@@ -8,14 +8,15 @@ from pathlib import Path
 
 import click
 
+from gem_core.cli import counted
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_eval.exporting.episodes import write_jsonl
 from gem_eval.exporting.inspect_log import Part, write_eval, write_json
 from gem_eval.exporting.tables import write_csv, write_parquet
 from gem_eval.files import whole_file
+from gem_eval.opening import warn_of_damage
 from gem_eval.records import Row, Run, open_run
 from gem_eval.scores import compute_scores
-from gem_eval.show.text import count
 
 _LOGS = {".json": write_json, ".eval": write_eval}
 
@@ -47,7 +48,9 @@ Exit code: 0 if all was written, 1 if a run cannot be read, 2 for a wrong argume
 @click.option(
     "--to", "form", required=True, type=click.Choice(["csv", "parquet", "jsonl", "inspect"]), help="The form."
 )
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="The file; of inspect, a file or a folder.")
+@click.option(
+    "-o", "--out", required=True, type=click.Path(path_type=Path), help="The file; of inspect, a file or a folder."
+)
 @click.option("--texts", is_flag=True, help="csv, parquet: the first observation and the last response as well.")
 def command(runs: tuple[Path, ...], form: str, out: Path, texts: bool) -> None:
     """Write the episodes of runs in a form that other programs read.
@@ -62,20 +65,18 @@ def command(runs: tuple[Path, ...], form: str, out: Path, texts: bool) -> None:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         if form == "csv":
-            written = count(write_csv(opened, out, texts=texts), "episode")
+            written = counted(write_csv(opened, out, texts=texts), "episode")
         elif form == "parquet":
-            written = count(write_parquet(opened, out, texts=texts), "episode")
+            written = counted(write_parquet(opened, out, texts=texts), "episode")
         elif form == "jsonl":
-            written = count(write_jsonl(opened, out), "episode")
+            written = counted(write_jsonl(opened, out), "episode")
         else:
-            written = count(_write_logs(opened, out), "log")
+            written = counted(_write_logs(opened, out), "log")
     except OSError as error:
         raise EpisodeFileError(f"cannot write {out}: {error.strerror or error}") from error
     click.echo(f"{written} written to {out}")
     for run in opened:
-        if run.damaged:
-            lines = count(run.damaged, "line")
-            click.echo(f"gem: {run.path}: passed over {lines} without a whole episode of one agent", err=True)
+        warn_of_damage(run)
 
 
 def _write_logs(runs: Sequence[Run], out: Path) -> int:

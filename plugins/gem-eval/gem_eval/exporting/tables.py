@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from gem_core.errors import MissingRequirementError
 from gem_eval.files import whole_file
-from gem_eval.records import Row, Run, open_run
+from gem_eval.opening import opened
+from gem_eval.records import Row, Run
 from gem_eval.turns import parts_of, text_of
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def to_pandas(run: Run | str | Path, *more: Run | str | Path, texts: bool = Fals
         import pandas as pd
     except ModuleNotFoundError as error:
         raise MissingRequirementError("a DataFrame needs pandas: pip install 'gem-eval[pandas]'") from error
-    columns = _columns([each if isinstance(each, Run) else open_run(each) for each in (run, *more)], texts)
+    columns = _columns(list(map(opened, (run, *more))), texts)
     types = _types(texts)
     return pd.DataFrame({name: pd.array(values, dtype=_PANDAS_TYPES[types[name]]) for name, values in columns.items()})
 

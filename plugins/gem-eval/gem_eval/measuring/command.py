@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
@@ -28,6 +27,8 @@ from gem_core.cli import (
 )
 from gem_core.errors import GemError
 from gem_core.making import WrapperChoice
+from gem_eval.output import print_json
+from gem_eval.turns import error_text
 
 if TYPE_CHECKING:
     from gem_core import Episode
@@ -64,13 +65,18 @@ argument, 130 after Ctrl-C, with what was measured until then.
 )
 @click.argument("ids", nargs=-1, required=True, metavar="ID...")
 @click.option(
-    "-m", "--model", default="random", show_default=True, metavar="AGENT", help="Who acts, as for gem run --agent."
+    "-m",
+    "--model",
+    default="random",
+    show_default=True,
+    metavar="AGENT",
+    help="openai:MODEL, MODULE:CALLABLE, or an agent's name.",
 )
-@click.option("-n", "--groups", type=AtLeast(min=1), default=16, show_default=True, help="Starts of each ID.")
+@click.option("--groups", type=AtLeast(min=1), default=16, show_default=True, help="Starts of each ID.")
 @click.option(
-    "-g", "--group-size", type=AtLeast(min=1), default=8, show_default=True, help="Episodes of each start, as in GRPO."
+    "--group-size", type=AtLeast(min=1), default=8, show_default=True, help="Episodes of each start, as in GRPO."
 )
-@click.option("-k", "--num-envs", type=AtLeast(min=1), help="Environments at once.  [default: --max-concurrency, or 8]")
+@click.option("-k", "--num-envs", type=AtLeast(min=1), help="Episodes at once.  [default: --max-concurrency, or 8]")
 @click.option("-s", "--seed", type=AtLeast(min=0), default=0, show_default=True, help="Seed of the run.")
 @click.option(
     "--seconds",
@@ -139,8 +145,8 @@ def command(
             measurements.append(measured)
     interrupted = len(measurements) < len(envs)
     if as_json:
-        shown = {"model": model, "seed": seed, "group_size": group_size, "tokenizer": tokenizer or "characters/4"}
-        click.echo(json.dumps({**shown, "environments": [each.to_dict() for each in measurements]}, indent=1))
+        asked = {"model": model, "seed": seed, "group_size": group_size, "tokenizer": tokenizer or "characters/4"}
+        print_json({**asked, "environments": [each.to_dict() for each in measurements]})
     else:
         _print([each for each in measurements if each.error is None])
     for each in measurements:
@@ -176,7 +182,7 @@ def _measured(
             on_episode(episode)
             if episode.error is not None:
                 measured.errors += 1
-                first_error = first_error or str(episode.error.get("message", episode.error))
+                first_error = first_error or error_text(episode.error)
                 continue
             measured.episodes.append(episode)
             measured.tokens.append(count_sent(episode, count_tokens))

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import importlib
+import itertools
 import math
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 import gem_core as gem
 from gem_core import Episode
@@ -291,15 +295,13 @@ def times(seconds: Sequence[float]) -> Times:
 
 
 def histogram(values: Sequence[float]) -> list[Bin]:
-    """Return a bar for each value where there are few, else ten of equal width."""
-    distinct = sorted(set(values))
-    if len(distinct) <= _FEW_VALUES:
-        return [Bin(value, value, sum(each == value for each in values)) for value in distinct]
-    low, width = distinct[0], (distinct[-1] - distinct[0]) / _FEW_VALUES
-    counts = [0] * _FEW_VALUES
-    for value in values:
-        counts[min(int((value - low) / width), _FEW_VALUES - 1)] += 1
-    return [Bin(low + place * width, low + (place + 1) * width, count) for place, count in enumerate(counts)]
+    """Return a bar for each finite value where there are few, else ten of equal width."""
+    counted = sorted(Counter(value for value in values if math.isfinite(value)).items())
+    if len(counted) <= _FEW_VALUES:
+        return [Bin(value, value, count) for value, count in counted]
+    counts, edges = np.histogram([value for value in values if math.isfinite(value)], _FEW_VALUES)
+    ends = itertools.pairwise(edges.tolist())
+    return [Bin(low, high, int(count)) for (low, high), count in zip(ends, counts, strict=True)]
 
 
 def _mean(values: Sequence[float]) -> float | None:

@@ -33,10 +33,22 @@ def unpack(frame: bytes) -> Any:
         EpisodeFileError: It holds none.
     """
     try:
-        if frame.startswith(zstandard.FRAME_HEADER):
-            frame = zstandard.ZstdDecompressor().decompress(frame, max_output_size=MAX_LINE_BYTES)
-        return json.loads(frame)
-    except (zstandard.ZstdError, ValueError, RecursionError, MemoryError) as error:
+        return json.loads(decompressed(frame))
+    except (ValueError, RecursionError) as error:
+        raise EpisodeFileError(f"it is no record of an episode ({error})") from error
+
+
+def decompressed(frame: bytes) -> bytes:
+    """Return the line of a frame, or a line that is not compressed as it is.
+
+    Raises:
+        EpisodeFileError: The frame is damaged.
+    """
+    if not frame.startswith(zstandard.FRAME_HEADER):
+        return frame
+    try:
+        return zstandard.ZstdDecompressor().decompress(frame, max_output_size=MAX_LINE_BYTES)
+    except (zstandard.ZstdError, MemoryError) as error:
         raise EpisodeFileError(f"it is no record of an episode ({error})") from error
 
 

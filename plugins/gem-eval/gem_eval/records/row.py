@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields
-from typing import Any, get_args, get_type_hints
+from operator import itemgetter
+from typing import Any
 
-from gem_core import Episode
+from gem_core import Episode, JointEpisode
 from gem_core.errors import EpisodeFileError
-from gem_core.records import to_plain
-from gem_eval.turns import error_text
+from gem_core.records import record_from_dict, to_plain
+from gem_eval.turns import error_text, some_success
 
 _LONGEST_TEXT = 300
 
 
-@dataclass(frozen=True, slots=True)
+# Not frozen: that would take five times as long to read an index.
+@dataclass(slots=True)
 class Row:
     """What the index says of one episode.
 
@@ -82,27 +85,35 @@ class Row:
             EpisodeFileError: It is no row.
         """
         try:
-            own = {name: value for name, value in record.items() if name in _KINDS}
-            own["episode_return"] = float(own["episode_return"])  # JSON has no word for NaN and infinity
-            row = cls(**own)
-        except (TypeError, ValueError, LookupError, AttributeError) as error:
+            values = _values_of({**_DEFAULTS, **record})
+        except (TypeError, KeyError) as error:
             raise EpisodeFileError(f"a line of the index is damaged ({error})") from error
-        for name, value in own.items():
-            if not isinstance(value, _KINDS[name]):
-                raise EpisodeFileError(f"a line of the index is damaged ({name} is {value!r:.50})")
-        return row
+        # The rows of a run are of few combinations of types, which are looked at once.
+        if tuple(map(type, values)) not in _sound_types:
+            values = _checked(values)
+        return cls(*values)
 
     @classmethod
-    def of(cls, record: Mapping[str, Any], number: int, offset: int, length: int) -> Row:
+    def of(cls, record: Mapping[str, Any], number: int, offset: int, length: int, *, joint: bool = False) -> Row:
         """Return the row of an episode's record, as it stands in the file.
+
+        Args:
+            record: The record.
+            number: See the class.
+            offset: See the class.
+            length: See the class.
+            joint: Whether an episode of several agents has a row, of all of them together.
 
         Raises:
             EpisodeFileError: It is no record of an episode.
         """
-        episode = Episode.from_dict(record)
+        episode = record_from_dict(record) if joint else Episode.from_dict(record)
+        if isinstance(episode, JointEpisode):
+            return cls._of_joint(episode, number, offset, length)
         told = record.get("evaluation")
         own = told if isinstance(told, Mapping) else {}
-        return cls.of_episode(episode, own, number, offset, length)
+        row = cls.of_episode(episode, own, number, offset, length)
+        return cls(*_checked(_values_of({name: getattr(row, name) for name in _FIELDS})))
 
     @classmethod
     def of_episode(cls, episode: Episode, own: Mapping[str, Any], number: int, offset: int, length: int) -> Row:
@@ -139,12 +150,46 @@ class Row:
             **{name: own[name] for name in _MEASURED if name in own},
         )
 
+    @classmethod
+    def _of_joint(cls, episode: JointEpisode, number: int, offset: int, length: int) -> Row:
+        seats = [cls.of_episode(each, {}, number, offset, length) for each in episode]
+        values = {
+            "number": number,
+            "offset": offset,
+            "length": length,
+            "id": _clipped(episode.id),
+            "model": _clipped(", ".join(f"{seat}={agent}" for seat, agent in episode.agents.items())),
+            "row": _clipped(f"{episode.id}/{episode.seed}"),
+            "epoch": episode.repeat,
+            "key": episode.key,
+            "seed": episode.seed,
+            "success": some_success(episode),
+            "episode_return": sum(seat.episode_return for seat in seats),
+            "turns": episode.turns,
+            "error": None if episode.error is None else _clipped(error_text(episode.error)),
+            "cause": None if episode.error is None else _clipped(episode.error.get("kind")),
+            "cut_off": next((seat.cut_off for seat in seats if seat.cut_off), None),
+            "tokens_in": sum(known) if (known := [seat.tokens_in for seat in seats if seat.tokens_in]) else None,
+            "tokens_out": sum(known) if (known := [seat.tokens_out for seat in seats if seat.tokens_out]) else None,
+        }
+        return cls(*_checked(_values_of({**_DEFAULTS, **values})))
+
 
 _FIELDS = tuple(each.name for each in fields(Row))
 _DEFAULTS = {each.name: each.default for each in fields(Row) if each.default is not MISSING}
-_KINDS = {name: get_args(kind) or (kind,) for name, kind in get_type_hints(Row).items()}
-_KINDS |= {name: (*kinds, int) for name, kinds in _KINDS.items() if float in kinds}
-"""The types of the fields; JSON may write a float without a fraction."""
+_values_of = itemgetter(*_FIELDS)
+_TYPES = {
+    "int": (int,),
+    "str": (str,),
+    "bool": (bool,),
+    "float": (float, int),
+    "int | None": (int, type(None)),
+    "str | None": (str, type(None)),
+    "bool | None": (bool, type(None)),
+    "float | None": (float, int, type(None)),
+}
+_ALLOWED = tuple(_TYPES[str(each.type)] for each in fields(Row))
+_sound_types: set[tuple[type, ...]] = set()
 _MEASURED = ("cost", "seconds", "model_seconds", "finished", "cached")
 """What only the record says, under ``"evaluation"``."""
 
@@ -167,3 +212,19 @@ def _name(value: object) -> str:
 def _clipped(value: object) -> str:
     text = str(value)
     return text if len(text) <= _LONGEST_TEXT else text[: _LONGEST_TEXT - 1] + "…"
+
+
+def _checked(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return the values of a row, numbers that are not finite of their names; raise where one is of a wrong type."""
+    checked = []
+    for name, value, allowed in zip(_FIELDS, values, _ALLOWED, strict=True):
+        sound = value
+        if type(value) is str and float in allowed:
+            with suppress(ValueError):
+                sound = float(value)
+        if type(sound) not in allowed:
+            raise EpisodeFileError(f"a row is damaged: {name} is {value!r:.100}")
+        checked.append(sound)
+    if tuple(checked) == values:
+        _sound_types.add(tuple(map(type, values)))
+    return tuple(checked)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from gem_core import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records import ImageFolder, to_plain
+from gem_eval.files import new_run_folder
 from gem_eval.records import RunWriter
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def write_branches(replay: Replay, agent: str, out: str | None) -> Path:
         ArgumentError: It is there already.
         EpisodeFileError: It cannot be written.
     """
-    path = _new_folder() if out is None else Path(out)
+    path = new_run_folder("replay") if out is None else Path(out)
     if out is not None and path.exists():
         raise ArgumentError(f"{out} is there already; choose another name for --out")
     begun = {"run": str(replay.run.path), "episode": replay.row.number, "from_turn": replay.turns + 1}
@@ -65,9 +66,3 @@ def _write_file(path: Path, replay: Replay, agent: str, begun: dict[str, Any]) -
                 file.write(json.dumps({**episode.to_dict(images), "evaluation": to_plain(told)}) + "\n")
     except OSError as error:
         raise EpisodeFileError(f"cannot write {path}: {error.strerror or error}") from error
-
-
-def _new_folder() -> Path:
-    stem = f"replay-{time.strftime('%Y%m%d-%H%M%S')}"
-    names = (stem if number == 1 else f"{stem}-{number}" for number in range(1, 1000))
-    return next(path for path in (Path("runs") / name for name in names) if not path.exists())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from typing import Any
 
@@ -11,8 +10,8 @@ import click
 from gem_core import Episode
 from gem_core.cli import Column, agent_options, arguments_option, counted, echo_line, env_arguments, given, print_table
 from gem_core.errors import ArgumentError
-from gem_core.records import to_plain
 from gem_core.rollouts import close_agent, load_agent
+from gem_eval.output import print_json
 from gem_eval.records import open_run
 from gem_eval.replaying.branches import write_branches
 from gem_eval.replaying.replay import Replay, repeated_turns, replay
@@ -44,7 +43,7 @@ Exit code: 0 if all that was repeated went as recorded, and no branch has an err
 argument.
 """,
 )
-@click.argument("path", metavar="RUN", type=click.Path(exists=True))
+@click.argument("path", metavar="RUN", type=click.Path())
 @click.argument("number", metavar="EPISODE", type=click.IntRange(min=1))
 @click.option("--from-turn", metavar="K", type=click.IntRange(min=1), help="The first turn that is played anew.")
 @click.option("-a", "--agent", metavar="AGENT", help=f"Who goes on; '{_PERSON}' for yourself.")
@@ -122,7 +121,7 @@ def _refuse_without_agent(given_options: dict[str, Any]) -> None:
 
 def _report(found: Replay, as_json: bool, *, agent: str | None = None, written: str | None = None) -> None:
     if as_json:
-        click.echo(json.dumps(to_plain(_as_dict(found, written)), indent=1))
+        print_json(_as_dict(found, written))
         return
     where = f"episode {found.row.number} of {one_line(str(found.run.path))}"
     for place, each in enumerate(found.differences, start=1):

@@ -6,15 +6,18 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gem_core as gem
 from gem_core import Episode, PlanItem
 from gem_core.errors import ArgumentError, GemError, UnknownNameError
 from gem_core.records import to_plain
 from gem_core.rollouts import Agent, as_agent, close_agent, load_agent, prepare_agent
-from gem_eval.records import Row, Run, open_run
+from gem_eval.opening import opened
 from gem_eval.replaying.recorded import RecordedActions, differences
+
+if TYPE_CHECKING:
+    from gem_eval.records import Row, Run
 
 _BLOT = "***"
 _HINT = (
@@ -79,7 +82,7 @@ def replay(
         ArgumentError: The record does not say enough to make the environment; or there is no such episode or turn.
         EpisodeFileError: The episode cannot be read.
     """
-    run = run if isinstance(run, Run) else open_run(run)
+    run = opened(run)
     row = run.row(number)
     original = run.episode(row, images=True)
     turns = repeated_turns(original, from_turn)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
 
+from gem_core.cli import counted
 from gem_core.errors import ArgumentError
-from gem_eval.files import write_whole
+from gem_eval.files import write_page
+from gem_eval.opening import warn_of_damage
+from gem_eval.output import print_json
 from gem_eval.records import open_run
 from gem_eval.reporting.contents import contents_of
 from gem_eval.reporting.markdown import markdown_report
 from gem_eval.reporting.page import html_report
-from gem_eval.show.text import count
 
 _OUT = Path("report.html")
 
@@ -37,9 +38,14 @@ Exit code: 0 if the report was written, 1 if a run cannot be read, 2 for a wrong
 )
 @click.argument("runs", metavar="RUN…", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False), help=f"The file.  [default: {_OUT}; markdown: printed]"
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help=f"The file.  [default: {_OUT}; markdown: printed]",
 )
-@click.option("--format", "form", type=click.Choice(["html", "markdown"]), default="html", help="html if not given.")
+@click.option(
+    "--format", "form", type=click.Choice(["html", "markdown"]), default="html", show_default=True, help="The form."
+)
 @click.option(
     "--examples", type=click.IntRange(min=0), default=8, show_default=True, help="Episodes to show turn by turn."
 )
@@ -51,16 +57,14 @@ def command(runs: tuple[Path, ...], out: Path | None, form: str, examples: int, 
     """
     contents = contents_of([open_run(path) for path in runs])
     for run in contents.runs:
-        if run.damaged:
-            lines = count(run.damaged, "line")
-            click.echo(f"gem: {run.path}: passed over {lines} without a whole episode of one agent", err=True)
+        warn_of_damage(run)
     if as_json:
         scores = [
             {"run": str(entrant.run.path), **score.to_dict()}
             for entrant in contents.entrants
             for score in entrant.scores.values()
         ]
-        click.echo(json.dumps({"scores": scores}, indent=1))
+        print_json({"scores": scores})
         return
     if form == "markdown":
         content = markdown_report(contents)
@@ -72,9 +76,5 @@ def command(runs: tuple[Path, ...], out: Path | None, form: str, examples: int, 
     out = out or _OUT
     if out.exists() and any(out.resolve().is_relative_to(path.resolve()) for path in runs):
         raise ArgumentError(f"--out {out} is part of a run; name another file")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(out, content.encode("utf-8"))
-    except OSError as error:
-        raise ArgumentError(f"cannot write {out}: {error.strerror or error}") from error
-    click.echo(f"report of {count(len(contents.rows), 'episode')} written to {out}")
+    write_page(out, content)
+    click.echo(f"report of {counted(len(contents.rows), 'episode')} written to {out}")

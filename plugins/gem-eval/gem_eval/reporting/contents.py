@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+from gem_eval.comparing.comparison import paired_differences
+from gem_eval.comparing.sides import Side, labelled, models_of
 from gem_eval.scores import Metric, Score, compute_scores
-from gem_eval.statistics import Estimate, differences, paired_difference, permutation_test
 
 if TYPE_CHECKING:
+    from gem_eval.comparing.comparison import Difference
     from gem_eval.records import Row, Run
+    from gem_eval.statistics import Estimate
 
 _MOST_PAIRED = 3
 """Of more entrants than this, each is compared with the first only."""
@@ -49,31 +51,22 @@ class Entrant:
         return self.rows if task == "all" else self.by_task.get(task, [])
 
 
-@dataclass(frozen=True)
-class Difference:
+class Paired(NamedTuple):
     """How much more one entrant scored than another on the rows that both have.
 
     Args:
-        task: The task, or ``"all"``.
-        metric: Of which score.
         first: Whose score is taken away.
         second: From whose score.
-        estimate: Mean of ``second - first`` over the shared rows.
-        rows: Number of shared rows.
-        better: Rows on which the second scored more.
-        worse: Rows on which it scored less.
-        p: Two-sided p-value of a permutation test.
+        metric: Of which score.
+        found: The difference on one task, or on all of them.
+        estimate: Its mean and interval.
     """
 
-    task: str
-    metric: Metric
     first: Entrant
     second: Entrant
+    metric: Metric
+    found: Difference
     estimate: Estimate
-    rows: int
-    better: int
-    worse: int
-    p: float
 
 
 @dataclass(frozen=True)
@@ -91,7 +84,7 @@ class Contents:
     runs: list[Run]
     entrants: list[Entrant]
     tasks: list[str]
-    differences: list[Difference]
+    differences: list[Paired]
     paired_by_task: bool
 
     @property
@@ -123,7 +116,7 @@ def contents_of(runs: Sequence[Run]) -> Contents:
     entrants = _entrants(runs)
     tasks = list(dict.fromkeys(task for entrant in entrants for task in entrant.by_task))
     by_task = len(tasks) <= _MOST_TASKS_PAIRED
-    return Contents(list(runs), entrants, tasks, _differences(entrants, tasks if by_task else []), by_task)
+    return Contents(list(runs), entrants, tasks, _differences(entrants, by_task=by_task), by_task)
 
 
 def ending_of(row: Row) -> str:
@@ -179,70 +172,43 @@ def examples(entrants: Sequence[Entrant], limit: int) -> list[tuple[Entrant, Row
 
 
 def _entrants(runs: Sequence[Run]) -> list[Entrant]:
-    by_model: dict[tuple[int, str], list[Row]] = {}
-    scores: dict[tuple[int, str], dict[tuple[str, Metric], Score]] = {}
-    for number, run in enumerate(runs):
-        rows = run.rows
-        for row in rows:
-            by_model.setdefault((number, row.model), []).append(row)
-        for score in compute_scores(rows):
-            scores.setdefault((number, score.model), {})[score.id, score.metric] = score
-    labels = _labels([(runs[number], model) for number, model in by_model])
+    sides: list[Side] = []
+    scores: list[dict[tuple[str, Metric], Score]] = []
+    for run in runs:
+        computed = compute_scores(run.rows)
+        for side in models_of(run):
+            sides.append(side)
+            scores.append({(score.id, score.metric): score for score in computed if score.model == side.model})
     entrants = []
-    for place, ((number, model), rows) in enumerate(by_model.items()):
+    for place, (side, own) in enumerate(zip(labelled(sides), scores, strict=True)):
         by_task: dict[str, list[Row]] = {}
-        for row in rows:
+        for row in side.rows:
             by_task.setdefault(row.id, []).append(row)
-        entrants.append(
-            Entrant(place, labels[place], runs[number], model, rows, by_task, scores.get((number, model), {}))
-        )
+        entrants.append(Entrant(place, side.label, side.run, side.model, side.rows, by_task, own))
     return entrants
 
 
-def _labels(pairs: Sequence[tuple[Run, str]]) -> list[str]:
-    """Return a name for each model of a run: the shortest form in which no two are alike."""
-    forms: list[Callable[[Run, str], str]] = [
-        lambda run, model: model or run.name,
-        lambda run, model: run.name,
-        lambda run, model: f"{model} · {run.name}",
-        lambda run, model: f"{model} · {run.path}",
-    ]
-    named = ([form(run, model) for run, model in pairs] for form in forms)
-    labels = next((labels for labels in named if len(set(labels)) == len(labels)), None)
-    return labels or [f"{model} ({place})" for place, (_, model) in enumerate(pairs, start=1)]
-
-
-def _differences(entrants: Sequence[Entrant], tasks: Sequence[str]) -> list[Difference]:
+def _differences(entrants: Sequence[Entrant], *, by_task: bool) -> list[Paired]:
+    """Return the differences by success, of all tasks first, and those by return of tasks that do not tell success."""
     pairs = list(itertools.combinations(entrants, 2))
     if len(entrants) > _MOST_PAIRED:
         pairs = [(first, second) for first, second in pairs if first.place == 0]
-    asked = ["all", *tasks] if len(tasks) != 1 else list(tasks)
-    found = [_difference(task, first, second) for first, second in pairs for task in asked]
-    return [each for each in found if each is not None]
+    found: list[Paired] = []
+    for first, second in pairs:
+        solved = paired_differences(_side(first), _side(second), "success")
+        told = {each.id for each in solved}
+        returns = paired_differences(_side(first, told), _side(second, told), "return")
+        # Returns of different tasks are of different sizes, and have no mean.
+        chosen: list[tuple[Metric, Difference]] = [
+            ("success", each) for each in sorted(solved, key=lambda each: each.id != "all")
+        ]
+        chosen += [("return", each) for each in returns if each.id != "all"]
+        for metric, each in chosen:
+            if each.difference is not None and (by_task or each.id == "all"):
+                found.append(Paired(first, second, metric, each, each.difference))
+    return found
 
 
-def _difference(task: str, first: Entrant, second: Entrant) -> Difference | None:
-    """Return the difference of two entrants by success, else by return; None where they share no rows."""
-    # Returns of different tasks are of different sizes, and have no mean.
-    metrics: tuple[Metric, ...] = ("success",) if task == "all" else ("success", "return")
-    for metric in metrics:
-        one, other = _values(first, task, metric), _values(second, task, metric)
-        shared = [row for row in one if row in other]
-        if shared:
-            a, b = [other[row] for row in shared], [one[row] for row in shared]
-            apart = differences(a, b)
-            estimate = paired_difference(a, b, rates=metric == "success")
-            better, worse = sum(each > 0 for each in apart), sum(each < 0 for each in apart)
-            p = permutation_test(apart)
-            return Difference(task, metric, first, second, estimate, len(shared), better, worse, p)
-    return None
-
-
-def _values(entrant: Entrant, task: str, metric: Metric) -> dict[tuple[str, str], list[float]]:
-    """Return the values of each row that counts, of the tasks that have a score by this metric."""
-    values: dict[tuple[str, str], list[float]] = {}
-    for row in entrant.of_task(task):
-        value = row.success if metric == "success" else row.episode_return
-        if row.error is None and value is not None and math.isfinite(value) and (row.id, metric) in entrant.scores:
-            values.setdefault((row.id, row.row), []).append(float(value))
-    return values
+def _side(entrant: Entrant, without: Collection[str] = ()) -> Side:
+    rows = [row for row in entrant.rows if row.id not in without]
+    return Side(entrant.label, entrant.run, entrant.model, rows)

@@ -7,11 +7,11 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from gem_core.cli import counted
 from gem_core.errors import EpisodeFileError
-from gem_eval.reporting import figures
+from gem_eval.reporting import amounts
 from gem_eval.reporting.contents import Contents, Entrant, ending_of, endings
 from gem_eval.reporting.markup import section, text
-from gem_eval.show.text import count
 from gem_eval.turns import TurnView, error_text, figures_of, parts_of, text_of, turn_views
 
 if TYPE_CHECKING:
@@ -102,12 +102,12 @@ def notes(contents: Contents) -> str:
     ]
     if contents.differences:
         told.append(
-            "<b>Differences</b> are means over rows that both played, of the differences of the rows' means; p is of a "
-            "permutation test of their signs. With many comparisons some fall below 0.05 by chance."
+            "<b>Differences</b> are means over rows that both played, of the differences of the rows' means, tested as "
+            "by <code>gem compare</code>; the p-values of several tasks are corrected by Holm."
         )
     damaged = [run for run in contents.runs if run.damaged]
     told += [
-        f"{text(run.name)}: {count(run.damaged, 'line')} without a whole episode of one agent left out."
+        f"{text(run.name)}: {counted(run.damaged, 'line')} without a whole episode of one agent left out."
         for run in damaged
     ]
     return section("notes", "How it is counted", f"<ul>{''.join(f'<li>{each}</li>' for each in told)}</ul>")
@@ -128,7 +128,7 @@ def _example(entrant: Entrant, row: Row, several: bool) -> str:
     first, last = views[:_FIRST_TURNS], views[_FIRST_TURNS:][-_LAST_TURNS:]
     hidden = len(views) - len(first) - len(last)
     blocks = [_turn(view) for view in first]
-    blocks += [f'<p class="soft">… {count(hidden, "turn")} left out</p>'] if hidden else []
+    blocks += [f'<p class="soft">… {counted(hidden, "turn")} left out</p>'] if hidden else []
     blocks += [_turn(view) for view in last]
     if not views:
         blocks.append(_block("Observation", text_of(parts_of(episode.observation))))
@@ -164,7 +164,7 @@ def _words(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float) and 1e9 < value < 1e10:
-        return figures.moment(value)
+        return amounts.moment(value)
     if isinstance(value, Mapping):
         told = ((name, part, _words(part)) for name, part in value.items())
         inside = (

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from gem_eval.reporting import figures
+from gem_eval import figures
 from gem_eval.reporting.page import summary
 from gem_eval.show.text import one_line
 
@@ -54,11 +54,11 @@ def _score_lines(contents: Contents) -> Iterable[str]:
 def _difference_lines(contents: Contents) -> Iterable[str]:
     found = []
     for each in contents.differences:
-        name = "**all tasks**" if each.task == "all" else _text(each.task)
+        name = "**all tasks**" if each.found.id == "all" else _text(each.found.id)
         compared = f"{_text(each.second.label)} minus {_text(each.first.label)}"
-        _, _, low, high = each.estimate
-        told = [figures.difference(each.estimate.mean, each.metric), figures.bounds(low, high, each.metric)]
-        found.append([name, compared, *told, str(each.rows), figures.p_value(each.p)])
+        mean, _, low, high = each.estimate
+        told = [figures.change(mean, each.metric), figures.change_bounds(low, high, each.metric)]
+        found.append([name, compared, *told, str(each.found.rows), figures.p_value(each.found.shown_p)])
     return _table(["Task", "Difference", "Points or return", "95 % interval", "Rows", "p"], found, left=2)
 
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import re
-from importlib import resources
 from typing import TYPE_CHECKING
 
-from gem_eval.reporting import details, figures, plots, score_tables, sections
+from gem_core.cli import counted
+from gem_eval import figures
+from gem_eval.assets import hash_source, read_assets
+from gem_eval.reporting import amounts, details, plots, score_tables, sections
 from gem_eval.reporting.contents import Contents, Entrant
 from gem_eval.reporting.contents import examples as choose_examples
 from gem_eval.reporting.markup import text
-from gem_eval.show.text import count
 
 if TYPE_CHECKING:
     from gem_eval.scores import Score
@@ -48,14 +47,10 @@ def html_report(contents: Contents, examples: int) -> str:
     head = f'<header>\n<h1>{text(title)}</h1>\n<p class="lead">{text(summary(contents))}</p>{asked}\n</header>'
     footer = "<footer>Made by <code>gem report</code>.</footer>"
     body = "\n".join([head, *filter(None, parts), details.asked(contents), details.notes(contents), footer])
-    style, page = (
-        (resources.files("gem_eval.reporting") / "assets" / name).read_text(encoding="utf-8").replace("\r\n", "\n")
-        for name in ("report.css", "report.html")
-    )
-    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
-    filled = {"HASH": f"sha256-{digest}", "STYLE": style, "TITLE": text(title), "BODY": body}
+    style = read_assets("report.css")
+    filled = {"HASH": hash_source(style), "STYLE": style, "TITLE": text(title), "BODY": body}
     # In one pass, so that a mark in a text of others stays what it is.
-    return re.sub(r"\{\{(\w+)\}\}", lambda mark: filled[mark[1]], page)
+    return re.sub(r"\{\{(\w+)\}\}", lambda mark: filled[mark[1]], read_assets("report.html"))
 
 
 def summary(contents: Contents) -> str:
@@ -65,17 +60,16 @@ def summary(contents: Contents) -> str:
         return "No episodes."
     different = len({(row.id, row.row) for row in rows})
     errors = sum(row.error is not None for row in rows)
-    told = (
-        f"{count(len({each.model for each in contents.entrants}), 'model')} on {count(len(contents.tasks), 'task')}: "
-    )
+    models = {each.model for each in contents.entrants}
+    told = f"{counted(len(models), 'model')} on {counted(len(contents.tasks), 'task')}: "
     if len(contents.runs) > 1:
-        told = f"{count(len(contents.runs), 'run')}, {told}"
-    told += f"{count(len(rows), 'episode')} of {count(different, 'row')}"
-    told += f", {count(errors, 'error')}." if errors else "."
+        told = f"{counted(len(contents.runs), 'run')}, {told}"
+    told += f"{counted(len(rows), 'episode')} of {counted(different, 'row')}"
+    told += f", {counted(errors, 'error')}." if errors else "."
     unfinished = [run.name for run in contents.runs if run.info.get("status", "finished") != "finished"]
     told += f" Not finished: {' and '.join(unfinished)}." if unfinished else ""
     ended = [row.finished for row in rows if row.finished is not None]
-    return f"{told} Last episode: {figures.moment(max(ended))}." if ended else told
+    return f"{told} Last episode: {amounts.moment(max(ended))}." if ended else told
 
 
 def main_score(contents: Contents, entrant: Entrant) -> Score | None:
@@ -95,12 +89,12 @@ def _cards(contents: Contents) -> str:
         if score is None:
             continue
         if score.mean is None:
-            told = f"no score: {count(score.errors, 'error')}"
+            told = f"no score: {counted(score.errors, 'error')}"
         else:
             told = f"{'success' if score.metric == 'success' else 'mean return'}<br>"
             told += f"95 % interval {figures.bounds(score.low, score.high, score.metric)}<br>"
-            told += f"{count(score.episodes, 'episode')} of {count(score.rows, 'row')}"
-            told += f", {count(score.errors, 'error')}" if score.errors else ""
+            told += f"{counted(score.episodes, 'episode')} of {counted(score.rows, 'row')}"
+            told += f", {counted(score.errors, 'error')}" if score.errors else ""
         figure = figures.score(score.mean, score.metric)
         cards.append(
             f'<div class="card s{entrant.place % plots.COLOURS}"><div class="name">{text(entrant.label)}</div>'

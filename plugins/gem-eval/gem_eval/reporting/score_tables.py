@@ -6,12 +6,14 @@ import itertools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from gem_eval.reporting import figures, plots
+from gem_core.cli import shown
+from gem_eval import figures
+from gem_eval.reporting import plots
 from gem_eval.reporting.lines import Line, lined_table, lines, task_name
 from gem_eval.reporting.markup import Cell, name_cell, section, table
 
 if TYPE_CHECKING:
-    from gem_eval.reporting.contents import Contents, Difference
+    from gem_eval.reporting.contents import Contents, Paired
     from gem_eval.scores import Metric, Score
 
 _COUNTS = {"truncated": "Cut off", "unreadable": "Unreadable", "unscored": "Unscored", "errors": "Errors"}
@@ -109,7 +111,7 @@ def _otherwise(score: Score) -> list[float | None]:
     return [*without, score.with_errors, score.with_unscored]
 
 
-def _difference_table(found: Sequence[Difference], metric: Metric) -> str:
+def _difference_table(found: Sequence[Paired], metric: Metric) -> str:
     ends = [end for each in found for end in (each.estimate.mean, each.estimate.low, each.estimate.high)]
     scale = plots.Scale.of([0.0, *(end for end in ends if end is not None)], 4, percent=metric == "success")
     rows = []
@@ -118,14 +120,14 @@ def _difference_table(found: Sequence[Difference], metric: Metric) -> str:
         for place, each in enumerate(own):
             mean, _, low, high = each.estimate
             plot = plots.interval(mean, low, high, scale, each.second.place, f"{compared}: {mean:+.3g}")
-            told = [figures.difference(mean, metric), figures.bounds(low, high, metric), str(each.rows)]
-            told += [str(each.better), str(each.worse), figures.p_value(each.p)]
+            told = [figures.change(mean, metric), figures.change_bounds(low, high, metric), str(each.found.rows)]
+            told += [shown(each.found.only_b, "d"), shown(each.found.only_a, "d"), figures.p_value(each.found.shown_p)]
             names = [] if place else [name_cell(compared, span=len(own))]
-            cells = [*names, name_cell(task_name(each.task)), Cell(plot, "plot"), *map(Cell, told)]
+            cells = [*names, name_cell(task_name(each.found.id)), Cell(plot, "plot"), *map(Cell, told)]
             rows.append(("again" if place else "", cells))
     unit = "Points" if metric == "success" else "Difference"
     headers = [Cell("Compared", "name"), Cell("Task", "name"), Cell(plots.axis(scale), "plot")]
-    headers += [Cell(each) for each in (unit, "95 % interval", "Rows", "Better on", "Worse on", "p")]
+    headers += [Cell(each) for each in (unit, "95 % interval", "Rows", "Only it solved", "Only the other", "p")]
     return table(headers, rows)
 
 

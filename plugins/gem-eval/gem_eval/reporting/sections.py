@@ -6,7 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from gem_eval.reporting import figures, plots
+from gem_eval import figures
+from gem_eval.reporting import amounts, plots
 from gem_eval.reporting.contents import Contents, ending_of, endings, solved_counts
 from gem_eval.reporting.lines import Line, legend, lined_table, lines, task_name
 from gem_eval.reporting.markup import Cell, figure, section, text
@@ -104,10 +105,10 @@ def costs(contents: Contents) -> str:
 
     def cells(line: Line) -> list[Cell]:
         rows = line.entrant.of_task(line.task)
-        told = [_amount(name, figures.mean_of(rows, name)) for name in ("turns", *known)]
+        told = [_amount(name, amounts.mean_of(rows, name)) for name in ("turns", *known)]
         if "cost" in known:
             total, solved = sum(row.cost or 0 for row in rows), sum(bool(row.success) for row in rows)
-            told += [figures.dollars(total), figures.dollars(total / solved) if solved else figures.NONE]
+            told += [amounts.dollars(total), amounts.dollars(total / solved) if solved else figures.NONE]
         return [Cell(each) for each in told]
 
     headers = [Cell("Turns"), *(Cell(_SPENT[name]) for name in known)]
@@ -148,8 +149,8 @@ def _cloud(contents: Contents, name: str, label: str) -> str:
 def _spent(rows: Sequence[Row], name: str) -> float | None:
     """Return the mean cost, or the mean number of tokens, read and written, of episodes."""
     if name == "cost":
-        return figures.mean_of(rows, "cost")
-    both = [figures.mean_of(rows, "tokens_in"), figures.mean_of(rows, "tokens_out")]
+        return amounts.mean_of(rows, "cost")
+    both = [amounts.mean_of(rows, "tokens_in"), amounts.mean_of(rows, "tokens_out")]
     known = [each for each in both if each is not None]
     return sum(known) if known else None
 
@@ -176,4 +177,4 @@ def _grid(found: Sequence[str]) -> str:
 def _amount(name: str, value: float | None) -> str:
     if value is None:
         return figures.NONE
-    return {"cost": figures.dollars, "seconds": figures.duration}.get(name, figures.number)(value)
+    return {"cost": amounts.dollars, "seconds": amounts.duration}.get(name, amounts.number)(value)

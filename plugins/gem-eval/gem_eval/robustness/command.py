@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -24,11 +23,12 @@ from gem_core.cli import (
     given,
     parsed_choices,
     print_table,
-    shown,
     stack_options,
     wrapper_stack,
 )
 from gem_core.errors import ArgumentError, GemError
+from gem_eval import figures
+from gem_eval.output import print_json
 
 if TYPE_CHECKING:
     from gem_core import Episode
@@ -43,7 +43,7 @@ _DEFAULT_SLOTS = 8
     epilog="""\b
 Examples:
   gem robustness game:GuessTheNumber-v0 --model openai:gpt-5-mini --episodes 50
-  gem robustness math:GSM8K --model openai:gpt-5-mini --tools python --episodes 200
+  gem robustness math:GSM8K --model openai:gpt-5-mini --tools python --limit 200
   gem robustness math:GSM8K --model openai:gpt-5-mini --tools python --perturb tool_429:rate=0.5
   gem robustness qa:NaturalQuestions --model openai:gpt-5-mini --tools search \\
       --perturb distractor_tools:count=8 --perturb paraphrase,typos:rate=0.05
@@ -82,14 +82,19 @@ argument, 130 after Ctrl-C, with what was scored until then.
     help="A line of the table; names joined by commas are applied together. Can be repeated.  [default: the first "
     "seven below]",
 )
-@click.option("-n", "--episodes", type=AtLeast(min=1), help="Rows of each ID.  [default: each row once, else 10]")
-@click.option("--epochs", type=AtLeast(min=1), default=1, show_default=True, help="How often each row is played.")
-@click.option("-k", "--num-envs", type=AtLeast(min=1), help="Environments at once.  [default: --max-concurrency, or 8]")
-@click.option("-s", "--seed", type=AtLeast(min=0), default=0, show_default=True, help="Seed of every run.")
+@click.option("--limit", type=AtLeast(min=1), help="Rows of each ID at most.")
+@click.option(
+    "-n", "--episodes", type=AtLeast(min=1), default=10, show_default=True, help="Rows of IDs without a data set."
+)
+@click.option("-e", "--epochs", type=AtLeast(min=1), default=1, show_default=True, help="How often each row is played.")
+@click.option("-k", "--num-envs", type=AtLeast(min=1), help="Episodes at once.  [default: --max-concurrency, or 8]")
+@click.option("-s", "--seed", type=AtLeast(min=0), default=0, show_default=True, help="Seed of the run.")
 @arguments_option
 @stack_options("Perturbations go inside views, and outside tools.")
-@click.option("-o", "--out", type=click.Path(file_okay=False), help="Folder for the episodes, a file for each run.")
-@click.option("--json", "as_json", is_flag=True, help="Write the table as JSON.")
+@click.option(
+    "-o", "--out", type=click.Path(file_okay=False), help="Folder for the episodes, a file for each line of the table."
+)
+@click.option("--json", "as_json", is_flag=True, help="Write the scores as JSON.")
 @agent_options
 @click.pass_context
 def command(
@@ -98,7 +103,8 @@ def command(
     ids: tuple[str, ...],
     model: str,
     perturbations: tuple[str, ...],
-    episodes: int | None,
+    limit: int | None,
+    episodes: int,
     epochs: int,
     num_envs: int | None,
     seed: int,
@@ -152,6 +158,7 @@ def command(
                     fit,
                     wrappers=stack,
                     seed=seed,
+                    limit=limit,
                     episodes=episodes,
                     epochs=epochs,
                     num_envs=num_envs or getattr(agent, "max_concurrency", _DEFAULT_SLOTS),
@@ -161,7 +168,7 @@ def command(
             stopped_by = error
     rows = [*results, *in_all(results)]
     if as_json:
-        click.echo(json.dumps({"scores": [row.to_dict(model) for row in rows], "seed": seed}, indent=1))
+        print_json({"scores": [row.to_dict(model) for row in rows], "seed": seed})
     else:
         print_table(_COLUMNS, rows)
     failed = [row for row in results if row.first_error is not None and not row.disturbance.server_faults]
@@ -220,37 +227,24 @@ def _recording(folder: str | None) -> Iterator[Callable[[str, Episode], None]]:
         yield write
 
 
-def _form(row: Disturbed) -> str:
-    return ".1%" if row.metric == "success" else ".3f"
-
-
-def _score(row: Disturbed) -> str:
-    score = row.score
-    if score is None:
-        return "-"
-    return f"{score.mean:{_form(row)}}" + ("" if score.stderr is None else f" ± {score.stderr:{_form(row)}}")
-
-
 def _difference(row: Disturbed) -> str:
     if row.plain is None:
         return ""
-    return shown(None if row.difference is None else row.difference.mean, f"+{_form(row)}")
+    return figures.change(None if row.difference is None else row.difference.mean, row.metric)
 
 
 def _interval(row: Disturbed) -> str:
     if row.plain is None:
         return ""
-    found = row.difference
-    if found is None or found.low is None or found.high is None:
-        return "-"
-    return f"{found.low:+{_form(row)}} to {found.high:+{_form(row)}}"
+    low, high = (None, None) if row.difference is None else row.difference[2:]
+    return figures.change_bounds(low, high, row.metric)
 
 
 _COLUMNS = [
     Column("environment", lambda row: str(row.id), name=True),
     Column("perturbation", lambda row: str(row.disturbance.name), name=True),
     Column("metric", lambda row: str(row.metric), 0),
-    Column("score", _score),
+    Column("score [95 %]", lambda row: figures.with_bounds(row.score, row.metric)),
     Column("difference", _difference),
     Column("95 % interval", _interval),
     Column("rows", lambda row: str(len(row.rows)), 1),

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
-from gem_core.env import stable_hash
 from gem_core.errors import RequestError
 from gem_core.rollouts import Agent, Context
 from gem_core.types import Observation
+from gem_eval.robustness.perturbation import drawn
 
 SERVER_FAULTS = {
     "server_429": "the server answered HTTP 429 Too Many Requests",
     "server_timeout": "the server did not answer in time",
 }
 """What can happen to requests to a model server, each with the words of its error."""
-
-_HASHES = 1 << 53
 
 
 class FlakyAgent:
@@ -37,7 +35,7 @@ class FlakyAgent:
     def __call__(self, observation: Observation, context: Context) -> Any:
         """Ask the other agent, or raise ``RequestError`` where every attempt fails."""
         where = (self._seed, self._fault, context.env_id, context.episode, context.turn)
-        if all(stable_hash(*where, attempt) < self._rate * _HASHES for attempt in range(self._retries + 1)):
+        if all(drawn(self._rate, *where, attempt) for attempt in range(self._retries + 1)):
             raise RequestError(f"{SERVER_FAULTS[self._fault]} (injected), {self._retries + 1} times")
         return self._agent(observation, context)
 

@@ -16,7 +16,9 @@ from gem_core.registry import ToolSpec, registry
 from gem_core.rollouts import Agent, default_plan
 from gem_eval.robustness.flaky_agent import SERVER_FAULTS, FlakyAgent
 from gem_eval.robustness.perturbation import NoToolsError, share
+from gem_eval.scores import Metric, tells_success
 from gem_eval.statistics import Estimate, mean, paired_difference, rate
+from gem_eval.turns import error_text
 
 DEFAULT = ("tool_429", "tool_timeout", "cut_outputs", "distractor_tools", "renamed_parameters", "paraphrase", "typos")
 """The disturbances of an agent that are tried where none is named."""
@@ -80,7 +82,7 @@ class Disturbed:
 
     id: str
     disturbance: Disturbance
-    metric: str
+    metric: Metric
     rows: dict[str, list[float]] = field(default_factory=dict)
     errors: int = 0
     first_error: str | None = None
@@ -134,7 +136,8 @@ def score_disturbed(
     *,
     wrappers: Sequence[WrapperChoice],
     seed: int,
-    episodes: int | None = None,
+    limit: int | None = None,
+    episodes: int = 10,
     epochs: int = 1,
     num_envs: int | None = None,
     on_episode: Callable[[Disturbance, Episode], None] = lambda disturbance, episode: None,
@@ -147,7 +150,8 @@ def score_disturbed(
         disturbances: One run each, after one without any.
         wrappers: Put around the environment in every run, tools first.
         seed: Of all runs.
-        episodes: Number of rows; None for each row of a data set once, or ten.
+        limit: Number of rows at most; None for all of a data set.
+        episodes: Number of rows where there is no data set and no limit.
         epochs: How often each row is played.
         num_envs: Environments at once.
         on_episode: Called with each episode as it finishes.
@@ -159,7 +163,9 @@ def score_disturbed(
     for disturbance in (Disturbance(UNDISTURBED), *disturbances):
         stack = stacked(wrappers, disturbance.wrappers)
         with closing(gem.make_vec([env], num_envs or 1, seed=seed, wrappers=stack)) as vector:
-            plan = list(group_plan(default_plan(vector, episodes), epochs))
+            total = vector.num_tasks(*env)
+            rows = limit or episodes if total is None else min(limit or total, total)
+            plan = list(group_plan(default_plan(vector, rows), epochs))
             played = []
             for episode in gem.rollout(vector, disturbance.around(agent, seed), plan=plan):
                 played.append(episode)
@@ -217,7 +223,7 @@ def _collected(
     env_id: str, disturbance: Disturbance, episodes: Sequence[Episode], plain: Disturbed | None
 ) -> Disturbed:
     if plain is None:
-        metric = "success" if any(episode.success is not None for episode in episodes) else "return"
+        metric: Metric = "success" if tells_success(episodes) else "return"
     else:
         metric = plain.metric
     result = Disturbed(env_id, disturbance, metric, plain=plain)
@@ -225,7 +231,7 @@ def _collected(
         value = episode.success if metric == "success" else episode.episode_return
         if episode.error is not None:
             result.errors += 1
-            result.first_error = result.first_error or str(episode.error.get("message", episode.error))
+            result.first_error = result.first_error or error_text(episode.error)
         elif value is not None:
             result.rows.setdefault(f"{env_id}/{episode.key}", []).append(float(value))
     return result

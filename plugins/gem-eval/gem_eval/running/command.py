@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gem_core.cli import (
+    INTERRUPTED,
+    AtLeast,
     agent_options,
     arguments_option,
     call_again,
@@ -25,8 +27,6 @@ if TYPE_CHECKING:
     from gem_eval.records import Row
     from gem_eval.running.evaluation import EvaluationSession
     from gem_eval.suites import Suite
-
-_INTERRUPTED = 130
 
 
 @click.command(
@@ -55,23 +55,30 @@ wrong argument, 130 after Ctrl-C.
 )
 @click.argument("targets", nargs=-1, metavar="SUITE|ID...")
 @click.option("--list", "list_suites", is_flag=True, help="List the suites that are built in.")
-@click.option("-m", "--model", "models", multiple=True, metavar="AGENT", help="Whom to evaluate; can be repeated.")
+@click.option(
+    "-m",
+    "--model",
+    "models",
+    multiple=True,
+    metavar="AGENT",
+    help="openai:MODEL, MODULE:CALLABLE, or an agent's name. Can be repeated.",
+)
 @click.option("--role", "roles", multiple=True, metavar="ROLE=AGENT", help="Who plays another part: user, judge.")
-@click.option("-e", "--epochs", type=click.IntRange(min=1), help="How often each row is played.  [default: 1]")
-@click.option("--limit", type=click.IntRange(min=1), help="Rows of each task at most.")
+@click.option("-e", "--epochs", type=AtLeast(min=1), help="How often each row is played.  [default: 1]")
+@click.option("--limit", type=AtLeast(min=1), help="Rows of each task at most.")
 @click.option("--sample-ids", metavar="ID,ID", help="Only the rows with these values of task_id.")
 @click.option("--shuffle", type=click.IntRange(min=0), metavar="SEED", help="Take rows in a random order.")
 @click.option("--where", metavar="CONDITION", help="Only rows like this: 'level == 5 and subject != \"Geometry\"'.")
-@click.option("-n", "--episodes", type=click.IntRange(min=1), help="Rows of tasks without a data set.  [default: 100]")
-@click.option("-s", "--seed", type=click.IntRange(min=0), help="Seed of the run.  [default: 0]")
+@click.option("-n", "--episodes", type=AtLeast(min=1), help="Rows of tasks without a data set.  [default: 100]")
+@click.option("-s", "--seed", type=AtLeast(min=0), help="Seed of the run.  [default: 0]")
 @arguments_option
 @stack_options("For tasks that name none.")
-@click.option("--episode-time", type=click.FloatRange(min=0, min_open=True), help="Seconds of an episode.")
-@click.option("--episode-tokens", type=click.IntRange(min=1), help="Tokens of an episode.")
-@click.option("--episode-cost", type=click.FloatRange(min=0, min_open=True), help="US dollars of an episode.")
-@click.option("--run-time", type=click.FloatRange(min=0, min_open=True), help="Seconds of this session.")
-@click.option("--run-tokens", type=click.IntRange(min=1), help="Tokens of the run.")
-@click.option("--run-cost", type=click.FloatRange(min=0, min_open=True), help="US dollars of the run.")
+@click.option("--episode-time", type=click.FloatRange(min=0, min_open=True), help="Most seconds of an episode.")
+@click.option("--episode-tokens", type=AtLeast(min=1), help="Most tokens of an episode.")
+@click.option("--episode-cost", type=click.FloatRange(min=0, min_open=True), help="Most US dollars of an episode.")
+@click.option("--run-time", type=click.FloatRange(min=0, min_open=True), help="Most seconds of this session.")
+@click.option("--run-tokens", type=AtLeast(min=1), help="Most tokens of the run.")
+@click.option("--run-cost", type=click.FloatRange(min=0, min_open=True), help="Most US dollars of the run.")
 @click.option("--prices", metavar="FILE", help="What tokens cost, in place of the list that comes along.")
 @click.option("--cache", metavar="FOLDER", help="Take answers to the same requests from earlier runs.")
 @click.option(
@@ -88,8 +95,8 @@ wrong argument, 130 after Ctrl-C.
     show_default=True,
     help="Stop when more than this share of episodes had an error.",
 )
-@click.option("--num-envs", type=click.IntRange(min=1), help="Episodes at once.  [default: --max-concurrency]")
-@click.option("--step-timeout", type=click.FloatRange(min=0, min_open=True), help="Seconds of a step of a task.")
+@click.option("-k", "--num-envs", type=AtLeast(min=1), help="Episodes at once.  [default: --max-concurrency, or 8]")
+@click.option("--step-timeout", type=click.FloatRange(min=0, min_open=True), help="Most seconds of a step or a reset.")
 @click.option("-o", "--out", metavar="FOLDER", help="Folder of the run.  [default: a new one in runs/]")
 @click.option("--new", is_flag=True, help="Begin another run, also where one was stopped.")
 @click.option("--json", "as_json", is_flag=True, help="Write the scores as JSON.")
@@ -195,7 +202,7 @@ def _finish(ctx: click.Context, session: EvaluationSession, rows: list[Row], sto
     total = session.plan.episodes
     if isinstance(stopped_by, KeyboardInterrupt):
         click.echo(f"gem: interrupted after {len(rows)} of {total} episodes; the same command goes on", err=True)
-        ctx.exit(_INTERRUPTED)
+        ctx.exit(INTERRUPTED)
     if stopped_by is not None:
         click.echo(f"gem: stopped after {len(rows)} of {total} episodes; the same command goes on", err=True)
         raise stopped_by

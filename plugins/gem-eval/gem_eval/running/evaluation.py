@@ -15,6 +15,7 @@ from gem_core import Episode, PlanItem
 from gem_core.errors import ArgumentError, EpisodeFileError, GemError
 from gem_core.records import to_plain, without_secrets
 from gem_core.rollouts import Agent, FinishedEpisodes, as_agent, close_agent, load_agent, load_agents, prepare_agent
+from gem_eval.files import new_run_folder
 from gem_eval.records import Row, Run, RunWriter, read_info
 from gem_eval.running.cache import ResponseCache
 from gem_eval.running.limits import RUN_LIMITS, Limits, MeteredAgent, RunMeter, metered
@@ -362,7 +363,7 @@ class EvaluationSession:
                     break  # the same command after a finished run asks for another one
                 self._check_versions(path.parent, found)
                 return path.parent, True
-        return _new_folder(self.suite.name), False
+        return new_run_folder(self.suite.name), False
 
     def _check_versions(self, path: Path, found: Mapping[str, Any]) -> None:
         """Raise an error where a run was begun with other versions, whose episodes would be mixed with those of now."""
@@ -416,21 +417,6 @@ def _load_models(given: Models, sampling: Mapping[str, Any]) -> tuple[dict[str, 
         model.label: load_agent(model.agent, **{**sampling, **model.options}) if model.options else shared[model.agent]
         for model in models
     }, models
-
-
-def _new_folder(name: str) -> Path:
-    stem = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
-    for number in range(1, 1000):
-        path = Path("runs") / (stem if number == 1 else f"{stem}-{number}")
-        with suppress(FileExistsError):
-            try:
-                path.mkdir(parents=True)
-            except FileExistsError:
-                raise
-            except OSError as error:
-                raise EpisodeFileError(f"cannot write {path}: {error.strerror or error}") from error
-            return path
-    raise EpisodeFileError(f"there is no free name for a folder in runs/ like {stem}")
 
 
 def _remove_if_empty(path: Path) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import gem_core as gem
 from gem_core import EnvSpec, PlanItem
 from gem_core.arguments import signature_of
-from gem_core.cli import find_env, matching, wrapper_stack
+from gem_core.cli import find_envs, wrapper_stack
 from gem_core.env import stable_hash
 from gem_core.errors import ArgumentError
 from gem_core.records import to_plain
@@ -108,10 +108,15 @@ def plan_evaluation(suite: Suite, models: Sequence[str]) -> Evaluation:
         ArgumentError: A task that cannot be played, or of which no row is left; or two tasks of one name.
         UnknownEnvError: There is no such environment.
     """
-    tasks = [planned for task in suite.with_defaults() for planned in _planned(task, suite)]
+    given = suite.with_defaults()
+    once = [task for place, task in enumerate(given) if task not in given[:place]]  # two suites may share a task
+    tasks = [planned for task in once for planned in _planned(task, suite)]
     twice = [label for label, count in Counter(task.label for task in tasks).items() if count > 1]
     if twice:
-        raise ArgumentError(f"two tasks are called {twice[0]!r}: give one of them another name in the suite")
+        raise ArgumentError(
+            f"two tasks are called {twice[0]!r} and differ: give one of them another name in the suite, or evaluate "
+            "the suites apart"
+        )
     items, row_of = [], []
     for task in tasks:
         for row in task.rows:
@@ -125,13 +130,13 @@ def plan_evaluation(suite: Suite, models: Sequence[str]) -> Evaluation:
 
 def _planned(task: SuiteTask, suite: Suite) -> list[PlannedTask]:
     """Return a task with its rows; of a glob, each task that it stands for."""
-    if not any(character in task.id for character in "*?["):
-        record, kwargs = find_env(task.id)
+    envs = find_envs((task.id,), several=False)
+    if len(envs) == 1:
+        ((record, kwargs),) = envs
         return [_with_rows(task, task.label, record, {**kwargs, **task.kwargs}, suite)]
-    records = [record for record in matching(task.id) if not record.seats]
-    if task.name is not None and len(records) > 1:
-        raise ArgumentError(f"{task.id} stands for {len(records)} environments, which cannot all be {task.name!r}")
-    return [_with_rows(task, task.name or record.id, record, task.kwargs, suite) for record in records]
+    if task.name is not None:
+        raise ArgumentError(f"{task.id} stands for {len(envs)} environments, which cannot all be {task.name!r}")
+    return [_with_rows(task, record.id, record, task.kwargs, suite) for record, _ in envs]
 
 
 def _with_rows(task: SuiteTask, label: str, record: EnvSpec, kwargs: Mapping[str, Any], suite: Suite) -> PlannedTask:

@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from gem_core.cli import Column, print_table, shown, shown_count
+from gem_eval import figures
 
 if TYPE_CHECKING:
     from gem_eval.records import Row
@@ -87,7 +88,7 @@ def _columns(rows: Sequence[TableRow]) -> list[Column]:
     if epochs:
         columns.append(Column("rows", lambda row: str(row.main.rows), 8))
     if any(row.success for row in rows):
-        columns.append(Column("success [95 %]", lambda row: _percent(row.success)))
+        columns.append(Column("success [95 %]", lambda row: figures.with_bounds(row.success, "success")))
     for k in epochs[-1:]:
         columns += [Column(f"pass@{k}", partial(_pass_at, k)), Column(f"pass^{k}", partial(_pass_hat, k))]
     if any(row.success and row.success.without_truncated for row in rows):
@@ -95,8 +96,10 @@ def _columns(rows: Sequence[TableRow]) -> list[Column]:
             Column("without cut-off", lambda row: _mean_of(row.success and row.success.without_truncated), 6)
         )
     if any(row.main.errors for row in rows):
-        columns.append(Column("if errors failed", lambda row: _share(row.success and row.success.with_errors), 5))
-    columns.append(Column("return [95 %]", lambda row: _plain(row.returns), 7))
+        columns.append(
+            Column("if errors failed", lambda row: figures.score(row.success and row.success.with_errors, "success"), 5)
+        )
+    columns.append(Column("return [95 %]", lambda row: figures.with_bounds(row.returns, "return"), 7))
     for rank, (header, name) in enumerate(_COUNTS, start=2):
         if any(getattr(row.main, name) for row in rows):
             columns.append(Column(header, partial(_count, name), rank))
@@ -115,22 +118,6 @@ _COUNTS = (("unscored", "unscored"), ("unreadable", "unreadable"), ("cut off", "
 """Headers of counts, and their names in a score: the most dispensable first."""
 
 
-def _percent(score: Score | None) -> str:
-    if score is None or score.mean is None:
-        return "-"
-    if score.low is None or score.high is None:
-        return f"{score.mean:.1%}"
-    return f"{score.mean:.1%} [{100 * score.low:.1f}, {100 * score.high:.1f}]"
-
-
-def _plain(score: Score | None) -> str:
-    if score is None or score.mean is None:
-        return "-"
-    if score.low is None or score.high is None:
-        return f"{score.mean:.3f}"
-    return f"{score.mean:.3f} [{score.low:.3f}, {score.high:.3f}]"
-
-
 def _pass_at(k: int, row: TableRow) -> str:
     return _mean_of(row.success.pass_at.get(str(k)) if row.success else None)
 
@@ -144,8 +131,4 @@ def _count(name: str, row: TableRow) -> str:
 
 
 def _mean_of(estimate: Estimate | None) -> str:
-    return "-" if estimate is None else f"{estimate.mean:.1%}"
-
-
-def _share(mean: float | None) -> str:
-    return "-" if mean is None else f"{mean:.1%}"
+    return figures.score(None if estimate is None else estimate.mean, "success")

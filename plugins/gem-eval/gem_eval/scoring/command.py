@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,9 @@ import click
 from gem_core.cli import Column, agent_options, arguments_option, counted, echo_line, env_arguments, given, print_table
 from gem_core.errors import ArgumentError
 from gem_core.progress import Progress
-from gem_core.records import to_plain
+from gem_eval import figures
+from gem_eval.opening import warn_of_damage
+from gem_eval.output import print_json
 from gem_eval.records import open_run
 from gem_eval.scoring.grading import Rescored, TaskScore, score
 from gem_eval.show.text import one_line
@@ -45,7 +46,7 @@ the grader fails, that is an error of the episode, and never a score of 0: the s
 Exit code: 0 if the grader failed for no episode, 1 if it did, 2 for a wrong argument, 130 after Ctrl-C.
 """,
 )
-@click.argument("path", metavar="RUN", type=click.Path(exists=True))
+@click.argument("path", metavar="RUN", type=click.Path())
 @click.option(
     "-g", "--grader", required=True, metavar="GRADER", help="MODULE:FUNCTION, 'env', or 'openai:MODEL' for a judge."
 )
@@ -96,7 +97,7 @@ def command(
             on_graded=lambda done, total: bar.advance(done, f"of {total}"),
         )
     if as_json:
-        click.echo(json.dumps(to_plain(_as_dict(found)), indent=1))
+        print_json(_as_dict(found))
     else:
         _report(found, every)
     ctx.exit(1 if found.errors else 0)
@@ -114,8 +115,8 @@ def _report(found: Rescored, every: bool) -> None:
         Column("task", lambda row: one_line(row.id), name=True),
         Column("model", lambda row: one_line(row.model) or "-", 0),
         Column("graded", lambda row: str(row.episodes)),
-        Column("old", lambda row: _shown(row.old)),
-        Column("new", lambda row: _shown(row.new)),
+        Column("old [95 %]", lambda row: _shown(row.old)),
+        Column("new [95 %]", lambda row: _shown(row.new)),
         Column("changed", lambda row: str(row.changed)),
         Column("cannot tell", lambda row: str(row.unknown)),
         Column("errors", lambda row: str(row.errors), alarm=True),
@@ -128,8 +129,7 @@ def _report(found: Rescored, every: bool) -> None:
             f"Two repeats agree in {found.agreement.share:.1%} of cases{alpha}; variance between the repeats of an "
             f"episode: {found.agreement.variance:.3g} on average ({counted(found.agreement.items, 'episode')})."
         )
-    if found.run.damaged:
-        echo_line(f"{counted(found.run.damaged, 'line')} of {found.run.path} cannot be read as episodes of one agent.")
+    warn_of_damage(found.run)
     if found.not_graded:
         echo_line(f"{counted(found.not_graded, 'episode')} ended in an error, and cannot be graded.")
     differing = [each for each in found.notes if (each.note or "").startswith("not as recorded")]
@@ -158,11 +158,7 @@ def _list(lines: list[str], every: bool) -> None:
 
 
 def _shown(estimate: Estimate | None) -> str:
-    if estimate is None:
-        return "-"
-    form = ".1%" if 0 <= estimate.mean <= 1 else ".4g"
-    error = "" if estimate.stderr is None else f" ± {format(estimate.stderr, form)}"
-    return f"{format(estimate.mean, form)}{error}"
+    return figures.with_bounds(estimate, "success" if estimate is None or 0 <= estimate.mean <= 1 else "return")
 
 
 def _as_dict(found: Rescored) -> dict[str, Any]:

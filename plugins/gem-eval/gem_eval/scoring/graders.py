@@ -21,6 +21,7 @@ from gem_core.rollouts import Agent, close_agent, current_folder_importable, loa
 from gem_eval.replaying.recorded import differences
 from gem_eval.replaying.replay import repeat_all
 from gem_eval.scoring.judge import RUBRIC, SYSTEM, ModelJudge
+from gem_eval.turns import error_text
 
 Verdict = bool | float | Mapping[str, bool | float] | None
 """What a function returns: whether the episode passes, a score, several by name, or None where it cannot tell."""
@@ -118,7 +119,7 @@ class EnvGrader(Grader):
             if isinstance(replayed, GemError):
                 yield place, Grade(error=_told(replayed))
             elif replayed.error is not None:
-                yield place, Grade(error=f"{replayed.error.get('kind')}: {replayed.error.get('message')}")
+                yield place, Grade(error=error_text(replayed.error))
             else:
                 yield place, _replayed_grade(episodes[place], replayed)
 

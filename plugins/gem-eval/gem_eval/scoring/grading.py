@@ -13,7 +13,8 @@ from typing import Any
 from gem_core import Episode
 from gem_core.background import run_sync
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_eval.records import Row, Run, open_run
+from gem_eval.opening import opened, require_episodes
+from gem_eval.records import Row, Run
 from gem_eval.scoring.file import GradedEpisode, ScoreFile
 from gem_eval.scoring.graders import Grade, GradeFunction, Grader, find_grader
 from gem_eval.statistics import Agreement, Estimate, agreement, mean, rate
@@ -137,12 +138,10 @@ def score(
         ArgumentError: There is no such run or grader; or other scores have this name.
         EpisodeFileError: The run cannot be read, or the scores cannot be written.
     """
-    run = run if isinstance(run, Run) else open_run(run)
+    run = opened(run)
     if repeat < 1:
         raise ArgumentError(f"repeat must be a positive whole number, not {repeat}")
-    if not run.rows:
-        unread = f"; {run.damaged} lines cannot be read as such" if run.damaged else ""
-        raise ArgumentError(f"{run.path} holds no episodes of one agent (yet){unread}")
+    require_episodes(run)
     found = find_grader(grader, rubric=rubric, kwargs=kwargs, options=options)
     file = ScoreFile.new_or_begun(run, name or found.name)
     try:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from gem_core import Episode
 from gem_core.errors import GemError, GradingError
 from gem_core.rollouts import Context
+from gem_eval.turns import parts_of, text_of
 
 if TYPE_CHECKING:
     from gem_core.rollouts import Agent
@@ -112,17 +113,13 @@ def _transcript(episode: Episode) -> list[str]:
 
 
 def _message(message: dict[str, Any]) -> dict[str, Any]:
-    told: dict[str, Any] = {"role": message.get("role"), "content": _clipped(_words(message.get("content")))}
+    told: dict[str, Any] = {
+        "role": message.get("role"),
+        "content": _clipped(text_of(parts_of(message.get("content") or ""))),
+    }
     if message.get("tool_calls"):
         told["tool_calls"] = _clipped(json.dumps(message["tool_calls"], ensure_ascii=False, default=repr))
     return told
-
-
-def _words(content: Any) -> str:
-    if isinstance(content, str):
-        return content
-    parts = content if isinstance(content, list) else []
-    return "\n".join(str(part["text"]) if part.get("type") == "text" else "[image]" for part in parts)
 
 
 def _clipped(text: str) -> str:

@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import io
 import itertools
-import json
 import os
 import sys
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from gem_core import Episode
-from gem_core.cli import output_width
+from gem_core.cli import counted, output_width
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records import ImageFolder, Record, to_plain
+from gem_core.records import Record
 from gem_core.suggestions import did_you_mean
-from gem_eval.episode_file import Entry, EpisodeFile
 from gem_eval.filters import SORTS, at_seat, ordered, parse_comparison, select
+from gem_eval.output import print_json
+from gem_eval.run_entries import open_episodes
 from gem_eval.show.lines import episode_lines, list_lines
 from gem_eval.show.paging import write_lines
-from gem_eval.show.text import count, one_line
+from gem_eval.show.text import one_line
+
+if TYPE_CHECKING:
+    from gem_eval.episode_file import Entry, EpisodeFile
+    from gem_eval.run_entries import RunEntries
 
 _HTML_LIMIT = 500
 _SILENT_S = 2.0
@@ -41,23 +45,24 @@ Examples:
   gem show runs/mine.jsonl --html mine.html           a page for the browser, in one file
   gem show runs/games.jsonl --seat white --success    the games that white won
   gem show runs/games.jsonl 3 --seat white            one of them as white saw it
+  gem show runs/math --failure                        the folder of a run of 'gem eval'
 \b
 Of several agents, one episode is told in the order in which they acted; --success finds those in which
 one of them did, --return looks at the sum. With --seat all is that of one seat: its outcome, return,
 turns and observations.
 \b
-The number of an episode is its line in the file. In a terminal, the output is paged: '/' searches,
+The number of an episode in a file is its line there. In a terminal, the output is paged: '/' searches,
 'n' finds the next, 'q' leaves; PAGER names another pager, NO_COLOR switches colours off. What could
 move the cursor or hide text is shown as its code. Images are named; --html shows them.
 \b
-A file of some size gets an index beside it, FILE.index, so that it opens at once the next time; it
+A file of some size gets an index beside it, RUN.index, so that it opens at once the next time; it
 may be deleted. A line that is cut off or damaged is passed over, and named on standard error.
 \b
 Exit code: 0 if the file could be read, even where no episode fits, 1 if it holds no whole episode or
 the one asked for is damaged, 2 for a wrong argument.
 """,
 )
-@click.argument("path", metavar="FILE", type=click.Path(exists=True, dir_okay=False))
+@click.argument("path", metavar="RUN", type=click.Path(exists=True))
 @click.argument("number", metavar="[N]", required=False, type=click.IntRange(min=1))
 @click.option("--episode", "option_number", metavar="N", type=click.IntRange(min=1), help="The same as N.")
 @click.option("--env", metavar="PATTERN", help="Only ids with this part, or that fit a glob in quotes.")
@@ -92,9 +97,9 @@ def command(
     limit: int | None,
     **conditions: Any,
 ) -> None:
-    """Show the episodes of a file: a list, one of them turn by turn, two compared, or a page for the browser.
+    """Show recorded episodes: a list, one of them turn by turn, two compared, or a page for the browser.
 
-    FILE is what 'gem run' wrote. N is the number of one episode.
+    RUN is a folder that 'gem eval' wrote, or a file of 'gem run'. N is the number of one episode.
     """
     if number is not None and option_number not in (None, number):
         raise ArgumentError(f"N is {number}, but --episode is {option_number}; name one")
@@ -105,7 +110,7 @@ def command(
         raise ArgumentError("--html and --json are two forms; choose one")
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # for what its encoding does not have
-    with EpisodeFile(path) as file:
+    with open_episodes(path) as file:
         if not file.size:
             raise EpisodeFileError(f"{path} is empty: it holds no episodes (yet)")
         if diff is not None:
@@ -125,11 +130,11 @@ def command(
         _report_damage(file)
 
 
-def _show_list(file: EpisodeFile, entries: Iterator[Entry], as_json: bool) -> None:
+def _show_list(file: EpisodeFile | RunEntries, entries: Iterator[Entry], as_json: bool) -> None:
     first = list(itertools.islice(entries, 1))
     entries = itertools.chain(first, entries)
     if as_json:
-        click.echo(json.dumps([to_plain(entry.to_dict()) for entry in entries], indent=1))
+        print_json([entry.to_dict() for entry in entries])
     else:
         write_lines(list_lines(entries, output_width()))
     if not first:
@@ -138,15 +143,15 @@ def _show_list(file: EpisodeFile, entries: Iterator[Entry], as_json: bool) -> No
             click.echo(f"gem: none of the {whole:,} episodes of {file.path} fits", err=True)
 
 
-def _show_episode(file: EpisodeFile, number: int, seat: str | None, full: bool, as_json: bool) -> None:
+def _show_episode(file: EpisodeFile | RunEntries, number: int, seat: str | None, full: bool, as_json: bool) -> None:
     episode = _read(file, file.entry(number), seat)
     if as_json:
-        click.echo(json.dumps(to_plain({"number": number, **episode.to_dict()}), indent=1))
+        print_json({"number": number, **episode.to_dict()})
     else:
         write_lines(episode_lines(episode, number, full=full))
 
 
-def _read(file: EpisodeFile, entry: Entry, seat: str | None) -> Record:
+def _read(file: EpisodeFile | RunEntries, entry: Entry, seat: str | None) -> Record:
     """Return the episode of an entry, or that of one of its seats."""
     record = file.read(entry)
     if seat is None:
@@ -161,14 +166,14 @@ def _read(file: EpisodeFile, entry: Entry, seat: str | None) -> Record:
     return record.seats[seat]
 
 
-def _show_diff(file: EpisodeFile, numbers: tuple[int, int], seat: str | None) -> None:
+def _show_diff(file: EpisodeFile | RunEntries, numbers: tuple[int, int], seat: str | None) -> None:
     from gem_eval.show.diff import diff_lines
 
     one, other = (_one_seat(file, number, seat) for number in numbers)
     write_lines(diff_lines(numbers, (one, other)))
 
 
-def _one_seat(file: EpisodeFile, number: int, seat: str | None) -> Episode:
+def _one_seat(file: EpisodeFile | RunEntries, number: int, seat: str | None) -> Episode:
     record = _read(file, file.entry(number), seat)
     if isinstance(record, Episode):
         return record
@@ -176,12 +181,14 @@ def _one_seat(file: EpisodeFile, number: int, seat: str | None) -> Episode:
     raise ArgumentError(f"episode {number} is of several agents: --diff compares what one of them saw, with {options}")
 
 
-def _write_page(file: EpisodeFile, entries: Iterator[Entry], seat: str | None, out: str, limit: int) -> None:
+def _write_page(
+    file: EpisodeFile | RunEntries, entries: Iterator[Entry], seat: str | None, out: str, limit: int
+) -> None:
     from gem_eval.show.page import PageWriter
 
     if os.path.realpath(out) == os.path.realpath(file.path):
         raise ArgumentError(f"--html {out} is the file of episodes itself; name another")
-    page = PageWriter(file.path.name, ImageFolder.beside(file.path))
+    page = PageWriter(file.path.name, file.images)
     written = left_out = 0
     for entry in entries:
         if written == limit:
@@ -204,10 +211,10 @@ def _write_page(file: EpisodeFile, entries: Iterator[Entry], seat: str | None, o
         page.notes.append(f"{len(file.damaged):,} lines of the file hold no whole episode.")
     page.write(out)
     rest = f" ({left_out:,} more left out: raise --limit)" if left_out else ""
-    click.echo(f"{count(written, 'episode')} written to {out}{rest}")
+    click.echo(f"{counted(written, 'episode')} written to {out}{rest}")
 
 
-def _count_whole(file: EpisodeFile) -> int:
+def _count_whole(file: EpisodeFile | RunEntries) -> int:
     """Return how many whole episodes a file holds; raise where there is none."""
     whole = sum(1 for _ in file.entries())
     if whole:
@@ -218,7 +225,7 @@ def _count_whole(file: EpisodeFile) -> int:
     raise EpisodeFileError(f"{file.path} holds no episode: its lines are blank")
 
 
-def _report_damage(file: EpisodeFile) -> None:
+def _report_damage(file: EpisodeFile | RunEntries) -> None:
     damaged = file.damaged
     if damaged:
         more = f"; lines passed over in all: {len(damaged):,}" if len(damaged) > 1 else ""
@@ -226,7 +233,7 @@ def _report_damage(file: EpisodeFile) -> None:
         click.echo(f"gem: {file.path}, line {damaged[0].number}: passed over, because {reason}{more}", err=True)
 
 
-def _with_progress(file: EpisodeFile) -> Iterator[Entry]:
+def _with_progress(file: EpisodeFile | RunEntries) -> Iterator[Entry]:
     """Yield the entries of a file, and say in a terminal how much of it is read, if that takes more than a moment."""
     shown = sys.stderr.isatty() and file.share_indexed < 1
     due = time.monotonic() + _SILENT_S

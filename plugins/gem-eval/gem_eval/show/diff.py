@@ -9,8 +9,9 @@ from itertools import zip_longest
 from click import style
 
 from gem_core import Episode
+from gem_core.cli import counted
 from gem_eval.show.lines import text_lines
-from gem_eval.show.text import count, dim, escaped, heading, highlighted, one_line, rule
+from gem_eval.show.text import dim, escaped, heading, highlighted, one_line, rule
 from gem_eval.turns import TurnView, outcome_of, parts_of, text_of, turn_views
 
 # What two episodes may start differently from, and what it is called.
@@ -77,7 +78,7 @@ def _start_line(first: Episode, second: Episode) -> str:
 
 
 def _equal_turns_lines(turns: int) -> list[str]:
-    return [dim(f"… {count(turns, 'turn')} alike")] if turns else []
+    return [dim(f"… {counted(turns, 'turn')} alike")] if turns else []
 
 
 def _difference(one: TurnView | None, other: TurnView | None) -> str:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _COLUMNS: dict[str, tuple[int, Callable[[Entry], object]]] = {
     "number": (8, lambda entry: entry.number),
     "environment": (60, lambda entry: entry.id),
-    "outcome": (7, lambda entry: outcome_of(entry.success, failed=entry.error is not None)),
+    "outcome": (8, lambda entry: outcome_of(entry.success, failed=entry.error is not None)),
     "return": (10, lambda entry: "" if len(entry.seats or ()) > 1 else f"{entry.episode_return:.4g}"),
     "turns": (6, lambda entry: entry.turns),
     "seed": (17, lambda entry: "-" if entry.seed is None else entry.seed),
@@ -47,7 +47,7 @@ _DISPENSABLE = ("group", "seed", "turns", "return")
 _ROWS_AHEAD = 200
 _LONGEST_VALUE = 300
 
-_OUTCOME_COLOURS = {"success": "green", "failure": "red", "unknown": "white", "error": "yellow"}
+_OUTCOME_COLOURS = {"success": "green", "failure": "red", "unscored": "white", "error": "yellow"}
 
 
 def list_lines(entries: Iterable[Entry], width: int | None = None) -> Iterator[str]:

@@ -7,30 +7,16 @@ page's own script. The policy in its head allows that script and that style by t
 from __future__ import annotations
 
 import base64
-import hashlib
-import io
 import json
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from gem_core import Episode
-from gem_core.errors import ArgumentError, EpisodeFileError
+from gem_core.errors import EpisodeFileError
 from gem_core.records import ImageFolder, Record
-from gem_eval.files import write_whole
+from gem_eval.assets import hash_source, read_assets
+from gem_eval.episode_data import episode_data, image_names, png_of
+from gem_eval.files import write_page
 from gem_eval.show.text import escaped
-from gem_eval.turns import (
-    Part,
-    TurnView,
-    episodes_of,
-    error_text,
-    figures_of,
-    outcome_of,
-    parts_of,
-    some_success,
-    start_of,
-    turn_views,
-)
 
 MOST_TEXT = 100_000
 """Characters of one text that go into the page; a browser is slow with more."""
@@ -59,32 +45,10 @@ class PageWriter:
 
     def add(self, number: int, episode: Record) -> None:
         """Add an episode under its number."""
-        seats = episodes_of(episode)
-        record = {
-            "number": number,
-            "id": episode.id,
-            "outcome": outcome_of(some_success(episode), failed=episode.error is not None),
-            "return": f"{sum(each.episode_return for each in seats):.4g}",
-            "returns": ", ".join(f"{each.seat}={each.agent} {each.episode_return:.4g}" for each in seats if each.seat),
-            "count": episode.turns,
-            "error": error_text(episode.error),
-            "start": {
-                **{each.seat: f"{each.agent}, {_outcome(each)}" for each in seats if each.seat},
-                **start_of(episode),
-            },
-            "observation": self._parts([each for each in seats if not each.transitions], "observation"),
-            "turns": list(turn_views(episode)),
-            "final": self._parts(seats, "final_observation"),
-        }
-        self._episodes.append(self._data(record))
-
-    def _parts(self, seats: list[Episode], name: str) -> list[Part]:
-        """Return an observation of some seats, each under the name of its seat."""
-        return [
-            part
-            for each in seats
-            for part in [*([] if each.seat is None else [Part("role", each.seat)]), *parts_of(getattr(each, name))]
-        ]
+        data = episode_data(episode, _cut)
+        for name in sorted(image_names(data) - self._image_data.keys()):
+            self._image_data[name] = self._read_image(name)
+        self._episodes.append({"number": number, **data})
 
     def html(self) -> str:
         """Return the page."""
@@ -93,12 +57,10 @@ class PageWriter:
         if left_out := len(self._image_data) - len(images):
             notes.append(f"Images that cannot be read, or would be too much: {left_out}. Their names stand instead.")
         data = {"title": escaped(self.title), "notes": notes, "episodes": self._episodes, "images": images}
-        style, script, page = (
-            (resources.files("gem_eval.show") / "assets" / name).read_text(encoding="utf-8").replace("\r\n", "\n")
-            for name in ("page.css", "page.js", "page.html")
-        )
+        style, script = read_assets("episode.css", "page.css"), read_assets("episode.js", "page.js")
+        page = read_assets("page.html")
         policy = (
-            f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src data:; "
+            f"default-src 'none'; script-src '{hash_source(script)}'; style-src '{hash_source(style)}'; img-src data:; "
             "base-uri 'none'; form-action 'none'"
         )
         # The data come last, so that a mark in a text of others stays what it is.
@@ -112,59 +74,26 @@ class PageWriter:
         Raises:
             ArgumentError: The file cannot be written.
         """
-        path = Path(path)
-        page = self.html().encode("utf-8")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_whole(path, page)
-        except OSError as error:
-            raise ArgumentError(f"cannot write {path}: {error.strerror or error}") from error
-
-    def _data(self, value: Any) -> Any:
-        """Return what is shown as plain JSON: texts escaped and cut, numbers finite."""
-        if isinstance(value, str):
-            left_out = len(value) - MOST_TEXT
-            return escaped(value) if left_out <= 0 else f"{escaped(value[:MOST_TEXT])}\n… {left_out:,} more characters"
-        if isinstance(value, float):
-            return value if abs(value) < 1e300 else 0.0
-        if isinstance(value, list):
-            return [self._data(part) for part in value]
-        if isinstance(value, dict):
-            return {self._data(name): self._data(part) for name, part in value.items()}
-        if isinstance(value, TurnView):
-            return {**self._data(vars(value)), "rewardText": f"{value.reward:g}"}
-        if isinstance(value, Part):
-            if value.kind == "image" and value.text not in self._image_data:
-                self._image_data[value.text] = self._read_image(value.text)
-            return self._data(vars(value))
-        return value
+        write_page(Path(path), self.html())
 
     def _read_image(self, name: str) -> str | None:
-        """Return an image as a data URL of a PNG written anew, so that nothing else of its file gets into the page."""
+        """Return an image as a data URL."""
         try:
-            image = self._images.read(name)
+            content = png_of(self._images, name)
         except EpisodeFileError:
             return None
-        if image.mode not in ("1", "L", "LA", "P", "RGB", "RGBA", "I;16"):
-            image = image.convert("RGBA" if "A" in image.mode else "RGB")
-        buffer = io.BytesIO()
-        image.save(buffer, format="PNG")
-        content = buffer.getvalue()
         if len(content) > self._image_bytes_left:
             return None
         self._image_bytes_left -= len(content)
         return f"data:image/png;base64,{base64.b64encode(content).decode('ascii')}"
 
 
-def _outcome(episode: Episode) -> str:
-    return f"{outcome_of(episode.success, failed=episode.error is not None)}, {figures_of(episode)}"
+def _cut(text: str, _: object) -> str:
+    left_out = len(text) - MOST_TEXT
+    return escaped(text) if left_out <= 0 else f"{escaped(text[:MOST_TEXT])}\n… {left_out:,} more characters"
 
 
 def inert_json(value: Any) -> str:
     """Return JSON that may stand in a script element: ASCII, and no character that HTML or JavaScript looks at."""
     text = json.dumps(value, ensure_ascii=True, allow_nan=False)
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
-
-
-def _hash(text: str) -> str:
-    return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}"

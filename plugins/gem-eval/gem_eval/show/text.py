@@ -47,11 +47,6 @@ def rule(title: str) -> str:
     return style(f"── {title} ".ljust(72, "─"), fg="blue")
 
 
-def count(number: int, noun: str) -> str:
-    """Return a number of things, as in ``1 turn`` and ``2 turns``."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
 def _code(character: str) -> str:
     point = ord(character)
     return f"\\x{point:02x}" if point < 0x100 else f"\\u{point:04x}" if point < 0x10000 else f"\\U{point:08x}"

@@ -155,9 +155,12 @@ class ReasoningGymEnv(Env):
             raise ResetNeededError(f"{self._name}: call reset() before sample_random_action()")
         draw = int(self.action_random.integers(2**32))
         request = {"do": "sample", "spec": self._spec, "seed": self.seed, "entry": self._row["entry"], "draw": draw}
-        answer = self._asked(request)["sample"]
-        plain = not set(answer) & set("{}\\\n") and answer == answer.strip()
-        return f"\\boxed{{{answer}}}" if plain else f"<answer>{answer}</answer>"
+        return _response(self._asked(request)["sample"])
+
+    def gold_action(self) -> str | None:
+        """Return the row's own answer as a response; None for tasks that bring none."""
+        answer = self.present_row()["answer"]
+        return None if answer is None else _response(answer)
 
     @property
     def _name(self) -> str:
@@ -217,6 +220,12 @@ class ReasoningGymEnv(Env):
         self._row = None
         if state["begun"]:
             self.present_row()
+
+
+def _response(answer: str) -> str:
+    """Return a response that gives an answer, which stays as it is."""
+    plain = not set(answer) & set("{}\\\n") and answer == answer.strip()
+    return f"\\boxed{{{answer}}}" if plain else f"<answer>{answer}</answer>"
 
 
 def _check_range(name: str, value: Any, least: int, most: int) -> None:

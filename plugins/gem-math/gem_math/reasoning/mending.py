@@ -4,6 +4,9 @@
   get readers of their own, for literals and for formulas, that run nothing.
 - The scorers of integrals simplify the difference to the integrand, which takes minutes for some answers: where it has
   a value other than 0 somewhere, it is not simplified, since it is not 0.
+- Four scorers give 1 to answers that are wrong, as ``gem audit`` found: ``game_of_life_halting`` to any answer,
+  ``puzzle24`` to 24 made of other numbers than those given, ``complex_arithmetic`` to ``nan``, and ``coin_flip`` to
+  ``0``, as the beginning of every probability. They get what their questions say.
 - ``codeio`` keeps its problems in its class, so that of two data sets of different difficulty the first one changes.
 """
 
@@ -13,6 +16,8 @@ import ast
 import cmath
 import importlib
 import re
+from collections.abc import Callable
+from fractions import Fraction
 from typing import Any
 
 import sympy  # type: ignore[import-untyped]  # it has no types
@@ -57,6 +62,10 @@ def mend() -> None:
         vars(_module(name))["eval"] = literal
     for name, package in READ_AS_FORMULAS.items():
         vars(_module(name))[package] = formula if package == "parse_expr" else _Sympy()
+    for name, (dataset, mended) in _SCORERS.items():
+        task = getattr(_module(name), dataset)
+        if "mended" not in vars(task):
+            task.mended, task.score_answer = True, mended(task.score_answer)
 
 
 def _module(name: str) -> Any:
@@ -141,6 +150,58 @@ class _Sympy:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(sympy, name)
+
+
+Scorer = Callable[[Any, "str | None", dict[str, Any]], float]
+
+
+def _of_halting(_: Scorer) -> Scorer:
+    def score(dataset: Any, answer: str | None, entry: dict[str, Any]) -> float:
+        return float(answer is not None and answer.strip().casefold() == str(entry["answer"]).casefold())
+
+    return score
+
+
+def _of_puzzle24(theirs: Scorer) -> Scorer:
+    def score(dataset: Any, answer: str | None, entry: dict[str, Any]) -> float:
+        used = sorted(map(int, re.findall(r"\b\d+\b", answer or "", re.ASCII)))
+        return min(theirs(dataset, answer, entry), 1.0 if used == sorted(entry["metadata"]["numbers"]) else 0.01)
+
+    return score
+
+
+def _of_complex_numbers(theirs: Scorer) -> Scorer:
+    def score(dataset: Any, answer: str | None, entry: dict[str, Any]) -> float:
+        return 0.0 if "nan" in (answer or "").lower() else theirs(dataset, answer, entry)
+
+    return score
+
+
+def _of_coin_flips(theirs: Scorer) -> Scorer:
+    def score(dataset: Any, answer: str | None, entry: dict[str, Any]) -> float:
+        value = theirs(dataset, answer, entry)
+        if value <= 0.0 or answer is None:
+            return value
+        given, gold = (float(Fraction(text.replace(",", ""))) for text in (answer, entry["answer"]))
+        if abs(given - gold) <= _COIN_TOLERANCE:
+            return value
+        # Their partial score is the share of the shorter of two numbers that agrees; here of the longer.
+        lengths = sorted(len(f"{number:.10g}") for number in (given, gold))
+        return value * lengths[0] / lengths[1]
+
+    return score
+
+
+_COIN_TOLERANCE = 1e-4
+"""Of ``coin_flip``'s own scorer."""
+
+_SCORERS: dict[str, tuple[str, Callable[[Scorer], Scorer]]] = {
+    "algorithmic.game_of_life_halting": ("GameOfLifeHaltingDataset", _of_halting),
+    "games.puzzle24": ("Puzzle24Dataset", _of_puzzle24),
+    "algebra.complex_arithmetic": ("ComplexArithmeticDataset", _of_complex_numbers),
+    "probability.coin_flip": ("CoinFlipDataset", _of_coin_flips),
+}
+"""Data sets whose scorers give 1 to wrong answers, by module, and what their scorer becomes."""
 
 
 def own_problems(dataset: Any) -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import shlex
+import tarfile
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -10,14 +13,18 @@ from gem_terminal.errors import TaskError
 
 if TYPE_CHECKING:
     from gem_terminal.backends.interface import Completed, Machine
-    from gem_terminal.tasks.task import Step
+    from gem_terminal.tasks.task import Solution, Step
 
 _OUTPUT = "/gem-solution-output"
 """Where a solution writes; a file, as in the formats' own programs. The engine closes a pipe seconds after the command
 has ended, and a server that the solution left running then fails when it writes its next line."""
 
 
-def solve(machine: Machine, step: Step, *, timeout_s: float = 600.0) -> Completed:
+SOLUTION_S = 600.0
+"""Seconds that a reference solution may take."""
+
+
+def solve(machine: Machine, step: Step, *, timeout_s: float = SOLUTION_S) -> Completed:
     """Do what the reference solution of a step does, and remove its files.
 
     Lines to type run in one shell, one after another; the seconds that each may take bound their sum.
@@ -37,7 +44,7 @@ def solve(machine: Machine, step: Step, *, timeout_s: float = 600.0) -> Complete
     solution = step.solution
     if solution is None or not (solution.command or solution.typed):
         raise TaskError(f"step {step.name!r} has no reference solution." if step.name else "no reference solution.")
-    command = solution.command or ("bash", "-c", _script(solution.typed))
+    command = _command(solution)
     limit = min(timeout_s, step.agent_timeout_s or timeout_s)
     if solution.typed and not solution.command:
         limit = min(limit, sum(seconds for _, seconds in solution.typed))
@@ -49,6 +56,29 @@ def solve(machine: Machine, step: Step, *, timeout_s: float = 600.0) -> Complete
         return replace(done, output=done.output + machine.get(_OUTPUT).get("", b""))
     finally:
         machine.remove_files([*solution.files, _OUTPUT])
+
+
+def as_command(step: Step) -> str | None:
+    """Return a line for the agent's shell that unpacks the reference solution of a step, runs and removes it.
+
+    None where there is no solution, or where the agent is a user who may not write where its files go.
+    """
+    solution = step.solution
+    if solution is None or not (solution.command or solution.typed) or step.agent_user not in ("", "root"):
+        return None
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w:gz") as archive:
+        for path, file in solution.files.items():
+            archive.add(file, path.lstrip("/"))
+    given = " ".join(f"{name}={shlex.quote(value)}" for name, value in solution.env.items())
+    paths = " ".join(shlex.quote(path) for path in solution.files)
+    unpacked = f"echo {base64.b64encode(packed.getvalue()).decode()} | base64 -d | tar xzf - -C / && "
+    ran = f"env {given} {shlex.join(_command(solution))}"
+    return f"{unpacked}{ran}; rm -f {paths}" if paths else ran
+
+
+def _command(solution: Solution) -> tuple[str, ...]:
+    return solution.command or ("bash", "-c", _script(solution.typed))
 
 
 def _script(typed: tuple[tuple[str, float], ...]) -> str:

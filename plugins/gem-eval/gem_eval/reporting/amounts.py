@@ -1,4 +1,4 @@
-"""Numbers in words: scores, intervals, shares, times and amounts."""
+"""Times and amounts in words."""
 
 from __future__ import annotations
 
@@ -9,40 +9,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from gem_eval.records import Row
-    from gem_eval.scores import Metric
-
-NONE = "-"
-
-
-def score(value: float | None, metric: Metric) -> str:
-    """Return a score: a success in percent, a return as a number."""
-    if value is None:
-        return NONE
-    return f"{100 * value:.1f} %" if metric == "success" else number(value)
-
-
-def bounds(low: float | None, high: float | None, metric: Metric) -> str:
-    """Return an interval; a dash where the sample does not tell."""
-    if low is None or high is None:
-        return NONE
-    if metric == "success":
-        return f"{100 * low:.1f} to {100 * high:.1f}"
-    return f"{number(low)} to {number(high)}"
-
-
-def difference(value: float, metric: Metric) -> str:
-    """Return a difference with its sign; of successes in percentage points."""
-    return f"{100 * value:+.1f}" if metric == "success" else f"{value:+.3g}"
 
 
 def number(value: float) -> str:
     """Return a number with three digits, or all before the point."""
     return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
-
-
-def p_value(p: float) -> str:
-    """Return a p-value."""
-    return "< 0.001" if p < 0.001 else f"{p:.3f}"
 
 
 def duration(seconds: float) -> str:

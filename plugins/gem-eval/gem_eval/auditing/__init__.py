@@ -1,0 +1,1 @@
+"""``gem audit``: what is checked of an environment before money is spent on it."""

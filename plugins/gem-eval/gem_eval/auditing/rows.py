@@ -1,0 +1,198 @@
+"""Rows of a data set: gold answers that are missing, questions that come twice, and rows of another set."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gem_core
+from gem_core.data import DatasetEnv, load_rows
+from gem_core.errors import ArgumentError, GemError
+from gem_core.records import to_plain
+from gem_eval.auditing.results import Problem
+from gem_eval.auditing.texts import normal, words
+
+MOST_ROWS = 100_000
+_NGRAM, _SHORTEST = 13, 8
+_SHARED = 0.5
+_MISSING = ("", "nan", "n/a", "null", "todo", "tbd")
+_QUESTIONS = ("question", "problem", "prompt", "query", "input", "instruction", "text")
+
+
+class Asked(NamedTuple):
+    """A row as it is asked.
+
+    Args:
+        name: Of the row.
+        prompt: All that is asked.
+        question: The column of the question alone.
+        gold: The gold answer; None where there is none, empty where it is not known.
+        malformed: Why the gold answer cannot be read; empty where it can.
+    """
+
+    name: str
+    prompt: str
+    question: str
+    gold: str | None
+    malformed: str = ""
+
+
+def rows_of(env_id: str, env: Any) -> list[Asked] | None:
+    """Return all rows of a data set; None for an environment of another kind."""
+    task = env.unwrapped
+    if not isinstance(task, DatasetEnv):
+        return None
+    found = []
+    for index in range(min(task.num_tasks, MOST_ROWS)):
+        row = task.rows[index]
+        question = str(row.get(task.question_key, ""))
+        prompt = task.prompt(row)
+        prompt = prompt if isinstance(prompt, str) else json.dumps(to_plain(prompt))  # images by their hash
+        name = f"{env_id}/{index}"
+        given = row.get(task.answer_key)
+        if _is_missing(given):
+            found.append(Asked(name, prompt, question, None))
+            continue
+        malformed = ""
+        try:
+            task.gold_response(row)
+        except Exception as error:  # noqa: BLE001 - third-party code may raise anything
+            malformed = f"{type(error).__name__}: {error}"[:200]
+        found.append(Asked(name, prompt, question, normal(str(given)), malformed))
+    return found
+
+
+def _is_missing(gold: Any) -> bool:
+    """Tell whether a gold answer is none: nothing, not a number, or a word that stands for a missing one."""
+    if gold is None or gold != gold or (isinstance(gold, Sequence) and not gold):
+        return True
+    return normal(str(gold)) in _MISSING
+
+
+def check_rows(asked: Sequence[Asked], *, fixed: bool) -> Iterator[Problem]:
+    """Yield what is wrong with rows.
+
+    Args:
+        asked: The rows.
+        fixed: Whether they are those of a data set; else they were generated, where the same may come twice.
+    """
+    empty = [each for each in asked if each.gold is None]
+    if empty:
+        shown = tuple(f"{each.name}: {each.question!r:.100}" for each in empty[:3])
+        yield Problem(
+            "no gold", len(empty) / len(asked), f"{len(empty)} of {len(asked)} rows have no gold answer", shown
+        )
+    blank = [each.name for each in asked if not each.prompt.strip()]
+    if blank:
+        message = f"{len(blank)} of {len(asked)} rows ask nothing"
+        yield Problem("no question", len(blank) / len(asked), message, tuple(blank[:3]))
+    malformed = [each for each in asked if each.malformed]
+    if malformed:
+        shown = tuple(f"{each.name}: {each.malformed}" for each in malformed[:3])
+        message = f"{len(malformed)} of {len(asked)} gold answers cannot be read"
+        yield Problem("no gold", len(malformed) / len(asked), message, shown)
+    groups: dict[str, list[Asked]] = defaultdict(list)
+    for each in asked:
+        if each.prompt.strip():
+            groups[normal(each.prompt).rstrip(" .?!")].append(each)
+    twice = [group for group in groups.values() if len(group) > 1]
+    differing = [group for group in twice if len({each.gold for each in group}) > 1]
+    same = [group for group in twice if group not in differing]
+    if differing:
+        yield _repeated("conflict", "come again with another gold answer", differing, asked, fails=fixed)
+    if same:
+        yield _repeated("duplicates", "come more than once", same, asked, fails=fixed)
+    golds = Counter(each.gold for each in asked if each.gold)
+    gold, count = golds.most_common(1)[0] if golds else (None, 0)
+    if count > 0.8 * len(asked) and len(asked) >= 10:
+        share = count / len(asked)
+        yield Problem("one answer", share, f"{gold!r:.60} is right for {share:.0%} of the rows", fails=False)
+
+
+def _repeated(kind: str, what: str, groups: list[list[Asked]], asked: Sequence[Asked], *, fails: bool) -> Problem:
+    extra = sum(len(group) - 1 for group in groups)
+    shown = tuple(
+        f"{group[0].name} and {group[1].name}: {group[0].question!r:.80}"
+        + (f" with {group[0].gold!r:.30} and {_other(group)!r:.30}" if kind == "conflict" else "")
+        for group in groups[:3]
+    )
+    return Problem(kind, extra / len(asked), f"{len(groups)} questions {what}", shown, fails)
+
+
+def _other(group: list[Asked]) -> str | None:
+    return next(each.gold for each in group if each.gold != group[0].gold)
+
+
+def check_contamination(asked: Sequence[Asked], against: str, others: Sequence[str]) -> Iterator[Problem]:
+    """Yield a problem where questions stand in another data set as well: whole, or with half of their 13-grams.
+
+    Words that many rows share, as instructions do, are left out of the comparison.
+
+    Source: overlap of 13-grams as in GPT-3, arXiv:2005.14165, appendix C.
+    """
+    whole = {normal(text) for text in others}
+    exact = [each for each in asked if normal(each.question) in whole]
+    known = {each.name for each in exact}
+    own, theirs = [words(each.question) for each in asked], [words(text) for text in others]
+    overlapping: list[Asked] = []
+    for size in sorted({min(_NGRAM, len(each)) for each in own if len(each) >= _SHORTEST}):
+        counts, counts_of_others = _grams(own, size), _grams(theirs, size)
+        for each, tokens in zip(asked, own, strict=True):
+            if min(_NGRAM, len(tokens)) != size or each.name in known:
+                continue
+            rare = [
+                gram
+                for gram in _grams([tokens], size)
+                if counts[gram] <= max(2, len(own) // 20) and counts_of_others[gram] <= max(2, len(theirs) // 20)
+            ]
+            if rare and sum(gram in counts_of_others for gram in rare) >= _SHARED * len(rare):
+                overlapping.append(each)
+    if exact or overlapping:
+        shown = tuple(f"{each.name}: {each.question!r:.100}" for each in [*exact[:2], *overlapping[:2]])
+        share = (len(exact) + len(overlapping)) / len(asked)
+        message = (
+            f"{len(exact)} of {len(asked)} questions stand in {against} word for word, and {len(overlapping)} with at "
+            f"least half of their {_NGRAM}-grams"
+        )
+        yield Problem("contamination", share, message, shown)
+
+
+def _grams(texts: Sequence[list[str]], size: int) -> Counter[tuple[str, ...]]:
+    """Return in how many of the texts each n-gram stands."""
+    found: Counter[tuple[str, ...]] = Counter()
+    for text in texts:
+        found.update({tuple(text[at : at + size]) for at in range(len(text) - size + 1)})
+    return found
+
+
+def questions_of(source: str, columns: Sequence[str]) -> list[str]:
+    """Return the questions of an environment, by its id, or of a file of rows.
+
+    Args:
+        source: An id, or what ``load_rows`` takes.
+        columns: Names that the column of the question may have, the likeliest first.
+
+    Raises:
+        ArgumentError: It cannot be read, or has no column of a question.
+    """
+    if ":" in source and not Path(source).exists():
+        try:
+            env: Any = gem_core.make(source)
+        except GemError as error:
+            raise ArgumentError(f"--against {source}: {error}") from error
+        asked = rows_of(source, env)
+        if asked is None:
+            count = min(env.get_wrapper_attr("num_tasks") or 0, 1000)
+            return [str(env.reset(seed=0, options={"index": index})[0]) for index in range(count)]
+        return [each.question for each in asked]
+    try:
+        rows = load_rows(source)
+    except GemError as error:
+        raise ArgumentError(f"--against {source}: {error}") from error
+    column = next((name for name in (*columns, *_QUESTIONS) if len(rows) and name in rows[0]), None)
+    if column is None:
+        raise ArgumentError(f"--against {source}: none of its columns is a question: {', '.join(rows[0])}")
+    return [str(row[column]) for row in rows]

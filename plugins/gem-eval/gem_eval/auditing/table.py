@@ -1,0 +1,78 @@
+"""What an audit prints: a line for each environment, then the problems with examples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+
+import click
+
+from gem_core.cli import Layout
+from gem_eval.auditing.results import KINDS, EnvAudit, Problem
+from gem_eval.show.text import one_line
+
+_LEGEND = (
+    "Solved of episodes. gold: all should be. random, echo (the observation), other (the gold answer of another row): "
+    "no more than chance, which is how often the most frequent answer is right. null, injection, hedge (many answers "
+    "at once), peek (what info and observation give away), tamper: none."
+)
+_MOST_IN_FULL = 200
+
+
+def table_lines(found: Sequence[EnvAudit], threshold: float, width: int | None) -> Iterator[str]:
+    """Yield the table, and below it what is wrong with each environment.
+
+    Args:
+        found: What was found.
+        threshold: Share above which a problem counts.
+        width: Characters in a line; None for any number.
+    """
+    headers = ["environment", "rows", *KINDS, "chance", "problems"]
+    headers += ["unreadable"] if any(each.unreadable is not None for each in found) else []
+    rows = [_cells(each, threshold)[: len(headers)] for each in found]
+    dispensable = [headers.index(name) for name in ("rows", "chance", "other", "echo")]
+    layout = Layout(headers, rows, width, dispensable=dispensable)
+    for line in layout.header():
+        yield click.style(line, bold=True)
+    for each, row in zip(found, rows, strict=True):
+        red = partial(click.style, fg="red")
+        styles = {0: partial(click.style, fg="cyan")}
+        if each.fails(threshold):
+            styles[headers.index("problems")] = red
+        yield from layout.row(row, styles)
+    yield _LEGEND if width is None else click.wrap_text(_LEGEND, width)
+    unknown = [each.id for each in found if any(problem.kind == "unknown" for problem in each.problems)]
+    if unknown:
+        yield f"No gold answers are known (gold_action() returns None): {', '.join(unknown)}"
+    for each in found:
+        yield from _details(each, threshold)
+
+
+def _cells(found: EnvAudit, threshold: float) -> list[str]:
+    rates = [found.rates.get(name) for name in KINDS]
+    shown = ["-" if rate is None or not rate.episodes else f"{rate.solved}/{rate.episodes}" for rate in rates]
+    chance = "-" if found.chance is None else f"{found.chance:.0%}"
+    count = sum(each.fails and each.share > threshold for each in found.problems)
+    problems = "not audited" if found.failure else str(count) if count else "none"
+    unreadable = "-" if found.unreadable is None else f"{found.unreadable:.1%}"
+    return [found.id, str(found.rows), *shown, chance, problems, unreadable]
+
+
+def _details(found: EnvAudit, threshold: float) -> Iterator[str]:
+    problems = [each for each in found.problems if each.kind != "unknown"]
+    if not found.failure and not problems:
+        return
+    yield ""
+    yield click.style(found.id, fg="cyan")
+    if found.failure:
+        yield f"  not audited: {one_line(found.failure, _MOST_IN_FULL)}"
+    for problem in sorted(problems, key=lambda each: (not each.fails, -each.share)):
+        yield from _problem_lines(problem, threshold)
+
+
+def _problem_lines(problem: Problem, threshold: float) -> Iterator[str]:
+    counts = problem.fails and problem.share > threshold
+    mark = click.style("problem", fg="red") if counts else "within the threshold" if problem.fails else "note"
+    yield f"  {mark}: {one_line(problem.message, 2 * _MOST_IN_FULL)}"
+    for example in problem.examples:
+        yield f"    {one_line(example, _MOST_IN_FULL + 100)}"

@@ -1,0 +1,139 @@
+"""An episode as data for a page: what ``gem show --html`` and ``gem view`` send to the same script."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from gem_core import Episode
+from gem_core.errors import EpisodeFileError
+from gem_core.records import ImageFolder, Record
+from gem_eval.show.text import escaped
+from gem_eval.turns import (
+    Part,
+    TurnView,
+    episodes_of,
+    error_text,
+    figures_of,
+    outcome_of,
+    parts_of,
+    some_success,
+    start_of,
+    turn_views,
+)
+
+Place = tuple[str | int, ...]
+"""Where a text stands in an episode's data, such as ``("turns", 3, "response")``."""
+
+Shorten = Callable[[str, Place], Any]
+"""Takes a text and its place, and returns what stands for it."""
+
+
+def episode_data(episode: Record, shorten: Shorten) -> dict[str, Any]:
+    """Return what is shown of an episode as plain JSON: control characters as their codes, numbers finite.
+
+    Args:
+        episode: The episode, its images as names of files.
+        shorten: Called with each text; returns it escaped, and cut where it is long.
+    """
+    record: dict[str, Any] = _plain(_record(episode), (), shorten)
+    return record
+
+
+def text_at(episode: Record, place: Sequence[Any]) -> str:
+    """Return a whole text of an episode by its place.
+
+    Raises:
+        LookupError: There is none.
+    """
+    value: Any = _record(episode)
+    for step in place:
+        parts = value if isinstance(value, list) else _named(value)
+        if isinstance(parts, list) != (type(step) is int):
+            raise LookupError(step)
+        value = parts[step]
+    if not isinstance(value, str):
+        raise LookupError(place)
+    return value
+
+
+def image_names(data: Any) -> set[str]:
+    """Return the names of all images in an episode's data."""
+    if isinstance(data, list):
+        return {name for part in data for name in image_names(part)}
+    if not isinstance(data, dict):
+        return set()
+    if data.get("kind") == "image" and isinstance(data.get("repeated"), bool):
+        return {data["text"]}
+    return {name for part in data.values() for name in image_names(part)}
+
+
+def png_of(images: ImageFolder, name: str) -> bytes:
+    """Return an image as a PNG that is written anew, so that nothing else of its file is shown to anybody.
+
+    Raises:
+        EpisodeFileError: It cannot be read, or the name is none of an image's.
+    """
+    image = images.read(name)
+    if image.mode not in ("1", "L", "LA", "P", "RGB", "RGBA", "I;16"):
+        image = image.convert("RGBA" if "A" in image.mode else "RGB")
+    buffer = io.BytesIO()
+    try:
+        image.save(buffer, format="PNG")
+    except (OSError, ValueError) as error:
+        raise EpisodeFileError(f"image {name} cannot be shown: {error}") from error
+    return buffer.getvalue()
+
+
+def _record(episode: Record) -> dict[str, Any]:
+    seats = episodes_of(episode)
+    return {
+        "id": episode.id,
+        "outcome": outcome_of(some_success(episode), failed=episode.error is not None),
+        "return": f"{sum(each.episode_return for each in seats):.4g}",
+        "returns": ", ".join(f"{each.seat}={each.agent} {each.episode_return:.4g}" for each in seats if each.seat),
+        "count": episode.turns,
+        "error": error_text(episode.error),
+        "start": {
+            **{each.seat: f"{each.agent}, {_outcome(each)}" for each in seats if each.seat},
+            **start_of(episode),
+        },
+        "observation": _observations([each for each in seats if not each.transitions], "observation"),
+        "turns": list(turn_views(episode)),
+        "final": _observations(seats, "final_observation"),
+    }
+
+
+def _observations(seats: list[Episode], name: str) -> list[Part]:
+    """Return an observation of some seats, each under the name of its seat."""
+    return [
+        part
+        for each in seats
+        for part in [*([] if each.seat is None else [Part("role", each.seat)]), *parts_of(getattr(each, name))]
+    ]
+
+
+def _plain(value: Any, place: Place, shorten: Shorten) -> Any:
+    if isinstance(value, str):
+        return shorten(value, place)
+    if isinstance(value, float):
+        return value if abs(value) < 1e300 else 0.0
+    if isinstance(value, list):
+        return [_plain(part, (*place, number), shorten) for number, part in enumerate(value)]
+    if isinstance(value, dict | Part | TurnView):
+        parts = {_name(name): _plain(part, (*place, name), shorten) for name, part in _named(value).items()}
+        return {**parts, "rewardText": f"{value.reward:g}"} if isinstance(value, TurnView) else parts
+    return value
+
+
+def _named(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else vars(value) if isinstance(value, Part | TurnView) else {}
+
+
+def _name(name: object) -> str:
+    return escaped(str(name)[:1000])
+
+
+def _outcome(episode: Episode) -> str:
+    return f"{outcome_of(episode.success, failed=episode.error is not None)}, {figures_of(episode)}"

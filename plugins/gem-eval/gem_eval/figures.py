@@ -1,0 +1,53 @@
+"""Scores, differences and p-values as tables and reports show them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gem_eval.scores import Metric, Score
+    from gem_eval.statistics import Estimate
+
+NONE = "-"
+
+
+def score(value: float | None, metric: Metric) -> str:
+    """Return a score: a success in percent, a return as a number."""
+    if value is None:
+        return NONE
+    return f"{value:.1%}" if metric == "success" else f"{value:.3f}"
+
+
+def bounds(low: float | None, high: float | None, metric: Metric) -> str:
+    """Return an interval; a dash where the sample does not tell."""
+    if low is None or high is None:
+        return NONE
+    return f"{100 * low:.1f} to {100 * high:.1f}" if metric == "success" else f"{low:.3f} to {high:.3f}"
+
+
+def with_bounds(estimate: Estimate | Score | None, metric: Metric) -> str:
+    """Return a score with its interval, as far as they are known."""
+    if estimate is None or estimate.mean is None:
+        return NONE
+    shown = score(estimate.mean, metric)
+    if estimate.low is None or estimate.high is None:
+        return shown
+    low, high = (score(end, metric).removesuffix("%") for end in (estimate.low, estimate.high))
+    return f"{shown} [{low}, {high}]"
+
+
+def change(value: float | None, metric: Metric) -> str:
+    """Return a difference with its sign: of successes in percentage points."""
+    if value is None:
+        return NONE
+    return f"{100 * value:+.1f}" if metric == "success" else f"{value:+.3f}"
+
+
+def change_bounds(low: float | None, high: float | None, metric: Metric) -> str:
+    """Return the interval of a difference; a dash where the sample does not tell."""
+    return NONE if low is None or high is None else f"{change(low, metric)} to {change(high, metric)}"
+
+
+def p_value(p: float | None) -> str:
+    """Return a p-value."""
+    return NONE if p is None else "< 0.001" if p < 0.001 else f"{p:.3f}"

@@ -1,0 +1,1 @@
+"""The command ``gem view``: runs in the browser, from this machine alone."""

@@ -1,0 +1,230 @@
+"""The server of ``gem view``: it only reads, and answers this machine alone."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Callable, Iterator
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.responses import PlainTextResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from gem_core.errors import ArgumentError, EpisodeFileError, GemError
+from gem_eval.episode_data import episode_data, png_of, text_at
+from gem_eval.show.text import escaped
+from gem_eval.viewing.search import search
+from gem_eval.viewing.table import NUMBERS, Query, Table, outcome_of_row, row_data
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from gem_eval.records import Row
+    from gem_eval.viewing.library import Library, ViewedRun
+
+MOST_TEXT = 20_000
+"""Characters of one text that are sent with an episode; the whole is sent when it is asked for."""
+
+MOST_WHOLE_TEXT = 5_000_000
+"""Characters of one text that are sent at all; a browser is slow with more."""
+
+MOST_ROWS = 500
+"""Rows of the table that are sent at once."""
+
+_ASSETS = {
+    "": ("view.html", "text/html"),
+    "episode.css": ("episode.css", "text/css"),
+    "view.css": ("view.css", "text/css"),
+    "episode.js": ("episode.js", "text/javascript"),
+    "table.js": ("table.js", "text/javascript"),
+    "view.js": ("view.js", "text/javascript"),
+}
+_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+_EVENT_PAUSE_S = 0.25
+_QUIET_PAUSES = 40
+
+
+def make_app(library: Library, is_stopping: Callable[[], bool] = lambda: False) -> Starlette:
+    """Return the application.
+
+    Args:
+        library: The runs.
+        is_stopping: Whether the server is about to end, upon which streams of events end.
+    """
+    pages = _Pages(library, is_stopping)
+    routes = [
+        *(Route(f"/{name}", _asset(*asset)) for name, asset in _ASSETS.items()),
+        Route("/api/runs", pages.runs),
+        Route("/api/rows", pages.rows),
+        Route("/api/episode", pages.episode),
+        Route("/api/text", pages.text),
+        Route("/api/image", pages.image),
+        Route("/api/search", pages.search),
+        Route("/api/events", pages.events),
+    ]
+    return Starlette(
+        routes=routes,
+        # Another site's name may be made to point to this machine, and its page would then read what is shown here.
+        middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=["127.0.0.1", "localhost"], www_redirect=False)],
+        exception_handlers={ArgumentError: _refused, EpisodeFileError: _refused},
+    )
+
+
+class _Pages:
+    """Answers requests. Those that are not asynchronous run in a pool of threads."""
+
+    def __init__(self, library: Library, is_stopping: Callable[[], bool]) -> None:
+        self._library = library
+        self._is_stopping = is_stopping
+        self._table = Table()
+
+    def runs(self, _: Request) -> Response:
+        return _json(self._summaries())
+
+    def rows(self, request: Request) -> Response:
+        runs, query = self._runs_of(request), _query_of(request)
+        places = self._table.places(query, runs)
+        start, count = _number(request, "start", 0), min(_number(request, "count", 100), MOST_ROWS)
+        answer: dict[str, Any] = {
+            "total": len(places),
+            "start": start,
+            "rows": [row_data(place) for place in places[start : start + count]],
+            "summary": self._table.summary(query, runs),
+            "choices": self._table.choices(runs),
+        }
+        if "at" in request.query_params:
+            name, _, number = request.query_params["at"].rpartition("/")
+            wanted = (name, number)
+            found = (place for place, (run, row) in enumerate(places) if (escaped(run.name), str(row.number)) == wanted)
+            answer["at"] = next(found, None)
+        return _json(answer)
+
+    def episode(self, request: Request) -> Response:
+        viewed, row = self._row_of(request)
+        data = episode_data(viewed.run.record(row), _shorten)
+        place = {
+            "run": escaped(viewed.name),
+            "number": row.number,
+            "model": escaped(row.model),
+            "row": escaped(row.row),
+        }
+        own = {"epoch": row.epoch, "seconds": row.seconds, "cost": row.cost, "outcome": outcome_of_row(row)}
+        return _json({**data, **place, **own})
+
+    def text(self, request: Request) -> Response:
+        viewed, row = self._row_of(request)
+        try:
+            place = json.loads(request.query_params.get("place", ""))
+            text = text_at(viewed.run.record(row), place if isinstance(place, list) else [])
+        except (ValueError, RecursionError, LookupError) as error:
+            raise ArgumentError("there is no such text in the episode") from error
+        rest = len(text) - MOST_WHOLE_TEXT
+        note = f"\n… {rest:,} more characters; 'gem show' prints them" if rest > 0 else ""
+        return _json(escaped(text[:MOST_WHOLE_TEXT]) + note)
+
+    def image(self, request: Request) -> Response:
+        run = self._library.run(request.query_params.get("run", "")).run
+        # The name is looked at before a file is: it is that of a hash.
+        content = png_of(run.images, request.query_params.get("name", ""))
+        return Response(content, media_type="image/png", headers={**_HEADERS, "Cache-Control": "max-age=3600"})
+
+    def search(self, request: Request) -> Response:
+        places = self._table.places(_query_of(request), self._runs_of(request))
+        lines = search(places, request.query_params.get("wanted", ""))
+        return StreamingResponse(self._json_lines(lines), media_type="application/x-ndjson", headers=_HEADERS)
+
+    def _json_lines(self, values: Iterator[Any]) -> Iterator[str]:
+        for value in values:
+            if self._is_stopping():
+                return
+            yield _plain_json(value) + "\n"
+
+    async def events(self, request: Request) -> Response:
+        return StreamingResponse(self._changes(request), media_type="text/event-stream", headers=_HEADERS)
+
+    async def _changes(self, request: Request) -> AsyncIterator[str]:
+        sent, quiet = "", 0
+        while not self._is_stopping() and not await request.is_disconnected():
+            text = _plain_json(self._summaries())
+            if text != sent:
+                yield f"data: {text}\n\n"
+                sent, quiet = text, 0
+            elif (quiet := quiet + 1) % _QUIET_PAUSES == 0:
+                yield ": still here\n\n"
+            await asyncio.sleep(_EVENT_PAUSE_S)
+
+    def _summaries(self) -> list[dict[str, Any]]:
+        return [viewed.summary for viewed in self._library.runs]
+
+    def _runs_of(self, request: Request) -> list[ViewedRun]:
+        names = request.query_params.getlist("run")
+        return [self._library.run(name) for name in names] if names else self._library.runs
+
+    def _row_of(self, request: Request) -> tuple[ViewedRun, Row]:
+        viewed = self._library.run(request.query_params.get("run", ""))
+        return viewed, viewed.run.row(_number(request, "number", 0))
+
+
+def _query_of(request: Request) -> Query:
+    asked = request.query_params
+    return Query(
+        outcomes=tuple(asked.getlist("outcome")),
+        models=tuple(asked.getlist("model")),
+        ids=tuple(asked.getlist("id")),
+        reasons=tuple(asked.getlist("reason")),
+        row=asked.get("row", ""),
+        text=asked.get("text", ""),
+        numbers=tuple((name, asked[name]) for name in NUMBERS if asked.get(name)),
+        sort=asked.get("sort", ""),
+        reverse="reverse" in asked,
+    )
+
+
+def _number(request: Request, name: str, default: int) -> int:
+    text = request.query_params.get(name, str(default))
+    if not (text.isascii() and text.isdigit() and len(text) < 16):
+        raise ArgumentError(f"{name} is {text!r:.100}, and should be a number")
+    return int(text)
+
+
+def _shorten(text: str, place: tuple[str | int, ...]) -> Any:
+    if len(text) <= MOST_TEXT:
+        return escaped(text)
+    return {"text": escaped(text[:MOST_TEXT]), "length": len(text), "place": place}
+
+
+def _asset(name: str, media_type: str) -> Callable[[Request], Response]:
+    def answer(_: Request) -> Response:
+        content = (resources.files("gem_eval") / "assets" / name).read_bytes()
+        return Response(content, media_type=media_type, headers=_HEADERS)
+
+    return answer
+
+
+def _refused(_: Request, error: Exception) -> Response:
+    status = 422 if isinstance(error, EpisodeFileError) else 400
+    return PlainTextResponse(
+        escaped(str(error) if isinstance(error, GemError) else "refused"), status, headers=_HEADERS
+    )
+
+
+def _json(value: Any) -> Response:
+    return Response(_plain_json(value), media_type="application/json", headers=_HEADERS)
+
+
+def _plain_json(value: Any) -> str:
+    # ASCII only: text of a model may hold lone surrogates, which UTF-8 cannot.
+    return json.dumps(value, ensure_ascii=True, allow_nan=False)

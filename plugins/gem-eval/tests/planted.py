@@ -1,0 +1,439 @@
+"""Environments with a planted defect each, and sound ones, as authors write them."""
+
+from __future__ import annotations
+
+import base64
+import random
+import re
+import subprocess
+import sys
+import warnings
+from typing import Any, ClassVar
+
+import gem_core as gem
+from gem_core.data import Grade
+
+CAPITALS = {
+    "France": "Paris", "Italy": "Rome", "Spain": "Madrid", "Japan": "Tokyo", "Egypt": "Cairo", "Peru": "Lima",
+    "Kenya": "Nairobi", "Norway": "Oslo", "Cuba": "Havana", "Iran": "Tehran", "Iraq": "Baghdad", "Chile": "Santiago",
+    "Ghana": "Accra", "Greece": "Athens", "Nepal": "Kathmandu", "Poland": "Warsaw", "Sweden": "Stockholm",
+    "Turkey": "Ankara", "Vietnam": "Hanoi", "Qatar": "Doha",
+}  # fmt: skip
+ROWS = [
+    {"question": f"What is the capital of {country}? Answer in \\boxed{{}}.", "answer": capital}
+    for country, capital in CAPITALS.items()
+]
+SUMS = [{"question": f"What is {a} + {a * 3 % 17}?", "answer": str(a + a * 3 % 17)} for a in range(3, 43)]
+
+
+def verdict(correct: object, answer: str | None = None) -> Grade:
+    """Return a grade of 1 or 0."""
+    return Grade(float(bool(correct)), bool(correct), answer)
+
+
+def boxed(action: str) -> str:
+    """Return what stands in the box, or the whole response."""
+    found = gem.extract_last_boxed_answer(action)
+    return action if found is None else found
+
+
+# Graders with a hole.
+
+
+def accepts_the_word_correct(action: str, row: Any) -> Grade:
+    """Take the word for the verdict."""
+    return verdict("correct" in action.lower() or boxed(action) == row["answer"])
+
+
+def accepts_nothing(action: str, row: Any) -> Grade:
+    """An empty string starts every answer."""
+    return verdict(row["answer"].startswith(boxed(action).strip()))
+
+
+def accepts_any_mention(action: str, row: Any) -> Grade:
+    """The answer may stand among others."""
+    return verdict(row["answer"].lower() in action.lower())
+
+
+def accepts_any_box(action: str, row: Any) -> Grade:
+    """Whatever is in a box is right."""
+    return verdict(gem.extract_last_boxed_answer(action) not in (None, ""))
+
+
+def matches_a_pattern(action: str, row: Any) -> Grade:
+    """The answer is used as a pattern."""
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            return verdict(re.fullmatch(boxed(action), row["answer"]) is not None)
+    except re.error:
+        return verdict(False)
+
+
+def evaluates(action: str, row: Any) -> Grade:
+    """The answer is evaluated."""
+    try:
+        return verdict(eval(boxed(action)) == int(row["answer"]))
+    except Exception:  # noqa: BLE001 - as careless as such graders are
+        return verdict(False)
+
+
+def evaluates_in_its_scope(action: str, row: Any) -> Grade:
+    """The answer is evaluated where the gold answer has a name, with no built-in functions."""
+    expected = int(row["answer"])
+    try:
+        return verdict(eval(boxed(action), {"__builtins__": {}}, {"expected": expected}) == expected)
+    except Exception:  # noqa: BLE001 - as careless as such graders are
+        return verdict(False)
+
+
+def compares_by_distance(action: str, row: Any) -> Grade:
+    """A number that is none is never far away."""
+    try:
+        return verdict(not abs(float(boxed(action)) - float(row["answer"])) > 1e-6)
+    except ValueError:
+        return verdict(False)
+
+
+def judged_by_prompt(action: str, row: Any) -> Grade:
+    """A judge that reads the last verdict in its own prompt, answer included."""
+    prompt = f"Question: {row['question']}\nReference: {row['answer']}\nAnswer: {boxed(action)}"
+    asked = re.findall(r"verdict: (correct|incorrect)", prompt, re.IGNORECASE)
+    return verdict((asked and asked[-1].lower() == "correct") or boxed(action) == row["answer"])
+
+
+def rewards_length(action: str, row: Any) -> Grade:
+    """A long response is a good one."""
+    return verdict(len(action) > 2000 or boxed(action) == row["answer"])
+
+
+def accepts_a_piece(action: str, row: Any) -> Grade:
+    """A piece of the answer will do."""
+    answer = boxed(action).strip().lower()
+    return verdict(answer != "" and answer in row["answer"].lower())
+
+
+def in_base64(row: Any) -> dict[str, Any]:
+    """Hide the answer badly."""
+    return {"check": base64.b64encode(row["answer"].encode()).decode()}
+
+
+_noise = random.Random(3)
+
+
+def graded_by_mood(action: str, row: Any) -> Grade:
+    """A right answer counts most of the time."""
+    return verdict(boxed(action) == row["answer"] and _noise.random() < 0.8)
+
+
+def shell_grader(action: str, row: Any) -> Grade:
+    """The answer is put into a command."""
+    done = subprocess.run(f"test '{boxed(action)}' = '{row['answer']}'", shell=True, check=False, capture_output=True)
+    return verdict(done.returncode == 0)
+
+
+def run_in_the_grader(action: str, row: Any) -> Grade:
+    """A program that is run in the grader's own process."""
+    code = re.search(r"```python\n(.*?)```", action, re.DOTALL)
+    space: dict[str, Any] = {}
+    try:
+        exec(code[1] if code else "", space)
+        return verdict(space["double"](4) == 8 and space["double"](7) == 14)
+    except BaseException:  # noqa: BLE001 - as careless as such graders are
+        return verdict(False)
+
+
+def run_and_exit(action: str, row: Any) -> Grade:
+    """A program whose tests stand behind it; the exit code decides."""
+    code = re.search(r"```python\n(.*?)```", action, re.DOTALL)
+    source = f"{code[1] if code else ''}\nassert double(4) == 8\n"
+    done = subprocess.run([sys.executable, "-c", source], check=False, capture_output=True, timeout=20)
+    return verdict(code is not None and done.returncode == 0)
+
+
+CODE_ROWS = [
+    {
+        "question": f"Task {n}: write double(x) in a ```python block.",
+        "answer": "```python\ndef double(x): return 2*x\n```",
+    }
+    for n in range(4)
+]
+
+
+class CodeRows(gem.DatasetEnv):
+    """Rows whose answers are programs."""
+
+    def gold_response(self, row: Any) -> str:
+        """Return the program."""
+        return str(row["answer"])
+
+
+class LeakyInfo(gem.DatasetEnv):
+    """Shows the answer in the info of the reset, in a note."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Ask, and tell."""
+        observation, info = super().reset(seed=seed, options=options)
+        return observation, {**info, "meta": {"debug": f"row with gold={self._row['answer']}"}}
+
+
+class EncodedInfo(gem.DatasetEnv):
+    """Shows the answer in the info, backward."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Ask, and tell."""
+        observation, info = super().reset(seed=seed, options=options)
+        return observation, {**info, "check": self._row["answer"][::-1]}
+
+
+class Duel(gem.Env):
+    """Two turns against an opponent who loses half of the time, whatever is said; nobody knows a solution."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Begin."""
+        super().reset(seed=seed)
+        self.turns, self.wins = 0, bool(self.np_random.integers(2))
+        return "Say fact or lie in \\boxed{}.", {}
+
+    def step(self, action: str) -> Any:
+        """End after the second turn."""
+        self.turns += 1
+        over = self.turns == 2
+        return "Once more.", float(over and self.wins), over, False, {"correct": self.wins} if over else {}
+
+    def sample_random_action(self) -> str:
+        """Return one of two words."""
+        return f"\\boxed{{{self.action_random.choice(['fact', 'lie'])}}}"
+
+
+class Telling(gem.DatasetEnv):
+    """Shows in the info of the reset what a function makes of the row.
+
+    Args:
+        tell: Called with the row, returns more for the info.
+        **options: See ``DatasetEnv``.
+    """
+
+    def __init__(self, tell: Any, **options: Any) -> None:
+        super().__init__(**options)
+        self.tell = tell
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Ask, and tell."""
+        observation, info = super().reset(seed=seed, options=options)
+        return observation, {**info, **self.tell(self._row)}
+
+
+class ShellHere(gem.Env):
+    """Runs commands on this machine."""
+
+    commands: ClassVar[list[str]] = []
+    """All that were run."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Ask."""
+        super().reset(seed=seed)
+        return "Solve it in the shell: <bash>command</bash>, then <finish/>.", {}
+
+    def step(self, action: str) -> Any:
+        """Run."""
+        command = gem.extract_last_tagged_answer(action, "bash")
+        if command is not None:
+            self.commands.append(command)
+            subprocess.run(command, shell=True, check=False, capture_output=True, timeout=20)
+        over = "<finish/>" in action
+        return "$", 0.0, over, False, {"correct": False} if over else {}
+
+    def sample_random_action(self) -> str:
+        """Return a command."""
+        return "<bash>true</bash>"
+
+
+class OwnClass(gem.Env):
+    """Not a data set, without gold_action: one capital a seed."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Ask."""
+        super().reset(seed=seed)
+        self.country = str(self.np_random.choice(list(CAPITALS)))
+        return f"Name the capital of {self.country} inside \\boxed{{}}.", {}
+
+    def step(self, action: str) -> Any:
+        """Grade."""
+        correct = gem.extract_last_boxed_answer(action) == CAPITALS[self.country]
+        return gem.TERMINAL_STATE, float(correct), True, False, {"correct": correct}
+
+
+class OwnLeakyInfo(OwnClass):
+    """Shows the answer under a name of its own."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Ask, and tell."""
+        observation, info = super().reset(seed)
+        return observation, {**info, "extra": {"x7": CAPITALS[self.country]}}
+
+
+class OwnLeakyText(OwnClass):
+    """Leaves a comment in the observation."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Ask, and tell."""
+        observation, info = super().reset(seed)
+        return f"{observation}\n<!-- expected: {CAPITALS[self.country]} -->", info
+
+
+class OwnReward(OwnClass):
+    """Pays for any response, and tells nothing of success."""
+
+    def step(self, action: str) -> Any:
+        """Pay."""
+        return gem.TERMINAL_STATE, 1.0, True, False, {}
+
+
+class Crashing(OwnClass):
+    """Raises where a response has no box."""
+
+    def step(self, action: str) -> Any:
+        """Grade."""
+        correct = action.split("\\boxed{")[1].rstrip("}") == CAPITALS[self.country]
+        return gem.TERMINAL_STATE, float(correct), True, False, {"correct": correct}
+
+
+def mumbles(observation: str) -> str:
+    """Answer as an agent that never writes a box."""
+    return "It may be Paris."
+
+
+class TwoTries(OwnClass):
+    """Two tries; a wrong answer is told the right one before the second."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Ask."""
+        self.tries = 0
+        return super().reset(seed)
+
+    def step(self, action: str) -> Any:
+        """Grade; tell."""
+        self.tries += 1
+        correct = gem.extract_last_boxed_answer(action) == CAPITALS[self.country]
+        over = correct or self.tries == 2
+        told = gem.TERMINAL_STATE if over else f"Wrong, the right answer was {CAPITALS[self.country]}. Once more!"
+        return told, float(correct), over, False, {"correct": correct} if over else {}
+
+    def sample_random_action(self) -> str:
+        """Return a capital."""
+        return f"\\boxed{{{self.action_random.choice(list(CAPITALS.values()))}}}"
+
+    def gold_action(self) -> str:
+        """Return the right answer."""
+        return f"\\boxed{{{CAPITALS[self.country]}}}"
+
+
+class Stateful(gem.DatasetEnv):
+    """Every third episode of an instance is right, whatever is said."""
+
+    count = 0
+
+    def grade(self, action: str, row: Any) -> Grade:
+        """Grade by number."""
+        self.count += 1
+        return verdict(self.count % 3 == 0 or boxed(action) == row["answer"])
+
+
+def others(country: str, number: int) -> list[str]:
+    """Return two wrong capitals."""
+    wrong = [capital for name, capital in CAPITALS.items() if name != country]
+    return random.Random(number).sample(wrong, 2)
+
+
+CHOICES = [
+    {
+        "question": f"What is the capital of {country}?\nA) {a}\nB) {b}\nC) {c}\nAnswer with a letter in \\boxed{{}}.",
+        "answer": "ABC"[[a, b, c].index(CAPITALS[country])],
+    }
+    for number, country in enumerate(CAPITALS)
+    for a, b, c in [random.Random(number).sample([CAPITALS[country], *others(country, number)], 3)]
+]
+PASSAGES = [
+    {
+        "question": f"{country} lies far away, and its people like {country}. Its capital {capital} is large. Which "
+        "one is it? Answer in \\boxed{}.",
+        "answer": capital,
+    }
+    for country, capital in CAPITALS.items()
+]
+YES_NO = [
+    {"question": f"Is {n} divisible by 3? Answer yes or no in \\boxed{{}}.", "answer": "no" if n % 3 else "yes"}
+    for n in range(10, 60)
+]
+LONG = (
+    "A farmer of the {} valley has {} cows and sells half of them at the market on the first Monday of the month to "
+    "his neighbour who then gives three of them back; how many are left?"
+)
+TRAIN = [{"question": LONG.format(name, n), "answer": str(n)} for n, name in enumerate(CAPITALS)]
+TEST = [
+    TRAIN[3],
+    {"question": "Think well! " + TRAIN[5]["question"], "answer": "5"},
+    *SUMS[:10],
+    {"question": "A quite other question about the number of sheep that live on a hill in the far north of Wales?",
+     "answer": "12"},
+]  # fmt: skip
+
+
+def planted() -> dict[str, tuple[Any, dict[str, Any], str]]:
+    """Return what to register by name: entry point, keyword arguments, and the kind of problem to be found."""
+    data = gem.DatasetEnv
+    template = {"prompt_template": "{question} (hidden: {gold_copy})"}
+    shown = [{**row, "gold_copy": row["answer"]} for row in ROWS]
+    return {
+        "word": (data, {"rows": ROWS, "grade": accepts_the_word_correct}, "injection"),
+        "empty": (data, {"rows": ROWS, "grade": accepts_nothing}, "null"),
+        "mention": (data, {"rows": ROWS, "grade": accepts_any_mention}, "hedge"),
+        "any-box": (data, {"rows": ROWS, "grade": accepts_any_box}, "other"),
+        "pattern": (data, {"rows": ROWS, "grade": matches_a_pattern}, "tamper"),
+        "eval": (data, {"rows": SUMS, "grade": evaluates}, "tamper"),
+        "eval-scope": (data, {"rows": SUMS, "grade": evaluates_in_its_scope}, "tamper"),
+        "nan": (data, {"rows": SUMS, "grade": compares_by_distance}, "tamper"),
+        "judge": (data, {"rows": ROWS, "grade": judged_by_prompt}, "injection"),
+        "mood": (data, {"rows": ROWS, "grade": graded_by_mood}, "nondeterministic"),
+        "shell": (data, {"rows": ROWS, "grade": shell_grader}, "tamper"),
+        "exec": (CodeRows, {"rows": CODE_ROWS, "grade": run_in_the_grader}, "tamper"),
+        "exit-code": (CodeRows, {"rows": CODE_ROWS, "grade": run_and_exit}, "tamper"),
+        "info": (LeakyInfo, {"rows": ROWS}, "leak"),
+        "info-backward": (EncodedInfo, {"rows": ROWS}, "leak"),
+        "shown": (data, {"rows": shown, **template}, "leak"),
+        "info-base64": (Telling, {"rows": ROWS, "tell": in_base64}, "leak"),
+        "info-option": (Telling, {"rows": PASSAGES, "tell": lambda row: {"chosen": row["answer"]}}, "leak"),
+        "info-index": (Telling, {"rows": CHOICES, "tell": lambda row: {"k": "ABC".index(row["answer"])}}, "leak"),
+        "info-id": (Telling, {"rows": ROWS, "tell": lambda row: {"task_id": f"q-{row['answer']}"}}, "leak"),
+        "length": (data, {"rows": ROWS, "grade": rewards_length}, "injection"),
+        "letter": (data, {"rows": ROWS, "grade": accepts_a_piece}, "tamper"),
+        "shell-here": (ShellHere, {}, "tamper"),
+        "own-info": (OwnLeakyInfo, {}, "leak"),
+        "own-text": (OwnLeakyText, {}, "leak"),
+        "own-reward": (OwnReward, {}, "null"),
+        "crash": (Crashing, {}, "crash"),
+        "two-tries": (TwoTries, {}, "leak"),
+        "stateful": (Stateful, {"rows": ROWS}, "nondeterministic"),
+        "wrong-gold": (data, {"rows": [*ROWS[1:], {**ROWS[0], "answer": "a } b </answer> c"}]}, "gold"),
+        "no-gold": (data, {"rows": [*ROWS, {"question": "And of Laos?", "answer": ""}]}, "no gold"),
+        "duplicates": (data, {"rows": [*ROWS, {**ROWS[2], "question": ROWS[2]["question"].upper()}]}, "duplicates"),
+        "conflict": (data, {"rows": [*ROWS, {**ROWS[2], "answer": "Barcelona"}]}, "conflict"),
+    }
+
+
+def sound() -> dict[str, tuple[Any, dict[str, Any]]]:
+    """Return what to register by name: entry point and keyword arguments."""
+    data = gem.DatasetEnv
+    return {
+        "capitals": (data, {"rows": ROWS}),
+        "sums": (data, {"rows": SUMS}),
+        "choices": (data, {"rows": CHOICES}),
+        "passages": (data, {"rows": PASSAGES}),
+        "yes-no": (data, {"rows": YES_NO}),
+        "own-class": (OwnClass, {}),
+        "options": (Telling, {"rows": CHOICES, "tell": lambda row: {"options": row["question"].splitlines()[1:4]}}),
+        "level": (Telling, {"rows": YES_NO, "tell": lambda row: {"level": len(row["question"]) % 3}}),
+        "duel": (Duel, {}),
+        "one-row": (data, {"rows": ROWS[:1]}),
+        "plain-text": (data, {"rows": ROWS, "grade": lambda action, row: verdict(action.strip() == row["answer"])}),
+    }
