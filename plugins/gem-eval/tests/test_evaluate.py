@@ -6,6 +6,7 @@ import asyncio
 import json
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -97,7 +98,7 @@ def test_two_runs_of_a_suite_have_the_same_rows_and_seeds() -> None:
     ("choice", "chosen"),
     [
         ({"limit": 2}, ["q0", "q1"]),
-        ({"sample_ids": ["q5", "q2"]}, ["q5", "q2"]),
+        ({"sample_ids": ["q5", "q2", "q5"]}, ["q5", "q2"]),
         ({"where": "level == 2 and id != 'q8'"}, ["q2", "q5"]),
         ({"where": "level == 0", "limit": 1}, ["q0"]),
     ],
@@ -327,6 +328,10 @@ def test_answers_come_from_the_cache_where_a_request_is_the_same() -> None:
     assert len(asked) == 12
     assert told(first) == told(second)
     assert {row.cached for row in second.rows} == {1}
+    with sqlite3.connect("cache/responses.sqlite") as database:
+        database.execute("UPDATE responses SET response = CASE rowid % 2 WHEN 0 THEN '[1]' ELSE '{' END")
+    assert evaluate(tasks, {"a": counted}, out="three", cache="cache").info["status"] == "finished"
+    assert len(asked) == 12
 
 
 def test_the_record_says_what_was_run() -> None:

@@ -82,6 +82,7 @@ models: [random, {agent: "openai:m", name: cold, options: {temperature: 0}}]
         ("epoch: 2\ntasks: [{id: a:B}]", "epoch: Extra inputs are not permitted. Did you mean 'epochs'?"),
         ("tasks: []", "tasks: Tuple should have at least 1 item"),
         ("tasks: [{id: a:B, limit: 0}]", "tasks.0.limit: Input should be greater than or equal to 1"),
+        ('tasks: [{id: a:B, name: "a\\nb"}]', "tasks.0.name: String should match pattern"),
         ("[1, 2]", "is no suite: it must be a mapping with 'tasks', not list"),
         ("tasks: [", "is no YAML: "),
         ("tasks: &a [*a]", "is no YAML: an alias (*name) has no place in a suite"),

@@ -13,7 +13,7 @@ from typing import Any
 from gem_core import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records import ImageFolder, Record, record_from_dict
-from gem_eval.records.frames import decompressed, unpack
+from gem_eval.records.frames import decompressed, frames, unpack
 from gem_eval.records.row import Row
 
 RUN_FILE, EPISODES_FILE, INDEX_FILE, METRICS_FILE, IMAGES = (
@@ -49,8 +49,12 @@ class Run:
         self._joint = joint
         self._read = 0
         """Bytes of the index, or of the file of episodes, that have been read."""
+        self._read_frames = 0
+        """Bytes of the frames that have been read, where the index is gone."""
         self._lines = 0
         self._latest: dict[object, Row] = {}
+        self.superseded: list[Row] = []
+        """Earlier records of episodes that were run again."""
         self.damaged = 0
         """Lines of the index, or of the file, that could not be read."""
         if not self.path.exists():
@@ -102,12 +106,20 @@ class Run:
         path = self._index if self.is_folder else self._episodes
         if self._read and (not path.exists() or path.stat().st_size < self._read):
             self._latest.clear()
-            self._read = self._lines = self.damaged = 0
+            self.superseded.clear()
+            self._read = self._read_frames = self._lines = self.damaged = 0
         lines = itertools.islice(self._new_lines(path), most)
-        found = list(self._index_rows(lines) if self.is_folder else self._file_rows(lines))
+        if not self.is_folder:
+            found = list(self._file_rows(lines))
+        else:
+            found = list(self._index_rows(lines) if self._index.exists() else self._frame_rows())
         for row in found:
             # In a file, several runs may have been appended, and their keys are the same.
-            self._latest[(row.key, row.epoch) if self.is_folder else row.number] = row
+            key = (row.key, row.epoch) if self.is_folder else row.number
+            earlier = self._latest.get(key, row)
+            if earlier != row:
+                self.superseded.append(earlier)
+            self._latest[key] = row
         return found
 
     def line(self, row: Row) -> Any:
@@ -192,6 +204,24 @@ class Run:
                     yield Row.from_dict(record)
                 except EpisodeFileError:
                     self.damaged += 1
+
+    def _frame_rows(self) -> Iterator[Row]:
+        """Yield the rows that the frames tell, where there is no index."""
+        try:
+            with self._episodes.open("rb") as file:
+                for offset, frame in frames(file, self._read_frames):
+                    self._read_frames = offset + len(frame)
+                    try:
+                        row = Row.of(unpack(frame), self._lines + 1, offset, len(frame))
+                    except EpisodeFileError:
+                        self.damaged += 1
+                        continue
+                    self._lines += 1
+                    yield row
+        except FileNotFoundError:
+            return  # no episode has ended
+        except OSError as error:
+            raise EpisodeFileError(f"cannot read {self._episodes}: {error.strerror or error}") from error
 
     def _file_rows(self, lines: Iterator[tuple[int, bytes]]) -> Iterator[Row]:
         for offset, line in lines:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shlex
 import signal
-from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -137,7 +136,6 @@ def command(
         return
     ctx.with_resource(current_folder_importable())  # an agent may import what stands beside it when it first acts
     limits = Limits(**{name: options.pop(name) for name in list(vars(Limits()))})
-    given_roles = _roles(options["roles"])
     suite = _suite(targets, options)
     session = EvaluationSession(
         suite,
@@ -153,11 +151,8 @@ def command(
         new=new,
         command=shlex.join(without_secrets(shlex.split(call_again(ctx, {"new", "retry_errors"})))),
     )
-    _tell_unused(given_roles, session)
     counts = _Counts(session)
-    if counts.before:
-        done = f"{counts.before} of {counts.total} episodes are there"
-        click.echo(f"gem: going on with {session.path}, where {done}; --new begins another run", err=True)
+    _begin(session, counts)
     stopped_by: BaseException | None = None
     with Progress(counts.total, suite.name, quiet=session.interactive) as progress:
         try:
@@ -183,6 +178,16 @@ def command(
         where = f"The record is in {session.path}; look at it with: gem view {shlex.quote(str(session.path))}"
         click.echo(where)
     _finish(ctx, session, rows, stopped_by)
+
+
+def _begin(session: EvaluationSession, counts: _Counts) -> None:
+    """Say which run goes on, and which roles are of no use."""
+    for role in session.suite.roles:
+        if not any(role in task.kwargs for task in session.plan.tasks):
+            click.echo(f"gem: no task has the role {role!r}: no environment has a keyword of that name", err=True)
+    if counts.before:
+        done = f"{counts.before} of {counts.total} episodes are there"
+        click.echo(f"gem: going on with {session.path}, where {done}; --new begins another run", err=True)
 
 
 def _finish(ctx: click.Context, session: EvaluationSession, rows: list[Row], stopped_by: BaseException | None) -> None:
@@ -266,13 +271,6 @@ def _roles(given_roles: tuple[str, ...]) -> dict[str, str]:
             raise ArgumentError(f"--role takes ROLE=AGENT, as user=openai:gpt-5-mini, not {each!r}")
         roles[role] = agent
     return roles
-
-
-def _tell_unused(roles: Iterable[str], session: EvaluationSession) -> None:
-    for role in roles:
-        if not any(role in task.kwargs for task in session.plan.tasks):
-            told = f"--role {role} has no effect: no task has a keyword of that name; 'gem info ID' shows what there is"
-            click.echo(f"gem: {told}", err=True)
 
 
 def _causes(given_causes: str | None) -> list[str] | bool:

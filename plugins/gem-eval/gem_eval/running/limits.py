@@ -27,6 +27,8 @@ RUN_LIMITS = ("run time", "run tokens", "run cost")
 class Limits:
     """What an episode and a run may take; None for no limit. Each is checked before a model is asked.
 
+    What models in other roles take, as a simulated user, is not counted.
+
     Args:
         episode_time: Seconds from the first question of an episode; an open request is given up.
         episode_tokens: Tokens read and written.
@@ -52,6 +54,11 @@ class Limits:
     def of_cost(self) -> bool:
         """Whether a price is needed."""
         return self.episode_cost is not None or self.run_cost is not None
+
+    @property
+    def of_episodes(self) -> dict[str, float]:
+        """The limits of an episode, which its score depends on."""
+        return {name: limit for name, limit in vars(self).items() if name.startswith("episode") and limit is not None}
 
     @property
     def of_usage(self) -> bool:
