@@ -331,7 +331,7 @@ def test_answers_come_from_the_cache_where_a_request_is_the_same() -> None:
     with sqlite3.connect("cache/responses.sqlite") as database:
         database.execute("UPDATE responses SET response = CASE rowid % 2 WHEN 0 THEN '[1]' ELSE '{' END")
     assert evaluate(tasks, {"a": counted}, out="three", cache="cache").info["status"] == "finished"
-    assert len(asked) == 12
+    assert len(asked) == 24
 
 
 def test_the_record_says_what_was_run() -> None:
