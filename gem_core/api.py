@@ -73,6 +73,7 @@ def make_vec(
     plan: Iterable[PlanItem] | None = None,
     step_timeout: float | None = None,
     on_error: OnError = "truncate",
+    max_faults: int | None = None,
     **kwargs: Any,
 ) -> VectorEnv:
     """Make several environments that are reset and stepped together.
@@ -97,6 +98,8 @@ def make_vec(
             killed. What runs in place cannot be given up: it goes to worker processes under ``"auto"``, and is refused
             by ``"sync"`` and ``"async"``.
         on_error: ``"truncate"`` ends the episode of an environment that fails and replaces it; ``"raise"`` raises.
+        max_faults: Faults in a row, with no finished episode between them, that do not stop the run yet; by default 16,
+            or twice the number of slots if that is more.
         **kwargs: Keyword arguments for every environment.
 
     Raises:
@@ -117,6 +120,7 @@ def make_vec(
         autoreset=autoreset,
         step_timeout=step_timeout,
         on_error=on_error,
+        max_faults=max_faults,
     )
 
 

@@ -204,6 +204,8 @@ def test_faults_without_end_stop_with_one_clear_error() -> None:
     """The budget counts faults in a row; an episode that ends by itself resets it."""
     with pytest.raises(FaultBudgetError, match="17 faults in a row without one finished episode"):
         make(1, fail="reset").reset()
+    with pytest.raises(FaultBudgetError, match="4 faults in a row without one finished episode"):
+        make(1, fail="reset", max_faults=3).reset()
     plan = [item for _ in range(40) for item in (gem.PlanItem(kwargs={"fail": "step"}), *lasting(1, 1))]
     vector = make(1, plan=plan)
     vector.reset()

@@ -56,7 +56,7 @@ def print_table(columns: Sequence[Column], rows: Sequence[Any]) -> None:
         for line in layout.row(row, styles):
             click.echo(line)
     if layout.left_out:
-        missing = f"Not shown here: {', '.join(layout.left_out)}."
+        missing = f"Too wide for this terminal: {', '.join(layout.left_out)}."
         for line in textwrap.wrap(missing, output_width() or len(missing), break_on_hyphens=False):
             click.echo(click.style(line, dim=True))
 

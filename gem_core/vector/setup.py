@@ -40,6 +40,7 @@ class VectorSetup:
         autoreset: ``"same_step"``, ``"next_step"`` or ``"disabled"``.
         step_timeout: Seconds that a step or a reset may take; None for no limit.
         on_error: ``"truncate"`` or ``"raise"``.
+        max_faults: Faults in a row that do not stop the run; None for 16, or twice the number of slots.
         factory: Makes environments, instead of the registry.
         records: Records of environments that take precedence over the registry; a worker receives them.
     """
@@ -54,6 +55,7 @@ class VectorSetup:
     autoreset: Autoreset = "same_step"
     step_timeout: float | None = None
     on_error: OnError = "truncate"
+    max_faults: int | None = None
     factory: EnvFactory | None = None
     records: dict[str, EnvSpec] = field(default_factory=dict)
 
@@ -99,7 +101,7 @@ class VectorSetup:
 
     def rules(self) -> Rules:
         """Return the rules that all slots share."""
-        budget = FaultBudget(limit=max(16, 2 * len(self.ids)))
+        budget = FaultBudget(max(16, 2 * len(self.ids)) if self.max_faults is None else self.max_faults)
         return Rules(EpisodeQueue(self.plan, self.seed), budget, self.autoreset, self.on_error, self.step_timeout)
 
     def factories(self) -> list[EnvFactory]:

@@ -39,6 +39,7 @@ def select(
     rows: Iterable[Row],
     *,
     env: str | None = None,
+    model: str | None = None,
     success: bool | None = None,
     returns: Comparison | None = None,
     errors: bool | None = None,
@@ -51,6 +52,7 @@ def select(
         run: The run.
         rows: Its rows, or those of one seat.
         env: Part of the id, or a glob for the whole of it.
+        model: Part of the name of the agent, or a glob for the whole of it.
         success: True for those that solved the task, False for those that are known not to have; see ``Row``.
         returns: A test of the return; of several agents, of their sum.
         errors: True for those with an error of the machinery, False for those without.
@@ -60,6 +62,7 @@ def select(
     for row in rows:
         if (
             (env is None or matches_id(row.id, env))
+            and (model is None or matches_id(row.model, model))
             and (success is None or row.success is success)
             and (returns is None or returns(row.episode_return))
             and (errors is None or (row.error is not None) is errors)

@@ -130,6 +130,7 @@ def start_of(episode: Record) -> dict[str, str]:
     }
     if isinstance(episode, Episode):
         read = "" if episode.reads in (None, "observation") else str(episode.reads)
+        facts = {"model": episode.agent, **facts}
         facts["tools"], facts["system"] = episode.tools, episode.system
         # Where the agent was sent something else than what is shown of a turn.
         facts["sent"] = ", ".join(filter(None, [read, "tools natively" if episode.native_tools else ""]))

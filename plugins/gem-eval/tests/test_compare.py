@@ -55,6 +55,20 @@ def test_epochs_and_returns_are_tested_by_permutation(tmp_path: Path) -> None:
     assert gem_eval.compare(b, a, metric="return").overall.test == "permutation"
 
 
+def test_many_more_epochs_on_one_side_are_cautioned_against(tmp_path: Path) -> None:
+    """Differences are then skewed, and tests of their signs too sure."""
+    sides = {
+        count: write_index(
+            tmp_path / str(count), [row for epoch in range(count) for row in verdicts("10", epoch=epoch)]
+        )
+        for count in (1, 2, 8)
+    }
+    assert gem_eval.compare(sides[1], sides[2]).cautions == []
+    assert gem_eval.compare(sides[8], sides[1]).cautions == [
+        "the epochs of a row differ: 8 and 1 in the mean; where successes are rare, p-values are then too small"
+    ]
+
+
 def test_what_has_no_value_is_left_out_in_pairs_and_counted(tmp_path: Path) -> None:
     """An error of one side takes the row of the other out as well; what only one has is no pair."""
     found = compared(tmp_path, "1e1u01", "11e10")

@@ -102,6 +102,32 @@ def test_errors_are_told_and_make_the_exit_code_1() -> None:
     assert done.stderr.rstrip().endswith(": agent: no. Play them again with --retry-errors")
 
 
+def test_a_limit_of_the_run_is_named_as_its_option() -> None:
+    """With how to go on."""
+    done = gem_eval(GAME, "--model", "random", "-n", "2", "--run-time", "1e-9", "--out", "run")
+    assert done.exit_code == 1
+    assert "gem: the limit --run-time was reached after 0 of 2 episodes; the same command with a" in done.stderr
+
+
+ONCE_FAULTY = """
+from gem_core.errors import RequestError
+faults = [RequestError("no")]
+def agent(observation):
+    if faults:
+        raise faults.pop()
+    return "no"
+"""
+
+
+def test_pass_at_k_is_shown_for_as_many_epochs_as_each_row_has() -> None:
+    """After an error, one fewer."""
+    Path("once_faulty.py").write_text(ONCE_FAULTY)
+    tasks = (GAME, "math:Sample", "--limit", "1", "--epochs", "3")
+    done = gem_eval(*tasks, "--model", "once_faulty:agent", "--out", "run")
+    header = done.stdout.splitlines()[0]
+    assert ("pass@2" in header, "pass@3" in header) == (True, False)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -126,6 +152,13 @@ def test_wrong_arguments_are_told_in_one_line(
     assert (code, len(said.splitlines())) == (2, 1)
     assert message in said
     assert not os.path.exists("runs")
+
+
+def test_a_role_that_no_task_has_is_told() -> None:
+    """It may be misspelt; a suite may have it for other tasks."""
+    done = gem_eval(GAME, "--model", "random", "-n", "2", "--role", "usr=random", "--out", "run")
+    assert done.exit_code == 0
+    assert "gem: no task has the role 'usr': no environment has a keyword of that name" in done.stderr
 
 
 def test_suites_are_listed() -> None:

@@ -6,6 +6,7 @@ import asyncio
 import json
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -97,7 +98,7 @@ def test_two_runs_of_a_suite_have_the_same_rows_and_seeds() -> None:
     ("choice", "chosen"),
     [
         ({"limit": 2}, ["q0", "q1"]),
-        ({"sample_ids": ["q5", "q2"]}, ["q5", "q2"]),
+        ({"sample_ids": ["q5", "q2", "q5"]}, ["q5", "q2"]),
         ({"where": "level == 2 and id != 'q8'"}, ["q2", "q5"]),
         ({"where": "level == 0", "limit": 1}, ["q0"]),
     ],
@@ -311,7 +312,7 @@ def test_a_limit_of_cost_needs_a_price() -> None:
 
 
 def test_answers_come_from_the_cache_where_a_request_is_the_same() -> None:
-    """Other epochs are other requests."""
+    """Other epochs are other requests, and so are other rows that begin with the same observation."""
     asked: list[int] = []
     lock = threading.Lock()
 
@@ -321,12 +322,16 @@ def test_answers_come_from_the_cache_where_a_request_is_the_same() -> None:
         return Response(f"\\boxed{{{len(asked)}}}", usage={"prompt_tokens": 1, "completion_tokens": 1})
 
     counted.reads = "messages"  # type: ignore[attr-defined]
-    tasks = suite({"id": "evaltest:Sums", "limit": 3}, epochs=2)
+    tasks = suite({"id": "evaltest:Sums", "limit": 3}, {"id": GAME, "episodes": 3, "max_turns": 1}, epochs=2)
     first = evaluate(tasks, {"a": counted}, out="one", cache="cache")
     second = evaluate(tasks, {"a": counted}, out="two", cache="cache")
-    assert len(asked) == 6
+    assert len(asked) == 12
     assert told(first) == told(second)
     assert {row.cached for row in second.rows} == {1}
+    with sqlite3.connect("cache/responses.sqlite") as database:
+        database.execute("UPDATE responses SET response = CASE rowid % 2 WHEN 0 THEN '[1]' ELSE '{' END")
+    assert evaluate(tasks, {"a": counted}, out="three", cache="cache").info["status"] == "finished"
+    assert len(asked) == 24
 
 
 def test_the_record_says_what_was_run() -> None:

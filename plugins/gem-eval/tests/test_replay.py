@@ -8,13 +8,15 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
+from PIL import Image
 
 import gem_core as gem
 import gem_eval
-from gem_core import Episode, Response
+from gem_core import Episode, Response, Transition
 from gem_core.errors import ArgumentError
-from gem_core.records import write_episodes
+from gem_core.records import ImageFolder, write_episodes
 from gem_eval.replaying.command import command
+from gem_eval.replaying.recorded import differences
 
 ID = "game:GuessTheNumber-v0-hard"
 
@@ -209,6 +211,21 @@ def test_what_cannot_be_gone_on_from_is_refused(played: Path) -> None:
         gem_eval.replay(played, 1, 9, guess)
     for arguments, message in {
         ("--agent", "random"): "--agent goes on from a turn: give --from-turn K; 1 is the beginning",
-        ("--branches", "2"): "--branches is for an agent that goes on: name one by --agent, with --from-turn",
+        ("--branches", "2"): (
+            "--branches is for an agent that goes on: name one by --agent, as in --agent random --from-turn 2"
+        ),
+        ("--from-turn", "2"): (
+            "--from-turn is for an agent that goes on: name one by --agent, as in --agent random --from-turn 2"
+        ),
     }.items():
         assert str(call(played, 1, *arguments).exception) == message
+
+
+def test_a_replay_is_compared_with_a_record_whose_images_were_not_read(tmp_path: Path) -> None:
+    """By their hashes."""
+    image = Image.new("RGB", (2, 2), "red")
+    shown = [{"type": "image", "image": image}]
+    turn = Transition(shown, Response("1"), 1.0, True, False, {})
+    seen = Episode("a:B", 1, shown, {}, [turn], "")
+    unread = Episode.from_dict(seen.to_dict(ImageFolder(tmp_path)))
+    assert differences(unread, seen, 1) == []

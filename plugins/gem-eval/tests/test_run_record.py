@@ -133,6 +133,19 @@ def test_a_file_of_gem_run_is_read_as_a_run(tmp_path: Path, played: list[Episode
     assert run.rows[0].row == f"{ID}/{played[0].seed}"
 
 
+def test_a_line_of_the_index_with_another_type_is_damaged(tmp_path: Path, played: list[Episode]) -> None:
+    """Each field is what it is said to be."""
+    path = recorded(tmp_path / "run", played)
+    lines = (path / "index.jsonl").read_text().splitlines()
+    fields: list[dict[str, Any]] = [{"success": "no"}, {"epoch": "0"}, {"key": 0}, {"cost": "one"}, {"turns": None}]
+    damaged = [json.dumps({**json.loads(line), **field}) for line, field in zip(lines, fields, strict=False)]
+    (path / "index.jsonl").write_text("\n".join([*damaged, lines[-1]]) + "\n")
+    run = open_run(path)
+    assert (len(run.rows), run.damaged) == (1, 5)
+    RunWriter(path).close()
+    assert len(open_run(path).rows) == 6
+
+
 @pytest.mark.parametrize("content", [b"", b"{}\n", b"\xff\xfe\n", b"[1]\n", b"9" * 5000 + b"\n"])
 def test_a_damaged_index_is_no_crash(tmp_path: Path, played: list[Episode], content: bytes) -> None:
     """Its lines are passed over, and counted."""
@@ -191,11 +204,41 @@ def test_a_damaged_frame_is_an_error_that_names_it(tmp_path: Path, played: list[
     assert run.episode(run.rows[2]) == played[2]
 
 
+def test_a_damaged_frame_costs_one_episode_where_the_index_is_lost(tmp_path: Path, played: list[Episode]) -> None:
+    """Those after it are found again, by readers and by the next session."""
+    path = recorded(tmp_path / "run", played)
+    content = bytearray((path / "episodes.jsonl.zst").read_bytes())
+    content[open_run(path).rows[1].offset + 20] ^= 0xFF
+    (path / "episodes.jsonl.zst").write_bytes(content)
+    (path / "index.jsonl").unlink()
+    others = [played[0], *played[2:]]
+    read = open_run(path)
+    assert [read.episode(row) for row in read.rows] == others
+    for _ in range(2):
+        RunWriter(path).close()
+        run = open_run(path)
+        assert [run.episode(row) for row in run.rows] == others
+    assert read.refresh() == run.rows == read.rows
+    assert read.superseded == []
+
+
+def test_long_names_are_cut_and_stay_apart(tmp_path: Path, played: list[Episode]) -> None:
+    """Two rows that begin alike are two rows."""
+    with RunWriter(tmp_path / "run") as writer:
+        names = [writer.write(played[0], {"row": "r" * 10_000 + end}).row for end in ("a", "b")]
+    assert [len(name) for name in names] == [300, 300]
+    assert names[0] != names[1]
+
+
 def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
     """With what a run is."""
     with pytest.raises(ArgumentError, match="there is no run "):
         open_run(tmp_path / "nothing")
     with pytest.raises(ArgumentError, match=r"is no run: there is no run\.json in it"):
+        open_run(tmp_path)
+    with RunWriter(tmp_path / "mine") as writer:
+        writer.write_info({})
+    with pytest.raises(ArgumentError, match=r"; name one of the runs in it, as .*/mine$"):
         open_run(tmp_path)
 
 

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from indexed_runs import verdicts, write_index
@@ -45,7 +46,14 @@ def played(tmp_path: Path, episodes: list[Episode]) -> Path:
 
 @pytest.mark.parametrize(
     ("returned", "value", "metrics"),
-    [(True, 1.0, {}), (0.25, 0.25, {}), ({"short": False, "n": 3}, 0.0, {"short": 0.0, "n": 3.0}), (None, None, {})],
+    [
+        (True, 1.0, {}),
+        (0.25, 0.25, {}),
+        (np.bool_(True), 1.0, {}),
+        (np.float32(0.25), 0.25, {}),
+        ({"short": False, "n": 3}, 0.0, {"short": 0.0, "n": 3.0}),
+        (None, None, {}),
+    ],
 )
 def test_a_grader_returns_verdicts_numbers_or_several(played: Path, returned: Any, value: Any, metrics: Any) -> None:
     """Plain or as a coroutine; the record is never changed."""
@@ -202,7 +210,7 @@ def test_a_judge_that_fails_is_an_error_of_that_episode(played: Path) -> None:
 )
 def test_only_one_clear_verdict_on_the_last_line_counts(reply: str) -> None:
     """Everything else is no verdict, and no 0."""
-    with pytest.raises(GradingError, match="does not end with one clear verdict"):
+    with pytest.raises(GradingError, match="does not end with one of VERDICT: PASS, FAIL or UNKNOWN"):
         parsed_verdict(reply)
 
 

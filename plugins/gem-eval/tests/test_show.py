@@ -141,6 +141,8 @@ def test_json_lists_what_fits(show) -> None:
         "error": None,
         "seed": 7,
         "group": "g1",
+        "model": None,
+        "cut_off": None,
     }
     assert json.loads(show("2", "--json").out)["final_observation"] == "Night falls."
 
@@ -447,11 +449,15 @@ def test_the_folder_of_a_run_is_shown_as_a_file_is(show, tmp_path: Path) -> None
     with RunWriter(tmp_path / "run") as writer:
         writer.write_info({})
         for number, episode in enumerate([maze(), failed(), hostile()]):
-            episode.key = str(number)
-            writer.write(episode, {})
+            episode.key, episode.agent = str(number), "openai:m"
+            writer.write(episode, {"model": "openai:m"})
     code, out, _ = show("--grep", "night falls", "--json", file="run")
     assert (code, [row["number"] for row in json.loads(out)]) == (0, [2])
     assert numbers(show("--group", "g1", file="run")) == [1, 2]
+    assert numbers(show("--model", "openai", file="run")) == [1, 2, 3]
+    assert show("--model", "mini", file="run").err == "gem: none of the 3 episodes of run fits\n"
+    assert show(file="run").out.splitlines()[2].split()[:4] == ["2", "maze:Room-v0", "openai:m", "failure"]
     assert "Where is the door?" in show("1", file="run")[1]
+    assert "\nmodel: openai:m\n" in show("1", file="run")[1]
     assert show("9", file="run")[2].startswith("gem: no episode 9 in run, which has 3. Run 'gem show run'")
     assert show("--html", "page.html", file="run")[1] == "3 episodes written to page.html\n"

@@ -82,6 +82,7 @@ models: [random, {agent: "openai:m", name: cold, options: {temperature: 0}}]
         ("epoch: 2\ntasks: [{id: a:B}]", "epoch: Extra inputs are not permitted. Did you mean 'epochs'?"),
         ("tasks: []", "tasks: Tuple should have at least 1 item"),
         ("tasks: [{id: a:B, limit: 0}]", "tasks.0.limit: Input should be greater than or equal to 1"),
+        ('tasks: [{id: a:B, name: "a\\nb"}]', "tasks.0.name: String should match pattern"),
         ("[1, 2]", "is no suite: it must be a mapping with 'tasks', not list"),
         ("tasks: [", "is no YAML: "),
         ("tasks: &a [*a]", "is no YAML: an alias (*name) has no place in a suite"),
@@ -102,6 +103,8 @@ def test_an_unknown_suite_names_the_nearest() -> None:
         ArgumentError, match=r"no suite 'game'\. Did you mean 'games'.*\? Built in: code, code-hub, games, "
     ):
         load_suite("game")
+    with pytest.raises(ArgumentError, match=r"cannot read the suite nothing\.yaml: No such file or directory"):
+        load_suite("nothing.yaml")
 
 
 def test_targets_are_joined_into_one_suite() -> None:

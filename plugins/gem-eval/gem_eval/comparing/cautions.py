@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 _MOST = 8
 _LONGEST = 60
+_SKEWED = 4
 
 _STARTS = {"kwargs": "arguments", "wrappers": "wrappers", "tools": "tools", "system": "system prompt"}
 
@@ -38,6 +39,7 @@ def cautions_of(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
         found += _of_settings("settings", _settings(a), _settings(b))
     found += _of_settings("the sampling", _sampling(a), _sampling(b))
     told = a.run is b.run or (a.run.is_folder and b.run.is_folder)
+    found += _of_epochs(a, b, paired)
     return found + _of_seeds(a, b, paired) + list(_of_records(a, b, paired, told=told))
 
 
@@ -91,6 +93,20 @@ def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
             yield from _leaves(part, f"{path}.{name}".strip("."))
     else:
         yield path, value
+
+
+def _of_epochs(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
+    """Warn where one side played rows so much oftener that differences of rare successes are skewed.
+
+    By simulation of 40 rows that are solved once in 16 times, at a level of 5 %: 7 % false alarms with one epoch and
+    four, 10 % with one and eight, 2 % with two and four.
+    """
+    shared = set(paired)
+    epochs = [sum((row.id, row.row) in shared for row in side.rows) / max(len(shared), 1) for side in (a, b)]
+    if max(epochs) < _SKEWED * min(epochs):
+        return []
+    told = " and ".join(f"{count:.3g}" for count in epochs)
+    return [f"the epochs of a row differ: {told} in the mean; where successes are rare, p-values are then too small"]
 
 
 def _of_seeds(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:

@@ -214,7 +214,7 @@ def _groups(measured: EnvMeasurement) -> str:
     groups = measured.groups
     if groups.equal is None:
         return "-"
-    return f"{groups.equal:.0%} of {groups.number} (0: {groups.zero:.0%}, 1: {groups.one:.0%})"
+    return f"{groups.equal:.0%} of {groups.number} ({groups.zero:.0%}, {groups.one:.0%})"
 
 
 def _print_bars(measured: EnvMeasurement) -> None:
@@ -266,5 +266,5 @@ _COLUMNS = [
     Column("tokens", lambda measured: shown(measured.mean_tokens, ",.0f")),
     Column("success", lambda measured: shown(measured.success_rate, ".0%"), 4),
     Column("return", lambda measured: shown(measured.mean_return, ".3f"), 3),
-    Column("equal groups", _groups),
+    Column("equal groups (all 0, all 1)", _groups),
 ]

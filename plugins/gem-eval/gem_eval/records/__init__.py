@@ -9,8 +9,8 @@
     RUN/images/              images of the episodes, named by their hash
 
 A frame is written before its line of the index. After a kill at any byte, what follows the last whole frame is cut
-off, and what the index lacks is read again from the frames. Nothing is ever changed: an episode that is run again is
-appended once more, and the later one counts.
+off, and what the index lacks is read again from the frames; a damaged frame costs its own episode. Nothing is ever
+changed: an episode that is run again is appended once more, and the later one counts.
 """
 
 from gem_eval.records.row import Row

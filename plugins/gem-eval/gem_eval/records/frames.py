@@ -13,7 +13,7 @@ from gem_core.errors import EpisodeFileError
 MAX_LINE_BYTES = 2**30
 """A frame that holds more is damaged: a few bytes may claim to hold any length."""
 
-_CHUNK_BYTES = 1 << 16
+_CHUNK_BYTES = 1 << 14
 
 _LEVEL = 3
 _compressor = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True)
@@ -56,23 +56,43 @@ def decompressed(frame: bytes) -> bytes:
 
 
 def frames(file: BinaryIO, offset: int) -> Iterator[tuple[int, bytes]]:
-    """Yield the whole frames of a file from an offset on, each with its own offset; stop at what is torn or damaged."""
+    """Yield the whole frames of a file from an offset on, each with its own offset; pass over what is damaged."""
+    found: int | None = offset
+    while found is not None:
+        frame = frame_at(file, found)
+        if frame is None:
+            found = _next_header(file, found + 1)
+        else:
+            yield found, frame
+            found += len(frame)
+
+
+def frame_at(file: BinaryIO, offset: int) -> bytes | None:
+    """Return the frame that begins at an offset; None where it is torn or damaged, or there is none."""
     file.seek(offset)
-    rest = b""
+    decompressor = zstandard.ZstdDecompressor().decompressobj()
+    taken = bytearray()
+    try:
+        while not decompressor.eof:
+            chunk = file.read(_CHUNK_BYTES)
+            if not chunk:
+                return None
+            decompressor.decompress(chunk)
+            taken += chunk
+    except zstandard.ZstdError:
+        return None
+    return bytes(taken[: len(taken) - len(decompressor.unused_data)])
+
+
+def _next_header(file: BinaryIO, offset: int) -> int | None:
+    """Return where the next frame may begin."""
+    header = zstandard.FRAME_HEADER
     while True:
-        decompressor = zstandard.ZstdDecompressor().decompressobj()
-        taken = bytearray()
-        try:
-            while not decompressor.eof:
-                chunk = rest or file.read(_CHUNK_BYTES)
-                if not chunk:
-                    return
-                rest = b""
-                decompressor.decompress(chunk)
-                taken += chunk
-        except zstandard.ZstdError:
-            return
-        rest = decompressor.unused_data
-        frame = bytes(taken[: len(taken) - len(rest)])
-        yield offset, frame
-        offset += len(frame)
+        file.seek(offset)
+        chunk = file.read(_CHUNK_BYTES)
+        place = chunk.find(header)
+        if place >= 0:
+            return offset + place
+        if len(chunk) < len(header):
+            return None
+        offset += len(chunk) - len(header) + 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields
@@ -135,14 +136,14 @@ class Row:
             length: See the class.
         """
         error = episode.error
-        task = _clipped(own.get("id", episode.id))
+        task = _name(own.get("id", episode.id))
         return cls(
             number=number,
             offset=offset,
             length=length,
             id=task,
-            model=_clipped(own.get("model", episode.agent or "")),
-            row=_clipped(own.get("row", f"{task}/{episode.info.get('task_id', episode.seed)}")),
+            model=_name(own.get("model", episode.agent or "")),
+            row=_name(own.get("row", f"{task}/{episode.info.get('task_id', episode.seed)}")),
             epoch=episode.repeat,
             key=episode.key,
             seed=episode.seed,
@@ -212,6 +213,15 @@ def _tokens(episode: Episode, name: str) -> int | None:
     counts = [(turn.action.usage or {}).get(name) for turn in episode.transitions]
     known = [count for count in counts if type(count) is int]
     return sum(known) if known else None
+
+
+def _name(value: object) -> str:
+    """Return a name; a long one is cut, and told apart from others that begin so by a digest."""
+    text = str(value)
+    if len(text) <= _LONGEST_TEXT:
+        return text
+    digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:16]
+    return f"{text[: _LONGEST_TEXT - 17]}…{digest}"
 
 
 def _clipped(value: object) -> str:

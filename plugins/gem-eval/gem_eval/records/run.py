@@ -13,7 +13,7 @@ from typing import Any
 from gem_core import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records import ImageFolder, Record, record_from_dict
-from gem_eval.records.frames import decompressed, unpack
+from gem_eval.records.frames import decompressed, frames, unpack
 from gem_eval.records.row import Row
 
 RUN_FILE, EPISODES_FILE, INDEX_FILE, METRICS_FILE, IMAGES = (
@@ -53,8 +53,12 @@ class Run:
         self._joint = joint
         self._read = 0
         """Bytes of the index, or of the file of episodes, that have been read."""
+        self._read_frames = 0
+        """Bytes of the frames that have been read, where the index is gone."""
         self._lines = 0
         self._latest: dict[object, Row] = {}
+        self.superseded: list[Row] = []
+        """Earlier records of episodes that were run again."""
         self.damage: dict[int, str] = {}
         """Why a line of the index, or of the file, holds no whole episode, by its number."""
         if not self.path.exists():
@@ -62,7 +66,9 @@ class Run:
         if not self.is_folder and not self.path.is_file():
             raise EpisodeFileError(f"cannot read {path}: it is no regular file; write it to one first")
         if self.is_folder and not (self.path / RUN_FILE).exists():
-            raise ArgumentError(f"{path} is no run: there is no {RUN_FILE} in it")
+            inside = sorted(self.path.glob(f"*/{RUN_FILE}"), key=lambda file: file.stat().st_mtime)
+            hint = f"; name one of the runs in it, as {inside[-1].parent}" if inside else ""
+            raise ArgumentError(f"{path} is no run: there is no {RUN_FILE} in it{hint}")
         if read:
             self.refresh()
 
@@ -110,10 +116,19 @@ class Run:
         """
         if self._read and (not self._source.exists() or self._source.stat().st_size < self._read):
             self._latest.clear()
+            self.superseded.clear()
             self.damage.clear()
-            self._read = self._lines = 0
+            self._read = self._read_frames = self._lines = 0
         lines = itertools.islice(self._new_lines(), most)
-        return list(self._index_rows(lines) if self.is_folder else self._file_rows(lines))
+        if not self.is_folder:
+            return list(self._file_rows(lines))
+        found = list(self._index_rows(lines) if self._source.exists() else self._frame_rows())
+        for row in found:
+            earlier = self._latest.get((row.key, row.epoch), row)
+            if earlier != row:
+                self.superseded.append(earlier)
+            self._latest[row.key, row.epoch] = row
+        return found
 
     def read_all(self) -> Iterator[Row]:
         """Yield the rows, those of a file as they are found, also that of a last line without its end.
@@ -220,12 +235,27 @@ class Run:
                 records = [_parsed(line) for _, _, line in chunk]
             for (number, _, _), record in zip(chunk, records, strict=True):
                 try:
-                    row = Row.from_dict(record)
+                    yield Row.from_dict(record)
                 except EpisodeFileError as error:
                     self.damage[number] = str(error)
-                else:
-                    self._latest[row.key, row.epoch] = row
+
+    def _frame_rows(self) -> Iterator[Row]:
+        """Yield the rows that the frames tell, where there is no index."""
+        try:
+            with self._episodes.open("rb") as file:
+                for offset, frame in frames(file, self._read_frames):
+                    self._read_frames = offset + len(frame)
+                    try:
+                        row = Row.of(unpack(frame), self._lines + 1, offset, len(frame))
+                    except EpisodeFileError as error:
+                        self.damage[self._lines + len(self.damage) + 1] = str(error)
+                        continue
+                    self._lines += 1
                     yield row
+        except FileNotFoundError:
+            return  # no episode has ended
+        except OSError as error:
+            raise EpisodeFileError(f"cannot read {self._episodes}: {error.strerror or error}") from error
 
     def _file_rows(self, lines: Iterator[_Line]) -> Iterator[Row]:
         for number, offset, line in lines:

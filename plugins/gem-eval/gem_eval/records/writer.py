@@ -13,7 +13,7 @@ from gem_core import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records import ImageFolder, to_plain
 from gem_eval.files import write_whole
-from gem_eval.records.frames import frames, pack, unpack
+from gem_eval.records.frames import frame_at, frames, pack, unpack
 from gem_eval.records.row import Row
 from gem_eval.records.run import EPISODES_FILE, IMAGES, INDEX_FILE, METRICS_FILE, RUN_FILE
 
@@ -44,7 +44,7 @@ class RunWriter:
             self._index = open(self.path / INDEX_FILE, "ab", buffering=0)  # noqa: SIM115
             self._count = self._mend()
         except OSError as error:
-            raise EpisodeFileError(f"cannot write the run {path}: {error.strerror or error}") from error
+            raise EpisodeFileError(f"cannot write the run {path}: {error.strerror or error}; give --out") from error
 
     def write_info(self, info: Mapping[str, Any]) -> None:
         """Write ``run.json`` whole."""
@@ -92,7 +92,10 @@ class RunWriter:
         self._count += 1
 
     def _mend(self) -> int:
-        """Cut off what a killed process wrote by half, and index what it had not; return the number of episodes."""
+        """Cut off what a killed process wrote by half, and index what it had not; return the number of episodes.
+
+        What is damaged before a whole frame stays where it is, and is passed over.
+        """
         count, indexed, kept = self._whole_index()
         os.ftruncate(self._index.fileno(), kept)
         self._count = count
@@ -102,7 +105,7 @@ class RunWriter:
                 try:
                     row = Row.of(unpack(frame), self._count + 1, offset, len(frame))
                 except EpisodeFileError:
-                    break
+                    continue
                 self._append(row)
                 end = offset + len(frame)
         os.ftruncate(self._episodes.fileno(), end)
@@ -112,14 +115,16 @@ class RunWriter:
         """Return how many lines of the index hold, the end of the last frame that they name, and their length."""
         size = os.fstat(self._episodes.fileno()).st_size
         count = end = kept = 0
-        with (self.path / INDEX_FILE).open("rb") as file:
+        with (self.path / INDEX_FILE).open("rb") as file, (self.path / EPISODES_FILE).open("rb") as episodes:
             for line in file:
                 try:
                     row = Row.from_dict(json.loads(line))
                 except (ValueError, RecursionError, EpisodeFileError):
                     break
-                if not line.endswith(b"\n") or row.offset != end or row.offset + row.length > size:
+                if not line.endswith(b"\n") or row.offset < end or row.offset + row.length > size:
                     break
+                if row.offset > end and len(frame_at(episodes, row.offset) or b"") != row.length:
+                    break  # it does not stand behind a frame that was damaged and passed over
                 count, end, kept = count + 1, row.offset + row.length, kept + len(line)
         return count, end, kept
 

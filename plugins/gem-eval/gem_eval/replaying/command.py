@@ -75,9 +75,15 @@ def command(
     kwargs = env_arguments(arguments)
     if agent is None:
         _refuse_without_agent(
-            {"--branches": branches > 1, "--out": out is not None, "--force": force, **given(options)}
+            {
+                "--from-turn": from_turn is not None,
+                "--branches": branches > 1,
+                "--out": out is not None,
+                "--force": force,
+                **given(options),
+            }
         )
-        found = replay(path, number, from_turn, kwargs=kwargs)
+        found = replay(path, number, kwargs=kwargs)
         _report(found, as_json)
         ctx.exit(0 if found.agrees and found.episodes[0].error is None else 1)
     if from_turn is None:
@@ -116,7 +122,9 @@ def _refuse_without_agent(given_options: dict[str, Any]) -> None:
     for option, is_given in given_options.items():
         if is_given:
             name = option if option.startswith("--") else f"--{option.replace('_', '-')}"
-            raise ArgumentError(f"{name} is for an agent that goes on: name one by --agent, with --from-turn")
+            raise ArgumentError(
+                f"{name} is for an agent that goes on: name one by --agent, as in --agent random --from-turn 2"
+            )
 
 
 def _report(found: Replay, as_json: bool, *, agent: str | None = None, written: str | None = None) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from gem_core import Episode, Observation
 from gem_core.errors import EpisodeLimitError, RequestError
-from gem_core.records import to_plain
+from gem_core.records import from_plain, to_plain
 from gem_core.rollouts import Agent, Context, Reading
 
 END_OF_RECORD = "end of the record"
@@ -97,7 +97,8 @@ def _step_difference(recorded: Episode, turn: int, replayed: Any) -> str | None:
 def _observation_difference(recorded: Episode, turn: int, observation: Observation) -> str | None:
     is_last = turn == recorded.turns
     before = recorded.final_observation if is_last else recorded.transitions[turn].observation
-    was, is_now = (_text(to_plain(each)) for each in (before, observation))
+    # An image that was not read stands in a record as the plain form of one does.
+    was, is_now = (_text(from_plain(to_plain(each))) for each in (before, observation))
     if was == is_now:
         return None
     place = next((number for number, pair in enumerate(zip(was, is_now, strict=False)) if pair[0] != pair[1]), -1)

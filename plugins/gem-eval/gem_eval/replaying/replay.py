@@ -71,7 +71,7 @@ def replay(
     Args:
         run: A run, or its folder or file.
         number: Number of the episode, as ``gem show`` lists it.
-        from_turn: The first turn that is not repeated, from 1; None repeats all.
+        from_turn: The first turn that the agent plays, from 1; None repeats all.
         agent: Who goes on, or the name of one; None only repeats.
         branches: How many times it goes on from there.
         kwargs: Keyword arguments of the environment that the record lacks, or others than recorded.
@@ -82,6 +82,8 @@ def replay(
         ArgumentError: The record does not say enough to make the environment; or there is no such episode or turn.
         EpisodeFileError: The episode cannot be read.
     """
+    if agent is None and from_turn is not None:
+        raise ArgumentError("from_turn is for an agent that goes on: give one")
     run = opened(run)
     row = run.row(number)
     original = run.episode(row, images=True)

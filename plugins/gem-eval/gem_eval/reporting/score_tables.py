@@ -60,7 +60,8 @@ def differences(contents: Contents) -> str:
     metrics = dict.fromkeys(each.metric for each in contents.differences)
     tables = [_difference_table([e for e in contents.differences if e.metric == m], m) for m in metrics]
     note = "Only rows that both played, each as a pair: what makes a row hard for both does not count. "
-    note += "p is the probability of a difference this large if the two were alike."
+    note += "p is the probability of a difference this large if the two were alike; of several tasks it is "
+    note += "corrected by Holm, as 'gem compare' has it."
     if not contents.paired_by_task:
         note += f" All {len(contents.tasks)} tasks together."
     return section("differences", "Differences", f'<p class="soft">{note}</p>', *tables)

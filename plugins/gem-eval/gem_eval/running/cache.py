@@ -46,8 +46,11 @@ class ResponseCache:
             found = self._database.execute("SELECT response FROM responses WHERE key = ?", (key,)).fetchone()
         if found is None:
             return None
-        fields = json.loads(found[0])
-        return Response(fields.pop("text"), **fields)
+        try:
+            fields = json.loads(found[0])
+            return Response(fields.pop("text"), **fields)
+        except (ValueError, TypeError, LookupError, AttributeError):
+            return None  # another program wrote it, or it is damaged
 
     def keep(self, key: str, response: Response) -> None:
         """Keep the response to a request."""

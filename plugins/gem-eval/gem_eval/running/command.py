@@ -152,9 +152,7 @@ def command(
         command=shlex.join(without_secrets(shlex.split(call_again(ctx, {"new", "retry_errors"})))),
     )
     counts = _Counts(session)
-    if counts.before:
-        done = f"{counts.before} of {counts.total} episodes are there"
-        click.echo(f"gem: going on with {session.path}, where {done}; --new begins another run", err=True)
+    _begin(session, counts)
     stopped_by: BaseException | None = None
     with Progress(counts.total, suite.name, quiet=session.interactive) as progress:
         try:
@@ -182,6 +180,16 @@ def command(
     _finish(ctx, session, rows, stopped_by)
 
 
+def _begin(session: EvaluationSession, counts: _Counts) -> None:
+    """Say which run goes on, and which roles are of no use."""
+    for role in session.suite.roles:
+        if not any(role in task.kwargs for task in session.plan.tasks):
+            click.echo(f"gem: no task has the role {role!r}: no environment has a keyword of that name", err=True)
+    if counts.before:
+        done = f"{counts.before} of {counts.total} episodes are there"
+        click.echo(f"gem: going on with {session.path}, where {done}; --new begins another run", err=True)
+
+
 def _finish(ctx: click.Context, session: EvaluationSession, rows: list[Row], stopped_by: BaseException | None) -> None:
     """Say what failed and what was cut short, and exit."""
     errors = [row for row in rows if row.error is not None]
@@ -201,8 +209,8 @@ def _finish(ctx: click.Context, session: EvaluationSession, rows: list[Row], sto
     reason = session.run.info.get("reason")
     if reason is not None:
         click.echo(
-            f"gem: the {reason} was used up after {len(rows)} of {total} episodes; the same command with a higher "
-            "limit goes on",
+            f"gem: the limit --{reason.replace(' ', '-')} was reached after {len(rows)} of {total} episodes; the same "
+            "command with a higher limit goes on",
             err=True,
         )
     ctx.exit(1 if errors or reason is not None else 0)
@@ -224,7 +232,7 @@ class _Counts:
 
     def status(self) -> str:
         parts = [f"success {self._solved / self._judged:.0%}"] if self._judged else []
-        return ", ".join([*parts, f"{self._errors} errors"] if self._errors else parts)
+        return ", ".join([*parts, counted(self._errors, "error")] if self._errors else parts)
 
 
 def _suite(targets: tuple[str, ...], options: dict[str, Any]) -> Suite:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -134,11 +134,12 @@ class EvaluationSession:
                 [self._described(model) for model in self._models],
                 self.suite.seed,
                 dict(self.suite.roles),
+                *filter(None, [self.limits.of_episodes]),
             ]
         )
+        self._check_prices()
         self.path, self.goes_on = self._find_folder(out, new)
         self._run: Run | None = None
-        self._check_prices()
 
     @property
     def run(self) -> Run:
@@ -150,7 +151,7 @@ class EvaluationSession:
 
     def rows(self) -> list[Row]:
         """Return the rows so far, in the order of the plan."""
-        return sorted(self.run.rows, key=lambda row: (int(row.key), row.epoch))
+        return sorted(self.run.rows, key=lambda row: (self._place(row.key), row.epoch))
 
     def metrics(self) -> dict[str, Any]:
         """Return the scores so far as plain JSON, with those of each row where there are several epochs."""
@@ -176,6 +177,8 @@ class EvaluationSession:
             TooManyErrorsError: The share of errors is above the threshold.
         """
         with ExitStack() as at_end:
+            if not self.goes_on:
+                at_end.callback(_remove_if_empty, self.path)
             for agent in self._agents.values():
                 prepare_agent(agent)  # it says at the start what would fail later
                 at_end.callback(partial(close_agent, agent))
@@ -186,8 +189,8 @@ class EvaluationSession:
             before = self.run.rows
             meter = RunMeter(
                 self.limits,
-                sum((row.tokens_in or 0) + (row.tokens_out or 0) for row in before),
-                sum(row.cost or 0.0 for row in before),
+                sum((row.tokens_in or 0) + (row.tokens_out or 0) for row in [*before, *self.run.superseded]),
+                sum(row.cost or 0.0 for row in [*before, *self.run.superseded]),
             )
             ended: dict[str, Any] = {"status": "stopped", "reason": "interrupted"}
             try:
@@ -211,14 +214,17 @@ class EvaluationSession:
         done = FinishedEpisodes()
         for row in before:
             if self._stays(row):
-                item = self._item(row.key)
+                item = self.plan.items[self._place(row.key)]
                 done.add_start(row.key, row.epoch, item.id or "", item.seed, item.options, item.agent)
         left = self.plan.episodes - len(done)
         if not left:
             return
         entries = [(task.env_id, task.kwargs) for task in self.plan.tasks]
         slots = min(left, self._slots())
-        vector = gem.make_vec(entries, slots, seed=self.suite.seed, step_timeout=self._step_timeout)
+        # What stops a run that fails is the threshold alone.
+        vector = gem.make_vec(
+            entries, slots, seed=self.suite.seed, step_timeout=self._step_timeout, max_faults=self.plan.episodes
+        )
         at_end.callback(vector.close)
         count = errors = 0
         for episode in gem.rollout(vector, agents, plan=self._until_limit(meter), resume=done):
@@ -260,9 +266,9 @@ class EvaluationSession:
             return True
         return self._retry is not True and row.cause not in self._retry
 
-    def _item(self, key: str) -> PlanItem:
+    def _place(self, key: str) -> int:
         try:
-            return self.plan.items[int(key)]
+            return range(len(self.plan.items))[int(key)]
         except (ValueError, IndexError):
             raise ArgumentError(f"{self.path} holds an episode with the key {key!r}, which this run has not") from None
 
@@ -277,7 +283,8 @@ class EvaluationSession:
         model = next(model for model in self._models if model.label == name)
         # What others answer may depend on more than what they are sent.
         of_model = cache if getattr(agent, "reads", None) == "messages" else None
-        return metered(name, agent, meter, self._prices.find(model.agent), of_model, self._described(model))
+        rows = [row.name for _, row in self.plan.row_of]
+        return metered(name, agent, meter, self._prices.find(model.agent), of_model, self._described(model), rows)
 
     # The record.
 
@@ -345,8 +352,8 @@ class EvaluationSession:
                 raise ArgumentError(f"{path} holds a run; --new begins another, so choose another folder for --out")
             if found.get("fingerprint") != self.fingerprint:
                 raise ArgumentError(
-                    f"{path} holds another run (its tasks, rows, models, sampling or seed differ); choose another "
-                    "folder for --out"
+                    f"{path} holds another run (its tasks, rows, models, sampling, limits of an episode or seed differ)"
+                    "; choose another folder for --out"
                 )
             self._check_versions(path, found)
             return path, True
@@ -411,6 +418,11 @@ def _load_models(given: Models, sampling: Mapping[str, Any]) -> tuple[dict[str, 
         model.label: load_agent(model.agent, **{**sampling, **model.options}) if model.options else shared[model.agent]
         for model in models
     }, models
+
+
+def _remove_if_empty(path: Path) -> None:
+    with suppress(OSError):
+        path.rmdir()
 
 
 def _read_info(path: Path) -> dict[str, Any] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, cast
 
@@ -26,6 +26,8 @@ RUN_LIMITS = ("run time", "run tokens", "run cost")
 @dataclass(frozen=True)
 class Limits:
     """What an episode and a run may take; None for no limit. Each is checked before a model is asked.
+
+    What models in other roles take, as a simulated user, is not counted.
 
     Args:
         episode_time: Seconds from the first question of an episode; an open request is given up.
@@ -52,6 +54,11 @@ class Limits:
     def of_cost(self) -> bool:
         """Whether a price is needed."""
         return self.episode_cost is not None or self.run_cost is not None
+
+    @property
+    def of_episodes(self) -> dict[str, float]:
+        """The limits of an episode, which its score depends on."""
+        return {name: limit for name, limit in vars(self).items() if name.startswith("episode") and limit is not None}
 
     @property
     def of_usage(self) -> bool:
@@ -153,6 +160,7 @@ class MeteredAgent:
         price: What its tokens cost; None where that is not known.
         cache: Answers that are there already; None for none.
         identity: What the cache tells requests of this model by, besides what is sent.
+        rows: The row of each episode of the plan, for the cache: rows that begin alike have answers of their own.
     """
 
     def __init__(
@@ -163,9 +171,10 @@ class MeteredAgent:
         price: Price | None = None,
         cache: ResponseCache | None = None,
         identity: Any = None,
+        rows: Sequence[str] = (),
     ) -> None:
         self._name, self._agent, self._meter, self._price = name, agent, meter, price
-        self._cache, self._identity = cache, identity
+        self._cache, self._identity, self._rows = cache, identity, rows
 
     def __getattr__(self, name: str) -> Any:
         if name not in _FORWARDED:
@@ -197,9 +206,10 @@ class MeteredAgent:
         if self._cache is None:
             return "", None
         told = [observation, context.tools, context.system]
-        repeat = [context.env_id, context.turn, context.episode.rpartition(".")[2]]
-        key = self._cache.key([self._identity, told, repeat])
-        return key, self._cache.find(key)
+        key, _, epoch = context.episode.rpartition(".")
+        repeat = [context.env_id, self._rows[int(key)], context.turn, epoch]
+        request = self._cache.key([self._identity, told, repeat])
+        return request, self._cache.find(request)
 
     def _note(self, meter: Meter, asked: float, key: str, answer: str) -> str:
         meter.model_seconds += time.monotonic() - asked

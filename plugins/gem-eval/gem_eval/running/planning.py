@@ -201,7 +201,7 @@ def _chosen(env: Any, task: SuiteTask, total: int) -> list[int]:
             raise ArgumentError(
                 f"{task.label}: no row has the task_id {missing[0]!r}; the first is {next(iter(by_id), None)!r}"
             )
-        chosen = [index for each in task.sample_ids for index in by_id[each]]
+        chosen = [index for each in dict.fromkeys(task.sample_ids) for index in by_id[each]]
     if task.where is not None:
         holds = parse_condition(task.where)
         chosen = [index for index in chosen if holds(env.task_row(index))]

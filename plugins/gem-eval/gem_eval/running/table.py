@@ -79,7 +79,9 @@ def print_scores(scores: Sequence[Score], episodes: Iterable[Row]) -> None:
 
 
 def _columns(rows: Sequence[TableRow]) -> list[Column]:
-    epochs = sorted({int(k) for row in rows if row.success for k in row.success.pass_at if int(k) > 1})
+    by_row = [{int(k) for k in row.success.pass_at if int(k) > 1} for row in rows if row.success]
+    # The largest k that each row of the table has: after an error, fewer epochs count.
+    epochs = sorted(set.intersection(*by_row) or set.union(*by_row)) if by_row else []
     columns = [
         Column("task", lambda row: str(row.id), name=True),
         Column("model", lambda row: str(row.model), name=True),

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gem_core import Episode
 from gem_core.errors import ArgumentError, GemError, GradingError
 from gem_core.records import to_plain
@@ -189,6 +191,8 @@ def as_grade(returned: Any) -> Grade:
 
 
 def _number(value: Any) -> float:
+    if isinstance(value, np.generic):
+        value = value.item()
     if not isinstance(value, bool | int | float) or not math.isfinite(value):
         raise GradingError(
             f"a grader returns True or False, a finite number, several of them by name, or None, not {value!r:.100}"

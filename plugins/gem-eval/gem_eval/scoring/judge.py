@@ -92,7 +92,9 @@ def parsed_verdict(reply: str) -> bool | None:
     found = {match[1] for line in lines if (match := _VERDICT.fullmatch(line))}
     if not lines or len(found) != 1 or not _VERDICT.fullmatch(lines[-1]):
         ending = lines[-1][:100] if lines else ""
-        raise GradingError(f"the judge's reply does not end with one clear verdict, but with {ending!r}")
+        raise GradingError(
+            f"the judge's reply does not end with one of VERDICT: PASS, FAIL or UNKNOWN, but with {ending!r}"
+        )
     return _MEANING[found.pop()]
 
 

@@ -41,7 +41,7 @@ Examples:
   gem show runs/mine.jsonl --html mine.html           a page for the browser, in one file
   gem show runs/games.jsonl --seat white --success    the games that white won
   gem show runs/games.jsonl 3 --seat white            one of them as white saw it
-  gem show runs/math --failure                        the folder of a run of 'gem eval'
+  gem show runs/math --failure --model gpt-5-mini     the folder of a run of 'gem eval'
 \b
 Of several agents, one episode is told in the order in which they acted; --success finds those in which
 one of them did, --return looks at the sum. With --seat all is that of one seat: its outcome, return,
@@ -61,6 +61,7 @@ the one asked for is damaged, 2 for a wrong argument.
 @click.argument("number", metavar="[N]", required=False, type=click.IntRange(min=1))
 @click.option("--episode", "option_number", metavar="N", type=click.IntRange(min=1), help="The same as N.")
 @click.option("--env", metavar="PATTERN", help="Only ids with this part, or that fit a glob in quotes.")
+@click.option("--model", metavar="PATTERN", help="Only of these models, in the same way.")
 @click.option("--success/--failure", "success", default=None, help="Only solved, or only known as not solved.")
 @click.option(
     "--return", "returns", metavar="COMPARISON", type=parse_comparison, help="Only these returns: '>0.5', '<=0', '=1'."
@@ -140,7 +141,9 @@ def _show_list(run: Run, rows: Iterator[Row], as_json: bool) -> None:
 
 def _json_row(row: Row) -> dict[str, Any]:
     record = {"number": row.number, "id": row.id, **_figures(row), "seed": row.seed, "group": row.group}
+    record |= {"model": row.model or None, "cut_off": row.cut_off}
     if row.seats is not None:
+        record["model"] = None
         record["seats"] = {seat: {"agent": own.model, **_figures(own)} for seat, own in row.seats.items()}
     return record
 

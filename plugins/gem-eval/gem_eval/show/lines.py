@@ -32,17 +32,19 @@ if TYPE_CHECKING:
 _COLUMNS: dict[str, tuple[int, Callable[[Row], object]]] = {
     "number": (8, lambda row: row.number),
     "environment": (60, lambda row: row.id),
+    "model": (40, lambda row: "" if row.seats else row.model),
     "outcome": (8, lambda row: outcome_of(row.success, failed=row.error is not None)),
     "return": (10, lambda row: "" if len(row.seats or ()) > 1 else f"{row.episode_return:.4g}"),
     "turns": (6, lambda row: row.turns),
+    "cut off": (12, lambda row: row.cut_off or ""),
     "seed": (17, lambda row: "-" if row.seed is None else row.seed),
     "group": (24, lambda row: row.group or ""),
     "agents and returns": (100, lambda row: _agents(row)),
     "error": (200, lambda row: row.error or ""),
 }
-_TO_THE_LEFT = ("environment", "outcome", "group", "agents and returns", "error")
-_IF_ANY = ("return", "group", "agents and returns", "error")
-_DISPENSABLE = ("group", "seed", "turns", "return")
+_TO_THE_LEFT = ("environment", "model", "outcome", "cut off", "group", "agents and returns", "error")
+_IF_ANY = ("model", "return", "cut off", "group", "agents and returns", "error")
+_DISPENSABLE = ("group", "seed", "turns", "cut off", "return", "model")
 # Columns get the width of the first so many rows; a later cell may be wider.
 _ROWS_AHEAD = 200
 _LONGEST_VALUE = 300

@@ -32,6 +32,10 @@ _NAME_OR_OPTIONS = {"anyOf": [{"type": "string"}, {"type": "object", "minPropert
 Choice = Annotated[tuple[str, dict[str, Any]], BeforeValidator(_choice), WithJsonSchema(_NAME_OR_OPTIONS)]
 
 
+Name = Annotated[str, Field(pattern=r"^[^\x00-\x1f\x7f]+$", max_length=200)]
+"""What scores call something: on one line of a table."""
+
+
 class _Form(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -73,7 +77,7 @@ class SuiteTask(TaskSettings):
     """
 
     id: str
-    name: str | None = None
+    name: Name | None = None
 
     @property
     def label(self) -> str:
@@ -91,7 +95,7 @@ class Model(_Form):
     """
 
     agent: str
-    name: str | None = None
+    name: Name | None = None
     options: dict[str, Any] = {}
 
     @property
@@ -160,6 +164,9 @@ def load_suite(name_or_file: str | Path) -> Suite:
     try:
         text = path.read_bytes()
     except (OSError, ValueError) as error:
+        if path.suffix in {".yaml", ".yml"}:
+            reason = error.strerror if isinstance(error, OSError) else error
+            raise ArgumentError(f"cannot read the suite {path}: {reason}") from error
         hint = did_you_mean(str(name_or_file), found)
         raise ArgumentError(
             f"no suite {str(name_or_file)!r}.{hint} Built in: {', '.join(found)}; or give a YAML file, or ids"

@@ -1,0 +1,89 @@
+"""Runs that stop: by errors, by limits; and what they count when they go on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import gem_core as gem
+from gem_core import Response
+from gem_core.errors import ArgumentError, RequestError
+from gem_core.rollouts import Context
+from gem_eval import Limits, Suite, evaluate
+from gem_eval.running.evaluation import TooManyErrorsError
+
+ROWS = [{"question": f"{number}?", "answer": "1"} for number in range(40)]
+
+
+@pytest.fixture(autouse=True)
+def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    gem.register("stoptest:Rows", "gem_core:DatasetEnv", rows=ROWS)
+
+
+def suite(limit: int = 40) -> Suite:
+    return Suite.model_validate({"name": "test", "tasks": [{"id": "stoptest:Rows", "limit": limit}]})
+
+
+def answers(observation: str) -> Response:
+    """Each answer takes 12 tokens."""
+    return Response("\\boxed{1}", usage={"prompt_tokens": 10, "completion_tokens": 2})
+
+
+def fails(observation: str) -> str:
+    raise RequestError("no answer", cause="server")
+
+
+def test_the_threshold_alone_stops_a_run_in_which_everything_fails() -> None:
+    """However many faults come in a row."""
+    with pytest.raises(TooManyErrorsError, match="20 of 20 episodes had an error"):
+        evaluate(suite(), {"a": fails}, out="stopped")
+    run = evaluate(suite(), {"a": fails}, out="run", error_threshold=1.0)
+    assert [row.cause for row in run.rows] == ["server"] * 40
+
+
+def test_what_was_played_again_counts_against_a_limit_of_the_run() -> None:
+    """It was paid for."""
+
+    def guesses(observation: str, context: Context) -> Response:
+        return Response(context.sample_random_action(), usage={"prompt_tokens": 10, "completion_tokens": 2})
+
+    game = Suite.model_validate({"name": "test", "tasks": [{"id": "game:Mastermind-v0-hard", "episodes": 2}]})
+    for limit in (24, 60, 60):
+        run = evaluate(game, {"a": guesses}, out="run", max_concurrency=1, limits=Limits(run_tokens=limit))
+    assert sum((row.tokens_in or 0) + (row.tokens_out or 0) for row in [*run.rows, *run.superseded]) == 60
+
+
+def test_a_run_goes_on_with_the_same_limits_of_an_episode_only() -> None:
+    """Its scores depend on them."""
+    evaluate(suite(2), {"a": answers}, out="run", limits=Limits(episode_tokens=5, run_tokens=12))
+    with pytest.raises(ArgumentError, match="limits of an episode or seed differ"):
+        evaluate(suite(2), {"a": answers}, out="run", limits=Limits(episode_tokens=500))
+    assert len(evaluate(suite(2), {"a": answers}, out="run", limits=Limits(episode_tokens=5)).rows) == 2
+
+
+def test_a_run_that_cannot_begin_leaves_no_folder() -> None:
+    """Whether a price is missing or an agent cannot be prepared."""
+
+    class Unready:
+        def prepare(self) -> None:
+            raise ArgumentError("no key")
+
+        def __call__(self, observation: str) -> str:
+            return observation
+
+    with pytest.raises(ArgumentError, match="there is no price"):
+        evaluate(suite(), {"a": answers}, limits=Limits(run_cost=1.0))
+    with pytest.raises(ArgumentError, match="no key"):
+        evaluate(suite(), {"a": Unready()})
+    assert list(Path().glob("runs/*")) == []
+
+
+def test_an_episode_that_is_not_in_the_plan_is_told() -> None:
+    """Where the index was changed."""
+    evaluate(suite(2), {"a": answers}, out="run", limits=Limits(run_tokens=1), max_concurrency=1)
+    index = Path("run/index.jsonl")
+    index.write_text(index.read_text().replace('"key": "0"', '"key": "x"'))
+    with pytest.raises(ArgumentError, match="run holds an episode with the key 'x', which this run has not"):
+        evaluate(suite(2), {"a": answers}, out="run")
