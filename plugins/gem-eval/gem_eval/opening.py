@@ -9,6 +9,7 @@ import click
 from gem_core.cli import counted
 from gem_core.errors import ArgumentError
 from gem_eval.records import Run, open_run
+from gem_eval.show.text import one_line
 
 
 def opened(run: str | Path | Run) -> Run:
@@ -28,7 +29,8 @@ def require_episodes(run: Run) -> None:
 
 
 def warn_of_damage(run: Run) -> None:
-    """Say on standard error how many lines of a run are left out."""
-    if run.damaged:
-        lines = counted(run.damaged, "line")
-        click.echo(f"gem: {run.path}: passed over {lines} without a whole episode of one agent", err=True)
+    """Say on standard error which line of a run is left out and why, and how many there are."""
+    if run.damage:
+        number, reason = next(iter(run.damage.items()))
+        more = f"; lines passed over in all: {run.damaged:,}" if run.damaged > 1 else ""
+        click.echo(f"gem: {run.path}, line {number}: passed over, because {one_line(reason, 300)}{more}", err=True)

@@ -194,7 +194,9 @@ def test_the_files_of_a_run_are_not_written_over(grid: Path, tmp_path: Path) -> 
 def test_what_is_left_out_is_said(tmp_path: Path) -> None:
     """Damaged lines, and episodes of several agents."""
     write_episodes(tmp_path / "games.jsonl", [recorded.duel(), recorded.maze()])
-    assert "passed over 1 line without" in report(tmp_path / "games.jsonl", "--format", "markdown")
+    assert "games.jsonl, line 1: passed over, because it is an episode of several agents" in report(
+        tmp_path / "games.jsonl", "--format", "markdown"
+    )
     assert "games: 1 line without a whole episode of one agent left out." in page_of(tmp_path / "games.jsonl").text
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields
 from operator import itemgetter
@@ -11,8 +11,8 @@ from typing import Any
 
 from gem_core import Episode, JointEpisode
 from gem_core.errors import EpisodeFileError
-from gem_core.records import record_from_dict, to_plain
-from gem_eval.turns import error_text, some_success
+from gem_core.records import Record, record_from_dict, to_plain
+from gem_eval.turns import episodes_of, error_text, some_success
 
 _LONGEST_TEXT = 300
 
@@ -38,7 +38,7 @@ class Row:
         error: What failed in the machinery, as ``kind: message``; None for an episode that counts.
         cause: Kind of that error in a word, as ``"rate_limit"`` or ``"exception"``.
         cut_off: Why the episode was cut off; None for one that ended by itself.
-        unreadable: Whether the last response held nothing that the task could read.
+        unreadable: Whether the last response held nothing that the task could read; of several agents, that of one.
         tokens_in: Tokens that the model read; None where its server does not say.
         tokens_out: Tokens that it wrote.
         cost: In US dollars; None without a price.
@@ -89,7 +89,7 @@ class Row:
             EpisodeFileError: It is no row.
         """
         try:
-            values = _values_of({**_DEFAULTS, **record})
+            values = _values_of({**_DEFAULTS, **record, "seats": None})
         except (TypeError, KeyError) as error:
             raise EpisodeFileError(f"a line of the index is damaged ({error})") from error
         # The rows of a run are of few combinations of types, which are looked at once.
@@ -112,21 +112,19 @@ class Row:
             EpisodeFileError: It is no record of an episode.
         """
         episode = record_from_dict(record)
+        if isinstance(episode, JointEpisode) and not joint:
+            raise EpisodeFileError("it is an episode of several agents")
         told = record.get("evaluation")
         own = told if isinstance(told, Mapping) else {}
         try:
-            if isinstance(episode, JointEpisode):
-                if not joint:
-                    raise EpisodeFileError("it is an episode of several agents")
-                return cls._of_joint(episode, number, offset, length)
             row = cls.of_episode(episode, own, number, offset, length)
         except (AttributeError, TypeError, ArithmeticError) as error:
             raise EpisodeFileError(f"the record of an episode is damaged ({type(error).__name__}: {error})") from error
         return cls(*_checked(_values_of({name: getattr(row, name) for name in _FIELDS})))
 
     @classmethod
-    def of_episode(cls, episode: Episode, own: Mapping[str, Any], number: int, offset: int, length: int) -> Row:
-        """Return the row of an episode.
+    def of_episode(cls, episode: Record, own: Mapping[str, Any], number: int, offset: int, length: int) -> Row:
+        """Return the row of an episode, of one agent or of several.
 
         Args:
             episode: The episode.
@@ -135,58 +133,36 @@ class Row:
             offset: See the class.
             length: See the class.
         """
-        error = episode.error
+        parts, error = episodes_of(episode), episode.error
+        if isinstance(episode, Episode):
+            seats, agents, place = None, episode.agent or "", episode.info.get("task_id", episode.seed)
+        else:
+            seats = {seat: cls.of_episode(each, {}, number, offset, length) for seat, each in episode.seats.items()}
+            agents, place = ", ".join(f"{seat}={agent}" for seat, agent in episode.agents.items()), episode.seed
         task = _name(own.get("id", episode.id))
         return cls(
             number=number,
             offset=offset,
             length=length,
             id=task,
-            model=_name(own.get("model", episode.agent or "")),
-            row=_name(own.get("row", f"{task}/{episode.info.get('task_id', episode.seed)}")),
+            model=_name(own.get("model", agents)),
+            row=_name(own.get("row", f"{task}/{place}")),
             epoch=episode.repeat,
             key=episode.key,
             seed=episode.seed,
-            success=episode.success,
-            episode_return=episode.episode_return,
+            success=some_success(episode),
+            episode_return=sum(part.episode_return for part in parts),
             turns=episode.turns,
             error=None if error is None else _clipped(error_text(error)),
             cause=None if error is None else _clipped(error.get("cause") or error.get("kind")),
-            cut_off=episode.cut_off,
-            unreadable=episode.unreadable,
-            tokens_in=_tokens(episode, "prompt_tokens"),
-            tokens_out=_tokens(episode, "completion_tokens"),
+            cut_off=next((part.cut_off for part in parts if part.cut_off), None),
+            unreadable=any(part.unreadable for part in parts),
+            tokens_in=_tokens(parts, "prompt_tokens"),
+            tokens_out=_tokens(parts, "completion_tokens"),
             group=None if episode.group is None else _clipped(episode.group),
+            seats=seats,
             **{name: own[name] for name in _MEASURED if name in own},
         )
-
-    @classmethod
-    def _of_joint(cls, episode: JointEpisode, number: int, offset: int, length: int) -> Row:
-        by_seat = {seat: cls.of_episode(own, {}, number, offset, length) for seat, own in episode.seats.items()}
-        seats = list(by_seat.values())
-        values = {
-            "number": number,
-            "offset": offset,
-            "length": length,
-            "id": _clipped(episode.id),
-            "model": _clipped(", ".join(f"{seat}={agent}" for seat, agent in episode.agents.items())),
-            "row": _clipped(f"{episode.id}/{episode.seed}"),
-            "epoch": episode.repeat,
-            "key": episode.key,
-            "seed": episode.seed,
-            "success": some_success(episode),
-            "episode_return": sum(seat.episode_return for seat in seats),
-            "turns": episode.turns,
-            "error": None if episode.error is None else _clipped(error_text(episode.error)),
-            "cause": None if episode.error is None else _clipped(episode.error.get("kind")),
-            "cut_off": next((seat.cut_off for seat in seats if seat.cut_off), None),
-            "tokens_in": sum(known) if (known := [seat.tokens_in for seat in seats if seat.tokens_in]) else None,
-            "tokens_out": sum(known) if (known := [seat.tokens_out for seat in seats if seat.tokens_out]) else None,
-            "group": None if episode.group is None else _clipped(episode.group),
-        }
-        row = cls(*_checked(_values_of({**_DEFAULTS, **values})))
-        row.seats = by_seat
-        return row
 
 
 _FIELDS = tuple(each.name for each in fields(Row))
@@ -201,7 +177,7 @@ _TYPES = {
     "str | None": (str, type(None)),
     "bool | None": (bool, type(None)),
     "float | None": (float, int, type(None)),
-    "dict[str, Row] | None": (type(None),),
+    "dict[str, Row] | None": (dict, type(None)),
 }
 _ALLOWED = tuple(_TYPES[str(each.type)] for each in fields(Row))
 _sound_types: set[tuple[type, ...]] = set()
@@ -209,8 +185,8 @@ _MEASURED = ("cost", "seconds", "model_seconds", "finished", "cached")
 """What only the record says, under ``"evaluation"``."""
 
 
-def _tokens(episode: Episode, name: str) -> int | None:
-    counts = [(turn.action.usage or {}).get(name) for turn in episode.transitions]
+def _tokens(episodes: Sequence[Episode], name: str) -> int | None:
+    counts = [(turn.action.usage or {}).get(name) for episode in episodes for turn in episode.transitions]
     known = [count for count in counts if type(count) is int]
     return sum(known) if known else None
 

@@ -18,6 +18,7 @@ from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records import Record
 from gem_core.suggestions import did_you_mean
 from gem_eval.filters import SORTS, at_seat, ordered, parse_comparison, select
+from gem_eval.opening import warn_of_damage
 from gem_eval.output import print_json
 from gem_eval.records import Row, Run
 from gem_eval.show.lines import episode_lines, list_lines
@@ -123,7 +124,7 @@ def command(
             _write_page(run, ordered(fitting, sort, reverse, None), seat, html, limit or _HTML_LIMIT)
         else:
             _show_list(run, ordered(fitting, sort, reverse, limit), as_json)
-    _report_damage(run)
+    warn_of_damage(run)
 
 
 def _show_list(run: Run, rows: Iterator[Row], as_json: bool) -> None:
@@ -230,14 +231,6 @@ def _count_whole(run: Run) -> int:
         number, reason = next(iter(run.damage.items()))
         raise EpisodeFileError(f"{run.path} holds no whole episode; line {number}: {reason}")
     raise EpisodeFileError(f"{run.path} holds no episode: its lines are blank")
-
-
-def _report_damage(run: Run) -> None:
-    if run.damage:
-        number, reason = next(iter(run.damage.items()))
-        more = f"; lines passed over in all: {run.damaged:,}" if run.damaged > 1 else ""
-        reason = one_line(reason, 300)
-        click.echo(f"gem: {run.path}, line {number}: passed over, because {reason}{more}", err=True)
 
 
 def _with_progress(run: Run) -> Iterator[Row]:
