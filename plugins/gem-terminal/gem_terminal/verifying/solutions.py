@@ -69,12 +69,19 @@ def as_command(step: Step) -> str | None:
     packed = io.BytesIO()
     with tarfile.open(fileobj=packed, mode="w:gz") as archive:
         for path, file in solution.files.items():
-            archive.add(file, path.lstrip("/"))
+            archive.add(file, path.lstrip("/"), filter=_of_root)
     given = " ".join(f"{name}={shlex.quote(value)}" for name, value in solution.env.items())
     paths = " ".join(shlex.quote(path) for path in solution.files)
     unpacked = f"echo {base64.b64encode(packed.getvalue()).decode()} | base64 -d | tar xzf - -C / && "
     ran = f"env {given} {shlex.join(_command(solution))}"
     return f"{unpacked}{ran}; rm -f {paths}" if paths else ran
+
+
+def _of_root(file: tarfile.TarInfo) -> tarfile.TarInfo:
+    """Give a file to the machine's root: whoever owns it here may be nobody there, and tar would fail."""
+    file.uid = file.gid = 0
+    file.uname = file.gname = ""
+    return file
 
 
 def _command(solution: Solution) -> tuple[str, ...]:
