@@ -110,7 +110,7 @@ def test_agent_runs_on_the_loop_of_the_caller_whatever_the_environment(kind: str
 
 @pytest.mark.parametrize("agent", [sampling_agent, answer_a], ids=["plain", "asynchronous"])
 @pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 def test_episodes_are_those_of_rollout_in_every_backend(backend: str, agent: Any) -> None:
     """For a vector environment of each, with a wrapper, and with plain and asynchronous agents."""
     expected = by_key(list(gem.rollout(COUNTDOWN, agent, episodes=6, seed=5)))

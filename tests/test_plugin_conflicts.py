@@ -124,6 +124,7 @@ def test_both_go_on_working(sites: dict[str, Path]) -> None:
     assert gem_of(both, "info", "taken:Own-v0")[0] == 0
 
 
+@pytest.mark.thorough
 def test_names_of_the_core_stay_the_core_s(sites: dict[str, Path]) -> None:
     """Wrapper, agent, backend and command are still the core's own; the plugin is told, and its own tool is there."""
     code = (

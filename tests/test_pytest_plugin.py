@@ -82,6 +82,7 @@ def test_unknown_pattern_is_a_usage_error_with_the_nearest(folder: pytest.Pytest
     )
 
 
+@pytest.mark.thorough
 def test_unmet_requirement_is_a_skip_with_its_reason(folder: pytest.Pytester) -> None:
     """A machine without the key has not broken anything."""
     result = folder.runpytest_subprocess("--gem-envs", "far:*", "-rs")
@@ -99,6 +100,7 @@ def test_patterns_may_stand_in_the_configuration(folder: pytest.Pytester) -> Non
     folder.runpytest_subprocess("--gem-envs", "fit:Other-v0").assert_outcomes(passed=1)
 
 
+@pytest.mark.thorough
 def test_promise_is_skipped_with_a_reason(folder: pytest.Pytester) -> None:
     """By its slug; a slug that does not exist fails each item with the nearest."""
     skip = "hostile-actions=tried elsewhere"

@@ -340,6 +340,7 @@ def test_stop_iteration_does_not_end_a_loop_of_the_tests(judge: Judge) -> None:
     assert judge("def f(x): raise StopIteration", waited).correct
 
 
+@pytest.mark.thorough
 def test_tests_that_never_end_are_no_verdict(judge: Judge) -> None:
     """Whatever the program."""
     with pytest.raises(GradingError, match="the tests do not come to their end"):

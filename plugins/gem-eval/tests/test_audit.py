@@ -55,6 +55,7 @@ def test_sound_environments_have_no_problem(name: str) -> None:
     assert kinds(found) == set()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("env_id", ["math:Sample", "game:Wordle-v0-easy", "game:TowerofHanoi-v0-easy"])
 def test_our_own_are_sound(env_id: str) -> None:
     """Gold actions succeed in all rows, and no exploit in any."""

@@ -50,6 +50,7 @@ PERTURBATIONS: dict[str, Callable[[AnyEnv], AnyEnv]] = {
 }
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", PERTURBATIONS)
 def test_perturbations_keep_the_contract(name: str) -> None:
     """Each is a wrapper that saves its state, spawns and repeats itself by seed."""

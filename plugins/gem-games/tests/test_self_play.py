@@ -43,7 +43,7 @@ def test_perfect_players_of_tic_tac_toe_always_draw() -> None:
         assert joint.returns[seat] >= 0
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("env_id", GAMES)
 def test_games_of_several_keep_the_contract(env_id: str) -> None:
     """Determinism, state, hostile text from every seat, accounting: everything that ``check_env`` tries."""

@@ -69,6 +69,7 @@ def test_every_game_of_several_players_is_listed_with_its_seats() -> None:
     assert gem.make("ta:Poker-v0-multi", players=4).possible_agents == ("player_0", "player_1", "player_2", "player_3")
 
 
+@pytest.mark.thorough
 def test_contract_is_kept() -> None:
     """In another process too; ``test_textarena_contract.py`` tries the other games."""
     check_env("ta:KuhnPoker-v0-multi")

@@ -192,6 +192,7 @@ def test_one_register_call_adds_a_file(tmp_path: Path):
     assert sorted(episode.transitions[-1].info["correct"] for episode in episodes) == [True] * 5
 
 
+@pytest.mark.thorough
 def test_process_backend_grades(tmp_path: Path):
     """Environments in worker processes have their own graders."""
     vec = gem.make_vec("math:Sample", num_envs=2, backend="process", seed=0)

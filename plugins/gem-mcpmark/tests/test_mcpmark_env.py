@@ -83,6 +83,7 @@ def test_another_mcp_server(tmp_path):
     env.close()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("verify", "words"),
     [

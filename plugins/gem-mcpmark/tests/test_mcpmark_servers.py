@@ -142,6 +142,7 @@ def test_a_named_server_that_does_not_answer_is_an_error(monkeypatch, tmp_path):
     assert "hidden" not in str(caught.value)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("end", ["", THEN_DIE], ids=["at its end", "killed"])
 def test_a_private_server_ends_with_its_process(end):
     """However that ends; then its folder is removed."""

@@ -186,6 +186,7 @@ def test_a_runtime_env_that_cannot_be_made_is_said_once(vec: Callable[..., gem.V
         vector.reset()
 
 
+@pytest.mark.thorough
 def test_rollouts_sample_in_the_actors(vec: Callable[..., gem.VectorEnv]) -> None:
     """A random agent asks the environments; the episodes say what they were made from."""
     from gem_core.agents import RandomAgent

@@ -214,6 +214,7 @@ def test_options_that_cannot_be_right_are_refused(options: dict[str, Any], messa
     assert str(caught.value) == message
 
 
+@pytest.mark.thorough
 def test_the_tool_keeps_its_promises() -> None:
     """Those of every tool, and of every plugin."""
     assert check_tool("search", {"query": "white rhino"})
