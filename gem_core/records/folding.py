@@ -51,6 +51,8 @@ def _in_common(before: Any, observation: Any) -> int:
         return 0
     if observation.startswith(before):  # the first observation stands twice, and many views append
         return len(before) if len(before) >= _SHORTEST else 0
+    if len(before) < _SHORTEST or not observation.startswith(before[:_SHORTEST]):
+        return 0  # most do: what follows costs more than all else that is written of a turn
     lengths = range(1, min(len(before), len(observation)) + 1)
     same = bisect_left(lengths, True, key=lambda length: not before.startswith(observation[:length]))
     # Whole lines, where those are enough: a search of the file then finds what stands in a line.

@@ -92,19 +92,20 @@ def to_plain(value: Any, images: ImageFolder | None = None, above: tuple[int, ..
         images: Where images go; None keeps only their hash.
         above: Identities of the containers that it stands in, outermost first.
     """
-    if value is None or isinstance(value, int | float):
-        return _plain_number(value)
+    # Tuples of types are tried faster than unions, and records are made of this.
     if isinstance(value, str):
-        return _plain_text(str.__str__(value))
+        return _plain_text(value if type(value) is str else str.__str__(value))
+    if value is None or isinstance(value, (int, float)):
+        return _plain_number(value)
     if len(above) > _MAX_DEPTH:
         return f"<nested over {_MAX_DEPTH} deep>"
     if id(value) in above:
         return "<contains itself>"
     above = (*above, id(value))
-    if isinstance(value, Mapping):
+    if isinstance(value, (dict, Mapping)):
         plain = {str(key): to_plain(part, images, above) for key, part in value.items()}
         return {_PLAIN_KEY: plain} if len(plain) == 1 and not _MARKS.isdisjoint(plain) else plain
-    if isinstance(value, list | tuple):
+    if isinstance(value, (list, tuple)):
         return [to_plain(part, images, above) for part in value]
     if isinstance(value, set | frozenset):
         return sorted((to_plain(part, images, above) for part in value), key=repr)
