@@ -19,6 +19,7 @@ WRONG = {
 }
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("case", WRONG)
 def test_what_is_wrong_is_named(case: str, tmp_path: Path) -> None:
     """In an interpreter of its own, so that nothing that is loaded here hides it."""

@@ -92,7 +92,7 @@ def test_an_agent_solves_problems_of_the_sample_with_the_python_tool() -> None:
     assert {episode.turns for episode in episodes if episode.success} == {2}
 
 
-@pytest.mark.few(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", REASONING)
 def test_an_agent_solves_reasoning_tasks_with_the_python_tool(name: str) -> None:
     """Six rows of each, scored by reasoning-gym's own scorer, in two turns each."""

@@ -73,6 +73,7 @@ def name_of(target: Any) -> str:
     return str(getattr(target, "__name__", "record"))
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("target", ABOUT_AGENTS, ids=name_of)
 def test_broken_promise_about_agents_is_named(target: Any) -> None:
     """Exactly the promises that an environment breaks are named."""

@@ -166,6 +166,7 @@ def test_a_sandbox_that_fails_is_an_error() -> None:
         assert "correct" not in info
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("code", "status"),
     [

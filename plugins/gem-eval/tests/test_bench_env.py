@@ -195,6 +195,7 @@ def test_memory_is_the_growth_for_each_one_more() -> None:
     assert resident_bytes() > 1_000_000
 
 
+@pytest.mark.thorough
 def test_memory_is_measured_in_a_process_of_its_own() -> None:
     """What cannot be made there, or be given to it, is told."""
     pytest.importorskip("gem_games", reason="its games are small; install plugins/gem-games")

@@ -99,6 +99,7 @@ def test_the_verifier_is_a_process_and_a_role_of_its_own(tmp_path, monkeypatch):
     episode.close()
 
 
+@pytest.mark.thorough
 def test_processes_that_a_verifier_started_end_with_it(tmp_path):
     pid = tmp_path / "pid"
     script = f"import subprocess\nopen({str(pid)!r}, 'w').write(str(subprocess.Popen(['sleep', '600']).pid))\n"
