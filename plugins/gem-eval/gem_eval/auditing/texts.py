@@ -35,8 +35,3 @@ def holds(text: str, part: str) -> bool:
             return True
         start = text.find(part, start + 1)
     return False
-
-
-def _goes_on(beside: str) -> bool:
-    """Tell whether the characters beside a word belong to it, as a decimal point and a digit do."""
-    return beside[:1].isalnum() or (beside[:1] in (".", ",") and beside[1:2].isdigit())

@@ -172,9 +172,8 @@ def command(
         click.echo(json.dumps({**session.metrics(), "run": str(session.path)}, indent=1))
     elif rows:
         from gem_eval.running.table import print_scores
-        from gem_eval.scores import compute_scores
 
-        print_scores(compute_scores(rows), rows)
+        print_scores(session.scores(), rows)
         where = f"The record is in {session.path}; look at it with: gem view {shlex.quote(str(session.path))}"
         click.echo(where)
     _finish(ctx, session, rows, stopped_by)

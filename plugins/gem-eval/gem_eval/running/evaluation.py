@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import gem_core as gem
 from gem_core import Episode, PlanItem
@@ -22,7 +22,7 @@ from gem_eval.running.limits import RUN_LIMITS, Limits, MeteredAgent, RunMeter, 
 from gem_eval.running.planning import Evaluation, digest, plan_evaluation
 from gem_eval.running.prices import load_prices
 from gem_eval.running.provenance import code_hash, host, versions
-from gem_eval.scores import compute_row_scores, compute_scores
+from gem_eval.scores import Score, compute_row_scores, compute_scores
 from gem_eval.suites import Model, Suite, combined_suite
 
 DEFAULT_REQUESTS = 8
@@ -36,20 +36,26 @@ class TooManyErrorsError(GemError):
     """More episodes than allowed ended in an error; the run was stopped."""
 
 
+class EvaluationOptions(TypedDict, total=False):
+    """The keyword arguments of ``evaluate`` that say how it is played; see there."""
+
+    out: str | Path | None
+    limits: Limits | None
+    prices: str | Path | None
+    cache: str | Path | None
+    retry_errors: Sequence[str] | bool
+    error_threshold: float
+    max_concurrency: int | None
+    step_timeout: float | None
+    new: bool
+
+
 def evaluate(
     suite: Suite | str | Path | Sequence[str],
     models: Models,
     *,
-    out: str | Path | None = None,
-    limits: Limits | None = None,
-    prices: str | Path | None = None,
-    cache: str | Path | None = None,
-    retry_errors: Sequence[str] | bool = False,
-    error_threshold: float = 0.5,
-    max_concurrency: int | None = None,
-    step_timeout: float | None = None,
-    new: bool = False,
     on_episode: Callable[[Row], None] | None = None,
+    **options: Unpack[EvaluationOptions],
 ) -> Run:
     """Play the tasks of a suite by some models, and record the run; the same call goes on with one that was stopped.
 
@@ -75,19 +81,7 @@ def evaluate(
         ArgumentError: Something cannot be as it was asked for; the message says what.
         TooManyErrorsError: The share of errors is above the threshold.
     """
-    session = EvaluationSession(
-        suite,
-        models,
-        out=out,
-        limits=limits,
-        prices=prices,
-        cache=cache,
-        retry_errors=retry_errors,
-        error_threshold=error_threshold,
-        max_concurrency=max_concurrency,
-        step_timeout=step_timeout,
-        new=new,
-    )
+    session = EvaluationSession(suite, models, **options)
     for row in session.play():
         if on_episode is not None:
             on_episode(row)
@@ -126,6 +120,7 @@ class EvaluationSession:
         self._max_concurrency = max_concurrency
         self._step_timeout = step_timeout
         self._command = command
+        self._scores: list[Score] | None = None
         self._agents, self._models = _load_models(models or self.suite.models, self.suite.sampling)
         self.plan: Evaluation = plan_evaluation(self.suite, list(self._agents))
         self.fingerprint = digest(
@@ -153,12 +148,17 @@ class EvaluationSession:
         """Return the rows so far, in the order of the plan."""
         return sorted(self.run.rows, key=lambda row: (self._place(row.key), row.epoch))
 
+    def scores(self) -> list[Score]:
+        """Return the scores, computed once for those who ask after the session has ended."""
+        if self._scores is None:
+            self._scores = compute_scores(self.rows())
+        return self._scores
+
     def metrics(self) -> dict[str, Any]:
         """Return the scores so far as plain JSON, with those of each row where there are several epochs."""
-        rows = self.rows()
-        metrics = {"scores": [score.to_dict() for score in compute_scores(rows)]}
+        metrics = {"scores": [score.to_dict() for score in self.scores()]}
         if self.plan.epochs > 1:
-            metrics["rows"] = [score.to_dict() for score in compute_row_scores(rows)]
+            metrics["rows"] = [score.to_dict() for score in compute_row_scores(self.rows())]
         return metrics
 
     def already_done(self) -> int:
@@ -202,6 +202,7 @@ class EvaluationSession:
                 ended["reason"] = f"{type(error).__name__}: {error}"
                 raise
             finally:
+                self._scores = None
                 info["sessions"][-1]["ended"] = time.time()
                 writer.write_info({**info, **ended, "silent": sorted(meter.silent)})
                 writer.write_metrics(self.metrics())
