@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
-from array_kinds import Kind, each_kind
+from array_kinds import Kind, each_library
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -108,7 +108,7 @@ def relative(value: float, others: list[float], scale: str, correction: int) -> 
     return (value - mean) / (math.sqrt(squares / max(len(others) - correction, 1)) + EPSILON)
 
 
-@each_kind
+@each_library
 @given(batch=batches, gamma=fractions)
 def test_discounted_returns_are_sums_of_discounted_rewards(kind: Kind, batch: list[Play], gamma: float):
     """Each return by its own sum; a critic's value follows the last turn of an episode that did not terminate."""
@@ -125,7 +125,7 @@ def test_discounted_returns_are_sums_of_discounted_rewards(kind: Kind, batch: li
     kind.close(discounted_returns(rewards, mask, gamma=gamma, **ends), padded(expected, 0))
 
 
-@each_kind
+@each_library
 @given(batch=batches, gamma=fractions, lam=fractions)
 def test_gae_is_a_sum_of_discounted_differences(kind: Kind, batch: list[Play], gamma: float, lam: float):
     """Each advantage by its own sum over the differences that follow."""
@@ -152,7 +152,7 @@ def test_gae_is_a_sum_of_discounted_differences(kind: Kind, batch: list[Play], g
     kind.close(results[1], padded(targets, 0))
 
 
-@each_kind
+@each_library
 @given(batch=batches, correction=corrections)
 def test_return_batch_normalization_takes_all_learnable_turns(kind: Kind, batch: list[Play], correction: int):
     """One mean and one deviation for the batch."""
@@ -166,7 +166,7 @@ def test_return_batch_normalization_takes_all_learnable_turns(kind: Kind, batch:
     kind.close(result, padded(expected, 0))
 
 
-@each_kind
+@each_library
 @given(batch=batches, scale=scales, correction=corrections)
 def test_grpo_and_rloo_compare_within_the_group(kind: Kind, batch: list[Play], scale: str, correction: int):
     """Episodes that are not learnable are as if they were not there, and get 0."""
@@ -187,7 +187,7 @@ def test_grpo_and_rloo_compare_within_the_group(kind: Kind, batch: list[Play], s
     kind.close(rloo_advantages(returns, groups, learnable=learnable), expected_rloo)
 
 
-@each_kind
+@each_library
 @given(batch=batches, gamma=fractions, weight=fractions, scale=scales, correction=corrections)
 def test_gigpo_compares_episodes_and_turns(
     kind: Kind, batch: list[Play], gamma: float, weight: float, scale: str, correction: int
@@ -226,7 +226,7 @@ def test_gigpo_compares_episodes_and_turns(
     kind.close(result, padded(expected, 0))
 
 
-@each_kind
+@each_library
 @given(batch=batches, decay=fractions)
 def test_role_baselines_are_moving_means(kind: Kind, batch: list[Play], decay: float):
     """The mean of a role as a weighted sum of the returns before; two calls go on where one would."""
@@ -272,7 +272,7 @@ def clipped_loss(token: Token, low: float, high: float) -> float:
     return -token.weight * min(ratio * token.advantage, nearest * token.advantage)
 
 
-@each_kind
+@each_library
 @given(rows=token_rows, aggregate=st.sampled_from(["token", "sequence", "constant"]), high=st.sampled_from([0.2, 0.5]))
 def test_policy_losses(kind: Kind, rows: list[list[Token]], aggregate: Any, high: float):
     """PPO and REINFORCE token by token, each in the three ways of aggregation."""
@@ -294,7 +294,7 @@ def test_policy_losses(kind: Kind, rows: list[list[Token]], aggregate: Any, high
     kind.close(loss, total(lambda token: -token.weight * token.advantage * token.logprob))
 
 
-@each_kind
+@each_library
 @given(rows=token_rows)
 def test_measures_of_two_policies(kind: Kind, rows: list[list[Token]]):
     """The three estimators of the divergence, and the truncated weights, token by token."""
@@ -311,7 +311,7 @@ def test_measures_of_two_policies(kind: Kind, rows: list[list[Token]]):
     kind.close(weights, each(lambda new, old: min(math.exp(new - old), 1.5)))
 
 
-@each_kind
+@each_library
 @given(batch=batches)
 def test_value_loss_is_half_the_mean_square(kind: Kind, batch: list[Play]):
     """Over learnable turns; clipped, the larger of two squares."""
@@ -327,7 +327,7 @@ def test_value_loss_is_half_the_mean_square(kind: Kind, batch: list[Play]):
     kind.close(value_loss(values, targets, mask, old_values=old, clip=1.0), worse)
 
 
-@each_kind
+@each_library
 @given(logits=st.lists(st.floats(-20, 20) | st.just(-math.inf), min_size=1, max_size=6))
 def test_entropy_is_the_sum_over_the_vocabulary(kind: Kind, logits: list[float]):
     """Minus p log p, summed; there is always one token that can be sampled."""
@@ -338,7 +338,7 @@ def test_entropy_is_the_sum_over_the_vocabulary(kind: Kind, logits: list[float])
     kind.close(entropy(kind.floats([[logits]]), kind.bools([[True]])), [[expected]])
 
 
-@each_kind
+@each_library
 @given(rows=token_rows)
 def test_parts_of_a_batch_add_up_to_the_whole(kind: Kind, rows: list[list[Token]]):
     """With the denominator of the whole batch, losses of its rows one by one sum to its loss."""
