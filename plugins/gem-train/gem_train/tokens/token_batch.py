@@ -154,63 +154,84 @@ class TokenBatch:
         Raises:
             ArgumentError: The lengths of the arguments do not fit together.
         """
-        count = len(responses)
-        ended = np.asarray(terminated, np.bool_)
+        count, total = len(responses), len(np.asarray(terminated))
         owner = _column("episode", episode, count, np.int64)
-        in_row = _column("row", np.arange(count) if row is None else row, count, np.int64)
-        _check_rows(in_row, owner, len(ended))
+        in_row = _column("row", row, count, np.int64, default=np.arange(count))
+        _check_rows(in_row, owner, total)
         if len(contexts) != count:
             raise ArgumentError(
                 f"there are {count} responses and {len(contexts)} contexts; give one of each for a turn"
             )
         number = _number_in_episode(owner)
-        place = owner, number
-        table = len(ended), int(number.max(initial=-1)) + 1
-
-        written, sampled = _lengths(contexts), _lengths(responses)
-        sizes = written + sampled
-        row_sizes = np.bincount(in_row, sizes).astype(np.int64)
-        row_starts = np.cumsum(row_sizes) - row_sizes
-        lengths = row_sizes if max_length is None else np.minimum(row_sizes, max_length)
-        too_long = np.cumsum(sizes) - row_starts[in_row] > lengths[in_row]
-        usable = _column("learnable", np.ones(count) if learnable is None else learnable, count, np.bool_)
-
-        shape = len(lengths), int(lengths.max(initial=0))
-        rows = np.repeat(in_row, sizes)
-        columns = np.arange(len(rows)) - row_starts[rows]
-        kept = columns < shape[1]
-        marks = np.repeat(np.tile([False, True], count), np.stack([written, sampled], axis=1).ravel())
-        ids = _joined([piece for turn in zip(contexts, responses, strict=True) for piece in turn], np.int64)
-        at, at_sampled = (rows[kept], columns[kept]), (rows[kept & marks], columns[kept & marks])
+        by_token, too_long = _by_token(contexts, responses, logprobs, in_row, number, pad_id, max_length)
+        usable = _column("learnable", learnable, count, np.bool_, default=True)
+        place, shape = (owner, number), (total, int(number.max(initial=-1)) + 1)
+        ended = _column("terminated", terminated, total, np.bool_)
         return cls(
-            tokens=_filled(shape, pad_id, np.int64, at, ids[kept]),
-            lengths=lengths,
-            token_mask=_filled(shape, False, np.bool_, at_sampled, True),
-            logprobs=_filled(shape, 0, np.float32, at_sampled, _joined_logprobs(logprobs, sampled)[kept[marks]]),
-            episode=_filled((shape[0],), 0, np.int64, (in_row,), owner),
-            turn=_filled(shape, -1, np.int64, at_sampled, np.repeat(number, sampled)[kept[marks]]),
-            rewards=_filled(table, 0, np.float64, place, _column("rewards", rewards, count, np.float64)),
-            mask=_filled(table, False, np.bool_, place, True),
-            learnable=_filled(table, False, np.bool_, place, usable & ~too_long),
+            **by_token,
+            episode=owner[np.diff(in_row, prepend=-1) == 1],
+            rewards=_filled(shape, 0, np.float64, place, _column("rewards", rewards, count, np.float64)),
+            mask=_filled(shape, False, np.bool_, place, True),
+            learnable=_filled(shape, False, np.bool_, place, usable & ~too_long),
             terminated=ended,
-            truncated=_column("truncated", ~ended if truncated is None else truncated, len(ended), np.bool_),
-            groups=_column("groups", np.arange(len(ended)) if groups is None else groups, len(ended), np.int64),
-            success=_column(
-                "success", np.full(len(ended), np.nan) if success is None else success, len(ended), np.float64
-            ),
-            first_rewards=_column(
-                "first_rewards",
-                np.zeros(len(ended)) if first_rewards is None else first_rewards,
-                len(ended),
-                np.float64,
-            ),
-            seats=[None] * len(ended) if seats is None else list(seats),
+            truncated=_column("truncated", truncated, total, np.bool_, default=~ended),
+            groups=_column("groups", groups, total, np.int64, default=np.arange(total)),
+            success=_column("success", success, total, np.float64, default=np.nan),
+            first_rewards=_column("first_rewards", first_rewards, total, np.float64, default=0),
+            seats=[None] * total if seats is None else list(seats),
             too_long=int(too_long.sum()),
         )
 
 
-def _column(name: str, values: ArrayLike, length: int, dtype: type[Any]) -> NDArray[Any]:
-    column = np.asarray(values, dtype)
+def _by_token(
+    contexts: Sequence[Ids],
+    responses: Sequence[Ids],
+    logprobs: Sequence[Logprobs] | None,
+    in_row: NDArray[np.int64],
+    number: NDArray[np.int64],
+    pad_id: int,
+    max_length: int | None,
+) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
+    """Lay the tokens out in rows.
+
+    Args:
+        contexts: See ``from_turns``, as for ``responses``, ``logprobs``, ``pad_id`` and ``max_length``.
+        responses: One for each turn.
+        logprobs: One for each response.
+        in_row: Row of each turn.
+        number: Number of each turn in its episode.
+        pad_id: For the end of a row.
+        max_length: Longest row.
+
+    Returns:
+        The arrays of tokens by name, and which turns do not fit in their row.
+    """
+    written, sampled = _lengths(contexts), _lengths(responses)
+    sizes = written + sampled
+    row_sizes = np.bincount(in_row, sizes).astype(np.int64)
+    row_starts = np.cumsum(row_sizes) - row_sizes
+    lengths = row_sizes if max_length is None else np.minimum(row_sizes, max_length)
+    too_long = np.cumsum(sizes) - row_starts[in_row] > lengths[in_row]
+
+    shape = len(lengths), int(lengths.max(initial=0))
+    rows = np.repeat(in_row, sizes)
+    columns = np.arange(len(rows)) - row_starts[rows]
+    kept = columns < shape[1]
+    marks = np.repeat(np.tile([False, True], len(sizes)), np.stack([written, sampled], axis=1).ravel())
+    everywhere, at_sampled = (rows[kept], columns[kept]), (rows[kept & marks], columns[kept & marks])
+    pieces = [piece for turn in zip(contexts, responses, strict=True) for piece in turn]
+    arrays = {
+        "tokens": _filled(shape, pad_id, np.int64, everywhere, _joined(pieces, np.int64)[kept]),
+        "lengths": lengths,
+        "token_mask": _filled(shape, False, np.bool_, at_sampled, True),
+        "logprobs": _filled(shape, 0, np.float32, at_sampled, _joined_logprobs(logprobs, sampled)[kept[marks]]),
+        "turn": _filled(shape, -1, np.int64, at_sampled, np.repeat(number, sampled)[kept[marks]]),
+    }
+    return arrays, too_long
+
+
+def _column(name: str, values: ArrayLike | None, length: int, dtype: type[Any], *, default: Any = None) -> NDArray[Any]:
+    column = np.asarray(np.broadcast_to(default, length) if values is None else values, dtype)
     if column.shape != (length,):
         raise ArgumentError(f"{name} has the shape {column.shape}, and ({length},) is needed")
     return column
