@@ -85,6 +85,14 @@ def test_groups_are_those_of_the_plan() -> None:
     assert batch.groups.tolist() == [0, 1, 2, 0, 3, 4]
 
 
+def test_states_are_how_things_stood_before_a_turn() -> None:
+    """The suffix, whatever the view shows; or else the observation."""
+    told = {"feedback": "No.", "suffix": "Door 1."}
+    first = episode(turn(info={}), turn(observation="Q a No.Door 1.", info=told), turn(observation="Q b"), info=told)
+    second = episode(turn(observation="Q a No.Door 1."))
+    assert_array_equal(batches([first, second]).states, [[0, 1, 0], [1, -1, -1]])
+
+
 def test_seats_are_episodes_of_their_own() -> None:
     """Each with its role, what it earned before it acted, and groups of those who begin alike."""
     plan = [gem.PlanItem(repeat=2) for _ in range(6)]

@@ -36,6 +36,7 @@ class TokenBatch:
         rewards: float64, (E, T); reward of each turn.
         mask: bool, (E, T); True where there is a turn.
         learnable: bool, (E, T); the turns that a loss may use.
+        states: int64, (E, T); equal for turns before which things stood alike, -1 where there is no turn.
         terminated: bool, (E,); the task was over.
         truncated: bool, (E,); the episode was cut off from outside.
         groups: int64, (E,); equal for episodes that share a start.
@@ -54,6 +55,7 @@ class TokenBatch:
     rewards: NDArray[np.float64]
     mask: NDArray[np.bool_]
     learnable: NDArray[np.bool_]
+    states: NDArray[np.int64]
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
     groups: NDArray[np.int64]
@@ -115,6 +117,7 @@ class TokenBatch:
         terminated: ArrayLike,
         row: ArrayLike | None = None,
         learnable: ArrayLike | None = None,
+        states: ArrayLike | None = None,
         truncated: ArrayLike | None = None,
         groups: ArrayLike | None = None,
         success: ArrayLike | None = None,
@@ -143,6 +146,7 @@ class TokenBatch:
             terminated: Whether the task was over, for each of E episodes, those without turns included.
             row: Index of each turn's row: 0, and the same or one more from turn to turn; by default a row for each.
             learnable: Whether a loss may use each turn; by default all.
+            states: Number of the state before each turn; by default all different.
             truncated: Whether each episode was cut off from outside; by default all that have not terminated.
             groups: For each episode; by default all different.
             success: For each episode; by default unknown.
@@ -165,6 +169,7 @@ class TokenBatch:
         number = _number_in_episode(owner)
         by_token, too_long = _by_token(contexts, responses, logprobs, in_row, number, pad_id, max_length)
         usable = _column("learnable", learnable, count, np.bool_, default=True)
+        known = _column("states", states, count, np.int64, default=np.arange(count))
         place, shape = (owner, number), (total, int(number.max(initial=-1)) + 1)
         ended = _column("terminated", terminated, total, np.bool_)
         return cls(
@@ -173,6 +178,7 @@ class TokenBatch:
             rewards=_filled(shape, 0, np.float64, place, _column("rewards", rewards, count, np.float64)),
             mask=_filled(shape, False, np.bool_, place, True),
             learnable=_filled(shape, False, np.bool_, place, usable & ~too_long),
+            states=_filled(shape, -1, np.int64, place, known),
             terminated=ended,
             truncated=_column("truncated", truncated, total, np.bool_, default=~ended),
             groups=_column("groups", groups, total, np.int64, default=np.arange(total)),
