@@ -14,6 +14,11 @@ END = 2
 """Id of the token that ends a turn; the text of a response lacks it."""
 
 
+def spelled(text: str, random: random.Random | None = None) -> list[int]:
+    """Return the ids of a text; with a generator, in any spelling."""
+    return [ord(character) + (ALTERNATIVE * random.randrange(2) if random else 0) for character in text]
+
+
 class Spelling:
     """Encodes a character as its code point, and decodes another id as well: which one was sampled cannot be guessed.
 
@@ -29,7 +34,7 @@ class Spelling:
     def encode(self, text: str, *, add_special_tokens: bool) -> list[int]:
         assert add_special_tokens is False
         self.encoded.append(text)
-        return [ord(character) for character in text]
+        return spelled(text)
 
     def decode(self, token_ids: Any) -> str:
         return "".join(chr(int(token) % ALTERNATIVE) for token in token_ids)
@@ -43,6 +48,7 @@ class Spelling:
             content = str(message["content"])
             if message["role"] == "assistant":
                 content = content.rpartition("</think>")[2]
+                content += "".join(call["function"]["arguments"] for call in message.get("tool_calls", ()))
             lines.append(f"<{message['role']}>{content}{chr(END)}\n")
         return "".join(lines) + ("<assistant>" if add_generation_prompt else "")
 
@@ -62,7 +68,7 @@ class SpellingAgent:
 
     def __call__(self, observation: Any, context: gem.Context) -> gem.Response:
         text = self.prefix + context.sample_random_action()
-        ids = [ord(character) + ALTERNATIVE * self.random.randrange(2) for character in text] + [END] * self.ends
+        ids = spelled(text, self.random) + [END] * self.ends
         return gem.Response(
             text,
             token_ids=ids,
@@ -76,4 +82,4 @@ def _prompt(observation: str, responses: list[gem.Response]) -> list[int]:
     known: list[int] = []
     if responses:
         known = [*(responses[-1].prompt_token_ids or ()), *(responses[-1].token_ids or ())]
-    return known + [ord(character) for character in observation[len(known) :]]
+    return known + spelled(observation[len(known) :])

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import random
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pydantic
 import pytest
 from numpy.testing import assert_array_equal
-from spelling import END, Spelling, SpellingAgent
+from spelling import END, Spelling, SpellingAgent, spelled
 
 import gem_core as gem
 from gem_train import TokenBatch, batches
@@ -136,6 +138,39 @@ def test_messages_are_written_by_the_chat_template() -> None:
     assert Spelling().decode(row) == Spelling().apply_chat_template(
         episode.messages[: 2 * episode.turns], tokenize=False, add_generation_prompt=False
     ).removesuffix("\n")
+
+
+class Hint(gem.Tool):
+    """A tool that knows nothing."""
+
+    name = "hint"
+    description = "Gives a hint."
+
+    class Parameters(pydantic.BaseModel):
+        """Nothing."""
+
+    def call(self, arguments: Parameters, session: None) -> gem.ToolResult:
+        return gem.ToolResult("Between 1 and 10.")
+
+
+def test_sampled_native_calls_stay_as_they_are() -> None:
+    """The server took them out of the text; their ids stand in the row once, before the result."""
+    spelling = random.Random(0)
+
+    def agent(messages: Any, context: gem.Context) -> gem.Response:
+        call = {"id": "c", "type": "function", "function": {"name": "hint", "arguments": "{}"}}
+        ids = [*spelled("Hint?{}", spelling), END]
+        return gem.Response("Hint?", token_ids=ids, tool_calls=[call], finish_reason="tool_calls")
+
+    agent.reads, agent.native_tools = "messages", True  # type: ignore[attr-defined]
+    env = gem.ToolEnv(gem.make(GUESS), [Hint()], max_tool_uses=3)
+    episodes = list(gem.rollout(env, agent, episodes=1, seed=1))
+    batch = batches(episodes, form="trajectories", tokenizer=Spelling())
+    assert marked(batch) == sampled(episodes)
+    (row,) = rows_of(batch)
+    assert Spelling().decode(row).startswith("<1 tools><user>Guess")
+    assert Spelling().decode(row).count(f"<assistant>Hint?{{}}{chr(END)}\n<tool>Between 1 and 10.") == 3
+    assert batch.learnable.all()
 
 
 def test_episodes_of_a_file_give_the_same_batch(tmp_path: Path) -> None:

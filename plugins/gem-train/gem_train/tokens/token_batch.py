@@ -75,7 +75,7 @@ class TokenBatch:
         returns: NDArray[np.float64] = self.rewards.sum(axis=1) + self.first_rewards
         return returns
 
-    def to_tokens(self, per_turn: NDArray[Any]) -> NDArray[Any]:
+    def to_tokens(self, per_turn: ArrayLike) -> NDArray[Any]:
         """Give each sampled token the value of its turn, as its advantage.
 
         Args:
@@ -87,14 +87,13 @@ class TokenBatch:
         Raises:
             ArgumentError: The shape is another than that of ``rewards``.
         """
-        if per_turn.shape != self.rewards.shape:
-            raise ArgumentError(f"values by turn have the shape {self.rewards.shape} of rewards, not {per_turn.shape}")
-        values: NDArray[Any] = np.zeros(self.tokens.shape, per_turn.dtype)
-        rows, columns = np.nonzero(self.token_mask)
-        values[rows, columns] = per_turn[self.episode[rows], self.turn[rows, columns]]
-        return values
+        given = np.asarray(per_turn)
+        if given.shape != self.rewards.shape:
+            raise ArgumentError(f"values by turn have the shape {self.rewards.shape} of rewards, not {given.shape}")
+        at = np.nonzero(self.token_mask)
+        return _filled(self.tokens.shape, 0, given.dtype, at, given[self.episode[at[0]], self.turn[at]])
 
-    def to_last_tokens(self, per_turn: NDArray[Any]) -> NDArray[Any]:
+    def to_last_tokens(self, per_turn: ArrayLike) -> NDArray[Any]:
         """Give the last sampled token of each turn the value of the turn, as its reward; see ``to_tokens``.
 
         The value of a turn without tokens, as that of an empty response, is left out.
@@ -132,9 +131,12 @@ class TokenBatch:
 
             # two turns of episode 0 and one of episode 1, each in a row of its own
             TokenBatch.from_turns(
-                contexts=[[1, 2], [1, 2, 7, 3], [1, 5]], responses=[[7], [8, 9], [7]],
-                episode=[0, 0, 1], rewards=[0.0, 1.0, 0.5], terminated=[True, False],
-            )  # fmt: skip
+                contexts=[[1, 2], [1, 2, 7, 3], [1, 5]],
+                responses=[[7], [8, 9], [7]],
+                episode=[0, 0, 1],
+                rewards=[0.0, 1.0, 0.5],
+                terminated=[True, False],
+            )
 
         Args:
             contexts: Ids that stand before each response: those that the model was sent or, where the turn goes on with
@@ -162,10 +164,9 @@ class TokenBatch:
         owner = _column("episode", episode, count, np.int64)
         in_row = _column("row", row, count, np.int64, default=np.arange(count))
         _check_rows(in_row, owner, total)
-        if len(contexts) != count:
-            raise ArgumentError(
-                f"there are {count} responses and {len(contexts)} contexts; give one of each for a turn"
-            )
+        _check_length("contexts", contexts, count)
+        _check_length("logprobs", logprobs, count)
+        _check_length("seats", seats, total)
         number = _number_in_episode(owner)
         by_token, too_long = _by_token(contexts, responses, logprobs, in_row, number, pad_id, max_length)
         usable = _column("learnable", learnable, count, np.bool_, default=True)
@@ -243,9 +244,14 @@ def _column(name: str, values: ArrayLike | None, length: int, dtype: type[Any], 
     return column
 
 
+def _check_length(name: str, values: Sized | None, length: int) -> None:
+    if values is not None and len(values) != length:
+        raise ArgumentError(f"{name} has the length {len(values)}, and {length} is needed")
+
+
 def _check_rows(rows: NDArray[np.int64], episodes: NDArray[np.int64], count: int) -> None:
     step = np.diff(rows, prepend=-1)
-    if ((step != 0) & (step != 1)).any() or step[:1].any() != bool(len(step)):
+    if (step[:1] != 1).any() or ((step != 0) & (step != 1)).any():
         raise ArgumentError("row begins with 0 and is, from turn to turn, the same or one more")
     if (episodes[1:] != episodes[:-1])[step[1:] == 0].any():
         raise ArgumentError("a row holds turns of one episode")
@@ -281,7 +287,7 @@ def _joined_logprobs(logprobs: Sequence[Logprobs] | None, sampled: NDArray[np.in
     return _joined(pieces, np.float64)
 
 
-def _filled(shape: tuple[int, ...], fill: Any, dtype: type[Any], at: tuple[Any, ...], values: Any) -> NDArray[Any]:
+def _filled(shape: tuple[int, ...], fill: Any, dtype: Any, at: tuple[Any, ...], values: Any) -> NDArray[Any]:
     """Return an array that holds values at some places, and the fill everywhere else."""
     array: NDArray[Any] = np.full(shape, fill, dtype)
     array[at] = values

@@ -62,12 +62,11 @@ def turn_tokens(episode: Episode, tokenizer: Tokenizer | None) -> Iterator[TurnT
             missing = "token_ids" if action.token_ids is None else "prompt_token_ids"
             raise _problem(episode, turn, f"the response has no {missing}; {_ADVICE}")
         prompt = action.prompt_token_ids
-        if prompt is None and turn:
-            last = episode.transitions[turn - 1].action
-            prompt = _encoded_prompt(text_of(turn), text_of(turn - 1), last, before, tokenizer)
-        elif prompt is None:
-            prompt = _encoded(text_of(turn), tokenizer)
-        complete = action.token_ids is not None or not (action.tool_calls or action.reasoning)
+        if prompt is None:
+            last = _text_of_response(episode.transitions[turn - 1].action, tokenizer) if turn else None
+            earlier = None if last is None else text_of(turn - 1) + last
+            prompt = _encoded_prompt(text_of(turn), earlier, before, tokenizer)
+        complete = action.token_ids is not None or not _lacks_parts(action)
         response, logprobs = action.token_ids, action.logprobs
         if response is None:  # some servers report log-probabilities of tokens whose ids they keep to themselves
             response, logprobs = _encoded_response(action, complete, tokenizer), None
@@ -104,14 +103,26 @@ def _has_image(observation: Observation) -> bool:
     )
 
 
-def _encoded_prompt(text: str, earlier: str, last: str, before: list[int], tokenizer: Any) -> list[int]:
-    """Return the ids of a prompt; the tokens before stay where the text is the earlier one, the response, and more."""
-    if not text.startswith(earlier + last):
+def _encoded_prompt(text: str, earlier: str | None, before: list[int], tokenizer: Any) -> list[int]:
+    """Return the ids of a prompt; the tokens before stay where the text is the earlier one and more."""
+    if earlier is None or not text.startswith(earlier):
         return _encoded(text, tokenizer)
-    ids = _encoded(text[len(earlier + last) :], tokenizer)
+    ids = _encoded(text[len(earlier) :], tokenizer)
     # The model may have sampled the token that ends a turn, which its text lacks: it stands there once.
-    repeats = isinstance(tokenizer, Encoder) and ids[:1] == before[-1:] and not last.endswith(tokenizer.decode(ids[:1]))
-    return before + (ids[1:] if repeats else ids)
+    repeats = isinstance(tokenizer, Encoder) and before and ids[:1] == before[-1:]
+    return before + (ids[1:] if repeats and not earlier.endswith(tokenizer.decode(ids[:1])) else ids)
+
+
+def _text_of_response(action: Response, tokenizer: Any) -> str | None:
+    """Return the text whose ids are taken for the response; None where it is not known."""
+    if action.token_ids is None or not _lacks_parts(action):
+        return action.text
+    return str(tokenizer.decode(action.token_ids)) if isinstance(tokenizer, Encoder) else None
+
+
+def _lacks_parts(action: Response) -> bool:
+    """Tell whether a server took thinking or calls out of the text."""
+    return bool(action.tool_calls or action.reasoning)
 
 
 def _encoded_response(action: Response, complete: bool, tokenizer: Any) -> list[int]:
