@@ -74,8 +74,8 @@ def test_tensorboard_has_the_same_numbers(tmp_path: Path):
 @pytest.mark.parametrize(
     ("missing", "option", "advice"),
     [
-        ("torch.utils.tensorboard", {"tensorboard": True}, "pip install tensorboard"),
-        ("wandb", {"wandb": "gem"}, "pip install wandb"),
+        ("torch.utils.tensorboard", {"tensorboard": True}, r"pip install 'gem-train\[tensorboard\]'"),
+        ("wandb", {"wandb": "gem"}, r"pip install 'gem-train\[wandb\]'"),
     ],
 )
 def test_missing_package_says_what_to_install(

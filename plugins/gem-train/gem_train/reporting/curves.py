@@ -68,7 +68,7 @@ def plot_run(folder: str | Path) -> Path:
 def run_legend(metrics: Metrics) -> list[drawing.Key]:
     """Return what the lines and points of a run's curves are."""
     width = smoothing_width(len(metrics))
-    lines = [drawing.Key("an update", 0, "faint"), drawing.Key(f"mean of {width} updates", 0)]
+    lines = [drawing.Key("one update", 0, "faint"), drawing.Key(f"mean of {width} updates", 0)]
     found = enumerate(evaluations(metrics), start=1)
     return [*(lines if width > 1 else []), *(drawing.Key(name, number, "point") for number, name in found)]
 
@@ -102,9 +102,13 @@ def points(metrics: Metrics, name: str) -> Points:
 
 
 def smoothed(values: npt.NDArray[np.float64], width: int) -> npt.NDArray[np.float64]:
-    """Return the mean of the values around each, ``width`` of them, fewer at both ends."""
-    window = np.ones(min(width, len(values)))
-    return np.convolve(values, window, "same") / np.convolve(np.ones_like(values), window, "same")
+    """Return the mean of the values around each, ``width`` of them (an odd number), fewer at both ends."""
+    places = np.arange(len(values))
+    first = np.maximum(places - width // 2, 0)
+    end = np.minimum(places + width // 2 + 1, len(values))
+    sums = np.concatenate([[0.0], np.cumsum(values)])
+    means: npt.NDArray[np.float64] = (sums[end] - sums[first]) / (end - first)
+    return means
 
 
 def smoothing_width(count: int) -> int:

@@ -22,7 +22,7 @@ SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b58900", "#56b4e9", "#7f
 PANEL_SIZE = (3.6, 2.3)
 """Width and height of a panel in inches: as wide as a phone, at a readable size of letters."""
 
-_LEFT, _RIGHT, _TOP, _BOTTOM = 0.6, 0.12, 0.32, 0.42
+_LEFT, _RIGHT, _TOP, _BOTTOM = 0.72, 0.12, 0.32, 0.42
 """Inches around the axes of a panel. Letting matplotlib find them would take most of the time of a page."""
 _LEGEND_LINE = 0.28
 
@@ -36,7 +36,7 @@ _STYLE = re.compile(r"<style.*?</style>", re.DOTALL)
 
 FAINT: dict[str, Any] = {"alpha": 0.35, "linewidth": 0.8}
 POINT: dict[str, Any] = {"linestyle": "", "marker": "o", "markersize": 4}
-TRIANGLE: dict[str, Any] = {"linestyle": "", "marker": "^", "markersize": 6}
+TRIANGLE: dict[str, Any] = {"linestyle": "", "marker": "v", "markersize": 6}
 _LOOKS: dict[str, dict[str, Any]] = {
     "line": {},
     "faint": FAINT,
@@ -169,7 +169,7 @@ def label_numbers(axes: Axes, *, percent: bool = False) -> None:
     """Number the vertical axis plainly, shares in percent, and the horizontal one by whole numbers."""
     axes.yaxis.set_major_locator(MaxNLocator(5))
     axes.yaxis.set_major_formatter(number_formatter(percent=percent))
-    axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True, steps=[1, 2, 5, 10]))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
     axes.tick_params(length=0)
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING
-
-from gem_core.terminal import printable
 
 if TYPE_CHECKING:
     from gem_train.reporting.drawing import Key
@@ -43,17 +42,20 @@ def write_page(path: str | Path, title: str, content: Sequence[str]) -> Path:
     """
     style = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
     page = _PAGE.substitute(title=text(title), style=style, content="\n".join(filter(None, content)))
-    # A model may write what UTF-8 cannot hold, as half of a surrogate pair.
-    Path(path).write_text(page, encoding="utf-8", errors="backslashreplace")
+    Path(path).write_text(page, encoding="utf-8")
     return Path(path)
 
 
 def text(value: str, longest: int | None = None) -> str:
-    """Return plain text as markup: control characters as their codes, cut to a length in characters."""
+    """Return plain text as markup, cut to a length in characters.
+
+    What is not shown, or turns the text around it, stands as its code; so does what UTF-8 cannot hold.
+    """
     more = ""
     if longest is not None and len(value) > longest:
         value, more = value[:longest], f"\n… {len(value) - longest:,} more characters"
-    return escape(printable(value) + more)
+    shown = (each if _is_visible(each) else each.encode("unicode_escape").decode("ascii") for each in value)
+    return escape("".join(shown) + more)
 
 
 def paragraphs(plain: str) -> str:
@@ -91,6 +93,10 @@ def table(rows: Sequence[Mapping[str, object]]) -> str:
         f"<tr>{''.join(f'<td{_alignment(value)}>{_cell(value)}</td>' for value in row.values())}</tr>" for row in rows
     )
     return f'<div class="scroll"><table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table></div>'
+
+
+def _is_visible(character: str) -> bool:
+    return character in "\n\t" or not unicodedata.category(character).startswith("C")
 
 
 def _alignment(value: object) -> str:

@@ -124,7 +124,7 @@ def _open_tensorboard(folder: Path, purge_step: int | None = None) -> Any:
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError as error:
-        raise MissingRequirementError("TensorBoard is not installed: 'pip install tensorboard torch'") from error
+        raise MissingRequirementError("TensorBoard is not installed: pip install 'gem-train[tensorboard]'") from error
     return SummaryWriter(str(folder), purge_step=purge_step)
 
 
@@ -132,5 +132,5 @@ def _open_wandb(folder: Path, project: str) -> Any:
     try:
         import wandb  # type: ignore[import-not-found,unused-ignore]
     except ImportError as error:
-        raise MissingRequirementError("Weights & Biases is not installed: 'pip install wandb'") from error
+        raise MissingRequirementError("Weights & Biases is not installed: pip install 'gem-train[wandb]'") from error
     return wandb.init(project=project, group=folder.resolve().name, dir=str(folder))

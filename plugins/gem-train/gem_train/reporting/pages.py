@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ _LONGEST_TEXT = 10_000
 def write_page(folder: str | Path) -> Path:
     """Write the page of a run into ``folder/index.html``, and return its path.
 
-    It shows the curves, the figures of the first and the last updates, the latest samples of episodes, and the options
+    It shows the curves, the first and the last values of all metrics, the latest samples of episodes, and the options
     of the run. Of the files in the folder only ``metrics.jsonl`` has to be there.
 
     - ``options.json``: the options of the run, an object.
@@ -31,21 +30,16 @@ def write_page(folder: str | Path) -> Path:
     metrics = read_metrics(folder)
     options_file = folder / "options.json"
     options = json.loads(options_file.read_text(encoding="utf-8")) if options_file.exists() else {}
-    samples = read_jsonl(folder / "samples.jsonl")[-_SAMPLES:]
-    last = f"{metrics[-1]['update']} updates" if metrics else "No update has been written yet."
-    return markup.write_page(
-        folder / "index.html",
-        folder.resolve().name,
-        [
-            f'<p class="soft">{last}</p>',
-            markup.section(
-                "Curves", markup.panels(curves.run_panels(metrics), curves.run_legend(metrics)) if metrics else ""
-            ),
-            markup.section("Figures", markup.table(_figures(metrics))),
-            markup.section("Episodes", *map(_sample, reversed(samples))),
-            markup.section("Options", _options(options)),
-        ],
-    )
+    newest = read_jsonl(folder / "samples.jsonl")[-_SAMPLES:][::-1]
+    drawn = markup.panels(curves.run_panels(metrics), curves.run_legend(metrics)) if metrics else ""
+    content = [
+        f'<p class="soft">{len(metrics):,} updates</p>',
+        markup.section("Curves", drawn),
+        markup.section("Metrics", markup.table(_last_values(metrics))),
+        markup.section("Episodes", *(_sample(sample, opened=sample is newest[0]) for sample in newest)),
+        markup.section("Options", _options(options)),
+    ]
+    return markup.write_page(folder / "index.html", folder.resolve().name, content)
 
 
 def write_study_page(
@@ -74,16 +68,19 @@ def write_study_page(
     return markup.write_page(path, title, content)
 
 
-def _figures(metrics: curves.Metrics) -> list[dict[str, object]]:
+def _last_values(metrics: curves.Metrics) -> list[dict[str, object]]:
     """Return a row for each metric: where it began, and where it ended."""
     count = curves.smoothing_width(len(metrics))
     rows: list[dict[str, object]] = []
     for name in dict.fromkeys(name for line in metrics for name in line if name != "update"):
-        values = curves.points(metrics, name).values.tolist() or [math.nan]
-        last = values[-count:]
-        rows.append(
-            {"metric": name, "first": values[0], "last": values[-1], f"mean of last {count}": sum(last) / len(last)}
-        )
+        values = curves.points(metrics, name).values
+        late = curves.points(metrics[-count:], name).values
+        row: dict[str, object] = {"metric": name, "first": None, "last": None, f"mean of last {count} updates": None}
+        if len(values):
+            row |= {"first": float(values[0]), "last": float(values[-1])}
+        if len(late):
+            row[f"mean of last {count} updates"] = float(late.mean())
+        rows.append(row)
     return rows
 
 
@@ -93,12 +90,12 @@ def _options(options: Mapping[str, object]) -> str:
     return f"<dl>{shown}</dl>" if shown else ""
 
 
-def _sample(sample: Mapping[str, Any]) -> str:
+def _sample(sample: Mapping[str, Any], *, opened: bool) -> str:
     turns = sample["episode"]
     count = f"{len(turns)} turn{'s' * (len(turns) != 1)}"
     title = f"Update {sample['update']}: {count}, return {sample['return']:.4g}"
     shown = "".join(_turn(number, turn) for number, turn in enumerate(turns, start=1))
-    return f"<details><summary>{markup.text(title)}</summary><div>{shown}</div></details>"
+    return f"<details{' open' * opened}><summary>{markup.text(title)}</summary><div>{shown}</div></details>"
 
 
 def _turn(number: int, turn: Mapping[str, Any]) -> str:
