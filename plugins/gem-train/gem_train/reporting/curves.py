@@ -121,7 +121,7 @@ def _panel(metrics: Metrics, shown: Shown) -> drawing.DrawPanel:
         updates, values = points(metrics, shown.name)
         colour = drawing.series_colour(0)
         stride = -(-len(values) // MOST_POINTS) or 1
-        width = smoothing_width(len(values))
+        width = smoothing_width(len(metrics))
         if width > 1:
             axes.plot(updates[::stride], values[::stride], color=colour, **drawing.FAINT)
             values = smoothed(values, width)

@@ -139,25 +139,10 @@ def svg_text(figure: Figure, title: str) -> str:
     file = io.StringIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     figure.savefig(file, format="svg", transparent=True, metadata=nothing)
-    header = f'<svg viewBox="0 0 \\1 \\2" style="max-width: calc(1.5px * \\1)" role="img" aria-label="{escape(title)}">'
-    text = _HEADER.sub(header, file.getvalue(), count=1)
+    text = _HEADER.sub(lambda found: _header(float(found[1]), float(found[2]), title), file.getvalue(), count=1)
     text = _STYLE.sub("", text)  # would hold for the whole page; the page has it for its figures
     text = _GROUP_ID.sub("<g", text)  # figures in one page would share them
     return _COLOUR.sub(lambda found: _CSS_COLOURS[found[0]], text)
-
-
-def _margins(rows: int, columns: int, above: float) -> dict[str, float]:
-    """Return where the axes of a grid lie, in matplotlib's shares of the figure and of an axes."""
-    width, height = PANEL_SIZE
-    total = height * rows + above
-    return {
-        "left": _LEFT / (width * columns),
-        "right": 1 - _RIGHT / (width * columns),
-        "bottom": _BOTTOM / total,
-        "top": 1 - (_TOP + above) / total,
-        "wspace": (_LEFT + _RIGHT) / (width - _LEFT - _RIGHT),
-        "hspace": (_TOP + _BOTTOM) / (height - _TOP - _BOTTOM),
-    }
 
 
 def series_colour(number: int) -> str:
@@ -182,3 +167,23 @@ def number_formatter(*, percent: bool = False) -> FuncFormatter:
 def number_text(value: float, *, percent: bool = False) -> str:
     """Return a number of an axis."""
     return f"{100 * value:.4g} %" if percent else f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+
+
+def _header(width: float, height: float, title: str) -> str:
+    """Return the opening tag of a figure: as wide as its place, up to half as large again as it was drawn."""
+    size = f'viewBox="0 0 {width:g} {height:g}" style="max-width: {1.5 * width:g}px"'
+    return f'<svg {size} role="img" aria-label="{escape(title)}">'
+
+
+def _margins(rows: int, columns: int, above: float) -> dict[str, float]:
+    """Return where the axes of a grid lie, in matplotlib's shares of the figure and of an axes."""
+    width, height = PANEL_SIZE
+    total = height * rows + above
+    return {
+        "left": _LEFT / (width * columns),
+        "right": 1 - _RIGHT / (width * columns),
+        "bottom": _BOTTOM / total,
+        "top": 1 - (_TOP + above) / total,
+        "wspace": (_LEFT + _RIGHT) / (width - _LEFT - _RIGHT),
+        "hspace": (_TOP + _BOTTOM) / (height - _TOP - _BOTTOM),
+    }
