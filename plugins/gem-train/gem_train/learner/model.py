@@ -1,12 +1,9 @@
-"""The policy: a small decoder-only transformer with a value head.
-
-Every batch has one layout: prompts end at the same column (padding is before them) and responses begin at the next
-(padding is after them). So the last layer, whose cost is half of it in a model of two, is computed at the columns alone
-from which a token is drawn, in generation as in learning.
-"""
+"""The policy: a small decoder-only transformer with a value head."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -15,28 +12,25 @@ from torch.nn import functional as F
 
 from gem_train.learner.vocabulary import ANSWER, PAD
 
+KeysValues = tuple[Tensor, Tensor]
+"""Keys and values of a layer: (rows, heads, columns, width of a head)."""
+
 
 @dataclass(frozen=True)
 class ModelOptions:
     """Sizes of the policy.
 
     Args:
-        vocabulary: Number of tokens.
         layers: Number of blocks.
         width: Width of the residual stream.
         heads: Number of heads of attention.
-        context: The most tokens of a prompt and its response together.
+        context: The most tokens of a row.
     """
 
-    vocabulary: int
     layers: int = 2
     width: int = 64
     heads: int = 4
     context: int = 512
-
-
-Cache = list[tuple[Tensor, Tensor]]
-"""Keys and values of each layer: (rows, heads, columns, width / heads)."""
 
 
 class Block(nn.Module):
@@ -46,88 +40,66 @@ class Block(nn.Module):
         super().__init__()
         self.heads = heads
         self.attention_norm, self.feed_norm = nn.LayerNorm(width), nn.LayerNorm(width)
-        self.query, self.key_value = nn.Linear(width, width, bias=False), nn.Linear(width, 2 * width, bias=False)
-        self.out = nn.Linear(width, width, bias=False)
-        self.feed = nn.Sequential(nn.Linear(width, 4 * width), nn.GELU(), nn.Linear(4 * width, width))
+        self.project, self.out = nn.Linear(width, 3 * width, bias=False), nn.Linear(width, width, bias=False)
+        self.widen, self.narrow = nn.Linear(width, 4 * width), nn.Linear(4 * width, width)
 
-    def forward(self, x: Tensor, mask: Tensor, first: int, cached: tuple[Tensor, Tensor] | None) -> tuple[Tensor, tuple[Tensor, Tensor]]:
-        """Return the stream at the columns from ``first`` on, and the keys and values of all columns.
+    def qkv(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return queries, keys and values, each (rows, heads, columns, width of a head)."""
+        parts = self.project(self.attention_norm(x)).unflatten(2, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)
+        return parts[0], parts[1], parts[2]
 
-        Args:
-            x: Stream at new columns, (rows, columns, width).
-            mask: Which columns a column attends to, (rows, 1, columns from first on, all columns).
-            first: First column that is needed.
-            cached: Keys and values of the columns before.
-        """
-        normed = self.attention_norm(x)
-        key, value = (self._split(part) for part in self.key_value(normed).chunk(2, dim=-1))
-        if cached is not None:
-            key, value = torch.cat([cached[0], key], dim=2), torch.cat([cached[1], value], dim=2)
-        query = self._split(self.query(normed[:, first:]))
-        attended = F.scaled_dot_product_attention(query, key, value, attn_mask=mask)
-        x = x[:, first:] + self.out(attended.transpose(1, 2).flatten(2))
-        return x + self.feed(self.feed_norm(x)), (key, value)
-
-    def _split(self, x: Tensor) -> Tensor:
-        return x.unflatten(2, (self.heads, -1)).transpose(1, 2)
+    def finish(self, x: Tensor, attended: Tensor) -> Tensor:
+        """Return the stream after this block: (…, width), from what attention read."""
+        x = x + self.out(attended)
+        return x + self.narrow(F.gelu(self.widen(self.feed_norm(x))))
 
 
 class Policy(nn.Module):
     """A language model that also estimates the return of a turn.
 
     Args:
-        options: Its sizes.
+        texts: Text of each token, in the order of their ids.
+        options: Sizes.
     """
 
-    def __init__(self, options: ModelOptions) -> None:
+    def __init__(self, texts: Sequence[str], options: ModelOptions) -> None:
         super().__init__()
+        width = options.width
         self.options = options
-        self.embedding = nn.Embedding(options.vocabulary, options.width)
-        self.positions = nn.Embedding(2 * options.context, options.width)
-        self.blocks = nn.ModuleList(Block(options.width, options.heads) for _ in range(options.layers))
-        self.norm = nn.LayerNorm(options.width)
-        self.unembedding = nn.Linear(options.width, options.vocabulary, bias=False)
-        self.value = nn.Linear(options.width, 1)
-        for parameter in self.parameters():
-            if parameter.dim() == 2:
-                nn.init.normal_(parameter, std=0.02 if parameter is not self.embedding.weight else 0.1)
-        nn.init.zeros_(self.value.weight)
+        self.embedding, self.positions = nn.Embedding(len(texts), width), nn.Embedding(options.context, width)
+        self.blocks = nn.ModuleList(Block(width, options.heads) for _ in range(options.layers))
+        self.norm = nn.LayerNorm(width)
+        self.unembedding, self.value = nn.Linear(width, len(texts), bias=False), nn.Linear(width, 1)
+        self._initialize(texts)
 
-    def forward(self, tokens: Tensor, prompt: Tensor, first: int) -> Tensor:
-        """Return the stream at the columns from ``first`` on, (rows, columns, width).
+    def forward(self, tokens: Tensor, prefix: int, rows: Tensor, columns: Tensor) -> Tensor:
+        """Return the stream at some places, (places, width).
 
         Args:
-            tokens: (rows, columns), in the layout of this module.
-            prompt: Whether a column before the responses holds a token, (rows, prompt columns).
-            first: First column that is needed.
+            tokens: (rows, columns), padded on the right.
+            prefix: Number of columns that are the same in all rows, and are computed once.
+            rows: Row of each place.
+            columns: Column of each place, ``prefix`` or above.
         """
-        return self.extend(tokens, prompt, first, None)[0]
-
-    def extend(self, tokens: Tensor, prompt: Tensor, first: int, cache: Cache | None) -> tuple[Tensor, Cache]:
-        """Return the stream at new columns from ``first`` on, and the cache with all columns.
-
-        Args:
-            tokens: The new columns, (rows, columns).
-            prompt: Whether a column before the responses holds a token, (rows, prompt columns).
-            first: First new column that is needed.
-            cache: Of the columns before; None at the start.
-        """
-        before = 0 if cache is None else cache[0][0].shape[2]
-        rows, new = tokens.shape
-        columns = torch.arange(before + new, device=tokens.device)
-        present = F.pad(prompt, (0, before + new - prompt.shape[1]), value=True)
-        # Places are counted from the one where the response begins, which is in the same column for all rows.
-        places = columns[before:] - prompt.shape[1] + self.options.context
-        x = self.embedding(tokens) + self.positions(places)
-        # A column of padding attends to itself alone, so that no row of the softmax is empty.
-        mask = (columns <= columns[before:, None]) & (present[:, None] | (columns == columns[before:, None]))
-        made: Cache = []
-        for index, block in enumerate(self.blocks):
-            needed = first if index == len(self.blocks) - 1 else 0
-            cached = None if cache is None else cache[index]
-            x, entry = block(x, mask[:, None, needed:], needed, cached)
-            made.append(entry)
-        return x, made
+        length = tokens.shape[1]
+        if prefix:
+            shared = self.embedding(tokens[:1, :prefix]) + self.positions.weight[:prefix]
+        x = self.embedding(tokens[:, prefix:]) + self.positions.weight[prefix:length]
+        mask = torch.ones(length - prefix, length, dtype=torch.bool, device=tokens.device).tril(prefix)
+        for block in self.blocks:
+            query, key, value = block.qkv(x)
+            if prefix:
+                first_query, first_key, first_value = block.qkv(shared)
+                attended = F.scaled_dot_product_attention(first_query, first_key, first_value, is_causal=True)
+                shared = block.finish(shared, attended.transpose(1, 2).flatten(2))
+                key = torch.cat([first_key.expand(len(key), -1, -1, -1), key], dim=2)
+                value = torch.cat([first_value.expand(len(value), -1, -1, -1), value], dim=2)
+            attended = F.scaled_dot_product_attention(query, key, value, attn_mask=mask)
+            attended = attended.transpose(1, 2).flatten(2)
+            if block is self.blocks[-1]:  # nothing reads the other places any more
+                return block.finish(x[rows, columns - prefix], attended[rows, columns - prefix])
+            x = block.finish(x, attended)
+        raise RuntimeError("a policy without layers")
 
     def logits(self, stream: Tensor) -> Tensor:
         """Return the logits of the next token, (…, vocabulary); padding and the mark of a response are never drawn."""
@@ -139,10 +111,83 @@ class Policy(nn.Module):
         """Return the estimated return, (…)."""
         return self.value(self.norm(stream)).squeeze(-1)
 
+    @torch.no_grad()
+    def _initialize(self, texts: Sequence[str]) -> None:
+        for parameter in self.parameters():
+            if parameter.dim() == 2:
+                nn.init.normal_(parameter, std=0.5 * parameter.shape[1] ** -0.5)
+        nn.init.normal_(self.embedding.weight, std=0.5)
+        nn.init.normal_(self.positions.weight, std=0.05)
+        nn.init.zeros_(self.value.weight)
+        # A number begins with waves of its value, as a position does: so what is learnt of 24 holds nearly for 25.
+        for index, text in enumerate(texts):
+            if text.isascii() and text.isdigit() and len(text) < 7:
+                waves = _waves(int(text), self.options.width)
+                self.embedding.weight[index], self.unembedding.weight[index] = 0.5 * waves, 0.3 * waves
 
-def pad_prompts(prompts: list[list[int]]) -> tuple[Tensor, Tensor]:
-    """Return prompts with padding before them, and whether a column holds a token: both (rows, columns)."""
-    longest = max(map(len, prompts))
-    tokens = torch.tensor([[PAD] * (longest - len(prompt)) + prompt for prompt in prompts])
-    lengths = torch.tensor([len(prompt) for prompt in prompts])
-    return tokens, torch.arange(longest) >= longest - lengths[:, None]
+
+class Cache:
+    """Keys and values of what was read so far, row by row, and how much of each row that is.
+
+    Args:
+        policy: That reads.
+        rows: Number of rows.
+    """
+
+    def __init__(self, policy: Policy, rows: int) -> None:
+        options = policy.options
+        shape = (rows, options.heads, options.context, options.width // options.heads)
+        self.policy = policy
+        self.layers = [(torch.zeros(shape), torch.zeros(shape)) for _ in range(options.layers)]
+        self.lengths = torch.zeros(rows, dtype=torch.long)
+
+    @torch.no_grad()
+    def read(self, tokens: Tensor, counts: Tensor) -> Tensor:
+        """Read the next tokens of all rows, and return the stream after the last of each, (rows, width).
+
+        Args:
+            tokens: (rows, columns), padded on the right.
+            counts: Number of tokens of each row; of a row without any, the stream means nothing.
+        """
+        places = self.lengths[:, None] + torch.arange(tokens.shape[1])
+        places.clamp_(max=self.layers[0][0].shape[2] - 1)  # of padding
+        end, rows = int(places.max()) + 1, torch.arange(len(tokens))
+        mask = (torch.arange(end) <= places[..., None])[:, None]
+        x = self.policy.embedding(tokens) + self.policy.positions(places)
+        for block, (keys, values) in zip(self.policy.blocks, self.layers, strict=True):
+            query, key, value = block.qkv(x)
+            keys[rows[:, None], :, places], values[rows[:, None], :, places] = key.transpose(1, 2), value.transpose(1, 2)
+            attended = F.scaled_dot_product_attention(query, keys[:, :, :end], values[:, :, :end], attn_mask=mask)
+            x = block.finish(x, attended.transpose(1, 2).flatten(2))
+        self.lengths += counts
+        return x[rows, (counts - 1).clamp(min=0)]
+
+    def copy_of(self, rows: Tensor, columns: int) -> Cache:
+        """Return some rows, with room for more columns than they have.
+
+        Args:
+            rows: Numbers of the rows; a row may be there several times.
+            columns: To be read after the longest of them.
+        """
+        copy = object.__new__(Cache)
+        copy.policy, copy.lengths = self.policy, self.lengths[rows]
+        longest = int(copy.lengths.max())
+        width = min(longest + columns, self.policy.options.context)
+        copy.layers = []
+        for keys, values in self.layers:
+            pair = tuple(each.new_zeros(len(rows), each.shape[1], width, each.shape[3]) for each in (keys, values))
+            pair[0][:, :, :longest], pair[1][:, :, :longest] = keys[rows, :, :longest], values[rows, :, :longest]
+            copy.layers.append(pair)
+        return copy
+
+    def take_back(self, rows: Tensor, copy: Cache) -> None:
+        """Put the rows of a copy back."""
+        width = int(copy.lengths.max())
+        for (keys, values), (new_keys, new_values) in zip(self.layers, copy.layers, strict=True):
+            keys[rows, :, :width], values[rows, :, :width] = new_keys[:, :, :width], new_values[:, :, :width]
+        self.lengths[rows] = copy.lengths
+
+
+def _waves(number: int, width: int) -> Tensor:
+    frequencies = torch.exp(torch.linspace(math.log(2 * math.pi / 256), math.log(math.pi / 2), width // 2))
+    return torch.cat([torch.sin(number * frequencies), torch.cos(number * frequencies)])

@@ -38,8 +38,8 @@ class Vocabulary:
 
     def __init__(self, words: Sequence[str]) -> None:
         self.words = list(words)
-        self._texts = [*_SPECIAL, *self.words]
-        self._ids = {word: index for index, word in enumerate(self._texts) if index >= len(_SPECIAL)}
+        self.texts = [*_SPECIAL, *self.words]
+        self._ids = {word: index for index, word in enumerate(self.texts) if index >= len(_SPECIAL)}
 
     @classmethod
     def build(cls, texts: Iterable[str], size: int = 2048) -> Vocabulary:
@@ -59,7 +59,7 @@ class Vocabulary:
         return cls([*characters, *longer[: size - len(characters)]])
 
     def __len__(self) -> int:
-        return len(self._texts)
+        return len(self.texts)
 
     def encode(self, text: str, *, phrases: bool = True) -> list[int]:
         """Return the ids of a text, without special tokens.
@@ -79,7 +79,7 @@ class Vocabulary:
 
     def decode(self, ids: Iterable[int]) -> str:
         """Return the text of ids; special tokens have none."""
-        return "".join(self._texts[index] for index in ids if index >= UNKNOWN)
+        return "".join(self.texts[index] for index in ids if index >= UNKNOWN)
 
     def _words(self, text: str) -> list[int]:
         ids = []

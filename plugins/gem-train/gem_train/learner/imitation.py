@@ -1,0 +1,130 @@
+"""The warm start: episodes of a scripted player, the vocabulary built from them, and learning to answer as it does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import torch
+
+import gem_core as gem
+from gem_core.env import stable_hash
+from gem_core.errors import ArgumentError
+from gem_core.records import Episode, JointEpisode, PlanItem
+from gem_train.learner.environments import has_seats
+from gem_train.learner.learning import Learner
+from gem_train.learner.options import TrainOptions
+from gem_train.learner.playing import text_of
+from gem_train.learner.policy_loss import score
+from gem_train.learner.vocabulary import ANSWER, END, Vocabulary
+from gem_train.tokens import TokenBatch
+
+_STEP_EPISODES = 32
+_LEARNING_RATE = 3e-3
+_VOCABULARY_EPISODES = 256
+
+
+def record_episodes(options: TrainOptions, agent: str, episodes: int) -> list[Episode]:
+    """Let a player play, and return its episodes, one for each seat.
+
+    Args:
+        options: Which environments, and how they are shown.
+        agent: Name of the player, as ``load_agent`` takes it.
+        episodes: Number of episodes of each environment.
+    """
+    recorded: list[Episode] = []
+    for env_id in dict.fromkeys((*options.env, *options.eval_envs)):
+        seed = stable_hash(options.seed, "imitation")
+        with gem.make_vec(env_id, 64, wrappers=options.wrappers, seed=seed, **options.env_kwargs) as vec:
+            who = {"agents" if has_seats(env_id, options) else "agent": agent}
+            for episode in gem.rollout(vec, plan=[PlanItem() for _ in range(episodes)], **who):
+                recorded.extend(episode if isinstance(episode, JointEpisode) else [episode])
+    return recorded
+
+
+def build_vocabulary(options: TrainOptions, recorded: Sequence[Episode]) -> Vocabulary:
+    """Return the words of what a player was shown and said, and of what a random one meets."""
+    episodes = [*recorded, *record_episodes(options, "random", _VOCABULARY_EPISODES)]
+    return Vocabulary.build(
+        (text for episode in episodes for shown, said in _turns(episode, options.feedback) for text in (shown, said)),
+        options.vocabulary,
+    )
+
+
+def imitate(learner: Learner, recorded: Sequence[Episode]) -> Iterator[float]:
+    """Learn to say what a player said; yields the loss of each step, a mean over tokens.
+
+    Args:
+        learner: Whose policy learns, with an optimizer of its own.
+        recorded: Episodes of the player.
+
+    Raises:
+        ArgumentError: Nothing that the player said is short enough.
+    """
+    options, policy = learner.options, learner.policy
+    batch = _rows(learner, recorded)
+    fits = (batch.loss_mask.any(axis=1)) & (batch.lengths <= options.context)
+    if not fits.any():
+        raise ArgumentError(
+            f"nothing that {options.imitate!r} said fits in max_tokens ({options.max_tokens}) and context "
+            f"({options.context}); raise them"
+        )
+    # Rows of like length go together, so that little of a batch is padding.
+    order = torch.from_numpy(batch.lengths).argsort()[torch.from_numpy(fits)[torch.from_numpy(batch.lengths).argsort()]]
+    tokens, sampled = torch.from_numpy(batch.tokens)[order], torch.from_numpy(batch.loss_mask)[order]
+    lengths = torch.from_numpy(batch.lengths)[order]
+    optimizer = torch.optim.AdamW(policy.parameters(), lr=_LEARNING_RATE, betas=(0.9, 0.95), weight_decay=0.0)
+    generator = torch.Generator().manual_seed(stable_hash(options.seed, "imitation"))
+    for step in range(options.imitate_steps):
+        part = min(1.0, (step + 1) / 30, 2 * (options.imitate_steps - step) / options.imitate_steps)
+        optimizer.param_groups[0]["lr"] = _LEARNING_RATE * part
+        optimizer.zero_grad(set_to_none=True)
+        rows = torch.randint(len(tokens), (_STEP_EPISODES,), generator=generator).sort().values
+        count = int(sampled[rows].sum())
+        total = 0.0
+        for half in rows.chunk(2):
+            width = int(lengths[half].max())
+            loss = -score(policy, tokens[half, :width], sampled[half, :width]).logprobs.sum() / count
+            loss.backward()  # type: ignore[no-untyped-call]
+            total += float(loss.detach())
+        torch.nn.utils.clip_grad_norm_(policy.parameters(), 1.0)
+        optimizer.step()
+        yield total
+
+
+def _rows(learner: Learner, recorded: Sequence[Episode]) -> TokenBatch:
+    """Return the rows of episodes as the policy would read and say them."""
+    options, vocabulary = learner.options, learner.vocabulary
+    read, said, owner, row = [], [], [], []
+    for index, episode in enumerate(recorded):
+        view = episode.info.get("view") is not None
+        past: list[int] = []
+        starts: list[int] = []
+        for turn, (shown, text) in enumerate(_turns(episode, options.feedback)):
+            asked, answered = [*vocabulary.encode(shown), ANSWER], [*vocabulary.encode(text, phrases=False), END]
+            anew = view or turn == 0 or options.memory is not None
+            memory = 0 if view else options.memory or 0
+            read.append([*past[starts[-memory:][0] :], *asked] if anew and memory and starts else asked)
+            said.append(answered)
+            owner.append(index)
+            row.append(anew)
+            starts.append(len(past))
+            past += [*asked, *answered]
+    return TokenBatch.from_turns(
+        contexts=read,
+        responses=said,
+        episode=owner,
+        row=np.cumsum(row) - 1,
+        rewards=[0.0] * len(owner),
+        learnable=[len(tokens) <= options.max_tokens for tokens in said],
+        terminated=[True] * len(recorded),
+    )
+
+
+def _turns(episode: Episode, feedback: bool) -> Iterator[tuple[str, str]]:
+    """Yield what the player was shown, as the policy would be, and what it said."""
+    info = episode.info
+    for number, turn in enumerate(episode.transitions):
+        shown = info.get("feedback", turn.observation) if feedback and number else turn.observation
+        yield text_of(shown), turn.action.text
+        info = turn.info

@@ -1,0 +1,274 @@
+"""Episodes played by the policy in a vector environment, all slots in one batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+
+from gem_core.types import Info, Observation
+from gem_core.vector import VectorEnv
+from gem_train.learner.generation import Sampled, sample
+from gem_train.learner.learning import Learner
+from gem_train.learner.model import Cache
+from gem_train.learner.policy_loss import Floats
+from gem_train.learner.vocabulary import ANSWER, END
+from gem_train.tokens import TokenBatch
+
+
+@dataclass(slots=True)
+class Turn:
+    """One response.
+
+    Args:
+        shown: What it answers.
+        shown_ids: Ids of that, and the mark of the response.
+        read: Ids that the model read in this row before it answered.
+        said: What the model sampled.
+        text: Its text.
+        new_row: Whether the model was shown nothing of what came before.
+        reward: All that came until the seat acted again.
+    """
+
+    shown: Observation
+    shown_ids: list[int]
+    read: list[int]
+    said: Sampled
+    text: str
+    new_row: bool
+    reward: float = 0.0
+
+    @property
+    def cut_off(self) -> bool:
+        """Whether it stopped at the most tokens of a response."""
+        return self.said.tokens[-1] != END
+
+
+@dataclass(slots=True)
+class Played:
+    """One episode of one seat.
+
+    Args:
+        slot: Number of the slot.
+        seat: Name of the seat; None where an agent is alone.
+        shown: What the seat is to answer next, or was shown last.
+        view: Whether ``shown`` has the whole history, as a view shows it.
+        turns: Its turns.
+        first_reward: What came before it acted.
+        terminated: Whether the task was over.
+        success: Whether it was solved: 1.0, 0.0, or NaN for unknown.
+        error: Whether the environment failed.
+    """
+
+    slot: int
+    seat: str | None
+    shown: Observation
+    view: bool = False
+    turns: list[Turn] = field(default_factory=list)
+    first_reward: float = 0.0
+    terminated: bool = False
+    success: float = float("nan")
+    error: bool = False
+
+    @property
+    def episode_return(self) -> float:
+        """Sum of the rewards, undiscounted."""
+        return sum((turn.reward for turn in self.turns), self.first_reward)
+
+
+class Slot:
+    """The episode of one slot: of one seat, or of several.
+
+    Args:
+        number: Of the slot.
+        observation: What ``reset`` returned.
+        info: What ``reset`` returned with it.
+        feedback: See ``TrainOptions``.
+    """
+
+    def __init__(self, number: int, observation: Any, info: Info, feedback: bool) -> None:
+        self.number, self.feedback = number, feedback
+        self.seats: dict[str | None, Played] = {}
+        self.acting: list[Played] = []
+        """Who is to answer."""
+        if "error" in info:
+            self.seats[None] = Played(number, None, observation, error=True)
+        elif not info.get("idle"):
+            self._show(observation, info)
+
+    def action(self) -> Any:
+        """Return what those who act have just said."""
+        said = {seat.seat: seat.turns[-1].text for seat in self.acting}
+        return said if None not in said else said[None]
+
+    def add(self, observation: Any, reward: Any, terminated: bool, truncated: bool, info: Info) -> None:
+        """Take the result of a step."""
+        if not isinstance(reward, dict):
+            self._earn(None, observation, float(reward), bool(terminated), info, over=bool(terminated or truncated))
+        for name, own in info.get("agents", {}).items():
+            ended = bool(info["terminations"][name])
+            seen = observation[name] if name in observation else own["final_obs"]
+            self._earn(name, seen, float(reward[name]), ended, own, over=ended or bool(info["truncations"][name]))
+        if "error" in info:
+            for seat in self.seats.values():
+                seat.error = seat.error or not seat.terminated
+        self.acting = []
+        if not (terminated or truncated):
+            self._show(observation, info)
+
+    def _show(self, observation: Any, info: Info) -> None:
+        together = isinstance(observation, dict)
+        for name, shown in (observation if together else {None: observation}).items():
+            own = info["agents"][name] if together else info
+            seat = self.seats.setdefault(name, Played(self.number, name, shown))
+            seat.view = seat.view or own.get("view") is not None
+            seat.shown = own.get("feedback", shown) if self.feedback and seat.turns else shown
+            self.acting.append(seat)
+
+    def _earn(self, name: str | None, seen: Observation, reward: float, ended: bool, info: Info, *, over: bool) -> None:
+        seat = self.seats.setdefault(name, Played(self.number, name, seen))
+        if seat.turns:
+            seat.turns[-1].reward += reward
+        else:
+            seat.first_reward += reward
+        if over:
+            seat.shown, seat.terminated, seat.error = seen, ended, "error" in info
+            correct = info.get("correct", None if ended else False)
+            seat.success = float("nan") if correct is None or seat.error else float(correct)
+
+
+class Player:
+    """The policy as it plays: it reads what is new in each row, and remembers the rest.
+
+    Args:
+        learner: Whose policy plays.
+        rows: The most seats that play at once.
+        temperature: Of sampling; None takes that of the options.
+    """
+
+    def __init__(self, learner: Learner, rows: int, temperature: float | None = None) -> None:
+        self.learner = learner
+        self.temperature = learner.options.temperature if temperature is None else temperature
+        self._cache = Cache(learner.policy, rows)
+        self._ids: dict[str, list[int]] = {}
+
+    def play(self, vec: VectorEnv, seed: int | None = None) -> list[Played]:
+        """Play one episode in every slot, and return what each seat lived through, in the order of the slots.
+
+        All seats that are to act are answered at once.
+
+        Args:
+            vec: Made with ``autoreset="disabled"``, so that each call begins the next episodes of its plan.
+            seed: Begin the plan again, with this seed of the run.
+        """
+        feedback = self.learner.options.feedback
+        slots = [Slot(number, *first, feedback) for number, first in enumerate(zip(*vec.reset(seed), strict=True))]
+        self._cache.lengths.zero_()
+        rows: dict[int, int] = {}
+        while running := [slot for slot in slots if slot.acting]:
+            asked = [seat for slot in running for seat in slot.acting]
+            self._answer(asked, [rows.setdefault(id(seat), len(rows)) for seat in asked])
+            results = vec.step({slot.number: slot.action() for slot in running})
+            for slot, *result in zip(running, *results, strict=True):
+                slot.add(*result)
+        return [seat for slot in slots for seat in slot.seats.values()]
+
+    def _answer(self, seats: list[Played], rows: list[int]) -> None:
+        """Add a turn to each of some seats."""
+        learner, lengths = self.learner, self._cache.lengths
+        options = learner.options
+        pieces, new = [], []
+        for seat, row, length in zip(seats, rows, lengths[rows].tolist(), strict=True):
+            read = self._encode(seat.shown)
+            # A row that would be too long goes on without its past.
+            too_long = length + 1 + len(read) + options.max_tokens > options.context
+            new_row = seat.view or not seat.turns or options.memory is not None or too_long
+            if new_row:
+                lengths[row] = 0
+                for turn in reversed(seat.turns[-options.memory :] if options.memory and not seat.view else ()):
+                    read = [*turn.shown_ids, *turn.said.tokens, *read]
+                read = read[-(options.context - options.max_tokens) :]
+            # What was sampled last is still to be read.
+            pieces.append(read if new_row else [seat.turns[-1].said.tokens[-1], *read])
+            new.append((read, new_row))
+        drawn = sample(
+            self._cache,
+            rows,
+            pieces,
+            options.max_tokens,
+            keep=options.memory is None,
+            generator=learner.generator,
+            temperature=self.temperature,
+        )
+        for seat, said, (read, new_row) in zip(seats, drawn, new, strict=True):
+            shown_ids = self._encode(seat.shown)
+            seat.turns.append(Turn(seat.shown, shown_ids, read, said, learner.vocabulary.decode(said.tokens), new_row))
+
+    def _encode(self, observation: Observation) -> list[int]:
+        """Return the ids of an observation, and the mark of the response after them."""
+        text = text_of(observation)
+        known = self._ids.get(text)
+        if known is None:
+            if len(self._ids) > 50_000:
+                self._ids.clear()
+            known = self._ids[text] = [*self.learner.vocabulary.encode(text), ANSWER]
+        return known
+
+    def bootstrap(self, played: Sequence[Played]) -> Floats:
+        """Return the critic's value after the last turn of each episode that was cut off; 0 elsewhere."""
+        values = np.zeros(len(played))
+        cut_off = [index for index, seat in enumerate(played) if seat.turns and not seat.terminated and not seat.error]
+        if self.learner.options.algorithm == "ppo" and cut_off:
+            pieces = [self._encode(played[index].shown)[-self.learner.options.context + 1 :] for index in cut_off]
+            self._cache.lengths.zero_()
+            drawn = sample(self._cache, range(len(cut_off)), pieces, 1, keep=False, temperature=0.0)
+            values[cut_off] = [said.value for said in drawn]
+        return values
+
+
+def token_batch(played: Sequence[Played], *, groups: Sequence[int], learn_cut_off: bool = True) -> TokenBatch:
+    """Return a row for what the policy read and said in each episode; more where it began anew.
+
+    Args:
+        played: Episodes of seats.
+        groups: Group of each.
+        learn_cut_off: Whether turns that stopped at the most tokens are learnt from.
+    """
+    turns = [(index, seat, turn) for index, seat in enumerate(played) for turn in seat.turns]
+    return TokenBatch.from_turns(
+        contexts=[turn.read for _, _, turn in turns],
+        responses=[turn.said.tokens for _, _, turn in turns],
+        logprobs=[turn.said.logprobs for _, _, turn in turns],
+        episode=[index for index, _, _ in turns],
+        row=np.cumsum([turn.new_row for _, _, turn in turns]) - 1 if turns else [],
+        rewards=[turn.reward for _, _, turn in turns],
+        learnable=[not seat.error and (learn_cut_off or not turn.cut_off) for _, seat, turn in turns],
+        terminated=[seat.terminated for seat in played],
+        groups=groups,
+        success=[seat.success for seat in played],
+        first_rewards=[seat.first_reward for seat in played],
+        seats=[seat.seat for seat in played],
+    )
+
+
+def values_of(played: Sequence[Played], batch: TokenBatch) -> Floats:
+    """Return what the critic said of each turn, (E, T)."""
+    values = np.zeros_like(batch.rewards)
+    values[batch.mask] = [turn.said.value for seat in played for turn in seat.turns]
+    return values
+
+
+def text_of(observation: Observation) -> str:
+    """Return the text of any observation: plain, content parts, or chat messages with their roles."""
+    if isinstance(observation, str):
+        return observation
+    parts = []
+    for part in observation:
+        if "role" in part:
+            parts.append(f"{part['role']}: {text_of(part.get('content') or '')}\n")
+        else:
+            parts.append(part.get("text", ""))
+    return "".join(parts)
