@@ -1,4 +1,4 @@
-"""What the files for trainers share: an agent over any engine of tokens, and an environment as a chat."""
+"""What the files in ``examples/trainers`` share: an agent over token engines, and environments as chats."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ _HOME = {
     "Generated": "token_agent",
     "TokenAgent": "token_agent",
 }
+"""Where the public names come from; they are imported on first use."""
 
 
 def __getattr__(name: str) -> Any:

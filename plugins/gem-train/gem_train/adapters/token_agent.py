@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
-from gem_core.env.observations import is_messages, texts_of
+from gem_core.env import is_messages, texts_of
 from gem_core.errors import AgentError, ArgumentError, ContextOverflowError, RequestError
 from gem_core.types import Observation, Response
 
