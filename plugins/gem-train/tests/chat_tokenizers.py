@@ -1,4 +1,4 @@
-"""Tokenizers of Hugging Face, made on the spot: bytes, a few merges, and chat templates of our own."""
+"""Chat templates for the tests, and a tokenizer that has them."""
 
 from __future__ import annotations
 
@@ -6,15 +6,11 @@ from typing import Any
 
 import pytest
 
-CHATML = (
-    "{% if tools %}<|im_start|>system\nTools:{% for tool in tools %} {{ tool.function.name }}{% endfor %}<|im_end|>\n"
-    "{% endif %}{% for message in messages %}<|im_start|>{{ message.role }}\n{{ message.content }}<|im_end|>\n"
-    "{% endfor %}{% if add_generation_prompt %}<|im_start|>assistant\n{% endif %}"
-)
-"""Each message as it is; knows tools."""
+from gem_train.adapters import trial_tokenizer
+from gem_train.adapters.trial import CHATML
 
 NO_TOOLS = CHATML[CHATML.index("{% for message") :]
-"""The same, but says nothing about tools."""
+"""Says nothing about tools."""
 
 STRIPPING = CHATML.replace("message.content", "message.content | trim")
 """Strips white space around a message."""
@@ -26,18 +22,6 @@ END = "<|im_end|>"
 
 
 def chat_tokenizer(template: str = CHATML) -> Any:
-    """Return a byte-level tokenizer with a chat template, in which ``ab`` and ``abc`` are tokens as well as letters."""
-    tokenizers, transformers = pytest.importorskip("tokenizers"), pytest.importorskip("transformers")
-    letters = sorted(tokenizers.pre_tokenizers.ByteLevel.alphabet())
-    vocabulary = {token: place for place, token in enumerate([*letters, "ab", "abc"])}
-    made = tokenizers.Tokenizer(tokenizers.models.BPE(vocabulary, [("a", "b"), ("ab", "c")]))
-    made.pre_tokenizer = tokenizers.pre_tokenizers.ByteLevel(add_prefix_space=False, use_regex=False)
-    made.decoder = tokenizers.decoders.ByteLevel()
-    made.add_special_tokens(["<|im_start|>", END, "<|endoftext|>"])
-    return transformers.PreTrainedTokenizerFast(
-        tokenizer_object=made,
-        eos_token=END,
-        pad_token="<|endoftext|>",
-        additional_special_tokens=["<|im_start|>"],
-        chat_template=template,
-    )
+    """Return a byte-level tokenizer of transformers, in which ``box`` is a token as well as three letters."""
+    pytest.importorskip("transformers")
+    return trial_tokenizer(template)

@@ -5,13 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from chat_tokenizers import CHATML, DROPPING, END, NO_TOOLS, STRIPPING, chat_tokenizer
+from chat_tokenizers import DROPPING, END, NO_TOOLS, STRIPPING, chat_tokenizer
 
 import gem_core as gem
 from gem_core.errors import AgentError, ArgumentError
 from gem_core.records import Episode
 from gem_core.types import Info, Observation, ResetResult, StepResult
 from gem_train.adapters import Generated, TokenAgent
+from gem_train.adapters.trial import CHATML
+from gem_train.tokens import batches
 
 TOOLS = [{"type": "function", "function": {"name": "look", "parameters": {"type": "object", "properties": {}}}}]
 
@@ -29,7 +31,7 @@ class TalkEnv(gem.Env):
     def __init__(
         self,
         turns: int = 3,
-        begin: Observation = "Begin abc.",
+        begin: Observation = "Begin box.",
         added: list[dict[str, Any]] | None = None,
         first_info: Info | None = None,
     ) -> None:
@@ -45,7 +47,7 @@ class TalkEnv(gem.Env):
     def step(self, action: str) -> StepResult:
         self.turn += 1
         info = {"messages": self.added} if self.added else {}
-        return f"Turn {self.turn}, é abc.", 1.0, self.turn == self.turns, False, info
+        return f"Turn {self.turn}, é box.", 1.0, self.turn == self.turns, False, info
 
 
 class Engine:
@@ -63,7 +65,7 @@ class Engine:
 
 
 def letters(tokenizer: Any, text: str, *, end: bool = True) -> Generated:
-    """Return a text as a token for each byte, which is not how the tokenizer would write ``abc``."""
+    """Return a text as a token for each byte, which is not how the tokenizer would write ``box``."""
     ids = [token for letter in text for token in tokenizer.encode(letter, add_special_tokens=False)]
     ids += [tokenizer.eos_token_id] if end else []
     return Generated(ids, [-0.5 - place / 8 for place in range(len(ids))], "stop" if end else "length")
@@ -91,16 +93,16 @@ def pieces_of(engine: Engine, turn: int) -> tuple[list[int], list[int]]:
 def test_sampled_tokens_are_never_made_anew_from_text() -> None:
     """Responses whose tokens the tokenizer would write differently stand in the later prompts as they were sampled."""
     tokenizer = chat_tokenizer()
-    engine = Engine(*(letters(tokenizer, "abc é\n") for _ in range(3)))
+    engine = Engine(*(letters(tokenizer, "box é\n") for _ in range(3)))
     episode = played(TalkEnv(), engine, tokenizer)
     assert engine.prompts[0] == rendered(tokenizer, episode, 0)
     for turn in (0, 1):
         _, bridge = pieces_of(engine, turn)
-        wanted = f"\n<|im_start|>user\nTurn {turn + 1}, é abc.{END}\n<|im_start|>assistant\n"
+        wanted = f"\n<|im_start|>user\nTurn {turn + 1}, é box.{END}\n<|im_start|>assistant\n"
         assert bridge == tokenizer.encode(wanted, add_special_tokens=False)
-        assert engine.prompts[turn + 1] != rendered(tokenizer, episode, turn + 1)  # a shorter way to write abc
+        assert engine.prompts[turn + 1] != rendered(tokenizer, episode, turn + 1)  # a shorter way to write box
     for place, transition in enumerate(episode.transitions):
-        assert transition.action.text == "abc é\n"
+        assert transition.action.text == "box é\n"
         assert transition.action.token_ids == engine.responses[place].token_ids
         assert transition.action.prompt_token_ids == engine.prompts[place]
         assert transition.action.logprobs == engine.responses[place].logprobs
@@ -117,14 +119,14 @@ def test_sampled_tokens_are_never_made_anew_from_text() -> None:
 def test_prompt_equals_fresh_rendering_where_text_round_trips(added: Any) -> None:
     """With one answer of the user a turn, with several results of tools, and with both."""
     tokenizer = chat_tokenizer()
-    texts = ["look", "abc", ""]
+    texts = ["look", "box", ""]
     engine = Engine(*(Generated(tokenizer.encode(text + END, add_special_tokens=False)) for text in texts))
     episode = played(TalkEnv(added=added, first_info={"tools": TOOLS, "system": "Be brief."}), engine, tokenizer)
     for turn in range(3):
         assert engine.prompts[turn] == rendered(tokenizer, episode, turn, TOOLS)
     assert "Tools: look" in tokenizer.decode(engine.prompts[0])
     assert episode.native_tools
-    engine = Engine(*(letters(tokenizer, "abc") for _ in range(3)))
+    engine = Engine(*(letters(tokenizer, "box") for _ in range(3)))
     played(TalkEnv(added=added), engine, tokenizer)
     assert pieces_of(engine, 1)  # kept, though the tokenizer would write them differently
 
@@ -142,12 +144,12 @@ def test_template_without_tools_leaves_them_to_the_text_of_the_environment() -> 
 def test_response_cut_off_by_length_gets_the_end_of_its_turn() -> None:
     """The bridge begins with it, so that it is masked; it is in no sampled tokens and in no text."""
     tokenizer = chat_tokenizer()
-    engine = Engine(letters(tokenizer, "abc", end=False), letters(tokenizer, "abc"))
+    engine = Engine(letters(tokenizer, "box", end=False), letters(tokenizer, "box"))
     episode = played(TalkEnv(turns=2), engine, tokenizer)
     _, bridge = pieces_of(engine, 0)
     assert bridge[0] == tokenizer.eos_token_id
     first = episode.transitions[0].action
-    assert (first.text, first.cut_off) == ("abc", True)
+    assert (first.text, first.cut_off) == ("box", True)
     assert tokenizer.eos_token_id not in first.token_ids
 
 
@@ -176,7 +178,7 @@ def test_broken_characters_and_special_tokens_in_a_response_stay_as_they_were_sa
 def test_white_space_that_a_template_strips_is_no_reason_to_write_tokens_anew() -> None:
     """The sampled tokens stay, white space included."""
     tokenizer = chat_tokenizer(STRIPPING)
-    engine = Engine(*(letters(tokenizer, " abc \n") for _ in range(3)))
+    engine = Engine(*(letters(tokenizer, " box \n") for _ in range(3)))
     played(TalkEnv(), engine, tokenizer)
     assert all(pieces_of(engine, turn)[1][0] == tokenizer.encode("\n")[0] for turn in (0, 1))
 
@@ -184,20 +186,26 @@ def test_white_space_that_a_template_strips_is_no_reason_to_write_tokens_anew() 
 def test_end_of_turn_that_is_ordinary_text_is_written_whatever_the_model_said() -> None:
     """A response that ends with the same character has said it, and not ended its turn."""
     tokenizer = chat_tokenizer("{% for message in messages %}{{ message.content }};{% endfor %}")
-    engine = Engine(letters(tokenizer, "abc;", end=False), letters(tokenizer, "a"))
+    engine = Engine(letters(tokenizer, "box;", end=False), letters(tokenizer, "a"))
     played(TalkEnv(turns=2), engine, tokenizer)
-    assert tokenizer.decode(engine.prompts[1]) == "Begin abc.;abc;;Turn 1, é abc.;"
+    assert tokenizer.decode(engine.prompts[1]) == "Begin box.;box;;Turn 1, é box.;"
 
 
 def test_template_that_drops_reasoning_has_its_prompt_rendered_anew() -> None:
     """What is sent is what the template writes, and the tokens so far are not its beginning."""
     tokenizer = chat_tokenizer(DROPPING)
-    said = ["<think>so</think>abc", "abc", "abc"]
+    said = ["<think>so</think>box", "box", "box"]
     engine = Engine(*(letters(tokenizer, text) for text in said))
     episode = played(TalkEnv(), engine, tokenizer)
     assert engine.prompts[1] == rendered(tokenizer, episode, 1)
     assert "<think>" not in tokenizer.decode(engine.prompts[1])
     pieces_of(engine, 1)  # nothing was dropped since: the tokens so far are kept again
+    batch = batches([episode], form="trajectories")
+    assert batch.tokens.shape[0] == 2
+    for row, turns in ((0, [0]), (1, [1, 2])):
+        sampled = [token for turn in turns for token in engine.responses[turn].token_ids]
+        assert batch.tokens[row][batch.token_mask[row]].tolist() == sampled
+        assert set(batch.turn[row].tolist()) == {-1, *turns}
 
 
 @pytest.mark.parametrize("wrappers", [["messages"], [("messages", {"max_turns": 1})]])
@@ -224,7 +232,7 @@ def test_chat_that_an_environment_changes_is_rendered_anew() -> None:
             return [*chat, {"role": "user", "content": "Next."}], *result[1:]
 
     tokenizer = chat_tokenizer()
-    engine = Engine(*(letters(tokenizer, "abc") for _ in range(2)))
+    engine = Engine(*(letters(tokenizer, "box") for _ in range(2)))
     episode = played(Rewriting(turns=2, begin=[{"role": "user", "content": "Begin."}]), engine, tokenizer)
     assert engine.prompts[1] == rendered(tokenizer, episode, 1)
 
@@ -232,9 +240,9 @@ def test_chat_that_an_environment_changes_is_rendered_anew() -> None:
 def test_context_overflow_ends_the_episode_as_one_that_is_scored() -> None:
     """A prompt that leaves no room is not sent; one that leaves little makes the response shorter."""
     tokenizer = chat_tokenizer()
-    engine = Engine(*(letters(tokenizer, "abcabc") for _ in range(3)))
+    engine = Engine(*(letters(tokenizer, "boxbox") for _ in range(3)))
     first = len(
-        tokenizer.apply_chat_template([{"role": "user", "content": "Begin abc."}], add_generation_prompt=True)[
+        tokenizer.apply_chat_template([{"role": "user", "content": "Begin box."}], add_generation_prompt=True)[
             "input_ids"
         ]
     )

@@ -8,23 +8,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from gem_core.env import is_messages, texts_of
 from gem_core.errors import AgentError, ArgumentError, ContextOverflowError, RequestError
 from gem_core.types import Observation, Response
+from gem_train.adapters.chat_template import ChatTemplate, Message
 
 if TYPE_CHECKING:
     from gem_core.rollouts import Context
-
-Message = dict[str, Any]
-
-_MARK = "GEM-RESPONSE-MARK"
-"""Takes the place of a response in a rendering, which shows what the template writes before and after one."""
-
-_DUMMY_TOOL = {
-    "type": "function",
-    "function": {
-        "name": "dummy",
-        "description": "A tool that shows whether a template describes tools.",
-        "parameters": {"type": "object", "properties": {}},
-    },
-}
 
 
 class Generated(NamedTuple):
@@ -92,16 +79,11 @@ class TokenAgent:
             if limit is not None and (type(limit) is not int or limit < 1):
                 raise ArgumentError(f"{name} must be a positive whole number or None, not {limit!r}")
         self.generate = generate
-        self.tokenizer = tokenizer
+        self.template = ChatTemplate(tokenizer, **(chat_template_kwargs or {}))
         self.max_tokens = max_tokens
         self.max_context = max_context
         self.sampling = dict(sampling or {})
-        self.chat_template_kwargs = dict(chat_template_kwargs or {})
-        self._special_ids = frozenset(tokenizer.all_special_ids)
-        question = [{"role": "user", "content": "?"}]
-        if _MARK not in self._render([*question, {"role": "assistant", "content": _MARK}, *question]):
-            raise ArgumentError("the chat template leaves earlier responses out, so that nothing can follow them")
-        self.native_tools = self._render(question) != self._render(question, [_DUMMY_TOOL])
+        self.native_tools = self.template.describes_tools
 
     async def __call__(self, observation: Observation, context: Context) -> Response:
         """Return a response with its tokens.
@@ -128,7 +110,7 @@ class TokenAgent:
         """Return the tokens that the next response continues."""
         messages = _as_messages(observation, context.system)
         tools = context.tools if self.native_tools else None
-        return self._continued(messages, tools, context) or self._encode(self._render(messages, tools))
+        return self._continued(messages, tools, context) or self.template.encode(self.template.render(messages, tools))
 
     def _continued(self, messages: list[Message], tools: Any, context: Context) -> list[int] | None:
         """Return the prompt before, its response and the bridge; None where the prompt has to be rendered anew."""
@@ -136,26 +118,10 @@ class TokenAgent:
         last = context.responses[-1] if place is not None else Response()
         if place is None or last.token_ids is None or last.prompt_token_ids is None:
             return None
-        bridge = self._bridge(messages, place, tools)
+        bridge = self.template.bridge(messages, place, tools)
         if bridge is None:
             return None
-        ids = self._encode(bridge)
-        if self._ended(last.token_ids) and ids[:1] == last.token_ids[-1:]:
-            ids = ids[1:]  # the model wrote the end of its turn itself
-        return [*last.prompt_token_ids, *last.token_ids, *ids]
-
-    def _bridge(self, messages: list[Message], place: int, tools: Any) -> str | None:
-        """Return what the template writes after the response at a place; None where it rewrites what came before."""
-        text = messages[place]["content"]
-        before, now = self._render(messages[:place], tools), self._render(messages, tools)
-        if now.startswith(before + text):
-            return now[len(before) + len(text) :]
-        marked = self._render([*messages[:place], {**messages[place], "content": _MARK}, *messages[place + 1 :]], tools)
-        if not marked.startswith(before + _MARK):
-            return None
-        bridge = marked[len(before) + len(_MARK) :]
-        # Many templates strip white space from a response, which is no reason to give up its tokens.
-        return bridge if _without_space(now) == _without_space(before + text + bridge) else None
+        return [*last.prompt_token_ids, *last.token_ids, *self.template.follow(last.token_ids, bridge)]
 
     def _response(self, prompt_ids: list[int], generated: Generated) -> Response:
         ids, logprobs = list(map(int, generated.token_ids)), generated.logprobs
@@ -163,27 +129,13 @@ class TokenAgent:
             raise RequestError(f"the engine ended a response with {generated.finish_reason!r}", cause="aborted")
         if logprobs is not None and len(logprobs) != len(ids):
             raise AgentError(f"generate() returned {len(ids)} tokens and {len(logprobs)} log-probabilities")
-        said = ids[:-1] if self._ended(ids) else ids
         return Response(
-            self.tokenizer.decode(said, skip_special_tokens=False, clean_up_tokenization_spaces=False),
+            self.template.decode(ids),
             token_ids=ids,
             prompt_token_ids=prompt_ids,
             logprobs=None if logprobs is None else list(map(float, logprobs)),
             finish_reason=generated.finish_reason,
         )
-
-    def _ended(self, ids: Sequence[int]) -> bool:
-        """Tell whether the last sampled token is a special one, which ends a turn and is no part of the text."""
-        return bool(ids) and ids[-1] in self._special_ids
-
-    def _encode(self, text: str) -> list[int]:
-        return list(self.tokenizer.encode(text, add_special_tokens=False))
-
-    def _render(self, messages: list[Message], tools: Any = None) -> str:
-        text = self.tokenizer.apply_chat_template(
-            messages, tools=tools or None, tokenize=False, add_generation_prompt=True, **self.chat_template_kwargs
-        )
-        return cast("str", text)
 
 
 def _place_of_response(messages: list[Message], context: Context) -> int | None:
@@ -223,7 +175,3 @@ def _text(content: Any) -> str:
     if any(part.get("type") != "text" for part in parts):
         raise ArgumentError("TokenAgent reads text, and the observation holds an image; give it tasks without images")
     return "".join(texts_of(parts)) if parts else str(content or "")
-
-
-def _without_space(text: str) -> str:
-    return "".join(text.split())
