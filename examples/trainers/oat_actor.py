@@ -85,8 +85,8 @@ except ImportError:  # stand-ins with the fields that are used here
 class GemArgs(PPOArgs):
     """Arguments of the environment, beside those of Oat.
 
-    ``wave``: episodes that are played to their ends before it is asked whether there are enough transitions. Stopping at
-    a number of transitions would prefer short episodes.
+    ``wave``: episodes that are played to their ends before it is asked whether there are enough transitions. Stopping
+    at a number of transitions would prefer short episodes.
     """
 
     env_id: str = "game:GuessTheNumber-v0"

@@ -158,6 +158,7 @@ class TrialVLLM:
         self.engine = engine
 
     async def generate(self, prompt_ids: list[int], sampling_params: Any, multi_modal_data: Any = None) -> Any:
+        """Return what vLLM's ``RequestOutput`` holds."""
         made = await self.engine(prompt_ids, max_tokens=sampling_params.max_tokens)
         ids, logprobs = list(made.token_ids), [SimpleNamespace(logprob=one) for one in made.logprobs]
         text = self.engine.tokenizer.decode(ids, skip_special_tokens=False)

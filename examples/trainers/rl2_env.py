@@ -73,24 +73,18 @@ except ImportError:  # stand-ins with the fields and the order of calls of RL2
 
         def written(text: str) -> dict[str, list[Any]]:
             ids = tokenizer.encode(text, add_special_tokens=False)
-            zeros = [0] * len(ids)
-            return {"states": ids, "actions": zeros, "action_mask": zeros[:], "logps": zeros[:], "rewards": zeros[:]}
+            return {"states": ids, **{name: [0] * len(ids) for name in ("actions", "action_mask", "logps", "rewards")}}
+
+        def add(more: dict[str, list[Any]]) -> None:
+            sample.state_dict = {name: sample.state_dict[name] + list(values) for name, values in more.items()}
 
         sample.state_text = sample.sample[config.prompt_key]
         sample.state_dict = written(sample.state_text)
         while sample.status == Sample.Status.RUNNING:
             made = await router_url(sample.state_dict["states"], max_tokens=config.max_new_tokens)
-            ids, count = list(made.token_ids), len(made.token_ids)
+            ids, ones, zeros = made.token_ids, [1] * len(made.token_ids), [0] * len(made.token_ids)
+            add({"states": ids, "actions": ids, "action_mask": ones, "logps": made.logprobs, "rewards": zeros})
             sample.action_text = tokenizer.decode(ids, skip_special_tokens=config.skip_special_tokens)
-            added = {
-                "states": ids,
-                "actions": ids,
-                "action_mask": [1] * count,
-                "logps": made.logprobs,
-                "rewards": [0] * count,
-            }
-            for name, values in added.items():
-                sample.state_dict[name] = sample.state_dict[name] + list(values)
             answer = await env_step_fn(sample)
             sample.state_dict["rewards"][-1] = answer["reward"]
             so_far = sample.state_text + sample.action_text
@@ -98,8 +92,7 @@ except ImportError:  # stand-ins with the fields and the order of calls of RL2
                 sample.status = Sample.Status.DONE
                 sample.state_dicts.append(sample.state_dict)
             elif answer["next_state"].startswith(so_far):
-                for name, values in written(answer["next_state"][len(so_far) :]).items():
-                    sample.state_dict[name] = sample.state_dict[name] + values
+                add(written(answer["next_state"][len(so_far) :]))
             else:
                 sample.state_dicts.append(sample.state_dict)
                 sample.state_dict = written(answer["next_state"])
@@ -222,26 +215,20 @@ def dataset_rows(env_id: str, count: int, seed: int = 0) -> list[dict[str, Any]]
 # A trial without a GPU.
 
 
-async def play(engine: TrialEngine, row: dict[str, Any], **options: Any) -> Sample:
-    """Play the episode of a row as RL2 does."""
-    settings = {
-        "apply_chat_template": False,
-        "prompt_key": "prompt",
-        "max_new_tokens": 500,
-        "skip_special_tokens": True,
-    }
-    sample = Sample(sample=dict(row))
-    await generate(SimpleNamespace(**settings | options), engine.tokenizer, engine, sample)
-    return sample
-
-
 async def main() -> None:
     """Play an episode in both forms and check it token by token."""
     engine = TrialEngine(trial_tokenizer(), [r"\boxed{1 2}", r"\boxed{4 1}", r"\boxed{4 6}"])
     (row,) = dataset_rows("game:Mastermind-v0-easy", 1, seed=3)
     for skip in (True, False):  # whether SGLang's text shows the token that ended a response
         engine.calls.clear()
-        sample = await play(engine, row, skip_special_tokens=skip)
+        sample = Sample(sample=dict(row))
+        config = {
+            "apply_chat_template": False,
+            "prompt_key": "prompt",
+            "max_new_tokens": 500,
+            "skip_special_tokens": skip,
+        }
+        await generate(SimpleNamespace(**config), engine.tokenizer, engine, sample)
         (made,) = sample.state_dicts
         check(sample.status == Sample.Status.DONE and not SESSIONS, "the episode is done, and its session closed")
         check_sequence(engine, made["states"], made["action_mask"], made["logps"])

@@ -15,7 +15,8 @@ with a server that writes known tokens instead of vLLM::
 On GPUs, with this file in the folder where the trainer starts, ``gem.yaml`` with the three lines of ``AGENT_LOOPS``
 below, and the rows of ``write_dataset``::
 
-    python -m verl.trainer.main_ppo algorithm.adv_estimator=grpo data.train_files=gem.parquet data.val_files=gem.parquet \
+    python -m verl.trainer.main_ppo algorithm.adv_estimator=grpo \
+        data.train_files=gem.parquet data.val_files=gem.parquet \
         data.return_raw_chat=True data.max_prompt_length=1024 data.max_response_length=4096 \
         actor_rollout_ref.model.path=Qwen/Qwen3-4B actor_rollout_ref.rollout.name=vllm actor_rollout_ref.rollout.n=8 \
         actor_rollout_ref.rollout.calculate_log_probs=True \
@@ -111,7 +112,7 @@ class GemAgentLoop(AgentLoopBase):
         rows = completions(batches([episode], form="trajectories"))
         if len(rows) != 1:
             raise ArgumentError(
-                f"the episode is in {len(rows)} sequences and verl takes one: the chat template rewrites earlier turns. "
+                f"the episode is in {len(rows)} sequences and verl takes one: the template rewrites earlier turns. "
                 "Set actor_rollout_ref.model.custom_chat_template to one that keeps them, or "
                 "data.apply_chat_template_kwargs"
             )
@@ -159,10 +160,9 @@ class TrialServer:
 
     def __init__(self, engine: TrialEngine) -> None:
         self.engine = engine
-        self.sampling: list[dict[str, Any]] = []
 
     async def generate(self, request_id: str, *, prompt_ids: list[int], sampling_params: dict[str, Any]) -> Any:
-        self.sampling.append(sampling_params)
+        """Return what verl's ``TokenOutput`` holds."""
         made = await self.engine(prompt_ids, max_tokens=sampling_params["max_tokens"])
         return SimpleNamespace(token_ids=list(made.token_ids), log_probs=made.logprobs, stop_reason="completed")
 
