@@ -4,12 +4,12 @@
 # ///
 r"""OpenEnv: any environment of GEM as a server, and a client that plays it over WebSocket.
 
-Shows an ``Environment`` of OpenEnv 0.10 around a ``ChatSession``: seeds bind, rewards come with every turn, sessions run
-side by side, each with an environment of its own. TRL, verifiers, SkyRL and NeMo-Gym have clients for such servers.
+Shows an ``Environment`` of OpenEnv 0.10 around a ``ChatSession``: seeds bind, rewards come with every turn, sessions
+run side by side, each with an environment of its own. TRL, verifiers and others have clients for such servers.
 
 Install and run it here, in an environment of its own::
 
-    python scripts/trainers.py openenv_server      # or: pip install openenv uvicorn; pip install -e . -e plugins/gem-train
+    python scripts/trainers.py openenv_server
     python examples/trainers/openenv_server.py
 
 Serve for real; a trainer on a GPU connects to it as to any server of OpenEnv::
