@@ -2,7 +2,7 @@
 # requires-python = ">=3.11"
 # dependencies = ["transformers", "gem-core", "gem-games", "gem-train"]
 # ///
-"""Oat (0.2.4, read at c1a074c): an actor that collects GEM episodes, one ``Transition`` a turn.
+r"""Oat (0.2.4, read at c1a074c): an actor that collects GEM episodes, one ``Transition`` a turn.
 
 ``GemActor.collect_experience`` plays episodes with ``gem.rollout`` and a ``TokenAgent`` over the actor's own vLLM,
 several at once, and hands each turn over with its ids as they were sampled, its log-probabilities and its reward. Oat
@@ -10,6 +10,7 @@ asks for Python 3.10, vLLM 0.8.4 and flash-attn, so that it does not install on 
 stand-ins that have the fields and methods of Oat's classes, over an engine that writes known tokens::
 
     python scripts/trainers.py oat_actor
+    python examples/trainers/oat_actor.py  # where what it needs is installed
 
 On GPUs, in an environment with ``oat-llm`` and gem-train; any argument starts the training, which was not tried
 here::

@@ -4,7 +4,7 @@
 # [tool.gem]
 # no-deps = ["openrlhf>=0.11.2,<0.12"]
 # ///
-"""OpenRLHF (0.11.2): an agent function that plays a GEM environment.
+r"""OpenRLHF (0.11.2): an agent function that plays a GEM environment.
 
 OpenRLHF's own ``MultiTurnAgentExecutor`` runs the loop and keeps the ids as they were sampled. It appends the text of
 ``environment_feedback`` as it is, so that the marks of the chat template have to stand in it: they are found by
@@ -12,6 +12,7 @@ rendering the chat with the template of the model. Run on a CPU: OpenRLHF's ``ag
 engine that writes known tokens instead of vLLM::
 
     python scripts/trainers.py openrlhf_agent
+    python examples/trainers/openrlhf_agent.py  # where what it needs is installed
 
 On GPUs, with the rows of ``dataset_rows`` in ``gem.jsonl``::
 

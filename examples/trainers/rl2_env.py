@@ -2,7 +2,7 @@
 # requires-python = ">=3.11"
 # dependencies = ["transformers", "gem-core", "gem-games", "gem-train"]
 # ///
-"""RL2 (9161ede, and rl-square 0.0.2 of PyPI): a GEM environment for ``rollout.env_path``.
+r"""RL2 (9161ede, and rl-square 0.0.2 of PyPI): a GEM environment for ``rollout.env_path``.
 
 RL2 runs the loop and keeps the ids as SGLang sampled them; it asks the environment for the text of the next prompt.
 Where that begins with the text so far, only the rest is tokenized and the sequence goes on; where a chat template
@@ -13,6 +13,7 @@ not install on a CPU: here stand-ins with the fields of its ``Sample`` and an en
 it::
 
     python scripts/trainers.py rl2_env
+    python examples/trainers/rl2_env.py  # where what it needs is installed
 
 On GPUs, with the rows of ``dataset_rows`` in ``gem.jsonl``, this file served as ``rollout.env_path``, and prompts
 that are text::

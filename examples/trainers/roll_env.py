@@ -2,7 +2,7 @@
 # requires-python = ">=3.11"
 # dependencies = ["transformers", "gem-core", "gem-games", "gem-train"]
 # ///
-"""ROLL (8eb27cc): GEM environments for its environment managers, without a fork of ROLL or of ``gem``.
+r"""ROLL (8eb27cc): GEM environments for its environment managers, without a fork of ROLL or of ``gem``.
 
 ROLL makes its environments by ``gem.make`` of the package ``gem-llm``. This file registers ``RollEnv`` there as
 ``gem_core``; it is imported in every worker because the YAML names its manager. Where ``gem-llm`` is not installed,
@@ -11,6 +11,7 @@ ROLL has no package and needs GPUs: here a stand-in of its manager, with the sam
 engine that writes known tokens drive the environment::
 
     python scripts/trainers.py roll_env
+    python examples/trainers/roll_env.py  # where what it needs is installed
 
 On GPUs, from a checkout of ROLL, with ``PYTHONPATH=/path/to/examples/trainers`` and in the YAML of an agentic
 pipeline, where ``StepManager`` instead of ``TrajManager`` gives one sample a turn, with its own reward::

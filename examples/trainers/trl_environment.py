@@ -48,7 +48,7 @@ from transformers import AutoModelForCausalLM, AutoTokenizer, PreTrainedTokenize
 
 import gem_core as gem
 from gem_core.errors import EnvFaultError
-from gem_train.adapters import ChatSession, ChatStep
+from gem_train.adapters import ChatSession
 
 OVER = "The episode is over."
 TYPES: dict[str, Any] = {"string": str, "integer": int, "number": float, "boolean": bool, "array": list, "object": dict}

@@ -4,13 +4,14 @@
 #   "verl>=0.9.1,<0.10", "torch", "cachetools", "fastapi", "uvicorn", "gem-core", "gem-games", "gem-train",
 # ]
 # ///
-"""verl (0.9.1): an agent loop that plays a GEM environment.
+r"""verl (0.9.1): an agent loop that plays a GEM environment.
 
 ``GemAgentLoop`` runs one episode with ``gem.arollout`` and a ``TokenAgent`` over verl's own servers, and returns it
 as one sequence: ids as they were sampled, mask, log-probabilities, and one score. Run on a CPU: verl's own classes,
 with a server that writes known tokens instead of vLLM::
 
     python scripts/trainers.py verl_agent_loop
+    python examples/trainers/verl_agent_loop.py  # where what it needs is installed
 
 On GPUs, with this file in the folder where the trainer starts, ``gem.yaml`` with the three lines of ``AGENT_LOOPS``
 below, and the rows of ``write_dataset``::
