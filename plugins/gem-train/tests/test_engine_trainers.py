@@ -57,7 +57,6 @@ def breaking() -> Iterator[dict[str, Any]]:
 @pytest.fixture
 def load(monkeypatch: pytest.MonkeyPatch) -> Load:
     """Import a file of examples/trainers, with modules that stand for those that are not installed."""
-
     monkeypatch.setitem(sys.modules, "gem", ModuleType("gem"))
     del sys.modules["gem"]  # what the file for ROLL puts there goes with the test
 
@@ -316,12 +315,12 @@ def test_rl2_begins_another_sequence_where_a_template_rewrites(load: Load) -> No
     assert [one["rewards"][-1] for one in made] == [0.0, 0.5, 0.5]
 
 
-def test_rl2_plays_a_failed_episode_again_and_then_raises(load: Load, engine: TrialEngine, breaking: Any) -> None:
-    """A failure is no reward of 0, and leaves nothing of its tokens."""
-    rl2 = load("rl2_env")
+def test_rl2_plays_a_failed_episode_again_and_then_raises(load: Load, breaking: Any) -> None:
+    """A failure is no reward of 0, and leaves nothing of its tokens, here in sequences of one turn each."""
+    rl2, engine = load("rl2_env"), TrialEngine(chat_tokenizer(DROPPING), ["<think>so</think>a"])
     Breaking.failures = 1
-    (made,) = played(rl2, engine, breaking).state_dicts
-    assert sum(made["rewards"]) == 0.5
+    made = played(rl2, engine, breaking).state_dicts
+    assert [one["rewards"][-1] for one in made] == [0.25, 0.25]
     Breaking.failures = 3
     with pytest.raises(EnvFaultError, match="the engine is down"):
         played(rl2, engine, breaking)
