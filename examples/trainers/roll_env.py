@@ -4,11 +4,11 @@
 # ///
 r"""ROLL (8eb27cc): GEM environments for its environment managers, without a fork of ROLL or of ``gem``.
 
-ROLL makes its environments by ``gem.make`` of the package ``gem-llm``. This file registers ``RollEnv`` there as
-``gem_core``; it is imported in every worker because the YAML names its manager. Where ``gem-llm`` is not installed,
-``serve_gem`` puts a module ``gem`` in its place that has what the managers use: ``register``, ``make`` and ``Env``.
-ROLL has no package and needs GPUs: here a stand-in of its manager, with the same calls in the same order, and an
-engine that writes known tokens drive the environment::
+ROLL makes its environments by ``gem.make`` of the package ``gem-llm``, which its requirements install. This file
+registers ``RollEnv`` there as ``gem_core``; every worker imports it, because the YAML names its manager. ``gem-llm``
+and ``gem-core`` live side by side: one is imported as ``gem``, the other as ``gem_core``. ROLL has no package and needs
+GPUs: here stand-ins of its manager and of ``gem``, with the same calls in the same order, and an engine that writes
+known tokens drive the environment::
 
     python scripts/trainers.py roll_env
     python examples/trainers/roll_env.py  # where what it needs is installed
@@ -116,7 +116,7 @@ class LeaveOutErrors:
 
 
 def serve_gem() -> ModuleType:
-    """Return the module ``gem`` that ROLL imports, with ``gem_core`` registered in it."""
+    """Return the module ``gem``, or for a trial without it a stand-in, with ``gem_core`` registered in it."""
     if importlib.util.find_spec("gem") is None and "gem" not in sys.modules:
         served, entries = ModuleType("gem"), {}
 

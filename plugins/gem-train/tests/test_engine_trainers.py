@@ -403,8 +403,8 @@ def test_roll_drops_a_group_in_which_an_episode_failed(roll: Any, breaking: Any)
     assert not chosen.filter(0, 0, rollouts[:1])
 
 
-def test_roll_has_gem_without_its_package(roll: Any) -> None:
-    """``gem.register`` and ``gem.make`` do what ROLL's own environments need of them."""
+def test_roll_has_a_stand_in_of_gem(roll: Any) -> None:
+    """The stand-in's ``register`` and ``make`` do what those of the package do."""
     import gem as served
 
     served.register("own", entry_point="collections:Counter", a=1)
