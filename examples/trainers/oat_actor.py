@@ -38,6 +38,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import gem_core as gem
+from gem_core.env import stable_hash
+from gem_core.errors import EnvFaultError
 from gem_train.adapters import BatchedEngine, Generated, TokenAgent, TrialEngine, trial_tokenizer
 from gem_train.adapters.trial import check, trial_logprob
 from gem_train.tokens import batches
@@ -49,7 +51,7 @@ try:
 except ImportError:  # stand-ins with the fields that are used here
 
     class PPOMultiTurnActor:
-        """Has ``args``, ``tokenizer``, ``sampling_params`` and ``generate`` once Oat has called ``init``."""
+        """Has ``actor_id``, ``args``, ``tokenizer``, ``sampling_params`` and ``generate`` after ``init``."""
 
     class PPOMultiTurnLearner:
         """Calls ``prepare_data`` once."""
@@ -109,24 +111,23 @@ class GemActor(PPOMultiTurnActor):
             max_tokens=args.generate_max_length,
             max_context=args.prompt_max_length + args.generate_max_length,
         )
-        kept: list[gem.Episode] = []
-        played = 0
+        kept, played = [], 0
         while sum(episode.turns for episode in kept) < args.rollout_batch_size_per_device:
             self.steps += 1
-            wave = gem.rollout(
-                args.env_id, agent, episodes=args.wave, num_envs=args.num_envs, seed=args.seed * 1_000_003 + self.steps
-            )
-            episodes = list(wave)
-            played += len(episodes)
-            kept += [episode for episode in episodes if episode.error is None and episode.turns]
+            seed = stable_hash(args.seed, self.actor_id, self.steps)  # no two actors play the same
+            wave = list(gem.rollout(args.env_id, agent, episodes=args.wave, num_envs=args.num_envs, seed=seed))
+            played += len(wave)
+            counted = [episode for episode in wave if episode.error is None and episode.turns]
+            if not counted:
+                raise EnvFaultError(f"no episode of {args.env_id} counts; the last one: {wave[-1].final_info}")
+            kept += counted
         known = [episode.success for episode in kept if episode.success is not None]
-        metrics = {
+        return [transitions(episode, self.tokenizer) for episode in kept], {
             "actor/num_episodes": len(kept),
             "actor/left_out": played - len(kept),
             "actor/success": sum(known) / len(known) if known else 0.0,
             "actor/cut_off": sum(episode.cut_off is not None for episode in kept) / len(kept),
         }
-        return [transitions(episode, self.tokenizer) for episode in kept], metrics
 
     def ask(self, prompts: list[list[int]], samplings: list[dict[str, Any]]) -> list[Generated]:
         """Ask the actor's vLLM."""
@@ -170,10 +171,10 @@ def transitions(episode: gem.Episode, tokenizer: Any) -> list[Transition]:
 
 
 class GemLearner(PPOMultiTurnLearner):
-    """Oat counts steps by prompts; the tasks come from the environment, so these are empty."""
+    """Oat counts steps by prompts; the tasks come from the environment."""
 
     def prepare_data(self, strategy: Any, tokenizer: Any) -> None:
-        """Make a prompt for each transition that is wanted."""
+        """Make an empty prompt for each transition."""
         self.prompts_dataset = [("", "", "")] * strategy.args.max_train
         self.eval_prompts_dataset = self.prompts_dataset[:1]
         size = strategy.args.rollout_batch_size_per_device
@@ -198,7 +199,7 @@ def train() -> None:
 def trial_actor(engine: TrialEngine, **options: Any) -> GemActor:
     """Return an actor whose vLLM writes known tokens."""
     actor = GemActor()
-    actor.args = GemArgs(env_id="game:Mastermind-v0-easy", **options)
+    actor.actor_id, actor.args = 0, GemArgs(env_id="game:Mastermind-v0-easy", **options)
     actor.tokenizer, actor.sampling_params = engine.tokenizer, SimpleNamespace(temperature=1.0)
 
     def generate(prompts: list[list[int]], sampling: list[Any]) -> list[Any]:

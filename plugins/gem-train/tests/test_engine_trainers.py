@@ -266,6 +266,9 @@ def test_oat_is_given_other_episodes_for_those_that_failed(load: Load, engine: T
     episodes, metrics = actor.collect_experience()
     assert [[turn.rewards for turn in episode] for episode in episodes] == [[0.25, 0.25]] * 3
     assert (metrics["actor/num_episodes"], metrics["actor/left_out"]) == (3, 1)
+    Breaking.failures = 100
+    with pytest.raises(EnvFaultError, match=r"no episode of trial:Breaking counts.*the engine is down"):
+        actor.collect_experience()
 
 
 def test_oat_marks_an_episode_that_was_cut_off_as_done(load: Load, engine: TrialEngine) -> None:
