@@ -222,7 +222,6 @@ def main() -> None:
     engine = TrialEngine(trial_tokenizer(), [r"\boxed{1 2}", r"\boxed{3 4}", r"\boxed{5 6}", "no guess"])
     actor = trial_actor(engine, rollout_batch_size_per_device=20, wave=4, num_envs=2, prompt_max_length=1500)
     episodes, metrics = actor.collect_experience()
-    print(f"{len(episodes)} episodes, {metrics}")
     turns = [turn for episode in episodes for turn in episode]
     check(len(turns) >= 20, "there are as many transitions as the learner wants")
     calls = {tuple(prompt): made for prompt, made in engine.calls}
@@ -237,13 +236,13 @@ def main() -> None:
     ]
     check([turn.response_logprobs for turn in turns] == logprobs, "log-probabilities are those of their places")
     pairs = [pair for episode in episodes for pair in itertools.pairwise(episode)]
-    goes_on = [b.prompt_ids[: len(a.prompt_ids + a.response_ids)] == a.prompt_ids + a.response_ids for a, b in pairs]
-    check(all(goes_on), "a prompt begins with the tokens so far")
+    so_far = [(a.prompt_ids + a.response_ids, b.prompt_ids) for a, b in pairs]
+    check(all(after[: len(ids)] == ids for ids, after in so_far), "a prompt begins with the tokens so far")
     done = [[turn.done for turn in episode] for episode in episodes]
     check(done == [[False] * (len(each) - 1) + [True] for each in done], "the last transition is done")
     check({turn.rewards for turn in turns} == {-0.1, 0.0, 0.5, 1.0}, "each turn has its reward")
-    check(any(not turn.action_is_formatted for turn in turns), "a response that cannot be read is told")
-    check(all(turn.info == {} and turn.loss_mask for turn in turns), "info is a dict that Oat can write into")
+    check(not all(turn.action_is_formatted for turn in turns), "a response that cannot be read is told")
+    check(all(turn.info == {} and turn.loss_mask for turn in turns), f"info is a dict that Oat writes {metrics} into")
 
 
 if __name__ == "__main__":
