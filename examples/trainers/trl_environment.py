@@ -49,6 +49,7 @@ from transformers import AutoModelForCausalLM, AutoTokenizer, PreTrainedTokenize
 import gem_core as gem
 from gem_core.errors import EnvFaultError
 from gem_train.adapters import ChatSession
+from gem_train.adapters.trial import check
 
 OVER = "The episode is over."
 TYPES: dict[str, Any] = {"string": str, "integer": int, "number": float, "boolean": bool, "array": list, "object": dict}
@@ -208,33 +209,26 @@ def imitate(model: Any, tokenizer: Any, environments: list[GemEnvironment], step
         optimizer.zero_grad()
 
 
-def promise(held: bool, what: str) -> None:
-    """Print a promise; leave with an error if it was not held."""
-    print(f"{'held' if held else 'NOT HELD'}: {what}")
-    if not held:
-        sys.exit(1)
-
-
-def check(seen: list[Any], before: list[Any], trainer: Any) -> None:
+def check_trial(seen: list[Any], before: list[Any], trainer: Any) -> None:
     """Check a trial: what was played at each step, the weights before it, and the trainer after it."""
     for name, seed, completion, episode in seen[0]:
         rewards = [turn.reward for turn in episode.transitions]
         print(f"{name}, seed {seed}: {len(completion)} messages, rewards of turns {rewards}")
     played = [(name, seed, episode) for step in seen for name, seed, _, episode in step]
     starts = {(name, seed, episode.observation) for name, seed, episode in played}
-    promise(len(starts) == len({(name, seed) for name, seed, _ in played}), "a group shares a start")
+    check(len(starts) == len({(name, seed) for name, seed, _ in played}), "a group shares a start")
     turns = [turn for _, _, episode in played for turn in episode.transitions]
     used = sum("tool" in turn.info for turn in turns)
-    promise(0 < used < len(turns), f"the model gave {len(turns) - used} answers and used the tool {used} times")
+    check(0 < used < len(turns), f"the model gave {len(turns) - used} answers and used the tool {used} times")
     for name, column in (("plain", "Plain"), ("with_tool", "WithTool")):
         returns = [episode.episode_return for own, _, _, episode in seen[0] if own == name]
         logged = float(trainer.state.log_history[0][f"rewards/{column}/mean"])
-        promise(
+        check(
             abs(logged - sum(returns) / len(returns)) < 1e-3, f"{name}: TRL's rewards are the returns of the episodes"
         )
     weights = zip(before, trainer.model.parameters(), strict=True)
     moved = sum(bool(new.isfinite().all()) and not torch.equal(old, new.detach()) for old, new in weights)
-    promise(moved == len(before), f"{len(seen)} optimiser steps moved all {moved} weight tensors")
+    check(moved == len(before), f"{len(seen)} optimiser steps moved all {moved} weight tensors")
 
 
 def main() -> int:
@@ -254,6 +248,7 @@ def main() -> int:
     }
     trial, seen = options.model is None, []
     if trial:
+        torch.set_num_threads(1)  # more would wait for each other at this size
         template = (Path(trl.__file__).with_name("chat_templates") / "qwen3_instruct_2507.jinja").read_text()
         environments = [each() for each in classes.values()]
         texts = [*(each.reset(0) for each in environments), template]
@@ -298,7 +293,7 @@ def main() -> int:
         before = [weight.detach().clone() for weight in model.parameters()]
         trainer.train()
         if trial:
-            check(seen, before, trainer)
+            check_trial(seen, before, trainer)
         else:
             trainer.save_model("trl-environment")
     return 0

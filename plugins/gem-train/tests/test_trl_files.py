@@ -80,7 +80,7 @@ def test_trl_rollout_refuses_several_sequences(rollout: Any) -> None:
         rollout.trl_fields(list(gem.rollout(register("Whole"), rewriting, episodes=1)), filler=9)
 
 
-def test_trl_sampler_asks_once_for_all_who_wait(rollout: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_trl_samples_once_for_all_who_wait(rollout: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each gets its own; what does not end by itself within its limit was cut off; a failure reaches everybody."""
     asked: list[Any] = []
 
@@ -91,10 +91,10 @@ def test_trl_sampler_asks_once_for_all_who_wait(rollout: Any, monkeypatch: pytes
         return [([5, 7], [-1.0, -2.0]), ([5, 6, 6, 7], [-1.0] * 4)]
 
     monkeypatch.setattr(rollout, "sample", sample)
-    sampler = rollout.Sampler(SimpleNamespace(eos_token_ids=[7]))
+    engine = rollout.engine_of(SimpleNamespace(eos_token_ids=[7]), most=2)
 
     async def ask(*requests: tuple[list[int], int]) -> Any:
-        waiting = [sampler(prompt, max_tokens=limit) for prompt, limit in requests]
+        waiting = [engine(prompt, max_tokens=limit) for prompt, limit in requests]
         return await asyncio.gather(*waiting, return_exceptions=True)
 
     ended, cut = asyncio.run(ask(([1], 8), ([2], 3)))
