@@ -5,26 +5,25 @@
 r"""RL2 (9161ede, and rl-square 0.0.2 of PyPI): a GEM environment for ``rollout.env_path``.
 
 RL2 runs the loop and keeps the ids as SGLang sampled them; it asks the environment for the text of the next prompt.
-Where that begins with the text so far, only the rest is tokenized and the sequence goes on; where a chat template
-rewrites earlier turns, RL2 begins another sequence by itself. Today's RL2 calls ``generate(config, tokenizer,
-router_url, sample)``, which here begins an episode and leaves the loop to RL2's ``base_generate`` with ``env_step``;
-version 0.0.2 calls ``reset`` and ``step``. Both are in this file. RL2 needs SGLang and flash-attn, so that it does
-not install on a CPU: here stand-ins with the fields of its ``Sample`` and an engine that writes known tokens drive
-it::
+Where that begins with the text so far, the sequence goes on; where a chat template rewrites earlier turns, RL2 begins
+another. Today's RL2 calls ``generate``, which here begins an episode and leaves the loop to RL2's ``base_generate``
+with ``env_step``; version 0.0.2 calls ``reset`` and ``step``. RL2 needs SGLang and flash-attn and does not install on
+a CPU: here stand-ins with the fields of its ``Sample`` and an engine that writes known tokens drive it::
 
     python scripts/trainers.py rl2_env
     python examples/trainers/rl2_env.py  # where what it needs is installed
 
-On GPUs, with the rows of ``dataset_rows`` in ``gem.jsonl``, this file served as ``rollout.env_path``, and prompts
-that are text::
+On GPUs, with the rows of ``dataset_rows`` in ``gem.jsonl`` (read from RL2's source, and not tried)::
 
-    torchrun --nproc_per_node=8 -m RL2.trainer.ppo train_data.path=gem.jsonl actor.model_name=Qwen/Qwen3-4B \
+    torchrun --nproc_per_node=8 -m RL2.trainer.ppo rollout.train.path=gem.jsonl rollout.test.path=gem.jsonl \
         rollout.env_path=examples/trainers/rl2_env.py rollout.train.apply_chat_template=false \
-        rollout.train.responses_per_prompt=8 rollout.train.sampling_params.max_new_tokens=1024 adv.gamma=0.9
+        rollout.train.prompts_per_rollout=64 rollout.train.responses_per_prompt=8 adv.gamma=0.9 \
+        rollout.train.sampling_params.max_new_tokens=1024 \
+        actor.model_name=Qwen/Qwen3-1.7B actor.max_length_per_device=8192
 
-For 0.0.2 also ``GEM_TOKENIZER=Qwen/Qwen3-4B`` in the environment and
-``+rollout.train_sampling_params.skip_special_tokens=false``, without which the text does not tell a response that
-ended from one that was cut off; ``rollout.max_turns`` is at least the number of turns of the task.
+0.0.2 calls the paths ``train_data.path`` and ``test_data.path``. It also needs ``GEM_TOKENIZER=Qwen/Qwen3-1.7B`` in
+the environment, ``rollout.max_turns`` of at least the turns of the task, and
+``+rollout.train_sampling_params.skip_special_tokens=false``, or the text does not tell what was cut off.
 
 What RL2 cannot take: images, several agents, a limit of the context (give the task a limit of turns), and tool
 results under their ids: they come from the user. Rewards of turns are kept, each on the last token of its response,
@@ -106,18 +105,16 @@ SESSIONS: dict[str, ChatSession] = {}
 
 
 def begin(row: dict[str, Any], template: ChatTemplate) -> ChatSession:
-    """Make the session of a row: ``env_id``, ``seed``, and where wanted ``options`` and ``kwargs``."""
-    session = ChatSession(row["env_id"], native_tools=template.describes_tools, **row.get("kwargs") or {})
+    """Make the session of a row, which has ``env_id``, ``seed``, and where wanted ``options`` and ``kwargs``."""
     row["gem_session"] = uuid4().hex
-    SESSIONS[row["gem_session"]] = session
-    return session
+    session = ChatSession(row["env_id"], native_tools=template.describes_tools, **row.get("kwargs") or {})
+    return SESSIONS.setdefault(row["gem_session"], session)
 
 
 def end(row: dict[str, Any]) -> None:
     """Close the session of a row."""
-    session = SESSIONS.pop(row.get("gem_session", ""), None)
-    if session is not None:
-        session.close()
+    if row.get("gem_session") in SESSIONS:
+        SESSIONS.pop(row["gem_session"]).close()
 
 
 async def answer(
@@ -134,8 +131,8 @@ async def answer(
     """
     session = SESSIONS[row["gem_session"]]
     place = len(session.messages)
-    said = Response(action.removesuffix(end_token), finish_reason="stop" if end_token else "length")
-    step = await session.step(said)
+    reason = "stop" if end_token else "length"
+    step = await session.step(Response(action.removesuffix(end_token), finish_reason=reason))
     if step.error is not None:
         end(row)
         raise EnvFaultError(f"{session.episode.id}: {step.error['message']}")
@@ -223,13 +220,8 @@ async def main() -> None:
     for skip in (True, False):  # whether SGLang's text shows the token that ended a response
         engine.calls.clear()
         sample = Sample(sample=dict(row))
-        config = {
-            "apply_chat_template": False,
-            "prompt_key": "prompt",
-            "max_new_tokens": 500,
-            "skip_special_tokens": skip,
-        }
-        await generate(SimpleNamespace(**config), engine.tokenizer, engine, sample)
+        config = {"apply_chat_template": False, "prompt_key": "prompt", "max_new_tokens": 500}
+        await generate(SimpleNamespace(**config, skip_special_tokens=skip), engine.tokenizer, engine, sample)
         (made,) = sample.state_dicts
         check(sample.status == Sample.Status.DONE and not SESSIONS, "the episode is done, and its session closed")
         check_sequence(engine, made["states"], made["action_mask"], made["logps"])
@@ -242,13 +234,10 @@ async def main() -> None:
         state, info = await reset(row["extra_info"])
     for text in engine.texts:
         result = await step(state, f"{text}<|im_end|>", info)
-        check(
-            result["done"] or result["next_state"].startswith(f"{state}{text}<|im_end|>\n<|im"), "0.0.2: state goes on"
-        )
+        goes_on = str(result["next_state"]).startswith(f"{state}{text}<|im_end|>\n<|im")
+        check(result["done"] or goes_on, "0.0.2: the next state begins with the state and the response")
         state, info = result["next_state"], result["extra_info"]
-    check(
-        result["done"] and result["reward"] == result["score"] == 0.5 and not SESSIONS, "0.0.2: the end has its reward"
-    )
+    check(result["done"] and result["reward"] == result["score"] == 0.5, "0.0.2: the end has its reward")
     print(engine.tokenizer.decode(made["states"]))
 
 
