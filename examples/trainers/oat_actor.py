@@ -1,6 +1,6 @@
 # /// script
 # requires-python = ">=3.11"
-# dependencies = ["transformers", "gem-core", "gem-games", "gem-train"]
+# dependencies = ["transformers", "jinja2", "gem-core", "gem-games", "gem-train"]
 # ///
 r"""Oat (0.2.4, read at c1a074c): an actor that collects GEM episodes, one ``Transition`` a turn.
 

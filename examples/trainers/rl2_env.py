@@ -1,6 +1,6 @@
 # /// script
 # requires-python = ">=3.11"
-# dependencies = ["transformers", "gem-core", "gem-games", "gem-train"]
+# dependencies = ["transformers", "jinja2", "gem-core", "gem-games", "gem-train"]
 # ///
 r"""RL2 (9161ede, and rl-square 0.0.2 of PyPI): a GEM environment for ``rollout.env_path``.
 

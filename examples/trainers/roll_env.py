@@ -1,6 +1,6 @@
 # /// script
 # requires-python = ">=3.11"
-# dependencies = ["transformers", "gem-core", "gem-games", "gem-train"]
+# dependencies = ["transformers", "jinja2", "gem-core", "gem-games", "gem-train"]
 # ///
 r"""ROLL (8eb27cc): GEM environments for its environment managers, without a fork of ROLL or of ``gem``.
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from chat_tokenizers import DROPPING, chat_tokenizer
+from trainer_files import import_trainer
 
 import gem_core as gem
 from gem_core.errors import ArgumentError, EnvFaultError
@@ -56,23 +57,10 @@ def breaking() -> Iterator[dict[str, Any]]:
 
 @pytest.fixture
 def load(monkeypatch: pytest.MonkeyPatch) -> Load:
-    """Import a file of examples/trainers, with modules that stand for those that are not installed."""
+    """Import a file, with what stands for the modules that are not installed."""
     monkeypatch.setitem(sys.modules, "gem", ModuleType("gem"))
     del sys.modules["gem"]  # what the file for ROLL puts there goes with the test
-
-    def do(name: str, **stand_ins: ModuleType) -> Any:
-        for module, made in stand_ins.items():
-            monkeypatch.setitem(sys.modules, module.replace("__", "."), made)
-        path = ROOT / "examples" / "trainers" / f"{name}.py"
-        spec = importlib.util.spec_from_file_location(f"trial_{name}", path)
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        monkeypatch.setitem(sys.modules, f"trial_{name}", module)
-        spec.loader.exec_module(module)
-        return module
-
-    return do
+    return lambda name, stand_ins=None: import_trainer(monkeypatch, name, stand_ins or {})
 
 
 @pytest.fixture
@@ -95,15 +83,14 @@ class AgentLoopBase:
 @pytest.fixture
 def verl(load: Load) -> Any:
     """The file for verl."""
-    made = ModuleType("verl.experimental.agent_loop.agent_loop")
-    made.__dict__.update(
-        AgentLoopBase=AgentLoopBase,
-        AgentLoopMetrics=SimpleNamespace,
-        AgentLoopOutput=lambda **fields: SimpleNamespace(**fields),
-        register=lambda name: lambda cls: cls,
-    )
-    packages = {name: ModuleType(name) for name in ("verl", "verl__experimental", "verl__experimental__agent_loop")}
-    return load("verl_agent_loop", **packages, verl__experimental__agent_loop__agent_loop=made)
+    offered = {
+        "AgentLoopBase": AgentLoopBase,
+        "AgentLoopMetrics": SimpleNamespace,
+        "AgentLoopOutput": lambda **fields: SimpleNamespace(**fields),
+        "register": lambda name: lambda cls: cls,
+    }
+    packages: dict[str, Any] = {"verl": {}, "verl.experimental": {}, "verl.experimental.agent_loop": {}}
+    return load("verl_agent_loop", packages | {"verl.experimental.agent_loop.agent_loop": offered})
 
 
 def test_verl_takes_an_episode_as_one_sequence(verl: Any, engine: TrialEngine) -> None:
@@ -184,12 +171,9 @@ class StandInExecutor:
 def openrlhf(load: Load) -> Any:
     """The file for OpenRLHF."""
     pytest.importorskip("torch")
-    made = ModuleType("openrlhf.utils.agent")
-    made.__dict__.update(AgentInstanceBase=object, MultiTurnAgentExecutor=StandInExecutor)
-    package = ModuleType("openrlhf")
-    package.__spec__ = importlib.util.spec_from_loader("openrlhf", None, is_package=True)
-    utils = ModuleType("openrlhf.utils")
-    return load("openrlhf_agent", openrlhf=package, openrlhf__utils=utils, openrlhf__utils__agent=made)
+    found = {"__spec__": importlib.util.spec_from_loader("openrlhf", None, is_package=True)}
+    offered = {"AgentInstanceBase": object, "MultiTurnAgentExecutor": StandInExecutor}
+    return load("openrlhf_agent", {"openrlhf": found, "openrlhf.utils": {}, "openrlhf.utils.agent": offered})
 
 
 def executed(openrlhf: Any, engine: TrialEngine, row: Any, *, cut_off: bool = False) -> Any:
@@ -419,12 +403,12 @@ def test_roll_has_a_stand_in_of_gem(roll: Any) -> None:
 def test_roll_uses_the_package_where_it_is_installed(load: Load) -> None:
     """The environment is registered there."""
     registered: dict[str, Any] = {}
-    package = ModuleType("gem")
-    package.register = lambda env_id, entry_point: registered.update({env_id: entry_point})  # type: ignore[attr-defined]
-    package.__spec__ = importlib.util.spec_from_loader("gem", None)
-    roll = load("roll_env", gem=package)
+    package = {
+        "register": lambda env_id, entry_point: registered.update({env_id: entry_point}),
+        "__spec__": importlib.util.spec_from_loader("gem", None),
+    }
+    roll = load("roll_env", {"gem": package})
     assert registered == {"gem_core": roll.RollEnv}
-    assert sys.modules["gem"] is package
 
 
 # All of them
