@@ -178,7 +178,8 @@ def install(venv: Path, interpreter: str, needs: Needs) -> str | None:
     pin = next(
         line for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines() if "torch==" in line
     )
-    projects = [(folder / "pyproject.toml").read_text(encoding="utf-8") for folder in distributions().values()]
+    ours = editable(needs.ours)
+    projects = [project_in(Path(folder.partition("[")[0])) for folder in ours[1::2]]
     made_from = hashlib.sha256(repr([interpreter, str(venv), needs, pin, projects]).encode()).hexdigest()
     stamp = venv / ".installed"
     if stamp.exists() and stamp.read_text(encoding="utf-8") == made_from:
@@ -194,7 +195,7 @@ def install(venv: Path, interpreter: str, needs: Needs) -> str | None:
     if needs.no_deps:
         commands.append([*pip, "--no-deps", *needs.no_deps])
     # Once more with theirs, so that pip knows of both what they ask for.
-    commands.append([*pip, "--no-build-isolation", "-c", pinned, *editable(needs.ours), *needs.theirs])
+    commands.append([*pip, "--no-build-isolation", "-c", pinned, *ours, *needs.theirs])
     for command in commands:
         done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         if done.returncode:

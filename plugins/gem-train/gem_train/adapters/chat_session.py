@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from contextlib import suppress
 from typing import Any, NamedTuple, Self
 
 from gem_core import Episode, MultiAgentEnv, PlanItem, Response, Transition, make
@@ -59,7 +60,7 @@ class ChatSession:
 
     Args:
         env: The id of an environment; or one that is made already, which then belongs to the session.
-        system: System text that goes before the task's own; None for that of the task.
+        system: System text that takes the place of the task's own; None for that of the task.
         native_tools: Whether the trainer offers the model the schemas in ``tools``, so that no text explains them.
         **kwargs: Passed to ``make`` with an id, ``wrappers`` among them.
 
@@ -267,7 +268,8 @@ class ChatSession:
         if self._id is not None:
             env, self._env = self._env, None
             if env is not None:
-                env.close()
+                with suppress(Exception):  # what failed first is told
+                    env.close()
 
 
 def _described(env: AnyEnv) -> dict[str, Any]:
