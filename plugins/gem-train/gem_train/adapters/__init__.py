@@ -7,15 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gem_train.adapters.chat_session import ChatSession, ChatStep
+    from gem_train.adapters.chat_template import ChatTemplate
     from gem_train.adapters.token_agent import Generated, TokenAgent
+    from gem_train.adapters.trial import TrialEngine, trial_tokenizer
 
-__all__ = ["ChatSession", "ChatStep", "Generated", "TokenAgent"]
+__all__ = ["ChatSession", "ChatStep", "ChatTemplate", "Generated", "TokenAgent", "TrialEngine", "trial_tokenizer"]
 
 _HOME = {
     "ChatSession": "chat_session",
     "ChatStep": "chat_session",
+    "ChatTemplate": "chat_template",
     "Generated": "token_agent",
     "TokenAgent": "token_agent",
+    "TrialEngine": "trial",
+    "trial_tokenizer": "trial",
 }
 """Where the public names come from; they are imported on first use."""
 
