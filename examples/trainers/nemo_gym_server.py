@@ -10,37 +10,40 @@ Framework: NeMo-Gym 0.4 (``nemo-gym``), the environments of NeMo-RL. Python 3.12
 
 Here, on a CPU: the server, NeMo-Gym's own gymnasium agent and a scripted model, three servers on the loopback::
 
-    make trainers ARGS=nemo_gym_server
+    python examples/trainers/nemo_gym_server.py  # in an environment of its own: make trainers ARGS=nemo_gym_server
 
-For a training run, this file is the server ``resources_servers/gem/app.py`` and the agent
-``responses_api_agents/gem_agent/app.py`` in the folder from which ``gym`` is started (a copy or a link), each with a
-``requirements.txt`` beside it that names nemo-gym, gem-core, gem-train and the plugins that your environments need.
-Write the rows and the configuration, then collect rollouts, or give both files to NeMo-RL::
+For rollouts and training, this file is the server ``resources_servers/gem/app.py`` and the agent
+``responses_api_agents/gem_agent/app.py`` in the folder from which ``gym`` is started (a copy or a link), each beside a
+``requirements.txt`` with nemo-gym, gem-core, gem-train and the plugins of your environments. Then::
 
-    python resources_servers/gem/app.py --write data "game:GuessTheNumber-v0" --rows 1000
-    gym env start --config data/gem.yaml --config MODEL.yaml
-    gym eval run --no-serve --agent gem_agent --input data/rows.jsonl --output rollouts.jsonl --num-repeats 8
-    uv run examples/nemo_gym/run_grpo_nemo_gym.py --config YOURS.yaml    # NeMo-RL, with data/gem.yaml and data/rows.jsonl
+    python resources_servers/gem/app.py rows "game:GuessTheNumber-v0" 1000 > rows.jsonl  # and '{"wrappers": …}'
+    python resources_servers/gem/app.py configuration > gem.yaml
+    gym env start --config gem.yaml --config YOUR_MODEL.yaml
+    gym eval run --no-serve --agent gem_agent --input rows.jsonl --output rollouts.jsonl --num-repeats 8
+
+On GPUs, NeMo-RL takes both files in its configuration (``data.train.data_path``, ``env.nemo_gym.config_paths``)::
+
+    uv run examples/nemo_gym/run_grpo_nemo_gym.py --config YOURS.yaml
 
 What it cannot take, and what happens then:
 
-- Rewards per turn: its agents report one number for an episode, the sum. The list is in ``info["rewards"]`` of a result.
+- Rewards per turn: its agents report one number for an episode, the sum. ``info["rewards"]`` of a result lists them.
 - An episode whose environment failed: NeMo-Gym has no mark for it, so the step is answered with status 503, and
   ``GemAgent`` plays the row again from its start, ``retries`` times; after that, and with NeMo-Gym's own agent at once,
   the request fails with the error's text. It is never counted as a reward of 0.
 - An agent that stops at its limit of turns does not tell the server: ``max_steps`` of the server, the same number, ends
   the episode and closes the environment. One that was left otherwise is closed after ``idle_s``.
 - Images: observations are text; such an environment fails at its reset. Several agents: make one seat of it an
-  environment with ``gem.single_agent``, and register that. The sessions live in one process: leave ``num_workers`` at 1.
+  environment with ``gem.single_agent``, and register that. Sessions live in one process: leave ``num_workers`` at 1.
 """
 
-import argparse
 import asyncio
 import json
 import os
 import sys
 import time
 from pathlib import Path
+from typing import Annotated
 
 import uvicorn
 import yaml
@@ -52,7 +55,6 @@ from nemo_gym.global_config import NEMO_GYM_CONFIG_PATH_ENV_VAR_NAME
 from nemo_gym.openai_utils import NeMoGymResponse
 from nemo_gym.server_utils import GlobalAIOHTTPAsyncClientConfig, ServerClient, set_global_aiohttp_client
 from omegaconf import OmegaConf
-from pydantic import BaseModel
 from resources_servers.gymnasium import GymnasiumServer, extract_text
 from responses_api_agents.gymnasium_agent.app import GymnasiumAgent, GymnasiumAgentConfig, GymnasiumAgentRunRequest
 
@@ -76,42 +78,36 @@ class GemServer(GymnasiumServer):
     config: GemServerConfig
 
     async def reset(self, metadata, session_id=None):
-        """Make the environment and return the task, and in info what came with it."""
-        for key, (_, last_used) in list(self.session_state.items()):
-            if time.monotonic() - last_used > self.config.idle_s:
-                await self.close_session(key)
-        await self.close_session(session_id)
-        row = metadata.get("gem") or {}
-        session = None
+        """Make the environment that the row names, and return its task."""
+        now = time.monotonic()
+        left = [key for key, (_, last_used) in self.session_state.items() if now - last_used > self.config.idle_s]
+        for key in [session_id, *left]:
+            await self.close_session(key)
+        row = {"id": "(none: a row needs 'gem', see the command rows)"} | (metadata.get("gem") or {})
         try:
             session = ChatSession(row["id"], native_tools=row.get("native_tools", False), **(row.get("kwargs") or {}))
+            self.session_state[session_id] = session, now
             messages = await session.reset(row.get("seed"), row.get("options"))
-            observation = text_of([each for each in messages if each["role"] != "system"])
-        except KeyError:
-            raise HTTPException(400, 'a row needs {"gem": {"id": …, "seed": …}}; write rows with --write') from None
-        except (GemError, TypeError) as error:
-            if session is not None:
-                session.close()
+            return text_of(messages, "user"), {"seed": session.episode.seed}
+        except (GemError, TypeError, ValueError) as error:
+            await self.close_session(session_id)
             raise HTTPException(503 if isinstance(error, EnvFaultError) else 400, str(error)) from error
-        self.session_state[session_id] = session, time.monotonic()
-        return observation, {"seed": session.episode.seed}
 
     async def step(self, action, metadata, session_id=None):
         """Hand a response to the environment."""
         if session_id not in self.session_state:
             raise HTTPException(409, "no episode is under way in this session: /reset comes first")
         session, _ = self.session_state[session_id]
+        self.session_state[session_id] = session, time.monotonic()
         step = await session.step(response_of(action))
         if step.error is not None:
             await self.close_session(session_id)
             raise HTTPException(503, f"the environment failed, not the agent: {step.error['message']}")
-        self.session_state[session_id] = session, time.monotonic()
         truncated = step.truncated or (not step.terminated and session.episode.turns >= self.config.max_steps)
-        told = [{"call_id": each["tool_call_id"], "output": each["content"]} for each in of_role(step.messages, "tool")]
-        info = {"rewards": session.rewards, "tool_outputs": told}
-        if step.terminated or truncated:
-            info["success"] = session.success
-        return text_of(of_role(step.messages, "user")), step.reward, step.terminated, truncated, info
+        answers = [message for message in step.messages if message["role"] == "tool"]
+        outputs = [{"call_id": each["tool_call_id"], "output": text_of([each], "tool")} for each in answers]
+        info = {"rewards": session.rewards, "success": session.success, "tool_outputs": outputs}
+        return text_of(step.messages, "user"), step.reward, step.terminated, truncated, info
 
     async def close_session(self, session_id):
         """Close the environment of a session; NeMo-Gym calls this when an episode is over."""
@@ -135,16 +131,12 @@ class GemAgent(GymnasiumAgent):
                     raise
 
 
-def of_role(messages, role):
-    """Return the messages of a role."""
-    return [message for message in messages if message["role"] == role]
-
-
-def text_of(messages):
-    """Return the text of messages; None where there are none."""
-    if any(not isinstance(message["content"], str) for message in messages):
-        raise HTTPException(400, "this environment shows images, and observations in NeMo-Gym are text")
-    return "\n\n".join(message["content"] for message in messages) or None
+def text_of(messages, role):
+    """Return the text of those messages that are of a role; None where there are none."""
+    contents = [message["content"] for message in messages if message["role"] == role]
+    if any(not isinstance(content, str) for content in contents):
+        raise ValueError("this environment shows images, and observations in NeMo-Gym are text")
+    return "\n\n".join(contents) or None
 
 
 def response_of(action: NeMoGymResponse):
@@ -161,41 +153,37 @@ def response_of(action: NeMoGymResponse):
 # The data.
 
 
-def rows(env_id, count=None, *, native_tools=True, **kwargs):
+def rows(env_id, count=None, native_tools=True, **kwargs):
     """Yield ``count`` rows of an environment, each with a seed of its own, by default one for each task of a data set.
 
-    Rows with one seed and the same options start alike; a group is one row that is collected several times.
+    Equal rows start alike; a group is one row that is collected several times.
     """
     env = gem.make(env_id, **kwargs)
     tasks = env.unwrapped.num_tasks
     with ChatSession(env, native_tools=native_tools) as session:
         for number in range(count or tasks or 10):
-            options = {"index": number % tasks} if tasks else None
-            messages = session.reset_sync(number, options)
-            start = {"id": env_id, "seed": number, "options": options, "kwargs": kwargs, "native_tools": native_tools}
+            start = {"seed": number, "options": {"index": number % tasks} if tasks else None}
+            system = [each for each in session.reset_sync(**start) if each["role"] == "system"]
             tools = [{"type": "function", "strict": False, **tool["function"]} for tool in session.tools]
             yield {
-                "responses_create_params": {"input": of_role(messages, "system"), "tools": tools if native_tools else []},
-                "gem": start,
+                "responses_create_params": {"input": system, "tools": tools if native_tools else []},
+                "gem": {"id": env_id, **start, "kwargs": kwargs, "native_tools": native_tools},
                 "agent_ref": {"type": "responses_api_agents", "name": "gem_agent"},
             }
 
 
-def configuration(max_steps):
-    """Return the YAML that ties the server and its agent to NeMo-Gym's ``policy_model``."""
-    server = {"entrypoint": "app.py", "domain": "games", "max_steps": max_steps}
-    agent = {
-        "entrypoint": "app.py",
-        "resources_server": {"type": "resources_servers", "name": "gem"},
-        "model_server": {"type": "responses_api_models", "name": "policy_model"},
-        "max_steps": max_steps,
-    }
-    return yaml.safe_dump(
-        {
-            "gem": {"resources_servers": {"gem": server}},
-            "gem_agent": {"responses_api_agents": {"gem_agent": agent}},
-        }
-    )
+CONFIGURATION = """
+gem:
+  resources_servers:
+    gem: {entrypoint: app.py, domain: games, max_steps: 10}  # the same as the agent's
+gem_agent:
+  responses_api_agents:
+    gem_agent:
+      entrypoint: app.py
+      max_steps: 10
+      resources_server: {type: resources_servers, name: gem}
+      model_server: {type: responses_api_models, name: policy_model}
+"""
 
 
 # What this file does here: all of it, with a scripted model.
@@ -209,7 +197,7 @@ def scripted_model():
     app = FastAPI()
 
     @app.post("/v1/responses")
-    def respond(body: dict = Body()):
+    def respond(body: Annotated[dict, Body()]):
         messages = [{**item, "role": item.get("role", "tool")} for item in body["input"]]
         tools = [{"function": tool} for tool in body.get("tools", [])]
         text, calls = answer(messages, tools)
@@ -234,11 +222,9 @@ async def serve(app, running):
 class Multiply(gem.Tool):
     """A tool that needs nothing installed."""
 
-    name = "multiply"
-    description = "Multiplies two numbers."
-    concurrency = "inline"
+    name, description, concurrency = "multiply", "Multiplies two numbers.", "inline"
 
-    class Parameters(BaseModel):
+    class Parameters(gem.Tool.Parameters):
         left: float
         right: float
 
@@ -264,8 +250,7 @@ async def play(batch, max_steps):
     found, running = OmegaConf.create(), []  # where NeMo-Gym's client finds each server
     client = ServerClient(head_server_config=BaseServerConfig(host="127.0.0.1", port=0), global_config_dict=found)
     here = {"host": "127.0.0.1", "port": 0, "entrypoint": "app.py"}
-    parts = yaml.safe_load(configuration(max_steps))
-    options = here | parts["gem_agent"]["responses_api_agents"]["gem_agent"]
+    options = yaml.safe_load(CONFIGURATION)["gem_agent"]["responses_api_agents"]["gem_agent"] | here
     server = GemServer(config=GemServerConfig(**here, name="gem", max_steps=max_steps), server_client=client)
     agent = GemAgent(config=GymnasiumAgentConfig(**options, name="gem_agent"), server_client=client)
     apps = {"policy_model": scripted_model(), "gem": server.setup_webserver(), "gem_agent": agent.setup_webserver()}
@@ -312,26 +297,15 @@ def check(promise, held):
     print(f"ok: {promise}")
 
 
-def write():
-    """Write the rows and the configuration of an environment."""
-    parser = argparse.ArgumentParser(description="Write rows.jsonl and gem.yaml for an environment.")
-    parser.add_argument("--write", required=True, type=Path, metavar="FOLDER")
-    parser.add_argument("id", help="of the environment")
-    parser.add_argument("--rows", type=int, help="by default each task of a data set, or 10")
-    parser.add_argument("--max-steps", type=int, default=10, help="most responses in an episode")
-    parser.add_argument("--kwargs", type=json.loads, default={}, help='for gem.make, as JSON: {"wrappers": ["python"]}')
-    asked = parser.parse_args()
-    asked.write.mkdir(parents=True, exist_ok=True)
-    lines = [json.dumps(row) + "\n" for row in rows(asked.id, asked.rows, **asked.kwargs)]
-    (asked.write / "rows.jsonl").write_text("".join(lines))
-    (asked.write / "gem.yaml").write_text(configuration(asked.max_steps))
-
-
 if __name__ == "__main__":
-    if NEMO_GYM_CONFIG_PATH_ENV_VAR_NAME in os.environ:  # NeMo-Gym starts a server in its folder
-        is_agent = Path(__file__).absolute().parents[1].name == "responses_api_agents"
-        (GemAgent if is_agent else GemServer).run_webserver()
-    elif len(sys.argv) > 1:
-        write()
-    else:
-        main()
+    match sys.argv[1:]:
+        case ["rows", env_id, count, *kwargs]:
+            for row in rows(env_id, int(count), **json.loads(kwargs[0] if kwargs else "{}")):
+                print(json.dumps(row))
+        case ["configuration"]:
+            print(CONFIGURATION)
+        case [] if NEMO_GYM_CONFIG_PATH_ENV_VAR_NAME not in os.environ:
+            main()
+        case _:  # started by NeMo-Gym, in the folder of a server
+            folder = Path(__file__).absolute().parents[1].name
+            (GemAgent if folder == "responses_api_agents" else GemServer).run_webserver()

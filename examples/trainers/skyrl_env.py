@@ -8,13 +8,14 @@ Framework: SkyRL-gym 0.4 (``skyrl-gym``); the trainer is ``skyrl`` 0.4, Python 3
 
 Here, on a CPU: the environment, registered, made and stepped by SkyRL-gym, as its generator does it::
 
-    make trainers ARGS=skyrl_env
+    python examples/trainers/skyrl_env.py  # in an environment of its own: make trainers ARGS=skyrl_env
 
-On GPUs (``pip install "skyrl[fsdp]" gem-core gem-games gem-train``): write rows, then train. Everything that SkyRL takes
-is an option; ``generator.max_turns`` and ``environment.env_class=gem`` are what matters here::
+On GPUs (``pip install "skyrl[fsdp]" gem-core gem-games gem-train``): write rows, then train. Every option of SkyRL's is
+one here; ``environment.env_class=gem`` and ``generator.max_turns`` (1 by default) matter::
 
-    python skyrl_env.py --write data "game:GuessTheNumber-v0" --rows 1000
-    python skyrl_env.py data.train_data="['data/train.jsonl']" data.val_data="['data/validation.jsonl']" \
+    python skyrl_env.py rows "game:GuessTheNumber-v0" 1000 > train.jsonl     # seeds from 0, and '{"wrappers": …}'
+    python skyrl_env.py rows "game:GuessTheNumber-v0" 100 1000 > validation.jsonl  # seeds from 1000
+    python skyrl_env.py data.train_data="['train.jsonl']" data.val_data="['validation.jsonl']" \
         environment.env_class=gem generator.batched=false generator.max_turns=10 generator.n_samples_per_prompt=8 \
         trainer.algorithm.advantage_estimator=grpo trainer.policy.model.path=Qwen/Qwen3-1.7B trainer.strategy=fsdp
 
@@ -32,7 +33,6 @@ What it cannot take, and what happens then:
 - Images: ``init`` raises. Several agents: one seat by ``gem.single_agent``, in an environment that you register.
 """
 
-import argparse
 import asyncio
 import json
 import sys
@@ -61,7 +61,7 @@ class GemTextEnv(BaseTextEnv):
         try:
             self.start = json.loads(extras["gem"]) if isinstance(extras["gem"], str) else extras["gem"]
         except KeyError:
-            raise ValueError('a row needs {"gem": {"id": …, "seed": …}}; write rows with --write') from None
+            raise ValueError('a row needs {"gem": {"id": …, "seed": …}}; the command rows writes some') from None
         self.max_turns = extras.get("max_turns", 10)
         self.session = ChatSession(self.start["id"], **(self.start.get("kwargs") or {}))
 
@@ -81,7 +81,10 @@ class GemTextEnv(BaseTextEnv):
         if done:
             self.close()
         return BaseTextEnvStepOutput(
-            observations=text_only(step.messages), reward=step.reward, done=done, metadata={"terminated": step.terminated}
+            observations=text_only(step.messages),
+            reward=step.reward,
+            done=done,
+            metadata={"terminated": step.terminated},
         )
 
     def get_metrics(self):
@@ -114,8 +117,7 @@ def rows(env_id, count=None, first=0, **kwargs):
             prompt = text_only(session.reset_sync(number, options))
             # As JSON, since the columns of a table cannot differ from row to row.
             start = json.dumps({"id": env_id, "seed": number, "options": options, "kwargs": kwargs})
-            reward_spec = {"method": "environment", "ground_truth": ""}
-            yield {"data_source": env_id, "prompt": prompt, "env_class": "gem", "reward_spec": reward_spec, "gem": start}
+            yield {"data_source": env_id, "prompt": prompt, "env_class": "gem", "gem": start}
 
 
 def register():
@@ -173,9 +175,7 @@ def run_trainer(config):
 class Multiply(gem.Tool):
     """A tool that needs nothing installed."""
 
-    name = "multiply"
-    description = "Multiplies two numbers."
-    concurrency = "inline"
+    name, description, concurrency = "multiply", "Multiplies two numbers.", "inline"
 
     class Parameters(gem.Tool.Parameters):
         left: float
@@ -204,7 +204,7 @@ class ScriptedGenerator:
         sys.path.append(str(Path(__file__).resolve().parents[1]))
         import scripted_server
 
-        self.max_turns, self.answer, self.closed = max_turns, scripted_server.answer, []
+        self.max_turns, self.answer = max_turns, scripted_server.answer
 
     async def agent_loop(self, prompt, env_class, env_extras):
         """Play one row; return the rewards of its turns, the chat and the metrics."""
@@ -220,7 +220,6 @@ class ScriptedGenerator:
             chat = [*chat, {"role": "assistant", "content": said}, *step["observations"]]
             rewards, done = [*rewards, step["reward"]], step["done"]
         env.close()
-        self.closed.append(env)
         return {"rewards": rewards, "chat": chat, "metrics": env.get_metrics(), "as in the row": same}
 
 
@@ -246,7 +245,6 @@ async def main():
     check("max_turns ends an episode", cut["rewards"] == [0, 0, 0, 0] and cut["metrics"]["success"] == 0)
     check("a tool is called in the text", tool["rewards"] == [0.25, 1])
     check("a failed environment is played again, not scored", flaky["rewards"] == [1] and Flaky.failures == 0)
-    check("every environment is closed", all(env.session.closed for env in generator.closed))
     try:
         skyrl_gym.make("gem", env_config={}, extras={"gem": {"id": "game:GuesTheNumber-v0", "seed": 0}})
         check("a wrong id is an error", False)
@@ -261,25 +259,13 @@ def check(promise, held):
     print(f"ok: {promise}")
 
 
-def write(asked):
-    """Write rows for training and validation, which do not share a seed."""
-    parser = argparse.ArgumentParser(description="Write train.jsonl and validation.jsonl for an environment.")
-    parser.add_argument("--write", required=True, type=Path, metavar="FOLDER")
-    parser.add_argument("id", help="of the environment")
-    parser.add_argument("--rows", type=int, default=1000)
-    parser.add_argument("--validation-rows", type=int, default=100)
-    parser.add_argument("--kwargs", type=json.loads, default={}, help='for gem.make, as JSON: {"wrappers": ["python"]}')
-    asked = parser.parse_args(asked)
-    asked.write.mkdir(parents=True, exist_ok=True)
-    for name, count, first in ("train", asked.rows, 0), ("validation", asked.validation_rows, asked.rows):
-        lines = [json.dumps(row) + "\n" for row in rows(asked.id, count, first, **asked.kwargs)]
-        (asked.write / f"{name}.jsonl").write_text("".join(lines))
-
-
 if __name__ == "__main__":
-    if "--write" in sys.argv:
-        write(sys.argv[1:])
-    elif len(sys.argv) > 1:
-        train(sys.argv[1:])
-    else:
-        asyncio.run(main())
+    match sys.argv[1:]:
+        case []:
+            asyncio.run(main())
+        case ["rows", env_id, count, *rest]:
+            first, kwargs = (*rest, *("0", "{}")[len(rest) :])
+            for row in rows(env_id, int(count), int(first), **json.loads(kwargs)):
+                print(json.dumps(row))
+        case options:
+            train(options)

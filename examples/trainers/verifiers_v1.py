@@ -10,7 +10,7 @@ Framework: verifiers 0.4 (``verifiers.v1``; the older interface is gone), the en
 
 Here, on a CPU: real episodes of ``GemEnv`` against a scripted chat server on the loopback, which streams::
 
-    make trainers ARGS=verifiers_v1
+    python examples/trainers/verifiers_v1.py  # in an environment of its own: make trainers ARGS=verifiers_v1
 
 This file is the package that verifiers asks for: a module that can be imported, whose ``__all__`` names a taskset and
 an environment. With it on ``PYTHONPATH``, evaluate any model::
@@ -21,7 +21,9 @@ an environment. With it on ``PYTHONPATH``, evaluate any model::
 and train on GPUs with prime-rl (``uv run rl @ rl.toml``), where the source is::
 
     [[orchestrator.train.source]]
-    env = {taskset = {id = "verifiers_v1", env_id = "game:GuessTheNumber-v0"}, player = {runtime = {type = "subprocess"}}}
+    name = "gem"
+    env.taskset = {id = "verifiers_v1", env_id = "game:GuessTheNumber-v0"}
+    env.player.runtime.type = "subprocess"
 
 An OpenEnv server (``openenv_server.py``) also plays under verifiers' own taskset ``openenv``, without this file; its
 model then reads each observation as JSON, with the schema of an action beside it.
@@ -47,8 +49,10 @@ import os
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 import verifiers.v1 as vf
+from pydantic import Field
 
 import gem_core as gem
 from gem_train import ChatSession
@@ -61,7 +65,7 @@ class GemTasksetConfig(vf.TasksetConfig):
 
     env_id: str = "game:GuessTheNumber-v0"
     """Id of the environment."""
-    kwargs: dict = {}
+    kwargs: dict[str, Any] = Field(default_factory=dict)
     """Keyword arguments of ``gem.make``, ``wrappers`` among them."""
     first_seed: int = 0
 
@@ -164,9 +168,7 @@ def data_url(part):
 class Multiply(gem.Tool):
     """A tool that needs nothing installed."""
 
-    name = "multiply"
-    description = "Multiplies two numbers."
-    concurrency = "inline"
+    name, description, concurrency = "multiply", "Multiplies two numbers.", "inline"
 
     class Parameters(gem.Tool.Parameters):
         left: float
@@ -230,7 +232,9 @@ async def main():
         print(f"{name}: ok {trace.ok}, reward {trace.reward:g}, {error.message if error else trace.info['gem']}")
 
     check("rollouts of one task start and go alike", told(first) == told(same) and told(first) != told(other))
-    check("the reward is the sum of the turns", all(each.traces[0].reward == sum(told(each)["rewards"]) for each in game))
+    check(
+        "the reward is the sum of the turns", all(each.traces[0].reward == sum(told(each)["rewards"]) for each in game)
+    )
     check("max_turns cuts off", told(short)["turns"] == 2 and not told(short)["ended"] and short.ok)
     check("a tool is called in the text", told(tool)["rewards"] == [0.25, 1.0])
     check("a failed environment is an error and no reward", not broken.ok and not broken.traces[0].rewards)
