@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -64,6 +66,21 @@ def test_run_that_hangs_is_ended_with_what_it_started(trainers: ModuleType, tmp_
     """The table says so."""
     (tmp_path / "file.py").write_text("import signal\nsignal.pause()\n", encoding="utf-8")
     assert trainers.run_file(Path(sys.executable), tmp_path / "file.py", 0.1) == "stopped after 0.1 s"
+
+
+TRAINERS = sorted(path.stem for path in (ROOT / "examples" / "trainers").glob("*.py"))
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", TRAINERS)
+def test_trainer_keeps_its_promises(trainers: ModuleType, name: str) -> None:
+    """Each file runs with its framework, installed from the package index, and ends with exit code 0."""
+    python = trainers.needs_of((ROOT / "examples" / "trainers" / f"{name}.py").read_text(encoding="utf-8")).python
+    if python is not None and shutil.which(f"python{python}") is None:
+        pytest.skip(f"it needs Python {python}")
+    command = [sys.executable, "scripts/trainers.py", name]
+    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert done.returncode == 0, done.stdout[-5000:]
 
 
 def test_every_file_says_what_it_needs(trainers: ModuleType) -> None:

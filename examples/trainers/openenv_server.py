@@ -45,6 +45,7 @@ from openenv.core.env_server.types import Action, Observation, State
 
 import gem_core as gem
 from gem_train.adapters import ChatSession, ChatStep
+from gem_train.adapters.trial import check
 
 GUESS = "game:GuessTheNumber-v0-easy"
 
@@ -202,33 +203,26 @@ async def play(url: str, seed: int) -> tuple[list[dict[str, Any]], list[float | 
         return chat, rewards, result.observation.success
 
 
-def promise(held: bool, what: str) -> None:
-    """Print a promise; leave with an error if it was not held."""
-    print(f"{'held' if held else 'NOT HELD'}: {what}")
-    if not held:
-        sys.exit(1)
-
-
 async def try_it(url: str) -> None:
     """Play over the wire and check what the first lines of this file promise."""
     (chat, rewards, success), again, other = await asyncio.gather(play(url, 7), play(url, 7), play(url, 8))
     for message in chat:
         print(f"[{message['role']}] {message['content']}")
     print(f"rewards {rewards}, solved: {success}")
-    promise(success is True and rewards[-1] == 1.0, "the game was solved, and every turn has its reward")
-    promise(again == (chat, rewards, success), "one seed gives one episode, in another session too")
-    promise(other[0] != chat, "another seed gives another")
+    check(success is True and rewards[-1] == 1.0, "the game was solved, and every turn has its reward")
+    check(again == (chat, rewards, success), "one seed gives one episode, in another session too")
+    check(other[0] != chat, "another seed gives another")
 
     local = ChatSession(GUESS)
-    promise(local.reset_sync(7) == chat[:1], "the server shows what a local environment shows")
+    check(local.reset_sync(7) == chat[:1], "the server shows what a local environment shows")
     async with GemClient(base_url=url) as left, GemClient(base_url=url) as right:
         await left.reset(seed=1)
         await right.reset(seed=2)
         await left.step(ChatAction(response="\\boxed{1}"))
         states = await left.state(), await right.state()
-        promise([state["step_count"] for state in states] == [1, 0], "sessions do not share their state")
+        check([state["step_count"] for state in states] == [1, 0], "sessions do not share their state")
         cut = await right.step(ChatAction(response="I think", finish_reason="length"))
-        promise(cut.done and cut.observation.success is False, "a response that was cut off is scored by the task")
+        check(cut.done and cut.observation.success is False, "a response that was cut off is scored by the task")
 
 
 def main() -> int:

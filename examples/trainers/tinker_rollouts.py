@@ -46,6 +46,7 @@ from tinker_cookbook.tokenizer_utils import get_tokenizer, register_tokenizer
 import gem_core as gem
 from gem_core.errors import EnvFaultError
 from gem_train.adapters import ChatSession, trial_tokenizer
+from gem_train.adapters.trial import check
 
 GUESS = "game:GuessTheNumber-v0-easy"
 OVERFLOW = {"stop/context_overflow": 1.0}
@@ -206,13 +207,6 @@ class Breaks(gem.Env):
         return "Thanks.", 1.0, True, False, {"correct": True}
 
 
-def promise(held: bool, what: str) -> None:
-    """Print a promise; leave with an error if it was not held."""
-    print(f"{'held' if held else 'NOT HELD'}: {what}")
-    if not held:
-        sys.exit(1)
-
-
 async def main() -> int:
     """Roll out a group with the package's own loop, and look at what it would train on."""
     register_tokenizer("bytes", trial_tokenizer)
@@ -231,8 +225,8 @@ async def main() -> int:
         replays.append(session.rewards)
         print(f"rewards of turns: {session.rewards}")
     kept = [[turn.reward for turn in trajectory.transitions] for trajectory in group.trajectories_G]
-    promise(kept == replays, "each transition has the reward that the environment gave for it")
-    promise(
+    check(kept == replays, "each transition has the reward that the environment gave for it")
+    check(
         len({tuple(each.transitions[0].ob.to_ints()) for each in group.trajectories_G}) == 1, "a group shares a start"
     )
 
@@ -241,15 +235,13 @@ async def main() -> int:
     trained = [int(sum(datum.loss_fn_inputs["mask"].to_torch())) for datum in datums]
     sampled = [sum(len(turn.ac.tokens) for turn in each.transitions) for each in group.trajectories_G]
     print(f"returns {group.get_total_rewards()}, advantages {advantages[0].tolist()}, sampled tokens {sampled}")
-    promise(trained == sampled, "one datum an episode, and the loss is on the sampled tokens, each once")
+    check(trained == sampled, "one datum an episode, and the loss is on the sampled tokens, each once")
 
     gem.register("trial:Breaks-v0", Breaks)
     failing = GemGroupBuilder("trial:Breaks-v0", 0, 2, "bytes", "qwen3_instruct")
     retried = await do_group_rollout(failing, ScriptedCompleter(completer.tokenizer), RetryOnFailure(max_retries=2))
-    promise(
-        retried.get_total_rewards() == [1.0, 1.0], "an episode whose environment failed was tried anew, and is no 0"
-    )
-    promise([each.error_type for each in retried.rollout_errors] == ["EnvFaultError"], "the failure was reported")
+    check(retried.get_total_rewards() == [1.0, 1.0], "an episode whose environment failed was tried anew, and is no 0")
+    check([each.error_type for each in retried.rollout_errors] == ["EnvFaultError"], "the failure was reported")
     return 0
 
 

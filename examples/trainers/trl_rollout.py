@@ -46,40 +46,26 @@ from trl.models import unwrap_model_for_generation
 
 import gem_core as gem
 from gem_train import TokenAgent, batches
-from gem_train.adapters import ChatSession, Generated, trial_tokenizer
+from gem_train.adapters import BatchedEngine, ChatSession, Generated, trial_tokenizer
+from gem_train.adapters.trial import check
 from gem_train.tokens import Completion, completions
 
 MAX_TOKENS = 16
 """Longest response of the trial; ``--max-tokens`` for others."""
 
 
-class Sampler:
-    """Samples for all episodes that wait, in one call of the trainer's engine."""
+def engine_of(trainer: GRPOTrainer, most: int) -> BatchedEngine:
+    """Return what samples for all episodes that wait, in one call of the trainer's own engine."""
 
-    def __init__(self, trainer: GRPOTrainer) -> None:
-        self.trainer, self.waiting = trainer, []
+    def ask(prompts: list[list[int]], limits: list[dict[str, int]]) -> list[Generated]:
+        allowed = [limit["max_tokens"] for limit in limits]
+        answers = []
+        for (ids, logprobs), limit in zip(sample(trainer, prompts, max(allowed)), allowed, strict=True):
+            ended = len(ids) <= limit and ids[-1] in trainer.eos_token_ids
+            answers.append(Generated(ids[:limit], logprobs[:limit], "stop" if ended else "length"))
+        return answers
 
-    async def __call__(self, prompt_ids: list[int], *, max_tokens: int) -> Generated:
-        """Return a continuation of a prompt."""
-        loop = asyncio.get_running_loop()
-        answer = loop.create_future()
-        if not self.waiting:
-            loop.call_later(0.01, self.answer)  # meanwhile the other episodes of the batch ask too
-        self.waiting.append((prompt_ids, max_tokens, answer))
-        return await answer
-
-    def answer(self) -> None:
-        """Sample for those who wait."""
-        waiting, self.waiting = self.waiting, []
-        try:
-            sampled = sample(self.trainer, [ids for ids, _, _ in waiting], max(limit for _, limit, _ in waiting))
-        except Exception as error:  # noqa: BLE001 - raised again where it is awaited
-            for _, _, answer in waiting:
-                answer.set_exception(error)
-            return
-        for (_, limit, answer), (ids, logprobs) in zip(waiting, sampled, strict=True):
-            ended = len(ids) <= limit and ids[-1] in self.trainer.eos_token_ids
-            answer.set_result(Generated(ids[:limit], logprobs[:limit], "stop" if ended else "length"))
+    return BatchedEngine(ask, most=most)
 
 
 def sample(trainer: GRPOTrainer, prompts: list[list[int]], max_tokens: int) -> list[tuple[list[int], list[float]]]:
@@ -120,7 +106,7 @@ def rollout_with(max_tokens: int) -> Any:
         ]
         context = trainer.accelerator.unwrap_model(trainer.model).config.max_position_embeddings
         tokenizer = trainer.processing_class
-        agent = TokenAgent(Sampler(trainer), tokenizer, max_tokens=max_tokens, max_context=context)
+        agent = TokenAgent(engine_of(trainer, len(plan)), tokenizer, max_tokens=max_tokens, max_context=context)
 
         async def play() -> list[gem.Episode]:
             names = sorted({start["env"] for start in starts})
@@ -160,13 +146,6 @@ def reward_of_episode(episode_return: list[float | None], **kwargs: Any) -> list
     return episode_return
 
 
-def dataset(env_ids: Sequence[str], tasks: int) -> Dataset:
-    """Return prompts that name a task each."""
-    return Dataset.from_list(
-        [{"prompt": json.dumps({"env": env, "seed": seed})} for seed in range(tasks) for env in env_ids]
-    )
-
-
 # A trial of it.
 
 
@@ -201,13 +180,6 @@ def imitate(model: Any, tokenizer: Any, steps: int = 120) -> None:
         optimizer.zero_grad()
 
 
-def promise(held: bool, what: str) -> None:
-    """Print a promise; leave with an error if it was not held."""
-    print(f"{'held' if held else 'NOT HELD'}: {what}")
-    if not held:
-        sys.exit(1)
-
-
 def difference(model: Any, fields: dict[str, list[Any]]) -> float:
     """Return how far the reported log-probabilities are from those of the model, at most."""
     most = 0.0
@@ -219,24 +191,21 @@ def difference(model: Any, fields: dict[str, list[Any]]) -> float:
     return most
 
 
-def check(seen: list[Any], before: list[Any], trainer: GRPOTrainer) -> None:
+def check_trial(seen: list[Any], before: list[Any], trainer: GRPOTrainer) -> None:
     """Check a trial."""
     prompts, fields, worst = seen[0]
     print(trainer.processing_class.decode(fields["prompt_ids"][0] + fields["completion_ids"][0]))
     for prompt, mask, reward in zip(prompts, fields["env_mask"], fields["episode_return"], strict=True):
         print(f"{prompt}: {sum(mask)} of {len(mask)} tokens are the model's, return {reward}")
-    promise(worst < 1e-3, f"log-probabilities are those of the model (largest difference {worst:.1e})")
+    check(worst < 1e-3, f"log-probabilities are those of the model (largest difference {worst:.1e})")
     starts = {(prompt, tuple(ids)) for prompt, ids in zip(prompts, fields["prompt_ids"], strict=True)}
-    promise(len(starts) == len(set(prompts)), "a group shares a start")
-    failed = [
-        sum(mask) for mask, value in zip(fields["env_mask"], fields["episode_return"], strict=True) if value is None
-    ]
-    promise(
-        len(failed) == 2 and not any(failed), "no token of an episode with an error is learnt, and it has no reward"
-    )
-    promise(all(torch.isfinite(weight).all() for weight in trainer.model.parameters()), "weights are finite")
-    moved = sum(not torch.equal(old, new.detach()) for old, new in zip(before, trainer.model.parameters(), strict=True))
-    promise(moved == len(before), f"{len(seen)} optimiser steps moved all {moved} weight tensors")
+    check(len(starts) == len(set(prompts)), "a group shares a start")
+    masks = zip(fields["episode_return"], fields["env_mask"], strict=True)
+    failed = [sum(mask) for value, mask in masks if value is None]
+    check(failed == [0, 0], "an episode with an error has no reward, and none of its tokens is learnt")
+    weights = zip(before, trainer.model.parameters(), strict=True)
+    moved = sum(bool(new.isfinite().all()) and not torch.equal(old, new.detach()) for old, new in weights)
+    check(moved == len(before), f"{len(seen)} optimiser steps moved all {moved} weight tensors")
 
 
 def main() -> int:
@@ -244,11 +213,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--model", help="a model of the hub; by default a tiny random one, for a trial")
     parser.add_argument("--env", default="game:GuessTheNumber-v0-easy")
-    parser.add_argument("--steps", type=int, default=2)
+    parser.add_argument("--steps", type=int, default=3)
     parser.add_argument("--max-tokens", type=int, default=512, help="longest response, with --model")
     options = parser.parse_args()
     torch.manual_seed(0)
     if options.model is None:
+        torch.set_num_threads(1)  # more would wait for each other at this size
         tokenizer = trial_tokenizer()
         size = {"hidden_size": 64, "intermediate_size": 128, "num_hidden_layers": 2, "head_dim": 16}
         heads = {"num_attention_heads": 4, "num_key_value_heads": 2, "max_position_embeddings": 2048}
@@ -266,6 +236,8 @@ def main() -> int:
         return fields
 
     gem.register("trial:Flaky-v0", Flaky)
+    env_ids = [options.env, "trial:Flaky-v0"] if trial else [options.env]
+    rows = [{"prompt": json.dumps({"env": env_id, "seed": seed})} for seed in range(1000) for env_id in env_ids]
     # fmt: off
     with tempfile.TemporaryDirectory() as folder:
         config = GRPOConfig(
@@ -275,14 +247,14 @@ def main() -> int:
             vllm_mode="colocate",
         )
         trainer = GRPOTrainer(
-            model, reward_of_episode, config, dataset([options.env, *(["trial:Flaky-v0"] if trial else [])], 64),
-            processing_class=tokenizer, rollout_func=watched if trial else rollout,
+            model, reward_of_episode, config, Dataset.from_list(rows), processing_class=tokenizer,
+            rollout_func=watched if trial else rollout,
         )
         # fmt: on
         before = [weight.detach().clone() for weight in model.parameters()]
         trainer.train()
         if trial:
-            check(seen, before, trainer)
+            check_trial(seen, before, trainer)
         else:
             trainer.save_model("trl-rollout")
     return 0

@@ -6,14 +6,25 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from gem_train.adapters.batched_engine import BatchedEngine
     from gem_train.adapters.chat_session import ChatSession, ChatStep
     from gem_train.adapters.chat_template import ChatTemplate
     from gem_train.adapters.token_agent import Generated, TokenAgent
     from gem_train.adapters.trial import TrialEngine, trial_tokenizer
 
-__all__ = ["ChatSession", "ChatStep", "ChatTemplate", "Generated", "TokenAgent", "TrialEngine", "trial_tokenizer"]
+__all__ = [
+    "BatchedEngine",
+    "ChatSession",
+    "ChatStep",
+    "ChatTemplate",
+    "Generated",
+    "TokenAgent",
+    "TrialEngine",
+    "trial_tokenizer",
+]
 
 _HOME = {
+    "BatchedEngine": "batched_engine",
     "ChatSession": "chat_session",
     "ChatStep": "chat_session",
     "ChatTemplate": "chat_template",

@@ -27,7 +27,7 @@ class ChatTemplate:
 
     Args:
         tokenizer: One of transformers, with a chat template; or an object with ``apply_chat_template``, ``encode``,
-            ``decode`` and ``all_special_ids`` that work as theirs do.
+            ``decode``, ``all_special_ids`` and ``all_special_tokens`` that work as theirs do.
         **kwargs: More keyword arguments for the template, as ``enable_thinking=False``.
 
     Raises:
@@ -82,6 +82,14 @@ class ChatTemplate:
     def ended(self, ids: Sequence[int]) -> bool:
         """Tell whether the last sampled token is a special one, which ends a turn and is no part of the text."""
         return bool(ids) and ids[-1] in self._special_ids
+
+    def split_end(self, text: str) -> tuple[str, str]:
+        """Split a response that was decoded with special tokens into its text and the token that ended its turn.
+
+        The second is empty where the response was cut off. ``bridge.removeprefix(end)`` then follows the response.
+        """
+        end = max((token for token in self.tokenizer.all_special_tokens if text.endswith(token)), key=len, default="")
+        return text.removesuffix(end), end
 
     def follow(self, ids: Sequence[int], bridge: str) -> list[int]:
         """Return the tokens that a bridge adds to a sampled response, which may have ended its turn itself."""

@@ -1,8 +1,10 @@
-"""A tokenizer and an engine for trying an adapter without a model: what they do is known token by token."""
+"""A tokenizer and an engine for trying an adapter without a model, and checks of what comes out, token by token."""
 
 from __future__ import annotations
 
 import importlib
+import sys
+from collections.abc import Sequence
 from typing import Any
 
 from gem_train.adapters.token_agent import Generated
@@ -73,3 +75,40 @@ class TrialEngine:
 def trial_logprob(place: int) -> float:
     """Return the log-probability of the token at a place of a sequence."""
     return -(place + 1) / 1024
+
+
+def check(held: bool, promise: str) -> None:
+    """Print a promise; end the program with exit code 1 where it was not held.
+
+    Raises:
+        SystemExit: It was not.
+    """
+    sys.stdout.write(f"{'held:  ' if held else 'BROKEN:'} {promise}\n")
+    if not held:
+        sys.exit(1)
+
+
+def check_sequence(engine: TrialEngine, ids: Sequence[int], mask: Sequence[Any], logprobs: Sequence[float]) -> None:
+    """Check the one sequence of the one episode that an engine has served.
+
+    Args:
+        engine: Its ``calls`` are those of the episode.
+        ids: The tokens, prompt included.
+        mask: True on the tokens that a loss may use; as long as ``ids``.
+        logprobs: As long as ``ids``; 0 where nothing was sampled.
+
+    Raises:
+        SystemExit: Something is not as it was sent and sampled.
+    """
+    sampled = [False] * len(ids)
+    end = 0
+    for prompt_ids, made in engine.calls:
+        end = len(prompt_ids) + len(made.token_ids)
+        check(list(ids[:end]) == [*prompt_ids, *made.token_ids], "a response stands after its prompt as it was sampled")
+        sampled[len(prompt_ids) : end] = [True] * len(made.token_ids)
+    check(len(ids) == end and ids[-1] == engine.tokenizer.eos_token_id, "the sequence ends with the last response")
+    check(list(map(bool, mask)) == sampled, "the mask is set on sampled tokens, and on no others")
+    wanted = [trial_logprob(place) if kept else 0.0 for place, kept in enumerate(sampled)]
+    check(list(logprobs) == wanted, "every log-probability is in its place")
+    text = engine.tokenizer.decode(list(ids))
+    check(text.count("<|im_start|>") == text.count("<|im_end|>"), "every turn is closed once")
