@@ -25,7 +25,7 @@ What it can take: rewards per turn. Each stands on the last token of its respons
 What it cannot take, and what happens then:
 
 - Native tool calls: its environments read text. GEM explains the tools in the first message and reads calls from text.
-- An episode whose environment failed: SkyRL-gym has no mark for it, so ``step`` raises ``EpisodeFailed``, and the
+- An episode whose environment failed: SkyRL-gym has no mark for it, so ``step`` raises ``EnvFaultError``, and the
   trainer's generator below plays the row again from its start, twice at most; then the run stops with the error. It is
   never a reward of 0.
 - ``generator.max_turns``: the last response that it allows ends the episode (``done``) and closes the environment. One
@@ -42,11 +42,8 @@ import skyrl_gym
 from skyrl_gym.envs.base_text_env import BaseTextEnv, BaseTextEnvStepOutput
 
 import gem_core as gem
+from gem_core.errors import EnvFaultError
 from gem_train import ChatSession
-
-
-class EpisodeFailed(Exception):
-    """The environment failed, not the agent: the episode says nothing about the policy."""
 
 
 class GemTextEnv(BaseTextEnv):
@@ -76,7 +73,7 @@ class GemTextEnv(BaseTextEnv):
         step = self.session.step_sync(action)
         if step.error is not None:
             self.close()
-            raise EpisodeFailed(f"{self.start['id']}: {step.error['message']}")
+            raise EnvFaultError(f"{self.start['id']}: {step.error['message']}")
         done = step.done or self.turns >= self.max_turns
         if done:
             self.close()
@@ -136,7 +133,7 @@ def patient(generator_class, retries=2):
             for left in reversed(range(retries + 1)):
                 try:
                     return await super().agent_loop(*arguments, **options)
-                except EpisodeFailed:
+                except EnvFaultError:
                     if not left:
                         raise
 
