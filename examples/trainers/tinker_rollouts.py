@@ -1,11 +1,11 @@
 # /// script
 # requires-python = ">=3.11"
-# dependencies = ["tinker-cookbook>=0.6.1,<0.7", "torch", "transformers", "gem-core", "gem-games", "gem-train"]
+# dependencies = ["tinker-cookbook>=0.5.8,<0.7", "torch", "transformers", "gem-core", "gem-games", "gem-train"]
 # ///
 r"""Tinker cookbook: rollouts of its own in environments of GEM, with a reward on each transition.
 
-Shows an ``Env``, an ``EnvGroupBuilder`` and a data set of tinker-cookbook 0.6, and drives them with the package's own
-``do_group_rollout``. Training itself runs on Tinker's paid service, on their GPUs.
+Shows an ``Env``, an ``EnvGroupBuilder`` and a data set of tinker-cookbook (tried with 0.5.8 and 0.6.1), and drives them
+with the package's own ``do_group_rollout``. Training itself runs on Tinker's paid service.
 
 Install and run it here, in an environment of its own; a script stands in for the model::
 

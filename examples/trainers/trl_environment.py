@@ -186,16 +186,21 @@ def tiny(texts: list[str], template: str) -> tuple[Any, Any]:
     return Qwen3ForCausalLM(Qwen3Config(vocab_size=len(tokenizer), **size, **heads)), tokenizer
 
 
-def imitate(model: Any, tokenizer: Any, environments: list[GemEnvironment], steps: int = 300) -> None:
+def imitate(
+    model: Any, tokenizer: Any, environments: list[GemEnvironment], steps: int = 300, rate: float = 1e-2
+) -> None:
     """Teach a random model to write calls, first ones and second ones, so that it has something to learn from."""
-    optimizer = torch.optim.Adam(model.parameters(), lr=3e-3)
+    optimizer = torch.optim.Adam(model.parameters())
     for step in range(steps):
+        optimizer.param_groups[0]["lr"] = rate * (1 - step / steps)
         env = environments[step % 2]
         chat: list[dict[str, Any]] = [{"role": "user", "content": env.reset(step)}]
-        digits = step % 5 + 1, step // 5 % 5 + 1
-        call = {"name": "answer", "arguments": {"response": f"\\boxed{{{digits[0]} {digits[1]}}}"}}
-        if env is environments[1] and step % 4 == 1:
-            call = {"name": "halfway", "arguments": {"left": digits[0], "right": digits[1]}}
+        first, second = step % 5 + 1, step // 5 % 5 + 1
+        call = {"name": "answer", "arguments": {"response": f"\\boxed{{{first} {second}}}"}}
+        if env is environments[1]:
+            call["arguments"] = {"response": f"\\boxed{{{first}}}"}
+            if step % 4 == 1:
+                call = {"name": "halfway", "arguments": {"left": first, "right": second}}
         if step % 3 == 0:
             answered = env.answer(call["arguments"].get("response", ""))
             chat += [{"role": "assistant", "content": "", "tool_calls": [{"type": "function", "function": call}]},
@@ -281,7 +286,7 @@ def main() -> int:
         # fmt: off
         config = trl.GRPOConfig(
             folder, max_steps=options.steps, per_device_train_batch_size=8, num_generations=4, shuffle_dataset=False,
-            learning_rate=1e-3 if trial else 1e-6, beta=0.0, logging_steps=1, report_to="none", save_strategy="no",
+            learning_rate=1e-4 if trial else 1e-6, beta=0.0, logging_steps=1, report_to="none", save_strategy="no",
             max_completion_length=256 if trial else 4096, max_tool_calling_iterations=3 if trial else None,
             use_cpu=not torch.cuda.is_available(), use_vllm=not trial and find_spec("vllm") is not None,
             vllm_mode="colocate",
