@@ -13,8 +13,9 @@ Here, on a CPU: the environment, registered, made and stepped by SkyRL-gym, as i
 On GPUs (``pip install "skyrl[fsdp]" gem-core gem-games gem-train``): write rows, then train. Every option of SkyRL's is
 one here; ``environment.env_class=gem`` and ``generator.max_turns`` (1 by default) matter::
 
-    python skyrl_env.py rows "game:GuessTheNumber-v0" 1000 > train.jsonl     # seeds from 0, and '{"wrappers": …}'
-    python skyrl_env.py rows "game:GuessTheNumber-v0" 100 1000 > validation.jsonl  # seeds from 1000
+    python skyrl_env.py rows "game:GuessTheNumber-v0" 1000 > train.jsonl
+    python skyrl_env.py rows "game:GuessTheNumber-v0" 100 1000 > validation.jsonl  # the seeds from 1000
+    python skyrl_env.py rows "game:GuessTheNumber-v0" 1000 0 '{"wrappers": ["python"]}' > with_a_tool.jsonl
     python skyrl_env.py data.train_data="['train.jsonl']" data.val_data="['validation.jsonl']" \
         environment.env_class=gem generator.batched=false generator.max_turns=10 generator.n_samples_per_prompt=8 \
         trainer.algorithm.advantage_estimator=grpo trainer.policy.model.path=Qwen/Qwen3-1.7B trainer.strategy=fsdp
