@@ -16,7 +16,7 @@ For rollouts and training, this file is the server ``resources_servers/gem/app.p
 ``responses_api_agents/gem_agent/app.py`` in the folder from which ``gym`` is started (a copy or a link), each beside a
 ``requirements.txt`` with nemo-gym, gem-core, gem-train and the plugins of your environments. Then::
 
-    python resources_servers/gem/app.py rows "game:GuessTheNumber-v0" 1000 > rows.jsonl  # and '{"wrappers": …}'
+    python resources_servers/gem/app.py rows "game:GuessTheNumber-v0" 1000 '{"wrappers": []}' > rows.jsonl
     python resources_servers/gem/app.py configuration > gem.yaml
     gym env start --config gem.yaml --config YOUR_MODEL.yaml
     gym eval run --no-serve --agent gem_agent --input rows.jsonl --output rollouts.jsonl --num-repeats 8
@@ -299,8 +299,9 @@ def check(promise, held):
 
 if __name__ == "__main__":
     match sys.argv[1:]:
-        case ["rows", env_id, count, *kwargs]:
-            for row in rows(env_id, int(count), **json.loads(kwargs[0] if kwargs else "{}")):
+        case ["rows", env_id, *rest]:
+            count, kwargs = (*rest, *("0", "{}")[len(rest) :])
+            for row in rows(env_id, int(count), **json.loads(kwargs)):
                 print(json.dumps(row))
         case ["configuration"]:
             print(CONFIGURATION)

@@ -261,8 +261,8 @@ if __name__ == "__main__":
     match sys.argv[1:]:
         case []:
             asyncio.run(main())
-        case ["rows", env_id, count, *rest]:
-            first, kwargs = (*rest, *("0", "{}")[len(rest) :])
+        case ["rows", env_id, *rest]:
+            count, first, kwargs = (*rest, *("0", "0", "{}")[len(rest) :])
             for row in rows(env_id, int(count), int(first), **json.loads(kwargs)):
                 print(json.dumps(row))
         case options:
