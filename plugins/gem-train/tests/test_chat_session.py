@@ -89,8 +89,18 @@ def test_messages_are_appended_and_rewards_are_kept():
         assert (session.episode.seed, session.episode.options) == (5, {"index": 7})
 
 
+def test_system_text_of_the_trainer_replaces_the_tasks():
+    """It takes its place."""
+    session = ChatSession(CountEnv(), system="You are brief.")
+    assert session.reset_sync()[0] == {"role": "system", "content": "You are brief."}
+    assert session.step_sync("one").messages == [{"role": "user", "content": "Turn 1."}]
+
+
 def test_asynchronous_form_gives_the_same_episode():
     """``await reset`` and ``await step`` do what their plain forms do."""
+
+    async def first(session: ChatSession) -> str:
+        return str((await session.reset(seed=3, options={"index": 7}))[-1]["content"])
 
     async def play(session: ChatSession) -> gem.Episode:
         await session.reset(seed=3)
@@ -103,6 +113,7 @@ def test_asynchronous_form_gives_the_same_episode():
     while not plain.done:
         plain.step_sync("\\boxed{5}")
     assert asyncio.run(play(ChatSession(GUESS))) == plain.episode
+    assert asyncio.run(first(ChatSession(CountEnv()))).endswith("row 7.")
 
 
 def test_same_seed_starts_the_same_task():
@@ -126,7 +137,13 @@ def test_response_keeps_what_was_reported():
 
 def test_exception_in_step_is_an_error_and_no_loss():
     """The episode is cut off, its success unknown; an environment made from an id is made anew."""
-    gem.register("check:Count-v0", CountEnv)
+    made: list[CountEnv] = []
+
+    def make() -> CountEnv:
+        made.append(CountEnv())
+        return made[-1]
+
+    gem.register("check:Count-v0", make)
     session = ChatSession("check:Count-v0")
     for fault, told in (("break", "RuntimeError: the engine is gone"), ("malformed", "TypeError: CountEnv: step must")):
         session.reset_sync(seed=0)
@@ -139,6 +156,11 @@ def test_exception_in_step_is_an_error_and_no_loss():
         assert session.error == step.error
         assert session.success is None
         assert session.rewards == [1.0, 0.0]
+    session.reset_sync()
+    assert [env.closed for env in made] == [True, True, False]
+    bare = ChatSession(CountEnv())  # without the guard that make puts around it
+    bare.reset_sync()
+    assert bare.step_sync("malformed").error is not None
 
 
 def test_exception_in_reset_is_raised():

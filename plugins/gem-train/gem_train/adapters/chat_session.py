@@ -59,7 +59,7 @@ class ChatSession:
 
     Args:
         env: The id of an environment; or one that is made already, which then belongs to the session.
-        system: System text that goes before the task's own; None for that of the task.
+        system: System text that takes the place of the task's own; None for that of the task.
         native_tools: Whether the trainer offers the model the schemas in ``tools``, so that no text explains them.
         **kwargs: Passed to ``make`` with an id, ``wrappers`` among them.
 
