@@ -25,8 +25,8 @@ and train on GPUs with prime-rl (``uv run rl @ rl.toml``), where the source is::
     env.taskset = {id = "verifiers_v1", env_id = "game:GuessTheNumber-v0"}
     env.player.runtime.type = "subprocess"
 
-An OpenEnv server (``openenv_server.py``) also plays under verifiers' own taskset ``openenv``, without this file; its
-model then reads each observation as JSON, with the schema of an action beside it.
+verifiers' own taskset ``openenv`` plays OpenEnv servers without this file, with each observation as JSON beside the
+schema of an action.
 
 What it cannot take, and what happens then:
 

@@ -372,3 +372,20 @@ def test_nemo_tells_a_response_that_was_cut_off(nemo: Any) -> None:
     """It is stepped as it is."""
     assert nemo.response_of(said("x", cut_off=True)).finish_reason == "length"
     assert nemo.response_of(said("x")).finish_reason == "stop"
+
+
+def test_nemo_closes_what_was_left(nemo: Any, closed: list[object]) -> None:
+    """An episode whose session begins another, and those of agents that never came back."""
+    row = {"gem": {"id": register("Whole"), "seed": 3}}
+
+    async def play() -> None:
+        server = nemo.GemServer(nemo.GemServerConfig(idle_s=3600.0))
+        await server.reset(row, "a")
+        await server.reset(row, "a")
+        assert len(closed) == 1
+        server.config.idle_s = -1.0
+        await server.reset(row, "b")
+        assert list(server.session_state) == ["b"]
+
+    asyncio.run(play())
+    assert len(closed) == 2
