@@ -228,9 +228,8 @@ def check_trial(seen: list[Any], before: list[Any], trainer: Any) -> None:
     for name, column in (("plain", "Plain"), ("with_tool", "WithTool")):
         returns = [episode.episode_return for own, _, _, episode in seen[0] if own == name]
         logged = float(trainer.state.log_history[0][f"rewards/{column}/mean"])
-        check(
-            abs(logged - sum(returns) / len(returns)) < 1e-3, f"{name}: TRL's rewards are the returns of the episodes"
-        )
+        same = abs(logged - sum(returns) / len(returns)) < 1e-3
+        check(same, f"{name}: TRL's rewards are the returns of the episodes")
     weights = zip(before, trainer.model.parameters(), strict=True)
     moved = sum(bool(new.isfinite().all()) and not torch.equal(old, new.detach()) for old, new in weights)
     check(moved == len(before), f"{len(seen)} optimiser steps moved all {moved} weight tensors")
@@ -239,9 +238,7 @@ def check_trial(seen: list[Any], before: list[Any], trainer: Any) -> None:
 def main() -> int:
     """Train; without a model's name, do the trial and check what the first lines of this file promise."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument(
-        "--model", help="a model of the hub that calls tools; by default a tiny random one, for a trial"
-    )
+    parser.add_argument("--model", help="of the hub, one that calls tools; by default a tiny random one, for a trial")
     parser.add_argument("--env", default="game:Mastermind-v0-easy")
     parser.add_argument("--steps", type=int, default=3)
     options = parser.parse_args()
@@ -257,9 +254,8 @@ def main() -> int:
         template = (Path(trl.__file__).with_name("chat_templates") / "qwen3_instruct_2507.jinja").read_text()
         environments = [each() for each in classes.values()]
         texts = [*(each.reset(0) for each in environments), template]
-        model, tokenizer = tiny(
-            [*texts, as_text({"name": "answer", "arguments": {"response": "\\boxed{5}"}})], template
-        )
+        texts.append(as_text({"name": "answer", "arguments": {"response": "\\boxed{5}"}}))
+        model, tokenizer = tiny(texts, template)
         imitate(model, tokenizer, environments)
     else:
         tokenizer = AutoTokenizer.from_pretrained(options.model)
@@ -267,17 +263,8 @@ def main() -> int:
 
     def watch(environments: list[GemEnvironment], completions: list[Any], **row: Any) -> list[None]:
         """Note what was played; give no reward, since the environments do."""
-        seen.append(
-            list(
-                zip(
-                    row["environment"],
-                    row["seed"],
-                    completions,
-                    [each.session.episode for each in environments],
-                    strict=True,
-                )
-            )
-        )
+        episodes = [each.session.episode for each in environments]
+        seen.append(list(zip(row["environment"], row["seed"], completions, episodes, strict=True)))
         return [None] * len(environments)
 
     rows = [{"prompt": [{"role": "user", "content": ""}], "environment": name, "seed": seed}
@@ -291,10 +278,11 @@ def main() -> int:
             use_cpu=not torch.cuda.is_available(), use_vllm=not trial and find_spec("vllm") is not None,
             vllm_mode="colocate",
         )
-        # fmt: on
         trainer = trl.GRPOTrainer(
-            model, watch, config, Dataset.from_list(rows), processing_class=tokenizer, environment_factory=classes
+            model, watch if trial else None, config, Dataset.from_list(rows), processing_class=tokenizer,
+            environment_factory=classes,
         )
+        # fmt: on
         before = [weight.detach().clone() for weight in model.parameters()]
         trainer.train()
         if trial:

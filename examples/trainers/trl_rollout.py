@@ -19,9 +19,9 @@ On a GPU, with a model of the hub, sampled by vLLM in the same process where tha
 What TRL cannot take: one scalar stands for an episode, the sum of the rewards of its turns. Several agents: play one
 seat (``gem.single_agent``). Images. An episode that ended in an error has the reward None, which TRL leaves out of the
 group's baseline, and no token of it is learnt. A tool that fails is told to the model. A response that was cut off is
-scored by the task. A context that overflows ends the episode with what was earned so far. A chat template that drops
-the thinking of earlier turns would make several sequences of an episode, and is refused. Each process samples by
-itself, so vLLM runs ``colocate``, and weights are not sharded over processes.
+scored by the task. A context that overflows ends the episode with what was earned so far. One sequence stands for an
+episode: where a chat template rewrites earlier turns, as by dropping their thinking, only those after that are learnt;
+TRL has templates that keep them, used here. Each process samples by itself: vLLM ``colocate``, weights not sharded.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib.util import find_spec
 from typing import Any
 
@@ -42,6 +43,7 @@ import torch
 from datasets import Dataset
 from transformers import AutoModelForCausalLM, AutoTokenizer, Qwen3Config, Qwen3ForCausalLM
 from trl import GRPOConfig, GRPOTrainer
+from trl.chat_template_utils import get_training_chat_template
 from trl.models import unwrap_model_for_generation
 
 import gem_core as gem
@@ -75,9 +77,8 @@ def sample(trainer: GRPOTrainer, prompts: list[list[int]], max_tokens: int) -> l
         _, ids, logprobs, _ = trainer.vllm_generation.generate(prompts=prompts, images=None, num_generations=1)
         return [(each, [float(best[0]) for best in own]) for each, own in zip(ids, logprobs, strict=True)]
     tokenizer, ends = trainer.processing_class, list(trainer.eos_token_ids)
-    inputs = tokenizer.pad({"input_ids": prompts}, padding_side="left", return_tensors="pt").to(
-        trainer.accelerator.device
-    )
+    padded = tokenizer.pad({"input_ids": prompts}, padding_side="left", return_tensors="pt")
+    inputs = padded.to(trainer.accelerator.device)
     width = inputs["input_ids"].shape[1]
     # fmt: off
     with torch.no_grad(), unwrap_model_for_generation(trainer.model_wrapped, trainer.accelerator) as model:
@@ -121,16 +122,11 @@ def rollout_with(max_tokens: int) -> Any:
 def trl_fields(episodes: Sequence[gem.Episode], filler: int) -> dict[str, list[Any]]:
     """Return episodes as TRL takes completions, with the return of each for the reward function.
 
-    An episode without a response, as where the environment could not start, is a token that is not learnt.
+    An episode without a response, as where the environment could not start, is a token that is not learnt. Of one whose
+    chat template rewrote earlier turns, those after that are learnt, with what is before them as their prompt.
     """
-    rows: dict[int, Completion] = {}
-    for row in completions(batches(episodes, form="trajectories", pad_id=filler)):
-        if row.episode in rows:
-            raise ValueError(
-                "a prompt does not begin with the tokens before it, and TRL takes one sequence for an episode: use a "
-                "chat template that keeps earlier turns as they were, as those of TRL's get_training_chat_template"
-            )
-        rows[row.episode] = row
+    batch = batches(episodes, form="trajectories", pad_id=filler)
+    rows = {row.episode: row for row in completions(batch)}  # of several sequences the last: TRL takes one
     every = [rows.get(place, Completion([filler], [filler], [0], [0.0], place)) for place in range(len(episodes))]
     return {
         "prompt_ids": [row.prompt_ids for row in every],
@@ -226,6 +222,8 @@ def main() -> int:
         imitate(model, tokenizer)
     else:
         tokenizer = AutoTokenizer.from_pretrained(options.model)
+        with suppress(ValueError):  # of a family that TRL has no template for: it stays as it is
+            tokenizer.chat_template = get_training_chat_template(tokenizer) or tokenizer.chat_template
         model = AutoModelForCausalLM.from_pretrained(options.model, dtype="auto")
     trial = options.model is None
     rollout, seen = rollout_with(MAX_TOKENS if trial else options.max_tokens), []

@@ -21,6 +21,7 @@ UNUSED = dict.fromkeys(
 )
 STAND_INS: dict[str, dict[str, Any]] = {
     "trl": {"GRPOConfig": None, "GRPOTrainer": None},
+    "trl.chat_template_utils": {"get_training_chat_template": None},
     "trl.models": {"unwrap_model_for_generation": None},
     "datasets": {"Dataset": None},
     "transformers": UNUSED,
@@ -74,10 +75,11 @@ def test_trl_rollout_leaves_errors_out(rollout: Any) -> None:
     assert rollout.reward_of_episode(**fields, prompts=[]) == [None, None]
 
 
-def test_trl_rollout_refuses_several_sequences(rollout: Any) -> None:
-    """The error says which templates keep one."""
-    with pytest.raises(ValueError, match="get_training_chat_template"):
-        rollout.trl_fields(list(gem.rollout(register("Whole"), rewriting, episodes=1)), filler=9)
+def test_trl_rollout_takes_the_last_of_several_sequences(rollout: Any) -> None:
+    """The model's text can make a template rewrite earlier turns, which must not end a training."""
+    fields = rollout.trl_fields(list(gem.rollout(register("Whole"), rewriting, episodes=1)), filler=9)
+    assert (fields["prompt_ids"], fields["completion_ids"], fields["env_mask"]) == ([[2, 3]], [[10]], [[1]])
+    assert fields["episode_return"] == [6.0]
 
 
 def test_trl_samples_once_for_all_who_wait(rollout: Any, monkeypatch: pytest.MonkeyPatch) -> None:

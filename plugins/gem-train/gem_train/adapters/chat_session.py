@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from contextlib import suppress
 from typing import Any, NamedTuple, Self
 
 from gem_core import Episode, MultiAgentEnv, PlanItem, Response, Transition, make
@@ -267,7 +268,8 @@ class ChatSession:
         if self._id is not None:
             env, self._env = self._env, None
             if env is not None:
-                env.close()
+                with suppress(Exception):  # what failed first is told
+                    env.close()
 
 
 def _described(env: AnyEnv) -> dict[str, Any]:
