@@ -88,7 +88,7 @@ def try_one(name: str, venv: Path, timeout_s: float) -> Result:
     """Install what a file needs and run it."""
     file = TRAINERS / f"{name}.py"
     needs = needs_of(file.read_text(encoding="utf-8"))
-    interpreter = sys.executable if needs.python is None else shutil.which(f"python{needs.python}")
+    interpreter = sys.executable if needs.python is None else interpreter_of(needs.python)
     if interpreter is None:
         return Result(name, needs.framework, "-", f"python{needs.python} is not installed", 0.0)
     print(f"==> {name}: installing", flush=True)
@@ -101,6 +101,20 @@ def try_one(name: str, venv: Path, timeout_s: float) -> Result:
     began = time.monotonic()
     result = run_file(python, file, timeout_s)
     return Result(name, needs.framework, version_of(python, needs.framework), result, time.monotonic() - began)
+
+
+def interpreter_of(version: str) -> str | None:
+    """Return an interpreter of a version, as ``"3.12"``, on the PATH or among pyenv's; None where none runs.
+
+    What pyenv puts on the PATH runs only the versions that it was told to use.
+    """
+    found = [shutil.which(f"python{version}")]
+    root = Path(os.environ.get("PYENV_ROOT", "~/.pyenv")).expanduser()
+    found += sorted(map(str, root.glob(f"versions/{version}*/bin/python{version}")))
+    for path in filter(None, found):
+        if subprocess.run([path, "--version"], capture_output=True).returncode == 0:
+            return path
+    return None
 
 
 def run_file(python: Path, file: Path, timeout_s: float) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -76,7 +75,7 @@ TRAINERS = sorted(path.stem for path in (ROOT / "examples" / "trainers").glob("*
 def test_trainer_keeps_its_promises(trainers: ModuleType, name: str) -> None:
     """Each file runs with its framework, installed from the package index, and ends with exit code 0."""
     python = trainers.needs_of((ROOT / "examples" / "trainers" / f"{name}.py").read_text(encoding="utf-8")).python
-    if python is not None and shutil.which(f"python{python}") is None:
+    if python is not None and trainers.interpreter_of(python) is None:
         pytest.skip(f"it needs Python {python}")
     command = [sys.executable, "scripts/trainers.py", name]
     done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
