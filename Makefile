@@ -85,6 +85,10 @@ bench: $(VENV)/.installed $(VENV)-peer/.installed $(VENV)-inspect/.installed ## 
 	@for script in $(BENCHMARKS); do \
 		$(BIN)/python "$$script" --ours $(BIN)/python --peer $(VENV)-peer/bin/python || exit 1; done
 
+.PHONY: trainers
+trainers: ## run each file of examples/trainers with its framework, in environments of their own (ARGS="trl_rollout …")
+	@$(PYTHON) scripts/trainers.py $(ARGS)
+
 .PHONY: constraints
 constraints: ## pin the newest versions in constraints.txt (PYTHONS="python3.11 python3.12 …")
 	@$(PYTHON) scripts/constraints.py $(or $(PYTHONS),$(PYTHON))
@@ -92,7 +96,7 @@ constraints: ## pin the newest versions in constraints.txt (PYTHONS="python3.11 
 .PHONY: clean
 clean: ## remove all that these commands made, but for runs/
 	@if [ -d .venv-docker ]; then scripts/docker_engine.sh stop; fi
-	rm -rf .venv-docker $(VENV) $(VENV)-isolated $(VENV)-peer $(VENV)-inspect .venv-mcp build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv-docker $(VENV) $(VENV)-isolated $(VENV)-peer $(VENV)-inspect .venv-trainers .venv-mcp build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The environments. A stamp file says that one is up to date; what it was made from stands behind the colon.

@@ -1,0 +1,261 @@
+"""``TokenBatch``: rows of tokens, and the turns that they belong to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence, Sized
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gem_core.errors import ArgumentError
+
+Ids = Sequence[int] | NDArray[Any]
+"""Token ids of one piece of a row: a list, or an array of one dimension."""
+
+Logprobs = Sequence[float] | NDArray[Any] | None
+"""One log-probability for each sampled token; None where they are not known."""
+
+
+@dataclass(eq=False)
+class TokenBatch:
+    """Rows of tokens, and the turns that they belong to.
+
+    E episodes have at most T turns; the tokens are in rows of at most L, each of one turn or several of an episode.
+    Arrays (E, T) have the turns first and padding after them.
+
+    Args:
+        tokens: int64, (rows, L); padded on the right.
+        lengths: int64, (rows,); number of tokens of each row.
+        token_mask: bool, (rows, L); True on tokens that the model sampled. A loss takes ``loss_mask`` instead.
+        logprobs: float32, (rows, L); of the sampled tokens as the sampler reported them, NaN where it did not; 0 on all
+            other tokens.
+        episode: int64, (rows,); index of the row's episode.
+        turn: int64, (rows, L); the turn in which a token was sampled; -1 on all other tokens.
+        rewards: float64, (E, T); reward of each turn.
+        mask: bool, (E, T); True where there is a turn.
+        learnable: bool, (E, T); the turns that a loss may use.
+        terminated: bool, (E,); the task was over.
+        truncated: bool, (E,); the episode was cut off from outside.
+        groups: int64, (E,); equal for episodes that share a start.
+        success: float64, (E,); 1 for solved, 0 for not solved, NaN for unknown.
+        first_rewards: float64, (E,); reward that came before the first turn, for what others had done.
+        seats: Name of the agent's seat in each episode; None where it was alone.
+        too_long: Number of turns whose tokens do not fit in ``max_length``; they are not learnable.
+    """
+
+    tokens: NDArray[np.int64]
+    lengths: NDArray[np.int64]
+    token_mask: NDArray[np.bool_]
+    logprobs: NDArray[np.float32]
+    episode: NDArray[np.int64]
+    turn: NDArray[np.int64]
+    rewards: NDArray[np.float64]
+    mask: NDArray[np.bool_]
+    learnable: NDArray[np.bool_]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    groups: NDArray[np.int64]
+    success: NDArray[np.float64]
+    first_rewards: NDArray[np.float64]
+    seats: list[str | None]
+    too_long: int = 0
+
+    @property
+    def loss_mask(self) -> NDArray[np.bool_]:
+        """The sampled tokens of learnable turns: bool, (rows, L)."""
+        return self.to_tokens(self.learnable)
+
+    @property
+    def episode_returns(self) -> NDArray[np.float64]:
+        """Sum of each episode's rewards, undiscounted, with the reward before its first turn: float64, (E,)."""
+        returns: NDArray[np.float64] = self.rewards.sum(axis=1) + self.first_rewards
+        return returns
+
+    def to_tokens(self, per_turn: NDArray[Any]) -> NDArray[Any]:
+        """Give each sampled token the value of its turn, as its advantage.
+
+        Args:
+            per_turn: (E, T).
+
+        Returns:
+            The values, (rows, L), in the same dtype; 0 on tokens that were not sampled.
+
+        Raises:
+            ArgumentError: The shape is another than that of ``rewards``.
+        """
+        if per_turn.shape != self.rewards.shape:
+            raise ArgumentError(f"values by turn have the shape {self.rewards.shape} of rewards, not {per_turn.shape}")
+        values: NDArray[Any] = np.zeros(self.tokens.shape, per_turn.dtype)
+        rows, columns = np.nonzero(self.token_mask)
+        values[rows, columns] = per_turn[self.episode[rows], self.turn[rows, columns]]
+        return values
+
+    def to_last_tokens(self, per_turn: NDArray[Any]) -> NDArray[Any]:
+        """Give the last sampled token of each turn the value of the turn, as its reward; see ``to_tokens``.
+
+        The value of a turn without tokens, as that of an empty response, is left out.
+        """
+        after = np.full_like(self.turn, -1)
+        after[:, :-1] = self.turn[:, 1:]
+        values = self.to_tokens(per_turn)
+        values[self.turn == after] = 0
+        return values
+
+    @classmethod
+    def from_turns(
+        cls,
+        contexts: Sequence[Ids],
+        responses: Sequence[Ids],
+        logprobs: Sequence[Logprobs] | None = None,
+        *,
+        episode: ArrayLike,
+        rewards: ArrayLike,
+        terminated: ArrayLike,
+        row: ArrayLike | None = None,
+        learnable: ArrayLike | None = None,
+        truncated: ArrayLike | None = None,
+        groups: ArrayLike | None = None,
+        success: ArrayLike | None = None,
+        first_rewards: ArrayLike | None = None,
+        seats: Sequence[str | None] | None = None,
+        pad_id: int = 0,
+        max_length: int | None = None,
+    ) -> TokenBatch:
+        """Make a batch from lists of token ids, one for each of N turns.
+
+        ::
+
+            # two turns of episode 0 and one of episode 1, each in a row of its own
+            TokenBatch.from_turns(
+                contexts=[[1, 2], [1, 2, 7, 3], [1, 5]], responses=[[7], [8, 9], [7]],
+                episode=[0, 0, 1], rewards=[0.0, 1.0, 0.5], terminated=[True, False],
+            )  # fmt: skip
+
+        Args:
+            contexts: Ids that stand before each response: those that the model was sent or, where the turn goes on with
+                the row of the one before it, those that the environment wrote since.
+            responses: Ids that the model sampled in each turn.
+            logprobs: Log-probabilities of the responses; None where they are not known.
+            episode: Index of each turn's episode; the turns of one episode come in order.
+            rewards: Reward of each turn.
+            terminated: Whether the task was over, for each of E episodes, those without turns included.
+            row: Index of each turn's row: 0, and the same or one more from turn to turn; by default a row for each.
+            learnable: Whether a loss may use each turn; by default all.
+            truncated: Whether each episode was cut off from outside; by default all that have not terminated.
+            groups: For each episode; by default all different.
+            success: For each episode; by default unknown.
+            first_rewards: For each episode; by default 0.
+            seats: For each episode; by default None.
+            pad_id: Stands in ``tokens`` after the end of a row.
+            max_length: Cut longer rows off on the right; the turns whose tokens do not fit are not learnable.
+
+        Raises:
+            ArgumentError: The lengths of the arguments do not fit together.
+        """
+        count = len(responses)
+        ended = np.asarray(terminated, np.bool_)
+        owner = _column("episode", episode, count, np.int64)
+        in_row = _column("row", np.arange(count) if row is None else row, count, np.int64)
+        _check_rows(in_row, owner, len(ended))
+        if len(contexts) != count:
+            raise ArgumentError(
+                f"there are {count} responses and {len(contexts)} contexts; give one of each for a turn"
+            )
+        number = _number_in_episode(owner)
+        place = owner, number
+        table = len(ended), int(number.max(initial=-1)) + 1
+
+        written, sampled = _lengths(contexts), _lengths(responses)
+        sizes = written + sampled
+        row_sizes = np.bincount(in_row, sizes).astype(np.int64)
+        row_starts = np.cumsum(row_sizes) - row_sizes
+        lengths = row_sizes if max_length is None else np.minimum(row_sizes, max_length)
+        too_long = np.cumsum(sizes) - row_starts[in_row] > lengths[in_row]
+        usable = _column("learnable", np.ones(count) if learnable is None else learnable, count, np.bool_)
+
+        shape = len(lengths), int(lengths.max(initial=0))
+        rows = np.repeat(in_row, sizes)
+        columns = np.arange(len(rows)) - row_starts[rows]
+        kept = columns < shape[1]
+        marks = np.repeat(np.tile([False, True], count), np.stack([written, sampled], axis=1).ravel())
+        ids = _joined([piece for turn in zip(contexts, responses, strict=True) for piece in turn], np.int64)
+        at, at_sampled = (rows[kept], columns[kept]), (rows[kept & marks], columns[kept & marks])
+        return cls(
+            tokens=_filled(shape, pad_id, np.int64, at, ids[kept]),
+            lengths=lengths,
+            token_mask=_filled(shape, False, np.bool_, at_sampled, True),
+            logprobs=_filled(shape, 0, np.float32, at_sampled, _joined_logprobs(logprobs, sampled)[kept[marks]]),
+            episode=_filled((shape[0],), 0, np.int64, (in_row,), owner),
+            turn=_filled(shape, -1, np.int64, at_sampled, np.repeat(number, sampled)[kept[marks]]),
+            rewards=_filled(table, 0, np.float64, place, _column("rewards", rewards, count, np.float64)),
+            mask=_filled(table, False, np.bool_, place, True),
+            learnable=_filled(table, False, np.bool_, place, usable & ~too_long),
+            terminated=ended,
+            truncated=_column("truncated", ~ended if truncated is None else truncated, len(ended), np.bool_),
+            groups=_column("groups", np.arange(len(ended)) if groups is None else groups, len(ended), np.int64),
+            success=_column(
+                "success", np.full(len(ended), np.nan) if success is None else success, len(ended), np.float64
+            ),
+            first_rewards=_column(
+                "first_rewards",
+                np.zeros(len(ended)) if first_rewards is None else first_rewards,
+                len(ended),
+                np.float64,
+            ),
+            seats=[None] * len(ended) if seats is None else list(seats),
+            too_long=int(too_long.sum()),
+        )
+
+
+def _column(name: str, values: ArrayLike, length: int, dtype: type[Any]) -> NDArray[Any]:
+    column = np.asarray(values, dtype)
+    if column.shape != (length,):
+        raise ArgumentError(f"{name} has the shape {column.shape}, and ({length},) is needed")
+    return column
+
+
+def _check_rows(rows: NDArray[np.int64], episodes: NDArray[np.int64], count: int) -> None:
+    step = np.diff(rows, prepend=-1)
+    if ((step != 0) & (step != 1)).any() or step[:1].any() != bool(len(step)):
+        raise ArgumentError("row begins with 0 and is, from turn to turn, the same or one more")
+    if (episodes[1:] != episodes[:-1])[step[1:] == 0].any():
+        raise ArgumentError("a row holds turns of one episode")
+    if len(episodes) and not 0 <= episodes.min() <= episodes.max() < count:
+        raise ArgumentError(f"episode is an index from 0 to {count - 1}, one less than the length of terminated")
+
+
+def _number_in_episode(episodes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return of each turn how many of the same episode come before it."""
+    order = np.argsort(episodes, kind="stable")
+    ordered = episodes[order]
+    numbers = np.empty_like(episodes)
+    numbers[order] = np.arange(len(order)) - np.searchsorted(ordered, ordered)
+    return numbers
+
+
+def _lengths(pieces: Sequence[Sized]) -> NDArray[np.int64]:
+    return np.fromiter(map(len, pieces), np.int64, len(pieces))
+
+
+def _joined(pieces: Sequence[Any], dtype: type[Any]) -> NDArray[Any]:
+    return np.concatenate([np.empty(0, dtype), *pieces], dtype=dtype, casting="unsafe")
+
+
+def _joined_logprobs(logprobs: Sequence[Logprobs] | None, sampled: NDArray[np.int64]) -> NDArray[Any]:
+    if logprobs is None:
+        return np.full(sampled.sum(), np.nan)
+    pieces = [np.full(size, np.nan) if given is None else given for given, size in zip(logprobs, sampled, strict=True)]
+    wrong = np.flatnonzero(_lengths(pieces) != sampled)
+    if len(wrong):
+        first = wrong[0]
+        raise ArgumentError(f"turn {first} of the list has {sampled[first]} tokens and {len(pieces[first])} logprobs")
+    return _joined(pieces, np.float64)
+
+
+def _filled(shape: tuple[int, ...], fill: Any, dtype: type[Any], at: tuple[Any, ...], values: Any) -> NDArray[Any]:
+    """Return an array that holds values at some places, and the fill everywhere else."""
+    array: NDArray[Any] = np.full(shape, fill, dtype)
+    array[at] = values
+    return array

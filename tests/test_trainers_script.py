@@ -1,0 +1,75 @@
+"""``scripts/trainers.py``: what it reads of a file's needs, and what it says of a run."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+BLOCK = '''# /// script
+# requires-python = ">=3.11"
+# dependencies = ["trl>=1.16,<1.17", "torch", "gem-games", "gem_train[torch]"]
+#
+# [tool.gem]
+# python = "3.12"
+# no-deps = ["oat-llm==0.2.4"]
+# ///
+"""What it shows."""
+'''
+
+
+@pytest.fixture(scope="module")
+def trainers() -> ModuleType:
+    """Return the script as a module."""
+    spec = importlib.util.spec_from_file_location("trainers_script", ROOT / "scripts" / "trainers.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["trainers_script"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_needs_are_read_from_the_block(trainers: ModuleType) -> None:
+    """Theirs and ours apart; the framework is what is named first."""
+    needs = trainers.needs_of(BLOCK)
+    assert needs.theirs == ["trl>=1.16,<1.17", "torch"]
+    assert needs.ours == ["gem-games", "gem_train[torch]"]
+    assert (needs.no_deps, needs.python, needs.framework) == (["oat-llm==0.2.4"], "3.12", "oat-llm")
+    assert trainers.needs_of(BLOCK.replace("# no-deps", "# other")).framework == "trl"
+    with pytest.raises(SystemExit, match="PEP 723"):
+        trainers.needs_of('"""No block."""\n')
+
+
+def test_our_distributions_come_from_here(trainers: ModuleType) -> None:
+    """Editable, with those that they need and the extras that were asked for."""
+    found = trainers.editable(["gem-code", "gem_train[torch]"])
+    assert found[::2] == ["-e"] * (len(found) // 2)
+    folders = {Path(path).name for path in found[1::2]}
+    assert {f"{ROOT.name}[datasets]", "gem-code", "gem-tools", "gem-train[torch]"} == folders
+
+
+@pytest.mark.parametrize(("program", "told"), [("", "passed"), ("raise SystemExit(3)", "failed, exit code 3")])
+def test_result_of_a_run(trainers: ModuleType, tmp_path: Path, program: str, told: str) -> None:
+    """A file passes if it exits with 0."""
+    (tmp_path / "file.py").write_text(program, encoding="utf-8")
+    assert trainers.run_file(Path(sys.executable), tmp_path / "file.py", 60.0) == told
+
+
+def test_run_that_hangs_is_ended_with_what_it_started(trainers: ModuleType, tmp_path: Path) -> None:
+    """The table says so."""
+    (tmp_path / "file.py").write_text("import signal\nsignal.pause()\n", encoding="utf-8")
+    assert trainers.run_file(Path(sys.executable), tmp_path / "file.py", 0.1) == "stopped after 0.1 s"
+
+
+def test_every_file_says_what_it_needs(trainers: ModuleType) -> None:
+    """And what it shows, the version and how it is run, in its docstring."""
+    for path in sorted((ROOT / "examples" / "trainers").glob("*.py")):
+        source = path.read_text(encoding="utf-8")
+        assert source.startswith("# /// script\n"), path.name
+        assert trainers.needs_of(source).framework != "gem-train", path.name
+        assert f"python examples/trainers/{path.name}" in source, path.name
