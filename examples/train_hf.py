@@ -27,7 +27,7 @@ Source: GEM, https://arxiv.org/abs/2510.01051.
 
 # /// script
 # requires-python = ">=3.11"
-# dependencies = ["gem-core", "gem-games", "gem-train[torch]", "peft>=0.17", "transformers>=5"]
+# dependencies = ["gem-core", "gem-games", "gem-train[torch]", "peft>=0.17", "transformers>=5.23"]
 # ///
 
 from __future__ import annotations
@@ -127,12 +127,13 @@ def load_model(options, checkpoint):
         from peft import LoraConfig, PeftModel, get_peft_model
 
         torch.manual_seed(options.seed)
-        config = LoraConfig(r=options.lora_rank, lora_alpha=2 * options.lora_rank, target_modules="all-linear")
+        config = LoraConfig(
+            r=options.lora_rank, lora_alpha=2 * options.lora_rank, target_modules="all-linear", task_type="CAUSAL_LM"
+        )
         new = None if checkpoint else get_peft_model(model, config)
         model = new or PeftModel.from_pretrained(model, checkpoint, is_trainable=True)
     if options.gradient_checkpointing:
-        model.gradient_checkpointing_enable()
-        model.enable_input_require_grads()
+        model.activation_checkpointing_enable()
     return model.eval(), tokenizer  # no dropout: a token has one probability, in generation and in learning
 
 
