@@ -59,7 +59,7 @@ SHOWN = ("update", "eval_return", "eval_success", "return", "success", "errors",
 
 
 def read_options(arguments=None):
-    """Return the options; a resumed run keeps its own, but for those that are given anew, as more updates."""
+    """Return the options; a resumed run keeps its own, but for those that are given anew, as ``--updates``."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("--model", help="name on the Hugging Face hub, or a folder")
@@ -70,7 +70,7 @@ def read_options(arguments=None):
     add("--resume", type=Path, metavar="OUT", help="go on with the run of this folder from its last checkpoint")
     add("--updates", type=int, default=100, help="steps of the optimizer")
     add("--episodes", type=int, default=64, help="episodes for each update")
-    add("--num-envs", type=int, default=64, help="how many of them run at once")
+    add("--num-envs", type=int, default=64, help="how many of them run at once, and are generated for")
     add("--gamma", type=float, default=0.9, help="discount from turn to turn")
     add("--lora-rank", type=int, default=0, help="train a LoRA adapter of this rank; 0 trains all weights")
     add("--lr", type=float, help="learning rate; by default 1e-4 with LoRA, else 1e-6")
@@ -78,7 +78,6 @@ def read_options(arguments=None):
     add("--gradient-checkpointing", action="store_true", help="less memory for a third more time")
     add("--dtype", default="bfloat16" if DEVICE == "cuda" else "float32", help="of the computation")
     add("--engine", choices=["transformers", "vllm"], default="transformers", help="what generates")
-    add("--generate-batch", type=int, default=64, help="prompts in one call of transformers' generate")
     add("--temperature", type=float, default=1.0)
     add("--max-tokens", type=int, default=512, help="longest response")
     add("--max-context", type=int, default=8192, help="longest conversation; one that overflows is cut off")
@@ -90,6 +89,8 @@ def read_options(arguments=None):
     add("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
     if options.resume:
+        if not (options.resume / "options.json").exists():
+            parser.error(f"{options.resume} holds no run to resume")
         saved = json.loads((options.resume / "options.json").read_text(encoding="utf-8"))
         parser.set_defaults(**saved, out=options.resume)
         return parser.parse_args(arguments)
@@ -126,12 +127,12 @@ def load_model(options, checkpoint):
     if options.lora_rank:
         from peft import LoraConfig, PeftModel, get_peft_model
 
-        torch.manual_seed(options.seed)
-        config = LoraConfig(
-            r=options.lora_rank, lora_alpha=2 * options.lora_rank, target_modules="all-linear", task_type="CAUSAL_LM"
-        )
-        new = None if checkpoint else get_peft_model(model, config)
-        model = new or PeftModel.from_pretrained(model, checkpoint, is_trainable=True)
+        if checkpoint:
+            model = PeftModel.from_pretrained(model, checkpoint, is_trainable=True)
+        else:
+            torch.manual_seed(options.seed)
+            rank = {"r": options.lora_rank, "lora_alpha": 2 * options.lora_rank}
+            model = get_peft_model(model, LoraConfig(**rank, target_modules="all-linear", task_type="CAUSAL_LM"))
     if options.gradient_checkpointing:
         model.activation_checkpointing_enable()
     return model.eval(), tokenizer  # no dropout: a token has one probability, in generation and in learning
@@ -167,10 +168,6 @@ class TransformersEngine:
     @torch.no_grad()
     def generate(self, prompts, limits, temperature):
         """Return a continuation of each prompt, of at most so many tokens; temperature 0 takes the likeliest."""
-        size = self.options.generate_batch
-        if len(prompts) > size:
-            rest = self.generate(prompts[size:], limits[size:], temperature)
-            return self.generate(prompts[:size], limits[:size], temperature) + rest
         width, pad, stops = max(map(len, prompts)), self.config.pad_token_id, self.config.eos_token_id
         ids = [[pad] * (width - len(prompt)) + prompt for prompt in prompts]
         mask = [[0] * (width - len(prompt)) + [1] * len(prompt) for prompt in prompts]
@@ -270,7 +267,8 @@ class Policy(TokenAgent):
 
     def __init__(self, engine, tokenizer, **settings):
         super().__init__(self.request, tokenizer, **settings)
-        self.engine, self.requests, self.left, self.num_envs = engine, {}, 0, 0
+        self.engine, self.requests = engine, {}
+        self.left, self.num_envs = 0, 0  # episodes of the plan that have not ended, and how many are open at once
 
     async def __call__(self, observation, context):
         """Answer one turn of one episode: ``TokenAgent`` makes a prompt of the tokens so far, and calls ``request``."""
@@ -343,12 +341,11 @@ def learn(model, optimizer, batch, options):
         with autocast(options):
             lengths = torch.as_tensor(batch.lengths[chosen], device=DEVICE)
             logprobs = token_logprobs(model, tokens, lengths, first, options.temperature)
-        # An engine of its own rounds otherwise than the model that learns; without one, the weights are 1.
+        # These correct for an engine that rounds otherwise than the model that learns, as vLLM does; they are 1 if not.
         weights = estimators.truncated_importance_weights(logprobs, sampled, mask)
-        # Divided by the tokens of all rows, so that the gradients add up to that of the mean.
-        loss, _ = estimators.policy_gradient_loss(
-            logprobs, sampled, advantage, mask, weights=weights, denominator=int(learnt.sum())
-        )
+        # All divide by the same number, so that the gradients of the parts add up to that of the mean over all tokens.
+        accumulation = {"weights": weights, "denominator": int(learnt.sum())}
+        loss, _ = estimators.policy_gradient_loss(logprobs, sampled, advantage, mask, **accumulation)
         loss.backward()
         loss_sum += loss.item()
         gaps.append((logprobs.detach() - sampled)[mask].abs().cpu())
@@ -384,6 +381,7 @@ async def train(options):
     optimizer = torch.optim.AdamW(weights, lr=options.lr, weight_decay=0.0)
     if checkpoint:
         optimizer.load_state_dict(torch.load(checkpoint / "optimizer.pt", map_location=DEVICE))
+        optimizer.param_groups[0]["lr"] = options.lr  # which may be given anew
     engine = {"transformers": TransformersEngine, "vllm": VLLMEngine}[options.engine](options, model, tokenizer)
     settings = {"max_tokens": options.max_tokens, "max_context": options.max_context}
     settings["chat_template_kwargs"] = options.template

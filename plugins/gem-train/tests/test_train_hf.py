@@ -25,7 +25,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:`is_gradient_checkpointing` is d
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "train_hf.py"
 TINY = "--tiny", "--updates", "4", "--episodes", "5", "--num-envs", "3", "--eval-episodes", "2", "--every", "2"
-FEW_TOKENS = "--max-tokens", "4", "--lr", "1e-2", "--micro-batch", "2", "--generate-batch", "2"
+FEW_TOKENS = "--max-tokens", "4", "--lr", "1e-2", "--micro-batch", "2"
 WEIGHTS = pytest.mark.parametrize("weights", [[], ["--lora-rank", "2"]], ids=["full", "lora"])
 
 
