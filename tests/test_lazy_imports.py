@@ -13,8 +13,8 @@ import pytest
 import gem_core
 
 HEAVY = [
-    "aiohttp", "bm25s", "datasets", "docker", "gymnasium", "math_verify", "mcp", "numpy", "openai", "pettingzoo",
-    "pygame", "ray", "reasoning_gym", "textarena", "torch",
+    "aiohttp", "bm25s", "datasets", "docker", "gymnasium", "math_verify", "matplotlib", "mcp", "numpy", "openai",
+    "pettingzoo", "pygame", "ray", "reasoning_gym", "textarena", "torch",
 ]  # fmt: skip
 """Packages that listing must not load."""
 

@@ -51,3 +51,6 @@ KINDS = [Kind(library, bits) for library in ("numpy", "torch") for bits in (32, 
 
 each_kind = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: f"{kind.library}{kind.bits}")
 """Run a test for NumPy and torch, in float32 and float64."""
+
+each_library = pytest.mark.parametrize("kind", [KINDS[1], KINDS[2]], ids=lambda kind: f"{kind.library}{kind.bits}")
+"""Run a longer test for each library, in one width of floats."""

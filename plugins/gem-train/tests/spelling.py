@@ -1,4 +1,4 @@
-"""A tokenizer of characters in which most texts have many spellings, and an agent that samples any of them."""
+"""A tokenizer of characters in which every text has many spellings, and an agent that samples any of them."""
 
 from __future__ import annotations
 
@@ -7,20 +7,24 @@ from typing import Any
 
 import gem_core as gem
 
-ALTERNATIVE = 1000
+ALTERNATIVE = 1_000_000
 """Added to the id of a character, it gives another id of the same character."""
 
 END = 2
-"""Id of the token that ends a turn; it stands in no text."""
+"""Id of the token that ends a turn; the text of a response lacks it."""
+
+
+def spelled(text: str, random: random.Random | None = None) -> list[int]:
+    """Return the ids of a text; with a generator, in any spelling."""
+    return [ord(character) + (ALTERNATIVE * random.randrange(2) if random else 0) for character in text]
 
 
 class Spelling:
-    """Encodes each character by its code point, decodes the alternative id as well: what was sampled cannot be guessed.
+    """Encodes a character as its code point, and decodes another id as well: which one was sampled cannot be guessed.
 
     Its template writes chats in the manner of ChatML, without the thinking of earlier turns.
     """
 
-    eos_token = "\x02"
     eos_token_id = END
 
     def __init__(self) -> None:
@@ -30,21 +34,22 @@ class Spelling:
     def encode(self, text: str, *, add_special_tokens: bool) -> list[int]:
         assert add_special_tokens is False
         self.encoded.append(text)
-        return [ord(character) for character in text]
+        return spelled(text)
 
-    def decode(self, ids: Any) -> str:
-        return "".join(chr(int(token) % ALTERNATIVE) for token in ids)
+    def decode(self, token_ids: Any) -> str:
+        return "".join(chr(int(token) % ALTERNATIVE) for token in token_ids)
 
     def apply_chat_template(
         self, messages: list[dict[str, Any]], *, tokenize: bool, add_generation_prompt: bool, tools: Any = None
     ) -> str:
         assert tokenize is False
-        lines = [f"<tools {len(tools)}>"] if tools else []
+        lines = [f"<{len(tools)} tools>"] if tools else []
         for message in messages:
             content = str(message["content"])
             if message["role"] == "assistant":
                 content = content.rpartition("</think>")[2]
-            lines.append(f"<{message['role']}>{content}{self.eos_token}\n")
+                content += "".join(call["function"]["arguments"] for call in message.get("tool_calls", ()))
+            lines.append(f"<{message['role']}>{content}{chr(END)}\n")
         return "".join(lines) + ("<assistant>" if add_generation_prompt else "")
 
 
@@ -53,32 +58,28 @@ class SpellingAgent:
 
     Args:
         prefix: Stands before each action.
-        prompts: Whether it also reports the ids of its prompts: the earlier ones, and what was appended.
+        prompts: Whether it also reports the ids of its prompts: the earlier ones, and those of what was appended.
         ends: Whether it samples the token that ends a turn.
     """
 
     def __init__(self, prefix: str = "", *, prompts: bool = False, ends: bool = True) -> None:
         self.prefix, self.prompts, self.ends = prefix, prompts, ends
         self.random = random.Random(0)
-        self.tokenizer = Spelling()
 
     def __call__(self, observation: Any, context: gem.Context) -> gem.Response:
         text = self.prefix + context.sample_random_action()
-        ids = [ord(character) + ALTERNATIVE * self.random.randrange(2) for character in text]
-        ids += [END] * self.ends
+        ids = spelled(text, self.random) + [END] * self.ends
         return gem.Response(
             text,
             token_ids=ids,
-            prompt_token_ids=self.prompt(observation, context) if self.prompts else None,
+            prompt_token_ids=_prompt(observation, context.responses) if self.prompts else None,
             logprobs=[-self.random.random() for _ in ids],
-            finish_reason="stop",
+            finish_reason="stop" if self.ends else "length",
         )
 
-    def prompt(self, observation: str, context: gem.Context) -> list[int]:
-        known: list[int] = []
-        if context.responses:
-            last = context.responses[-1]
-            assert last.prompt_token_ids is not None
-            assert last.token_ids is not None
-            known = last.prompt_token_ids + last.token_ids
-        return known + [ord(character) for character in observation[len(self.tokenizer.decode(known)) :]]
+
+def _prompt(observation: str, responses: list[gem.Response]) -> list[int]:
+    known: list[int] = []
+    if responses:
+        known = [*(responses[-1].prompt_token_ids or ()), *(responses[-1].token_ids or ())]
+    return known + spelled(observation[len(known) :])

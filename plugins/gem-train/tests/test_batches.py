@@ -100,7 +100,9 @@ def test_a_row_is_a_prompt_and_its_completion() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"contexts": [[1]]}, "there are 3 responses and 1 contexts; give one of each for a turn"),
+        ({"contexts": [[1]]}, "contexts has the length 1, and 3 is needed"),
+        ({"logprobs": [None]}, "logprobs has the length 1, and 3 is needed"),
+        ({"seats": ["X"]}, "seats has the length 1, and 2 is needed"),
         ({"rewards": [1.0]}, "rewards has the shape (1,), and (3,) is needed"),
         ({"groups": [1]}, "groups has the shape (1,), and (2,) is needed"),
         ({"row": [0, 2, 3]}, "row begins with 0 and is, from turn to turn, the same or one more"),

@@ -49,11 +49,9 @@ def group_sums(xp: Any, values: Array, index: Array, count: int) -> Array:
 
     The one place with a branch for each library: the array API has no sum by group.
     """
-    sums = xp.zeros(count, dtype=values.dtype, device=array_api_compat.device(values))
     if array_api_compat.is_torch_array(values):
-        return sums.index_add(0, index, values)
-    xp.add.at(sums, index, values)
-    return sums
+        return xp.zeros(count, dtype=values.dtype, device=values.device).index_add(0, index, values)
+    return xp.astype(xp.bincount(index, weights=values, minlength=count), values.dtype)
 
 
 def centered(xp: Any, values: Array, index: Array, included: Array, correction: int) -> tuple[Array, Array, Array]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gem_train.estimators._arrays import Array, centered, check, namespace
+from gem_train.estimators._arrays import Array, check, namespace
 
 
 def return_batch_normalization(returns: Array, mask: Array, *, epsilon: float = 1e-8, correction: int = 0) -> Array:
@@ -57,7 +57,13 @@ def normalize_advantages(advantages: Array, mask: Array, *, epsilon: float = 1e-
 def _normalized(values: Array, mask: Array, epsilon: float, correction: int) -> Array:
     xp = namespace(values, mask)
     check("mask", mask, values.shape, "bool")
-    flat, included = xp.reshape(values, (-1,)), xp.reshape(mask, (-1,))
-    one_group = xp.zeros_like(included, dtype=xp.int64)
-    differences, deviations, _ = centered(xp, flat, one_group, included, correction)
-    return xp.reshape(differences / (deviations + epsilon), values.shape)
+    counted = values[mask]
+    if not counted.shape[0]:
+        return xp.zeros_like(values)
+    # One of the values is subtracted first: rounding leaves exactly 0 where all are equal.
+    mean = xp.mean(counted - counted[0])
+    counted = counted - counted[0] - mean
+    deviation = xp.sqrt(xp.sum(counted**2) / max(counted.shape[0] - correction, 1))
+    normalized = xp.zeros_like(values)
+    normalized[mask] = counted / (deviation + epsilon)
+    return normalized

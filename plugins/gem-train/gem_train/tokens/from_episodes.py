@@ -67,8 +67,9 @@ def batches(
     return TokenBatch.from_turns(
         **turns,
         rewards=[transition.reward for episode in played for transition in episode.transitions],
+        states=_numbered(_state(episode, turn) for episode in played for turn in range(episode.turns)),
         terminated=[_terminated(episode) for episode in played],
-        groups=_groups(played),
+        groups=_numbered(_group(episode, index) for index, episode in enumerate(played)),
         success=[np.nan if episode.success is None else float(episode.success) for episode in played],
         first_rewards=[episode.first_reward for episode in played],
         seats=[episode.seat for episode in played],
@@ -85,11 +86,18 @@ def _terminated(episode: Episode) -> bool:
     return episode.transitions[-1].terminated if episode.transitions else episode.ended_first
 
 
-def _groups(episodes: list[Episode]) -> list[int]:
-    """Number the groups; the seats of an environment do not start alike, so each has a group of its own."""
+def _group(episode: Episode, index: int) -> object:
+    """Return what the episodes of a group share; the seats of an environment do not start alike."""
+    return index if episode.group is None else (episode.run_seed, episode.group, episode.seat)
+
+
+def _state(episode: Episode, turn: int) -> str:
+    """Return how things stood before a turn: what the task says of it, or else all that the environment showed."""
+    info = episode.transitions[turn - 1].info if turn else episode.info
+    return repr(info.get("suffix") or episode.transitions[turn].observation)
+
+
+def _numbered(keys: Iterable[object]) -> list[int]:
+    """Return a number for each key, the same for equal ones."""
     numbers: dict[object, int] = {}
-    keys = (
-        index if episode.group is None else (episode.run_seed, episode.group, episode.seat)
-        for index, episode in enumerate(episodes)
-    )
     return [numbers.setdefault(key, len(numbers)) for key in keys]

@@ -36,6 +36,7 @@ class TokenBatch:
         rewards: float64, (E, T); reward of each turn.
         mask: bool, (E, T); True where there is a turn.
         learnable: bool, (E, T); the turns that a loss may use.
+        states: int64, (E, T); equal for turns before which things stood alike, -1 where there is no turn.
         terminated: bool, (E,); the task was over.
         truncated: bool, (E,); the episode was cut off from outside.
         groups: int64, (E,); equal for episodes that share a start.
@@ -54,6 +55,7 @@ class TokenBatch:
     rewards: NDArray[np.float64]
     mask: NDArray[np.bool_]
     learnable: NDArray[np.bool_]
+    states: NDArray[np.int64]
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
     groups: NDArray[np.int64]
@@ -73,7 +75,7 @@ class TokenBatch:
         returns: NDArray[np.float64] = self.rewards.sum(axis=1) + self.first_rewards
         return returns
 
-    def to_tokens(self, per_turn: NDArray[Any]) -> NDArray[Any]:
+    def to_tokens(self, per_turn: ArrayLike) -> NDArray[Any]:
         """Give each sampled token the value of its turn, as its advantage.
 
         Args:
@@ -85,14 +87,13 @@ class TokenBatch:
         Raises:
             ArgumentError: The shape is another than that of ``rewards``.
         """
-        if per_turn.shape != self.rewards.shape:
-            raise ArgumentError(f"values by turn have the shape {self.rewards.shape} of rewards, not {per_turn.shape}")
-        values: NDArray[Any] = np.zeros(self.tokens.shape, per_turn.dtype)
-        rows, columns = np.nonzero(self.token_mask)
-        values[rows, columns] = per_turn[self.episode[rows], self.turn[rows, columns]]
-        return values
+        given = np.asarray(per_turn)
+        if given.shape != self.rewards.shape:
+            raise ArgumentError(f"values by turn have the shape {self.rewards.shape} of rewards, not {given.shape}")
+        at = np.nonzero(self.token_mask)
+        return _filled(self.tokens.shape, 0, given.dtype, at, given[self.episode[at[0]], self.turn[at]])
 
-    def to_last_tokens(self, per_turn: NDArray[Any]) -> NDArray[Any]:
+    def to_last_tokens(self, per_turn: ArrayLike) -> NDArray[Any]:
         """Give the last sampled token of each turn the value of the turn, as its reward; see ``to_tokens``.
 
         The value of a turn without tokens, as that of an empty response, is left out.
@@ -115,6 +116,7 @@ class TokenBatch:
         terminated: ArrayLike,
         row: ArrayLike | None = None,
         learnable: ArrayLike | None = None,
+        states: ArrayLike | None = None,
         truncated: ArrayLike | None = None,
         groups: ArrayLike | None = None,
         success: ArrayLike | None = None,
@@ -129,9 +131,12 @@ class TokenBatch:
 
             # two turns of episode 0 and one of episode 1, each in a row of its own
             TokenBatch.from_turns(
-                contexts=[[1, 2], [1, 2, 7, 3], [1, 5]], responses=[[7], [8, 9], [7]],
-                episode=[0, 0, 1], rewards=[0.0, 1.0, 0.5], terminated=[True, False],
-            )  # fmt: skip
+                contexts=[[1, 2], [1, 2, 7, 3], [1, 5]],
+                responses=[[7], [8, 9], [7]],
+                episode=[0, 0, 1],
+                rewards=[0.0, 1.0, 0.5],
+                terminated=[True, False],
+            )
 
         Args:
             contexts: Ids that stand before each response: those that the model was sent or, where the turn goes on with
@@ -143,6 +148,7 @@ class TokenBatch:
             terminated: Whether the task was over, for each of E episodes, those without turns included.
             row: Index of each turn's row: 0, and the same or one more from turn to turn; by default a row for each.
             learnable: Whether a loss may use each turn; by default all.
+            states: Number of the state before each turn; by default all different.
             truncated: Whether each episode was cut off from outside; by default all that have not terminated.
             groups: For each episode; by default all different.
             success: For each episode; by default unknown.
@@ -154,71 +160,98 @@ class TokenBatch:
         Raises:
             ArgumentError: The lengths of the arguments do not fit together.
         """
-        count = len(responses)
-        ended = np.asarray(terminated, np.bool_)
+        count, total = len(responses), len(np.asarray(terminated))
         owner = _column("episode", episode, count, np.int64)
-        in_row = _column("row", np.arange(count) if row is None else row, count, np.int64)
-        _check_rows(in_row, owner, len(ended))
-        if len(contexts) != count:
-            raise ArgumentError(
-                f"there are {count} responses and {len(contexts)} contexts; give one of each for a turn"
-            )
+        in_row = _column("row", row, count, np.int64, default=np.arange(count))
+        _check_rows(in_row, owner, total)
+        _check_length("contexts", contexts, count)
+        _check_length("logprobs", logprobs, count)
+        _check_length("seats", seats, total)
         number = _number_in_episode(owner)
-        place = owner, number
-        table = len(ended), int(number.max(initial=-1)) + 1
-
-        written, sampled = _lengths(contexts), _lengths(responses)
-        sizes = written + sampled
-        row_sizes = np.bincount(in_row, sizes).astype(np.int64)
-        row_starts = np.cumsum(row_sizes) - row_sizes
-        lengths = row_sizes if max_length is None else np.minimum(row_sizes, max_length)
-        too_long = np.cumsum(sizes) - row_starts[in_row] > lengths[in_row]
-        usable = _column("learnable", np.ones(count) if learnable is None else learnable, count, np.bool_)
-
-        shape = len(lengths), int(lengths.max(initial=0))
-        rows = np.repeat(in_row, sizes)
-        columns = np.arange(len(rows)) - row_starts[rows]
-        kept = columns < shape[1]
-        marks = np.repeat(np.tile([False, True], count), np.stack([written, sampled], axis=1).ravel())
-        ids = _joined([piece for turn in zip(contexts, responses, strict=True) for piece in turn], np.int64)
-        at, at_sampled = (rows[kept], columns[kept]), (rows[kept & marks], columns[kept & marks])
+        by_token, too_long = _by_token(contexts, responses, logprobs, in_row, number, pad_id, max_length)
+        usable = _column("learnable", learnable, count, np.bool_, default=True)
+        known = _column("states", states, count, np.int64, default=np.arange(count))
+        place, shape = (owner, number), (total, int(number.max(initial=-1)) + 1)
+        ended = _column("terminated", terminated, total, np.bool_)
         return cls(
-            tokens=_filled(shape, pad_id, np.int64, at, ids[kept]),
-            lengths=lengths,
-            token_mask=_filled(shape, False, np.bool_, at_sampled, True),
-            logprobs=_filled(shape, 0, np.float32, at_sampled, _joined_logprobs(logprobs, sampled)[kept[marks]]),
-            episode=_filled((shape[0],), 0, np.int64, (in_row,), owner),
-            turn=_filled(shape, -1, np.int64, at_sampled, np.repeat(number, sampled)[kept[marks]]),
-            rewards=_filled(table, 0, np.float64, place, _column("rewards", rewards, count, np.float64)),
-            mask=_filled(table, False, np.bool_, place, True),
-            learnable=_filled(table, False, np.bool_, place, usable & ~too_long),
+            **by_token,
+            episode=owner[np.diff(in_row, prepend=-1) == 1],
+            rewards=_filled(shape, 0, np.float64, place, _column("rewards", rewards, count, np.float64)),
+            mask=_filled(shape, False, np.bool_, place, True),
+            learnable=_filled(shape, False, np.bool_, place, usable & ~too_long),
+            states=_filled(shape, -1, np.int64, place, known),
             terminated=ended,
-            truncated=_column("truncated", ~ended if truncated is None else truncated, len(ended), np.bool_),
-            groups=_column("groups", np.arange(len(ended)) if groups is None else groups, len(ended), np.int64),
-            success=_column(
-                "success", np.full(len(ended), np.nan) if success is None else success, len(ended), np.float64
-            ),
-            first_rewards=_column(
-                "first_rewards",
-                np.zeros(len(ended)) if first_rewards is None else first_rewards,
-                len(ended),
-                np.float64,
-            ),
-            seats=[None] * len(ended) if seats is None else list(seats),
+            truncated=_column("truncated", truncated, total, np.bool_, default=~ended),
+            groups=_column("groups", groups, total, np.int64, default=np.arange(total)),
+            success=_column("success", success, total, np.float64, default=np.nan),
+            first_rewards=_column("first_rewards", first_rewards, total, np.float64, default=0),
+            seats=[None] * total if seats is None else list(seats),
             too_long=int(too_long.sum()),
         )
 
 
-def _column(name: str, values: ArrayLike, length: int, dtype: type[Any]) -> NDArray[Any]:
-    column = np.asarray(values, dtype)
+def _by_token(
+    contexts: Sequence[Ids],
+    responses: Sequence[Ids],
+    logprobs: Sequence[Logprobs] | None,
+    in_row: NDArray[np.int64],
+    number: NDArray[np.int64],
+    pad_id: int,
+    max_length: int | None,
+) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
+    """Lay the tokens out in rows.
+
+    Args:
+        contexts: See ``from_turns``, as for ``responses``, ``logprobs``, ``pad_id`` and ``max_length``.
+        responses: One for each turn.
+        logprobs: One for each response.
+        in_row: Row of each turn.
+        number: Number of each turn in its episode.
+        pad_id: For the end of a row.
+        max_length: Longest row.
+
+    Returns:
+        The arrays of tokens by name, and which turns do not fit in their row.
+    """
+    written, sampled = _lengths(contexts), _lengths(responses)
+    sizes = written + sampled
+    row_sizes = np.bincount(in_row, sizes).astype(np.int64)
+    row_starts = np.cumsum(row_sizes) - row_sizes
+    lengths = row_sizes if max_length is None else np.minimum(row_sizes, max_length)
+    too_long = np.cumsum(sizes) - row_starts[in_row] > lengths[in_row]
+
+    shape = len(lengths), int(lengths.max(initial=0))
+    rows = np.repeat(in_row, sizes)
+    columns = np.arange(len(rows)) - row_starts[rows]
+    kept = columns < shape[1]
+    marks = np.repeat(np.tile([False, True], len(sizes)), np.stack([written, sampled], axis=1).ravel())
+    everywhere, at_sampled = (rows[kept], columns[kept]), (rows[kept & marks], columns[kept & marks])
+    pieces = [piece for turn in zip(contexts, responses, strict=True) for piece in turn]
+    arrays = {
+        "tokens": _filled(shape, pad_id, np.int64, everywhere, _joined(pieces, np.int64)[kept]),
+        "lengths": lengths,
+        "token_mask": _filled(shape, False, np.bool_, at_sampled, True),
+        "logprobs": _filled(shape, 0, np.float32, at_sampled, _joined_logprobs(logprobs, sampled)[kept[marks]]),
+        "turn": _filled(shape, -1, np.int64, at_sampled, np.repeat(number, sampled)[kept[marks]]),
+    }
+    return arrays, too_long
+
+
+def _column(name: str, values: ArrayLike | None, length: int, dtype: type[Any], *, default: Any = None) -> NDArray[Any]:
+    column = np.asarray(np.broadcast_to(default, length) if values is None else values, dtype)
     if column.shape != (length,):
         raise ArgumentError(f"{name} has the shape {column.shape}, and ({length},) is needed")
     return column
 
 
+def _check_length(name: str, values: Sized | None, length: int) -> None:
+    if values is not None and len(values) != length:
+        raise ArgumentError(f"{name} has the length {len(values)}, and {length} is needed")
+
+
 def _check_rows(rows: NDArray[np.int64], episodes: NDArray[np.int64], count: int) -> None:
     step = np.diff(rows, prepend=-1)
-    if ((step != 0) & (step != 1)).any() or step[:1].any() != bool(len(step)):
+    if (step[:1] != 1).any() or ((step != 0) & (step != 1)).any():
         raise ArgumentError("row begins with 0 and is, from turn to turn, the same or one more")
     if (episodes[1:] != episodes[:-1])[step[1:] == 0].any():
         raise ArgumentError("a row holds turns of one episode")
@@ -254,7 +287,7 @@ def _joined_logprobs(logprobs: Sequence[Logprobs] | None, sampled: NDArray[np.in
     return _joined(pieces, np.float64)
 
 
-def _filled(shape: tuple[int, ...], fill: Any, dtype: type[Any], at: tuple[Any, ...], values: Any) -> NDArray[Any]:
+def _filled(shape: tuple[int, ...], fill: Any, dtype: Any, at: tuple[Any, ...], values: Any) -> NDArray[Any]:
     """Return an array that holds values at some places, and the fill everywhere else."""
     array: NDArray[Any] = np.full(shape, fill, dtype)
     array[at] = values

@@ -15,11 +15,14 @@ from gem_core.types import Observation, Response
 class Encoder(Protocol):
     """A tokenizer as Hugging Face has it.
 
-    Messages also need its ``apply_chat_template``; ``eos_token`` and ``eos_token_id`` are read if it has them.
+    Messages also need its ``apply_chat_template``; ``eos_token_id`` ends responses, if there is one.
     """
 
     def encode(self, text: str, *, add_special_tokens: bool) -> Sequence[int]:
         """Return the ids of a text."""
+
+    def decode(self, token_ids: Any) -> str:
+        """Return the text of ids."""
 
 
 Tokenizer = Encoder | Callable[[str], Sequence[int]]
@@ -58,23 +61,24 @@ def turn_tokens(episode: Episode, tokenizer: Tokenizer | None) -> Iterator[TurnT
         if tokenizer is None and (action.token_ids is None or action.prompt_token_ids is None):
             missing = "token_ids" if action.token_ids is None else "prompt_token_ids"
             raise _problem(episode, turn, f"the response has no {missing}; {_ADVICE}")
-        if action.prompt_token_ids is not None:
-            prompt = action.prompt_token_ids
-        elif turn and text_of(turn).startswith(earlier := text_of(turn - 1) + episode.transitions[turn - 1].action):
-            prompt = before + _bridge(text_of(turn)[len(earlier) :], before, tokenizer)
-        else:
-            prompt = _encoded(text_of(turn), tokenizer)
-        response = _encoded_response(action, tokenizer) if action.token_ids is None else action.token_ids
-        if action.logprobs is not None and len(action.logprobs) != len(response):
-            raise _problem(episode, turn, f"it has {len(response)} tokens and {len(action.logprobs)} logprobs")
-        complete = action.token_ids is not None or not (action.tool_calls or action.reasoning)
-        yield TurnTokens(prompt, response, action.logprobs, complete)
+        prompt = action.prompt_token_ids
+        if prompt is None:
+            last = _text_of_response(episode.transitions[turn - 1].action, tokenizer) if turn else None
+            earlier = None if last is None else text_of(turn - 1) + last
+            prompt = _encoded_prompt(text_of(turn), earlier, before, tokenizer)
+        complete = action.token_ids is not None or not _lacks_parts(action)
+        response, logprobs = action.token_ids, action.logprobs
+        if response is None:  # some servers report log-probabilities of tokens whose ids they keep to themselves
+            response, logprobs = _encoded_response(action, complete, tokenizer), None
+        if logprobs is not None and len(logprobs) != len(response):
+            raise _problem(episode, turn, f"it has {len(response)} token_ids and {len(logprobs)} logprobs")
+        yield TurnTokens(prompt, response, logprobs, complete)
         before = prompt + response
 
 
 _ADVICE = (
     "give tokenizer=, one of Hugging Face or a function that returns the ids of a text, or let the agent report them, "
-    "as 'openai:' agents do where the server is vLLM"
+    "as 'openai:' agents do with return_token_ids=True where the server is vLLM"
 )
 
 
@@ -99,18 +103,33 @@ def _has_image(observation: Observation) -> bool:
     )
 
 
-def _bridge(rest: str, before: list[int], tokenizer: Any) -> list[int]:
-    """Return the ids of what was written after a response, which may have ended with the token that ends a turn."""
-    if before and before[-1] == getattr(tokenizer, "eos_token_id", None):
-        rest = rest.removeprefix(tokenizer.eos_token)
-    return _encoded(rest, tokenizer)
+def _encoded_prompt(text: str, earlier: str | None, before: list[int], tokenizer: Any) -> list[int]:
+    """Return the ids of a prompt; the tokens before stay where the text is the earlier one and more."""
+    if earlier is None or not text.startswith(earlier):
+        return _encoded(text, tokenizer)
+    ids = _encoded(text[len(earlier) :], tokenizer)
+    # The model may have sampled the token that ends a turn, which its text lacks: it stands there once.
+    repeats = isinstance(tokenizer, Encoder) and before and ids[:1] == before[-1:]
+    return before + (ids[1:] if repeats and not earlier.endswith(tokenizer.decode(ids[:1])) else ids)
 
 
-def _encoded_response(action: Response, tokenizer: Any) -> list[int]:
+def _text_of_response(action: Response, tokenizer: Any) -> str | None:
+    """Return the text whose ids are taken for the response; None where it is not known."""
+    if action.token_ids is None or not _lacks_parts(action):
+        return action.text
+    return str(tokenizer.decode(action.token_ids)) if isinstance(tokenizer, Encoder) else None
+
+
+def _lacks_parts(action: Response) -> bool:
+    """Tell whether a server took thinking or calls out of the text."""
+    return bool(action.tool_calls or action.reasoning)
+
+
+def _encoded_response(action: Response, complete: bool, tokenizer: Any) -> list[int]:
     """Return the ids of a text, ended as a model would have ended it."""
     ids = _encoded(action.text, tokenizer)
     end = getattr(tokenizer, "eos_token_id", None)
-    return ids if end is None or action.cut_off or ids[-1:] == [end] else [*ids, end]
+    return ids if end is None or action.cut_off or not complete or ids[-1:] == [end] else [*ids, end]
 
 
 def _encoded(text: str, tokenizer: Any) -> list[int]:
@@ -119,7 +138,7 @@ def _encoded(text: str, tokenizer: Any) -> list[int]:
         return list(tokenizer.encode(text, add_special_tokens=False))
     if not callable(tokenizer):
         raise ArgumentError(
-            f"a tokenizer has encode(), or is a function that returns the ids of a text, not {tokenizer!r}"
+            f"a tokenizer has encode() and decode(), or is a function that returns the ids of a text, not {tokenizer!r}"
         )
     return list(tokenizer(text))
 
