@@ -56,6 +56,7 @@ from gem_train.adapters import Generated
 from gem_train.reporting import MetricsLog, write_page
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
+DTYPE = "bfloat16" if DEVICE == "cuda" else "float32"
 SHOWN = ("eval/return", "eval/success", "return", "success", "errors", "loss", "play_s", "learn_s")
 """The metrics that are printed; all are in ``metrics.jsonl``."""
 
@@ -78,7 +79,7 @@ def read_options(arguments=None):
     add("--lr", type=float, help="learning rate; by default 1e-4 with LoRA, else 1e-6")
     add("--micro-batch", type=int, default=8, help="rows in one forward and backward pass; gradients accumulate")
     add("--gradient-checkpointing", action="store_true", help="less memory for a third more time")
-    add("--dtype", default="bfloat16" if DEVICE == "cuda" else "float32", help="of the computation")
+    add("--dtype", choices=["float32", "bfloat16"], default=DTYPE, help="of the computation")
     add("--engine", choices=["transformers", "vllm"], default="transformers", help="what generates")
     add("--temperature", type=float, default=1.0)
     add("--max-tokens", type=int, default=512, help="longest response")
