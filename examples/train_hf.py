@@ -46,6 +46,7 @@ import numpy as np
 import torch
 from torch.nn import functional
 from transformers import AutoModelForCausalLM, AutoTokenizer, GenerationConfig, LogitsProcessor, LogitsProcessorList
+from transformers.utils import logging
 
 import gem_core as gem
 from gem_core.env import stable_hash
@@ -480,4 +481,5 @@ def make_tiny_model(folder, seed):
 
 
 if __name__ == "__main__":
+    logging.disable_progress_bar()  # transformers shows one for each checkpoint
     asyncio.run(train(read_options()))
