@@ -34,7 +34,9 @@ def _training_plan(options: TrainOptions, first_update: int) -> Iterator[PlanIte
             )
 
 
-def _vector(options: TrainOptions, ids: tuple[str, ...], slots: int, plan: Iterator[PlanItem] | list[PlanItem]) -> VectorEnv:
+def _vector(
+    options: TrainOptions, ids: tuple[str, ...], slots: int, plan: Iterator[PlanItem] | list[PlanItem]
+) -> VectorEnv:
     return gem.make_vec(
         ids[0] if len(ids) == 1 else [ids[slot % len(ids)] for slot in range(slots)],
         slots,

@@ -78,9 +78,9 @@ def _sample_apart(
     """Fill in what is sampled, each row by itself, and return the values of the turns."""
     stream = working.read(*_padded(pieces))
     values = working.policy.values(stream)
-    running = torch.ones(len(drawn), dtype=torch.bool)
+    running, everyone = torch.ones(len(drawn), dtype=torch.bool), torch.arange(len(drawn))
     for column in range(drawn.shape[1]):
-        token, logprob = _draw(_logprobs(working, stream, temperature), temperature, generator)
+        token, logprob = _draw(_logprobs(working, stream, temperature), everyone, temperature, generator)
         drawn[:, column], logprobs[:, column] = token.where(running, PAD), logprob.where(running, 0.0)
         running &= token != END
         if not running.any() or column + 1 == drawn.shape[1]:
@@ -108,7 +108,7 @@ def _sample_together(
     running = torch.arange(len(pieces))
     for column in range(limit):
         scores = _logprobs(working, stream, temperature)
-        token, logprob = _draw(scores[state], temperature, generator)
+        token, logprob = _draw(scores, state, temperature, generator)
         drawn[running, column], logprobs[running, column] = token, logprob
         goes_on = token != END
         if not goes_on.any() or column + 1 == limit:
@@ -133,6 +133,14 @@ def _logprobs(cache: Cache, stream: Tensor, temperature: float) -> Tensor:
     return torch.log_softmax(cache.policy.logits(stream) / (temperature or 1.0), dim=-1)
 
 
-def _draw(logprobs: Tensor, temperature: float, generator: torch.Generator | None) -> tuple[Tensor, Tensor]:
-    token = torch.multinomial(logprobs.exp(), 1, generator=generator).squeeze(1) if temperature else logprobs.argmax(-1)
-    return token, logprobs.gather(1, token[:, None]).squeeze(1)
+def _draw(
+    logprobs: Tensor, state: Tensor, temperature: float, generator: torch.Generator | None
+) -> tuple[Tensor, Tensor]:
+    """Draw a token for each row from the distribution of its state, by the inverse of the cumulative one."""
+    if temperature:
+        cumulative = logprobs.exp().cumsum(dim=-1)
+        below = torch.rand(len(state), 1, generator=generator) * (1 - 1e-6) * cumulative[state, -1:]
+        token = (cumulative[state] <= below).sum(dim=-1)
+    else:
+        token = logprobs.argmax(dim=-1)[state]
+    return token, logprobs[state, token]

@@ -10,7 +10,7 @@ import torch
 import gem_core as gem
 from gem_core.env import stable_hash
 from gem_core.errors import ArgumentError
-from gem_core.records import Episode, JointEpisode, PlanItem
+from gem_core.records import Episode, PlanItem
 from gem_train.learner.environments import has_seats
 from gem_train.learner.learning import Learner
 from gem_train.learner.options import TrainOptions
@@ -19,7 +19,7 @@ from gem_train.learner.policy_loss import score
 from gem_train.learner.vocabulary import ANSWER, END, Vocabulary
 from gem_train.tokens import TokenBatch
 
-_STEP_EPISODES = 32
+_STEP_ROWS = 128
 _LEARNING_RATE = 3e-3
 _VOCABULARY_EPISODES = 256
 
@@ -36,9 +36,11 @@ def record_episodes(options: TrainOptions, agent: str, episodes: int) -> list[Ep
     for env_id in dict.fromkeys((*options.env, *options.eval_envs)):
         seed = stable_hash(options.seed, "imitation")
         with gem.make_vec(env_id, 64, wrappers=options.wrappers, seed=seed, **options.env_kwargs) as vec:
-            who = {"agents" if has_seats(env_id, options) else "agent": agent}
-            for episode in gem.rollout(vec, plan=[PlanItem() for _ in range(episodes)], **who):
-                recorded.extend(episode if isinstance(episode, JointEpisode) else [episode])
+            plan = [PlanItem() for _ in range(episodes)]
+            if has_seats(env_id, options):
+                recorded.extend(seat for joint in gem.rollout(vec, agents=agent, plan=plan) for seat in joint)
+            else:
+                recorded.extend(gem.rollout(vec, agent, plan=plan))
     return recorded
 
 
@@ -63,23 +65,24 @@ def imitate(learner: Learner, recorded: Sequence[Episode]) -> Iterator[float]:
     """
     options, policy = learner.options, learner.policy
     batch = _rows(learner, recorded)
-    fits = (batch.loss_mask.any(axis=1)) & (batch.lengths <= options.context)
+    fits = batch.loss_mask.any(axis=1) & (batch.lengths <= options.context)
     if not fits.any():
         raise ArgumentError(
             f"nothing that {options.imitate!r} said fits in max_tokens ({options.max_tokens}) and context "
             f"({options.context}); raise them"
         )
     # Rows of like length go together, so that little of a batch is padding.
-    order = torch.from_numpy(batch.lengths).argsort()[torch.from_numpy(fits)[torch.from_numpy(batch.lengths).argsort()]]
-    tokens, sampled = torch.from_numpy(batch.tokens)[order], torch.from_numpy(batch.loss_mask)[order]
-    lengths = torch.from_numpy(batch.lengths)[order]
+    usable = np.flatnonzero(fits)
+    order = usable[np.argsort(batch.lengths[usable], kind="stable")]
+    tokens, sampled = torch.from_numpy(batch.tokens[order]), torch.from_numpy(batch.loss_mask[order])
+    lengths = torch.from_numpy(batch.lengths[order])
     optimizer = torch.optim.AdamW(policy.parameters(), lr=_LEARNING_RATE, betas=(0.9, 0.95), weight_decay=0.0)
     generator = torch.Generator().manual_seed(stable_hash(options.seed, "imitation"))
     for step in range(options.imitate_steps):
         part = min(1.0, (step + 1) / 30, 2 * (options.imitate_steps - step) / options.imitate_steps)
         optimizer.param_groups[0]["lr"] = _LEARNING_RATE * part
         optimizer.zero_grad(set_to_none=True)
-        rows = torch.randint(len(tokens), (_STEP_EPISODES,), generator=generator).sort().values
+        rows = torch.randint(len(tokens), (_STEP_ROWS,), generator=generator).sort().values
         count = int(sampled[rows].sum())
         total = 0.0
         for half in rows.chunk(2):

@@ -16,6 +16,7 @@ from gem_train.learner.policy_loss import Floats, Rows, Scored, score, turn_adva
 from gem_train.learner.vocabulary import Vocabulary
 from gem_train.tokens import TokenBatch
 
+
 class Learner:
     """A policy that learns from what it plays.
 
@@ -26,7 +27,6 @@ class Learner:
 
     def __init__(self, options: TrainOptions, vocabulary: Vocabulary) -> None:
         self.options, self.vocabulary = options, vocabulary
-        self.generator = torch.Generator().manual_seed(stable_hash(options.seed, "sampling"))
         with torch.random.fork_rng():
             torch.manual_seed(stable_hash(options.seed, "weights"))
             sizes = ModelOptions(options.layers, options.width, options.heads, options.context)
@@ -48,11 +48,12 @@ class Learner:
         left = (options.updates - self.updates) / max(options.updates / 3, 1)
         self.optimizer.param_groups[0]["lr"] = options.learning_rate * min(1.0, left)
         rows = Rows.of(batch, *turn_advantages(batch, options, values, bootstrap))
+        generator = torch.Generator().manual_seed(stable_hash(options.seed, "minibatches", self.updates))
         metrics: list[dict[str, float]] = []
         for _ in range(options.epochs):
             part = rows.usable
             if options.minibatches > 1:
-                part = part[torch.randperm(len(part), generator=self.generator)]
+                part = part[torch.randperm(len(part), generator=generator)]
             metrics.extend(self._step(rows, some) for some in part.chunk(options.minibatches) if len(some))
         self.updates += 1
         return {name: float(np.mean([step[name] for step in metrics])) for name in (metrics[0] if metrics else ())}
@@ -81,11 +82,15 @@ class Learner:
         options, mask = self.options, rows.learnable[chunk, :width]
         old, advantages = rows.logprobs[chunk, :width], rows.advantages[chunk, :width]
         if options.algorithm in ("ppo", "grpo", "dr-grpo"):
-            clip = {"clip_low": options.clip, "clip_high": options.clip}
-            loss, seen = ppo_loss(scored.logprobs, old, advantages, mask, **clip, denominator=tokens)
+            low, high = options.clip, options.clip
+            loss, seen = ppo_loss(
+                scored.logprobs, old, advantages, mask, clip_low=low, clip_high=high, denominator=tokens
+            )
         else:
             weights = truncated_importance_weights(scored.logprobs, old, mask) if options.overlap else None
-            loss, seen = policy_gradient_loss(scored.logprobs, old, advantages, mask, weights=weights, denominator=tokens)
+            loss, seen = policy_gradient_loss(
+                scored.logprobs, old, advantages, mask, weights=weights, denominator=tokens
+            )
         entropy = scored.entropy.where(mask, 0.0).sum() / tokens
         total = loss - options.entropy * entropy
         if options.algorithm == "ppo":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -51,7 +52,8 @@ class Block(nn.Module):
     def finish(self, x: Tensor, attended: Tensor) -> Tensor:
         """Return the stream after this block: (…, width), from what attention read."""
         x = x + self.out(attended)
-        return x + self.narrow(F.gelu(self.widen(self.feed_norm(x))))
+        finished: Tensor = x + self.narrow(F.gelu(self.widen(self.feed_norm(x))))
+        return finished
 
 
 class Policy(nn.Module):
@@ -67,10 +69,15 @@ class Policy(nn.Module):
         width = options.width
         self.options = options
         self.embedding, self.positions = nn.Embedding(len(texts), width), nn.Embedding(options.context, width)
-        self.blocks = nn.ModuleList(Block(width, options.heads) for _ in range(options.layers))
+        self.stack = nn.ModuleList(Block(width, options.heads) for _ in range(options.layers))
         self.norm = nn.LayerNorm(width)
         self.unembedding, self.value = nn.Linear(width, len(texts), bias=False), nn.Linear(width, 1)
         self._initialize(texts)
+
+    @property
+    def blocks(self) -> list[Block]:
+        """Its layers, first to last."""
+        return cast("list[Block]", list(self.stack))
 
     def forward(self, tokens: Tensor, prefix: int, rows: Tensor, columns: Tensor) -> Tensor:
         """Return the stream at some places, (places, width).
@@ -82,11 +89,11 @@ class Policy(nn.Module):
             columns: Column of each place, ``prefix`` or above.
         """
         length = tokens.shape[1]
-        if prefix:
-            shared = self.embedding(tokens[:1, :prefix]) + self.positions.weight[:prefix]
+        shared = self.embedding(tokens[:1, :prefix]) + self.positions.weight[:prefix]
         x = self.embedding(tokens[:, prefix:]) + self.positions.weight[prefix:length]
         mask = torch.ones(length - prefix, length, dtype=torch.bool, device=tokens.device).tril(prefix)
-        for block in self.blocks:
+        *earlier, last = self.blocks
+        for block in (*earlier, last):
             query, key, value = block.qkv(x)
             if prefix:
                 first_query, first_key, first_value = block.qkv(shared)
@@ -96,20 +103,22 @@ class Policy(nn.Module):
                 value = torch.cat([first_value.expand(len(value), -1, -1, -1), value], dim=2)
             attended = F.scaled_dot_product_attention(query, key, value, attn_mask=mask)
             attended = attended.transpose(1, 2).flatten(2)
-            if block is self.blocks[-1]:  # nothing reads the other places any more
-                return block.finish(x[rows, columns - prefix], attended[rows, columns - prefix])
+            if block is last:  # nothing reads the other places any more
+                x, attended = x[rows, columns - prefix], attended[rows, columns - prefix]
             x = block.finish(x, attended)
-        raise RuntimeError("a policy without layers")
+        stream: Tensor = x
+        return stream
 
     def logits(self, stream: Tensor) -> Tensor:
         """Return the logits of the next token, (…, vocabulary); padding and the mark of a response are never drawn."""
-        logits = self.unembedding(self.norm(stream))
+        logits: Tensor = self.unembedding(self.norm(stream))
         logits[..., [PAD, ANSWER]] = -torch.inf
         return logits
 
     def values(self, stream: Tensor) -> Tensor:
         """Return the estimated return, (…)."""
-        return self.value(self.norm(stream)).squeeze(-1)
+        values: Tensor = self.value(self.norm(stream)).squeeze(-1)
+        return values
 
     @torch.no_grad()
     def _initialize(self, texts: Sequence[str]) -> None:
@@ -156,11 +165,15 @@ class Cache:
         x = self.policy.embedding(tokens) + self.policy.positions(places)
         for block, (keys, values) in zip(self.policy.blocks, self.layers, strict=True):
             query, key, value = block.qkv(x)
-            keys[rows[:, None], :, places], values[rows[:, None], :, places] = key.transpose(1, 2), value.transpose(1, 2)
+            keys[rows[:, None], :, places], values[rows[:, None], :, places] = (
+                key.transpose(1, 2),
+                value.transpose(1, 2),
+            )
             attended = F.scaled_dot_product_attention(query, keys[:, :, :end], values[:, :, :end], attn_mask=mask)
             x = block.finish(x, attended.transpose(1, 2).flatten(2))
         self.lengths += counts
-        return x[rows, (counts - 1).clamp(min=0)]
+        after: Tensor = x[rows, (counts - 1).clamp(min=0)]
+        return after
 
     def copy_of(self, rows: Tensor, columns: int) -> Cache:
         """Return some rows, with room for more columns than they have.
@@ -173,11 +186,10 @@ class Cache:
         copy.policy, copy.lengths = self.policy, self.lengths[rows]
         longest = int(copy.lengths.max())
         width = min(longest + columns, self.policy.options.context)
-        copy.layers = []
-        for keys, values in self.layers:
-            pair = tuple(each.new_zeros(len(rows), each.shape[1], width, each.shape[3]) for each in (keys, values))
-            pair[0][:, :, :longest], pair[1][:, :, :longest] = keys[rows, :, :longest], values[rows, :, :longest]
-            copy.layers.append(pair)
+        shape = (len(rows), self.policy.options.heads, width, self.layers[0][0].shape[3])
+        copy.layers = [(torch.zeros(shape), torch.zeros(shape)) for _ in self.layers]
+        for (keys, values), (new_keys, new_values) in zip(self.layers, copy.layers, strict=True):
+            new_keys[:, :, :longest], new_values[:, :, :longest] = keys[rows, :, :longest], values[rows, :, :longest]
         return copy
 
     def take_back(self, rows: Tensor, copy: Cache) -> None:

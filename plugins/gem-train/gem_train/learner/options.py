@@ -90,7 +90,7 @@ class TrainOptions:
     vocabulary: int = 2048
     imitate: str | None = None
     imitate_episodes: int = 4000
-    imitate_steps: int = 1000
+    imitate_steps: int = 600
     eval_every: int = 0
     eval_envs: tuple[str, ...] = ()
     eval_episodes: int = 1024
@@ -108,7 +108,11 @@ class TrainOptions:
             raise ArgumentError(f"algorithm is one of {', '.join(ALGORITHMS)}, not {self.algorithm!r}")
         compares = self.algorithm in ("grpo", "dr-grpo", "rloo")
         critic = self.algorithm == "ppo"
-        for name, value in (("group_size", 8 if compares else 1), ("epochs", 4 if critic else 1), ("minibatches", 4 if critic else 1)):
+        for name, value in (
+            ("group_size", 8 if compares else 1),
+            ("epochs", 4 if critic else 1),
+            ("minibatches", 4 if critic else 1),
+        ):
             if not getattr(self, name):
                 object.__setattr__(self, name, value)
         if compares and self.group_size < 2:

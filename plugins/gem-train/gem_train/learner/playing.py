@@ -12,10 +12,10 @@ import torch
 from gem_core.types import Info, Observation
 from gem_core.vector import VectorEnv
 from gem_train.learner.generation import Sampled, sample
-from gem_train.learner.learning import Learner
-from gem_train.learner.model import Cache
+from gem_train.learner.model import Cache, Policy
+from gem_train.learner.options import TrainOptions
 from gem_train.learner.policy_loss import Floats
-from gem_train.learner.vocabulary import ANSWER, END
+from gem_train.learner.vocabulary import ANSWER, END, Vocabulary
 from gem_train.tokens import TokenBatch
 
 
@@ -102,7 +102,7 @@ class Slot:
     def action(self) -> Any:
         """Return what those who act have just said."""
         said = {seat.seat: seat.turns[-1].text for seat in self.acting}
-        return said if None not in said else said[None]
+        return said.get(None, said)
 
     def add(self, observation: Any, reward: Any, terminated: bool, truncated: bool, info: Info) -> None:
         """Take the result of a step."""
@@ -141,31 +141,33 @@ class Slot:
 
 
 class Player:
-    """The policy as it plays: it reads what is new in each row, and remembers the rest.
+    """A policy as it plays: it reads what is new in each row, and remembers the rest.
 
     Args:
-        learner: Whose policy plays.
+        policy: That plays.
+        vocabulary: What it reads and writes with.
+        options: Of the run.
         rows: The most seats that play at once.
-        temperature: Of sampling; None takes that of the options.
     """
 
-    def __init__(self, learner: Learner, rows: int, temperature: float | None = None) -> None:
-        self.learner = learner
-        self.temperature = learner.options.temperature if temperature is None else temperature
-        self._cache = Cache(learner.policy, rows)
+    def __init__(self, policy: Policy, vocabulary: Vocabulary, options: TrainOptions, rows: int) -> None:
+        self.policy, self.vocabulary, self.options = policy, vocabulary, options
+        self._generator = torch.Generator()
+        self._cache = Cache(policy, rows)
         self._ids: dict[str, list[int]] = {}
 
-    def play(self, vec: VectorEnv, seed: int | None = None) -> list[Played]:
+    def play(self, vec: VectorEnv, seed: int) -> list[Played]:
         """Play one episode in every slot, and return what each seat lived through, in the order of the slots.
 
         All seats that are to act are answered at once.
 
         Args:
             vec: Made with ``autoreset="disabled"``, so that each call begins the next episodes of its plan.
-            seed: Begin the plan again, with this seed of the run.
+            seed: Of what is sampled.
         """
-        feedback = self.learner.options.feedback
-        slots = [Slot(number, *first, feedback) for number, first in enumerate(zip(*vec.reset(seed), strict=True))]
+        feedback = self.options.feedback
+        slots = [Slot(number, *first, feedback) for number, first in enumerate(zip(*vec.reset(), strict=True))]
+        self._generator.manual_seed(seed)
         self._cache.lengths.zero_()
         rows: dict[int, int] = {}
         while running := [slot for slot in slots if slot.acting]:
@@ -178,8 +180,7 @@ class Player:
 
     def _answer(self, seats: list[Played], rows: list[int]) -> None:
         """Add a turn to each of some seats."""
-        learner, lengths = self.learner, self._cache.lengths
-        options = learner.options
+        options, lengths = self.options, self._cache.lengths
         pieces, new = [], []
         for seat, row, length in zip(seats, rows, lengths[rows].tolist(), strict=True):
             read = self._encode(seat.shown)
@@ -200,12 +201,12 @@ class Player:
             pieces,
             options.max_tokens,
             keep=options.memory is None,
-            generator=learner.generator,
-            temperature=self.temperature,
+            generator=self._generator,
+            temperature=options.temperature,
         )
         for seat, said, (read, new_row) in zip(seats, drawn, new, strict=True):
             shown_ids = self._encode(seat.shown)
-            seat.turns.append(Turn(seat.shown, shown_ids, read, said, learner.vocabulary.decode(said.tokens), new_row))
+            seat.turns.append(Turn(seat.shown, shown_ids, read, said, self.vocabulary.decode(said.tokens), new_row))
 
     def _encode(self, observation: Observation) -> list[int]:
         """Return the ids of an observation, and the mark of the response after them."""
@@ -214,15 +215,15 @@ class Player:
         if known is None:
             if len(self._ids) > 50_000:
                 self._ids.clear()
-            known = self._ids[text] = [*self.learner.vocabulary.encode(text), ANSWER]
+            known = self._ids[text] = [*self.vocabulary.encode(text), ANSWER]
         return known
 
     def bootstrap(self, played: Sequence[Played]) -> Floats:
         """Return the critic's value after the last turn of each episode that was cut off; 0 elsewhere."""
         values = np.zeros(len(played))
         cut_off = [index for index, seat in enumerate(played) if seat.turns and not seat.terminated and not seat.error]
-        if self.learner.options.algorithm == "ppo" and cut_off:
-            pieces = [self._encode(played[index].shown)[-self.learner.options.context + 1 :] for index in cut_off]
+        if self.options.algorithm == "ppo" and cut_off:
+            pieces = [self._encode(played[index].shown)[-self.options.context + 1 :] for index in cut_off]
             self._cache.lengths.zero_()
             drawn = sample(self._cache, range(len(cut_off)), pieces, 1, keep=False, temperature=0.0)
             values[cut_off] = [said.value for said in drawn]

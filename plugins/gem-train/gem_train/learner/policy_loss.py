@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -29,7 +29,9 @@ _CHUNK_TOKENS = 8192
 """Tokens that go through the model at once, for the sake of the processor's caches."""
 
 
-def turn_advantages(batch: TokenBatch, options: TrainOptions, values: Floats, bootstrap: Floats) -> tuple[Floats, Floats]:
+def turn_advantages(
+    batch: TokenBatch, options: TrainOptions, values: Floats, bootstrap: Floats
+) -> tuple[Floats, Floats]:
     """Return the advantages and the returns that a critic learns, both (E, T).
 
     Args:
@@ -53,8 +55,12 @@ def turn_advantages(batch: TokenBatch, options: TrainOptions, values: Floats, bo
     if options.algorithm == "rloo":
         of_episode = rloo_advantages(batch.episode_returns, batch.groups, learnable=counts)
     else:
-        scale = "std" if options.algorithm == "grpo" else "none"
-        of_episode = grpo_advantages(batch.episode_returns, batch.groups, scale=scale, learnable=counts)
+        of_episode = grpo_advantages(
+            batch.episode_returns,
+            batch.groups,
+            scale="std" if options.algorithm == "grpo" else "none",
+            learnable=counts,
+        )
     return np.where(learnable, of_episode[:, None], 0.0), returns
 
 
@@ -145,7 +151,7 @@ class Rows:
         )
 
     def chunks(self, part: Tensor) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """Yield some rows in chunks of like length; equal ones are computed once, as a policy that has settled repeats itself.
+        """Yield some rows in chunks of like length, equal ones once: a policy that has settled repeats itself.
 
         Args:
             part: Numbers of the rows.

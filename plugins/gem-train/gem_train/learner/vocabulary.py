@@ -21,7 +21,7 @@ _WORD = re.compile(
 )
 
 PAD, END, ANSWER, UNKNOWN = range(4)
-"""Ids of the special tokens: padding, the end of a response, the place where the response begins, any other character."""
+"""Ids of the special tokens: padding, the end of a response, the place where one begins, any other character."""
 
 _SPECIAL = ("<pad>", "<end>", "<answer>", "�")
 
