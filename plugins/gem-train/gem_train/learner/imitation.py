@@ -24,16 +24,17 @@ _LEARNING_RATE = 3e-3
 _VOCABULARY_EPISODES = 256
 
 
-def record_episodes(options: TrainOptions, agent: str, episodes: int) -> list[Episode]:
+def record_episodes(options: TrainOptions, env_ids: Sequence[str], agent: str, episodes: int) -> list[Episode]:
     """Let a player play, and return its episodes, one for each seat.
 
     Args:
-        options: Which environments, and how they are shown.
+        options: How the environments are made.
+        env_ids: Which ones.
         agent: Name of the player, as ``load_agent`` takes it.
         episodes: Number of episodes of each environment.
     """
     recorded: list[Episode] = []
-    for env_id in dict.fromkeys((*options.env, *options.eval_envs)):
+    for env_id in dict.fromkeys(env_ids):
         seed = stable_hash(options.seed, "imitation")
         with gem.make_vec(env_id, 64, wrappers=options.wrappers, seed=seed, **options.env_kwargs) as vec:
             plan = [PlanItem() for _ in range(episodes)]
@@ -45,8 +46,9 @@ def record_episodes(options: TrainOptions, agent: str, episodes: int) -> list[Ep
 
 
 def build_vocabulary(options: TrainOptions, recorded: Sequence[Episode]) -> Vocabulary:
-    """Return the words of what a player was shown and said, and of what a random one meets."""
-    episodes = [*recorded, *record_episodes(options, "random", _VOCABULARY_EPISODES)]
+    """Return the words of what a player was shown and said, and of what a random one meets, evaluations included."""
+    env_ids = (*options.env, *options.eval_envs)
+    episodes = [*recorded, *record_episodes(options, env_ids, "random", _VOCABULARY_EPISODES)]
     return Vocabulary.build(
         (text for episode in episodes for shown, said in _turns(episode, options.feedback) for text in (shown, said)),
         options.vocabulary,

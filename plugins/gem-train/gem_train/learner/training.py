@@ -34,7 +34,9 @@ def warm_start(options: TrainOptions, on_step: Callable[[int, float], None] = la
         options: Of the run.
         on_step: Called with the number of each step of imitation and its loss.
     """
-    recorded = record_episodes(options, options.imitate, options.imitate_episodes) if options.imitate else []
+    recorded = (
+        record_episodes(options, options.env, options.imitate, options.imitate_episodes) if options.imitate else []
+    )
     learner = Learner(options, build_vocabulary(options, recorded))
     if recorded:
         for step, loss in enumerate(imitate(learner, recorded)):

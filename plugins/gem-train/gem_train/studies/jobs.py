@@ -98,6 +98,7 @@ def _start_file(folder: Path, options: TrainOptions) -> Path:
     """Return where the warm start of a run is kept: runs that differ in the algorithm alone share it."""
     own = {"algorithm", "gamma", "lam", "updates", "episodes", "group_size", "epochs", "minibatches", "learning_rate"}
     own |= {"clip", "entropy", "value_weight", "overlap", "eval_every", "eval_episodes", "checkpoint_every"}
+    own |= {"failure_reward", "role_baselines"}
     shared = {name: value for name, value in options.to_dict().items() if name not in own}
     return folder / f"start-{stable_hash(json.dumps(shared, sort_keys=True))}.pt"
 
