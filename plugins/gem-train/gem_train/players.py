@@ -14,6 +14,10 @@ _RANGE = re.compile(r"The number is from (-?\d+) to (-?\d+)\.", re.ASCII)
 _HINT = re.compile(r"(higher|lower) than (-?\d+)", re.ASCII)
 _SLIPS = 0.04
 
+_QUESTION = re.compile(r"(\d+) ([+*]) (\d+)", re.ASCII)
+_RESULT = re.compile(r"^Output of python:\n(\d+)$", re.ASCII | re.MULTILINE)
+_USES_TOOL, _ASKS_AGAIN, _RIGHT_SUMS = 0.3, 0.2, 0.9
+
 
 def interval_player(observation: Observation, context: Context) -> str:
     r"""Play GuessTheNumber: write down the interval that is left, then any number of it, as ``13 to 24 \boxed{18}``.
@@ -27,3 +31,25 @@ def interval_player(observation: Observation, context: Context) -> str:
     random = np.random.default_rng(stable_hash(context.info.get("seed"), context.episode, context.turn, shown))
     lowest, highest = first if random.random() < _SLIPS else (low, high)
     return f"{low} to {high} \\boxed{{{random.integers(lowest, highest + 1)}}}"
+
+
+def tool_player(observation: Observation, context: Context) -> str:
+    r"""Answer a sum or a product of two numbers, three times in ten with the tool ``python``, whatever is asked.
+
+    By itself it is right about nine sums in ten, and never knows a product: it says that of any two such numbers. What
+    the tool said it answers, but one time in five it runs the same code again.
+    """
+    left, sign, right = _QUESTION.findall(str(observation))[0]
+    shown = str(context.observation)
+    random = np.random.default_rng(stable_hash(context.info.get("seed"), context.episode, context.turn, shown))
+    result = _RESULT.search(shown)
+    if random.random() < (_ASKS_AGAIN if result else _USES_TOOL):
+        return f"<python>{left} {sign} {right}</python>"
+    if result:
+        answer = result[1]
+    elif sign == "*":
+        answer = str(random.integers(11, 31) * random.integers(11, 31))
+    else:
+        slip = 0 if random.random() < _RIGHT_SUMS else random.integers(-3, 4)
+        answer = str(max(int(left) + int(right) + slip, 0))
+    return f"\\boxed{{{answer}}}"

@@ -14,7 +14,11 @@ from gem_core.cli import AtLeast, Column, echo_line, print_table
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-STUDIES = {"gamma": "Discount factor and Return Batch Normalization on GuessTheNumber: does it find bisection?"}
+STUDIES = {
+    "gamma": "Discount factor and Return Batch Normalization on GuessTheNumber: does it find bisection?",
+    "rewards": "Rewards of 0 and 1, of -1 and 1, and ReBN, with a tool: is it learnt, and is it overused?",
+    "transfer": "Train on one environment, evaluate on others while training: what carries over?",
+}
 
 
 @click.command(
@@ -22,6 +26,8 @@ STUDIES = {"gamma": "Discount factor and Return Batch Normalization on GuessTheN
     epilog="""\b
 Studies:
   gamma       gamma of 0.5, 0.9, 0.999 with REINFORCE and with ReBN on GuessTheNumber; five seeds
+  rewards     rewards of 0 and 1, of -1 and 1, and ReBN, on sums and products with the Python tool
+  transfer    train on GuessTheNumber, evaluate on other ranges and on Mastermind while training
 \b
 Examples:
   gem train-study gamma --quick
@@ -52,9 +58,9 @@ def command(study: str, quick: bool, seeds: int, workers: int | None, out: str |
 
 
 def _study(name: str) -> Callable[..., list[dict[str, Any]]]:
-    from gem_train.studies import gamma
+    from gem_train.studies import gamma, rewards, transfer
 
-    return {"gamma": gamma.run}[name]
+    return {"gamma": gamma.run, "rewards": rewards.run, "transfer": transfer.run}[name]
 
 
 def _column(name: str, place: int) -> Column:
