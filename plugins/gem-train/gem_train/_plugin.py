@@ -4,10 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gem_core import CommandSpec, hookimpl
+from gem_core import AgentSpec, CommandSpec, hookimpl
 
 
 @hookimpl
 def gem_add_commands() -> Iterable[CommandSpec]:
     """The commands that train."""
-    return []
+    return [
+        CommandSpec(
+            name="train",
+            entry_point="gem_train.learner.command:command",
+            summary="Train a small policy from scratch on a processor, in any environments of text.",
+        ),
+    ]
+
+
+@hookimpl
+def gem_register_agents() -> Iterable[AgentSpec]:
+    """The agent ``train``."""
+    return [
+        AgentSpec(
+            name="train",
+            entry_point="gem_train.learner.agent:CheckpointAgent",
+            summary="Plays as a policy of 'gem train' does, as train:FOLDER.",
+        )
+    ]

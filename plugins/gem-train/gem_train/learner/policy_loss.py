@@ -30,7 +30,7 @@ _CHUNK_TOKENS = 8192
 
 
 def turn_advantages(
-    batch: TokenBatch, options: TrainOptions, values: Floats, bootstrap: Floats
+    batch: TokenBatch, options: TrainOptions, values: Floats, bootstrap: Floats, baselines: Floats | None = None
 ) -> tuple[Floats, Floats]:
     """Return the advantages and the returns that a critic learns, both (E, T).
 
@@ -39,6 +39,7 @@ def turn_advantages(
         options: The algorithm and its constants.
         values: Of the critic, (E, T).
         bootstrap: Of the critic after the last turn, (E,).
+        baselines: Subtracted from the returns of each episode, (E,); None for nothing.
     """
     learnable = batch.learnable
     if options.algorithm == "ppo":
@@ -47,6 +48,8 @@ def turn_advantages(
         )
         return normalize_advantages(advantages, learnable), targets
     returns = discounted_returns(batch.rewards, batch.mask, gamma=options.gamma)
+    if baselines is not None:
+        returns = np.where(batch.mask, returns - baselines[:, None], 0.0)
     if options.algorithm == "reinforce":
         return np.where(learnable, returns, 0.0), returns
     if options.algorithm == "rebn":
