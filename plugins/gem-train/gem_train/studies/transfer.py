@@ -73,7 +73,7 @@ def run(folder: Path, *, quick: bool, seeds: int, workers: int | None, quiet: bo
     """
     seeds = 1 if quick else seeds
     jobs = [
-        Job(f"{trained.replace(' ', '-')}-{seed}", options_of(trained, seed), measure, every=10)
+        Job(f"{trained.replace(' ', '-')}-{seed}", options_of(trained, seed), measure, every=20)
         for seed in range(seeds)
         for trained in TRAINED
     ]
