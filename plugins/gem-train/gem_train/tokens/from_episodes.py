@@ -88,7 +88,7 @@ def _terminated(episode: Episode) -> bool:
 
 def _group(episode: Episode, index: int) -> object:
     """Return what the episodes of a group share; the seats of an environment do not start alike."""
-    return index if episode.group is None else (episode.run_seed, episode.group, episode.seat)
+    return index if episode.group is None else (episode.id, episode.run_seed, episode.group, episode.seat)
 
 
 def _state(episode: Episode, turn: int) -> str:
