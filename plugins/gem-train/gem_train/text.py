@@ -6,9 +6,9 @@ from typing import Any
 
 
 def encodable(value: Any) -> Any:
-    """Return plain data with a question mark for each lone surrogate, which UTF-8 cannot hold.
+    r"""Return plain data with a question mark for each lone surrogate, which UTF-8 cannot hold.
 
-    A model can write one, as ``"\\ud800"`` in the JSON of a call, and environments quote what it wrote.
+    A model can write one, as ``"\ud800"`` in the JSON of a call, and environments quote what it wrote.
     """
     if isinstance(value, str):
         return value.encode("utf-8", "replace").decode()
