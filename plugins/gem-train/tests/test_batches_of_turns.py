@@ -94,6 +94,12 @@ def test_states_are_how_things_stood_before_a_turn() -> None:
     assert_array_equal(batches([first, second]).states, [[0, 1, 0], [1, -1, -1]])
 
 
+def test_states_compare_images_by_their_pixels() -> None:
+    """Two renderings of one state are one state."""
+    shown = [[{"type": "image", "image": Image.new("RGB", (2, 2), colour)}] for colour in ("red", "red", "blue")]
+    assert_array_equal(batches([episode(*(turn(observation=each) for each in shown))]).states, [[0, 0, 1]])
+
+
 def test_seats_are_episodes_of_their_own() -> None:
     """Each with its role, what it earned before it acted, and groups of those who begin alike."""
     plan = [gem.PlanItem(repeat=2) for _ in range(6)]

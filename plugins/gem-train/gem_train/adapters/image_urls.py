@@ -10,7 +10,9 @@ from typing import Any
 def images_as_urls(messages: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return messages whose images are PNG data URLs, as in the OpenAI chat API."""
     return [
-        message if isinstance(message["content"], str) else {**message, "content": list(map(_part, message["content"]))}
+        {**message, "content": list(map(_part, message["content"]))}
+        if isinstance(message["content"], list)
+        else message
         for message in messages
     ]
 
