@@ -47,6 +47,7 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("command", "report"): ("gem-eval",),
     ("command", "export"): ("gem-eval",),
     ("command", "view"): ("gem-eval",),
+    ("command", "train-study"): ("gem-train",),
     ("command", "mcp"): ("gem-tools",),
     ("command", "serve-search"): ("gem-tools",),
     ("command", "tau"): ("gem-tau",),

@@ -10,4 +10,10 @@ from gem_core import CommandSpec, hookimpl
 @hookimpl
 def gem_add_commands() -> Iterable[CommandSpec]:
     """The commands that train."""
-    return []
+    return [
+        CommandSpec(
+            name="train-study",
+            entry_point="gem_train.studies.command:command",
+            summary="Show claims about training by many small runs.",
+        ),
+    ]

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from gem_core.env import stable_hash
-from gem_train.estimators import policy_gradient_loss, ppo_loss, truncated_importance_weights
+from gem_train.estimators import policy_gradient_loss, ppo_loss, role_baselines, truncated_importance_weights
 from gem_train.learner.model import ModelOptions, Policy
 from gem_train.learner.options import TrainOptions
 from gem_train.learner.policy_loss import Floats, Rows, Scored, score, turn_advantages
@@ -35,6 +35,8 @@ class Learner:
             self.policy.parameters(), lr=options.learning_rate, betas=(0.9, 0.95), weight_decay=0.0
         )
         self.updates = 0
+        self.role_means: dict[str, float] = {}
+        """Moving mean of the returns of each seat, where the options ask for role baselines."""
 
     def learn(self, batch: TokenBatch, values: Floats, bootstrap: Floats) -> dict[str, float]:
         """Take the steps of one update, and return the means of its metrics.
@@ -47,7 +49,7 @@ class Learner:
         options = self.options
         left = (options.updates - self.updates) / max(options.updates / 3, 1)
         self.optimizer.param_groups[0]["lr"] = options.learning_rate * min(1.0, left)
-        rows = Rows.of(batch, *turn_advantages(batch, options, values, bootstrap))
+        rows = Rows.of(batch, *turn_advantages(batch, options, values, bootstrap, self._baselines(batch)))
         generator = torch.Generator().manual_seed(stable_hash(options.seed, "minibatches", self.updates))
         metrics: list[dict[str, float]] = []
         for _ in range(options.epochs):
@@ -57,6 +59,19 @@ class Learner:
             metrics.extend(self._step(rows, some) for some in part.chunk(options.minibatches) if len(some))
         self.updates += 1
         return {name: float(np.mean([step[name] for step in metrics])) for name in (metrics[0] if metrics else ())}
+
+    def _baselines(self, batch: TokenBatch) -> Floats:
+        """Return the mean return of each episode's role so far, and move the means on; zeros without role baselines."""
+        if not self.options.role_baselines:
+            return np.zeros(len(batch.terminated))
+        roles = sorted({str(seat) for seat in batch.seats})
+        index = np.array([roles.index(str(seat)) for seat in batch.seats])
+        means = np.array([self.role_means.get(role, 0.0) for role in roles])
+        learnable = batch.learnable.any(axis=1)
+        advantages, moved = role_baselines(means, batch.episode_returns, index, learnable=learnable)
+        self.role_means |= dict(zip(roles, moved.tolist(), strict=True))
+        baselines: Floats = batch.episode_returns - advantages
+        return baselines
 
     def _step(self, rows: Rows, part: Tensor) -> dict[str, float]:
         """Take one step of the optimizer on some rows."""

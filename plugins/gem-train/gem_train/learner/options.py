@@ -36,7 +36,9 @@ class TrainOptions:
         clip: How far PPO's and GRPO's ratio may be from 1 before moving further earns nothing.
         entropy: Weight of the entropy bonus.
         value_weight: Weight of the critic's loss.
-        role_baselines: Subtract a moving mean of the returns of each seat, in self-play.
+        role_baselines: Subtract a moving mean of the returns of each seat, in self-play; for ``"reinforce"`` and
+            ``"rebn"``.
+        failure_reward: Added to the last reward of an episode that was not solved, as -1 for rewards of 1 and -1.
         overlap: Play the next batch while learning from this one, one step off-policy, with importance weights.
         feedback: Show after the first turn only what is new (``info["feedback"]``), not how things stand, where the
             environment tells them apart: shorter, for environments whose feedback says all.
@@ -77,6 +79,7 @@ class TrainOptions:
     entropy: float = 0.0
     value_weight: float = 0.5
     role_baselines: bool = False
+    failure_reward: float = 0.0
     overlap: bool = False
     feedback: bool = False
     memory: int | None = None

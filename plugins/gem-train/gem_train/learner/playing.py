@@ -230,13 +230,16 @@ class Player:
         return values
 
 
-def token_batch(played: Sequence[Played], *, groups: Sequence[int], learn_cut_off: bool = True) -> TokenBatch:
+def token_batch(
+    played: Sequence[Played], *, groups: Sequence[int], learn_cut_off: bool = True, failure_reward: float = 0.0
+) -> TokenBatch:
     """Return a row for what the policy read and said in each episode; more where it began anew.
 
     Args:
         played: Episodes of seats.
         groups: Group of each.
         learn_cut_off: Whether turns that stopped at the most tokens are learnt from.
+        failure_reward: Added to the last reward of an episode that was not solved.
     """
     turns = [(index, seat, turn) for index, seat in enumerate(played) for turn in seat.turns]
     return TokenBatch.from_turns(
@@ -245,7 +248,9 @@ def token_batch(played: Sequence[Played], *, groups: Sequence[int], learn_cut_of
         logprobs=[turn.said.logprobs for _, _, turn in turns],
         episode=[index for index, _, _ in turns],
         row=np.cumsum([turn.new_row for _, _, turn in turns]) - 1 if turns else [],
-        rewards=[turn.reward for _, _, turn in turns],
+        rewards=[
+            turn.reward + failure_reward * (turn is seat.turns[-1] and seat.success == 0.0) for _, seat, turn in turns
+        ],
         learnable=[not seat.error and (learn_cut_off or not turn.cut_off) for _, seat, turn in turns],
         terminated=[seat.terminated for seat in played],
         groups=groups,

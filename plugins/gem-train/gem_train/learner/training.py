@@ -73,7 +73,9 @@ class Training:
         options, learner = self.options, self.learner
         played, bootstrap = self._play()
         groups = [seat.slot // options.group_size for seat in played]
-        batch = token_batch(played, groups=groups, learn_cut_off=options.learn_cut_off)
+        batch = token_batch(
+            played, groups=groups, learn_cut_off=options.learn_cut_off, failure_reward=options.failure_reward
+        )
         metrics = describe(played) | learner.learn(batch, values_of(played, batch), bootstrap)
         return Update(metrics, played)
 

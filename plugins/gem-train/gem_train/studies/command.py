@@ -1,0 +1,65 @@
+"""``gem train-study``: show a claim of the paper by many small runs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from gem_core.cli import AtLeast, Column, echo_line, print_table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+STUDIES = {"gamma": "Discount factor and Return Batch Normalization on GuessTheNumber: does it find bisection?"}
+
+
+@click.command(
+    "train-study",
+    epilog="""\b
+Studies:
+  gamma       gamma of 0.5, 0.9, 0.999 with REINFORCE and with ReBN on GuessTheNumber; five seeds
+\b
+Examples:
+  gem train-study gamma --quick
+  gem train-study gamma --out runs/gamma --json
+\b
+A study that was stopped goes on where it was with the same command: runs that are there are not made
+again. Its folder holds a page (index.html), figures and the result of each run.
+""",
+)
+@click.argument("study", type=click.Choice(list(STUDIES)), metavar="STUDY")
+@click.option("-q", "--quick", is_flag=True, help="Fewer settings and one seed: minutes instead of half an hour.")
+@click.option("--seeds", type=AtLeast(min=1), default=5, show_default=True, help="Runs of each setting.")
+@click.option("-w", "--workers", type=AtLeast(min=1), help="Runs at once, each on one thread.  [default: processors]")
+@click.option("-o", "--out", type=click.Path(file_okay=False), help="Folder of the study.  [default: runs/study-STUDY]")
+@click.option("--json", "as_json", is_flag=True, help="Write the results as JSON.")
+def command(study: str, quick: bool, seeds: int, workers: int | None, out: str | None, as_json: bool) -> None:
+    """Train many small policies and compare them, with intervals over seeds.
+
+    Everything runs on the processors of this machine, from imitation of a scripted player to the page of results.
+    """
+    folder = Path(out or f"runs/study-{study}{'-quick' if quick else ''}")
+    results = _study(study)(folder, quick=quick, seeds=seeds, workers=workers, quiet=False)
+    if as_json:
+        sys.stdout.write(json.dumps(results, indent=2) + "\n")
+        return
+    print_table([_column(name, place) for place, name in enumerate(results[0])], results)
+    echo_line(f"page: {folder / 'index.html'}")
+
+
+def _study(name: str) -> Callable[..., list[dict[str, Any]]]:
+    from gem_train.studies import gamma
+
+    return {"gamma": gamma.run}[name]
+
+
+def _column(name: str, place: int) -> Column:
+    def cell(row: dict[str, Any]) -> str:
+        value = row[name]
+        return f"{value:.4g}" if isinstance(value, float) else "-" if value is None else str(value)
+
+    return Column(name.replace("_", " "), cell, name=place == 0)
