@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gem_core import CommandSpec, hookimpl
+from gem_core import AgentSpec, CommandSpec, hookimpl
 
 
 @hookimpl
@@ -12,8 +12,25 @@ def gem_add_commands() -> Iterable[CommandSpec]:
     """The commands that train."""
     return [
         CommandSpec(
+            name="train",
+            entry_point="gem_train.learner.command:command",
+            summary="Train a small policy from scratch on a processor, in any environments of text.",
+        ),
+        CommandSpec(
             name="train-study",
             entry_point="gem_train.studies.command:command",
             summary="Show claims about training by many small runs.",
         ),
+    ]
+
+
+@hookimpl
+def gem_register_agents() -> Iterable[AgentSpec]:
+    """The agent ``train``."""
+    return [
+        AgentSpec(
+            name="train",
+            entry_point="gem_train.learner.agent:CheckpointAgent",
+            summary="Plays as a policy of 'gem train' does, as train:FOLDER.",
+        )
     ]

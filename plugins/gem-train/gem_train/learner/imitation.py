@@ -14,7 +14,7 @@ from gem_core.records import Episode, PlanItem
 from gem_train.learner.environments import has_seats
 from gem_train.learner.learning import Learner
 from gem_train.learner.options import TrainOptions
-from gem_train.learner.playing import text_of
+from gem_train.learner.playing import next_piece, shown_and_said
 from gem_train.learner.policy_loss import score
 from gem_train.learner.vocabulary import ANSWER, END, Vocabulary
 from gem_train.tokens import TokenBatch
@@ -48,7 +48,12 @@ def build_vocabulary(options: TrainOptions, recorded: Sequence[Episode]) -> Voca
     """Return the words of what a player was shown and said, and of what a random one meets."""
     episodes = [*recorded, *record_episodes(options, "random", _VOCABULARY_EPISODES)]
     return Vocabulary.build(
-        (text for episode in episodes for shown, said in _turns(episode, options.feedback) for text in (shown, said)),
+        (
+            text
+            for episode in episodes
+            for shown, said in shown_and_said(episode.transitions, options.feedback)
+            for text in (shown, said)
+        ),
         options.vocabulary,
     )
 
@@ -101,18 +106,18 @@ def _rows(learner: Learner, recorded: Sequence[Episode]) -> TokenBatch:
     read, said, owner, row = [], [], [], []
     for index, episode in enumerate(recorded):
         view = episode.info.get("view") is not None
-        past: list[int] = []
-        starts: list[int] = []
-        for turn, (shown, text) in enumerate(_turns(episode, options.feedback)):
-            asked, answered = [*vocabulary.encode(shown), ANSWER], [*vocabulary.encode(text, phrases=False), END]
-            anew = view or turn == 0 or options.memory is not None
-            memory = 0 if view else options.memory or 0
-            read.append([*past[starts[-memory:][0] :], *asked] if anew and memory and starts else asked)
+        earlier: list[tuple[list[int], list[int]]] = []
+        length = 0
+        for shown, text in shown_and_said(episode.transitions, options.feedback):
+            asked = [*vocabulary.encode(shown), ANSWER]
+            answered = [*vocabulary.encode(text, phrases=False), END]
+            piece, anew = next_piece(options, asked, earlier, length, view=view)
+            length = (0 if anew else length) + len(piece) + len(answered)
+            read.append(piece)
             said.append(answered)
             owner.append(index)
             row.append(anew)
-            starts.append(len(past))
-            past += [*asked, *answered]
+            earlier.append((asked, answered))
     return TokenBatch.from_turns(
         contexts=read,
         responses=said,
@@ -122,12 +127,3 @@ def _rows(learner: Learner, recorded: Sequence[Episode]) -> TokenBatch:
         learnable=[len(tokens) <= options.max_tokens for tokens in said],
         terminated=[True] * len(recorded),
     )
-
-
-def _turns(episode: Episode, feedback: bool) -> Iterator[tuple[str, str]]:
-    """Yield what the player was shown, as the policy would be, and what it said."""
-    info = episode.info
-    for number, turn in enumerate(episode.transitions):
-        shown = info.get("feedback", turn.observation) if feedback and number else turn.observation
-        yield text_of(shown), turn.action.text
-        info = turn.info
