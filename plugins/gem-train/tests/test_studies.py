@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 pytest.importorskip("torch")
+
+from study_measures import count_turns
 
 from gem_train.learner.options import TrainOptions
 from gem_train.learner.training import Training, warm_start
@@ -28,10 +29,6 @@ TINY = {
     "feedback": True,
     "memory": 1,
 }
-
-
-def count_turns(training: Training) -> dict[str, Any]:
-    return {"turns": sum(len(seat.turns) for seat in training.evaluate())}
 
 
 def test_runs_are_kept_and_not_made_again(tmp_path: Path) -> None:
