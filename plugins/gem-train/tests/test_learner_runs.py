@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -109,6 +110,15 @@ def test_gem_train_from_the_first_update_to_the_page(gem_train: Any, capsys: pyt
         main(["run", "arms:One-v0", "--agent", "train:run", "--episodes", "3", "--json"])
     assert caught.value.code == 0
     assert json.loads(capsys.readouterr().out)["environments"][0]["episodes"] == 3
+
+
+def test_what_lets_it_play_has_the_stack_of_the_run(gem_train: Any):
+    """Its wrappers and arguments, in a form that gem run takes."""
+    outcome = gem_train(*SMALL, "--set", "turns=2", "--wrappers", "concat:max_turns=1", "--out", "run")
+    (line,) = [line for line in outcome.out.splitlines() if line.startswith("let it play: gem ")]
+    with pytest.raises(SystemExit) as caught:
+        main([*shlex.split(line)[4:], "--episodes", "2"])
+    assert caught.value.code == 0
 
 
 def test_ctrl_c_says_how_to_go_on(gem_train: Any):

@@ -297,7 +297,12 @@ def _print_end(metrics: Mapping[str, float | None], options: TrainOptions, folde
     for prefix in dict.fromkeys(f"{name.rpartition('/')[0]}/" for name in metrics if name.startswith("eval/")):
         echo_line(f"evaluation{prefix.removeprefix('eval').rstrip('/').replace('/', ' of ')}: {_line(metrics, prefix)}")
     echo_line(f"page: {folder / 'index.html'}")
-    echo_line(f"let it play: gem run {options.env[0]} --agent {shlex.quote(f'train:{folder}')}")
+    again = ["gem", "run", options.env[0], "--agent", f"train:{folder}"]
+    if options.wrappers:
+        again += ["--wrappers", json.dumps(options.to_dict()["wrappers"])]
+    for name, value in options.env_kwargs.items():
+        again += ["--set", f"{name}={json.dumps(value)}"]
+    echo_line(f"let it play: {shlex.join(again)}")
 
 
 def _tell_errors(ctx: click.Context, folder: Path) -> None:
