@@ -30,8 +30,9 @@ _QUICK: tuple[tuple[Algorithm, float], ...] = (("rebn", 0.9), ("reinforce", 0.9)
 
 TEXT = """\
 The policy plays GuessTheNumber: a number from 1 to 50, at most 10 guesses, reward 1 for the right one whenever it is
-made. Before it learns, it imitates a player that writes down the interval that is left and names any number of it.
-That takes about 6.2 guesses; bisection takes 4.86 in the mean, and no player takes fewer.
+made; a wrong one in the last turn earns less, the more the closer. Before it learns, it imitates a player that writes
+down the interval that is left and names any number of it. That takes about 6.2 guesses; bisection takes 4.86 in the
+mean, and no player takes fewer.
 
 An undiscounted return says nothing of how soon the number was found. With a discount from turn to turn, an earlier hit
 has the higher return; and Return Batch Normalization (ReBN) makes advantages of these differences: what is worse than
