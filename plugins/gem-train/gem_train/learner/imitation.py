@@ -11,12 +11,14 @@ import gem_core as gem
 from gem_core.env import stable_hash
 from gem_core.errors import ArgumentError
 from gem_core.records import Episode, PlanItem
+from gem_core.types import Observation
 from gem_train.learner.environments import has_seats
 from gem_train.learner.learning import Learner
 from gem_train.learner.options import TrainOptions
-from gem_train.learner.playing import text_of
+from gem_train.learner.playing import encode, text_of
 from gem_train.learner.policy_loss import score
-from gem_train.learner.vocabulary import ANSWER, END, Vocabulary
+from gem_train.learner.vision import Pictures
+from gem_train.learner.vocabulary import END, Vocabulary
 from gem_train.tokens import TokenBatch
 
 _STEP_ROWS = 128
@@ -48,7 +50,12 @@ def build_vocabulary(options: TrainOptions, recorded: Sequence[Episode]) -> Voca
     """Return the words of what a player was shown and said, and of what a random one meets."""
     episodes = [*recorded, *record_episodes(options, "random", _VOCABULARY_EPISODES)]
     return Vocabulary.build(
-        (text for episode in episodes for shown, said in _turns(episode, options.feedback) for text in (shown, said)),
+        (
+            text
+            for episode in episodes
+            for shown, said in _turns(episode, options.feedback)
+            for text in (text_of(shown), said)
+        ),
         options.vocabulary,
     )
 
@@ -98,13 +105,14 @@ def imitate(learner: Learner, recorded: Sequence[Episode]) -> Iterator[float]:
 def _rows(learner: Learner, recorded: Sequence[Episode]) -> TokenBatch:
     """Return the rows of episodes as the policy would read and say them."""
     options, vocabulary = learner.options, learner.vocabulary
+    pictures = learner.policy.pictures = Pictures(len(vocabulary))
     read, said, owner, row = [], [], [], []
     for index, episode in enumerate(recorded):
         view = episode.info.get("view") is not None
         past: list[int] = []
         starts: list[int] = []
         for turn, (shown, text) in enumerate(_turns(episode, options.feedback)):
-            asked, answered = [*vocabulary.encode(shown), ANSWER], [*vocabulary.encode(text, phrases=False), END]
+            asked, answered = encode(shown, vocabulary, pictures), [*vocabulary.encode(text, phrases=False), END]
             anew = view or turn == 0 or options.memory is not None
             memory = 0 if view else options.memory or 0
             read.append([*past[starts[-memory:][0] :], *asked] if anew and memory and starts else asked)
@@ -124,10 +132,10 @@ def _rows(learner: Learner, recorded: Sequence[Episode]) -> TokenBatch:
     )
 
 
-def _turns(episode: Episode, feedback: bool) -> Iterator[tuple[str, str]]:
+def _turns(episode: Episode, feedback: bool) -> Iterator[tuple[Observation, str]]:
     """Yield what the player was shown, as the policy would be, and what it said."""
     info = episode.info
     for number, turn in enumerate(episode.transitions):
         shown = info.get("feedback", turn.observation) if feedback and number else turn.observation
-        yield text_of(shown), turn.action.text
+        yield shown, turn.action.text
         info = turn.info
