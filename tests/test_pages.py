@@ -28,8 +28,8 @@ PAGES = {
 ELSEWHERE = {"docs/terminal.md", "docs/mcpmark.md"}
 """They need containers, or a database: the plugins' own tests run them."""
 FILE = re.compile(r"# ([\w./-]+\.\w+)\n")
-NOT_TYPED = "pip install ", "make ", "export ", "python examples/"
-"""Needs the network, or has a test of its own; and so do commands that ask a model."""
+NOT_TYPED = "pip install ", "make ", "export ", "python examples/", "gem train-study "
+"""Needs the network or minutes, or has a test of its own; and so do commands that ask a model."""
 
 
 def examples() -> list[pytest.ParameterSet]:

@@ -7,11 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gem_train.adapters import ChatSession, TokenAgent
+    from gem_train.learner.options import TrainOptions
+    from gem_train.learner.run import train
     from gem_train.tokens import TokenBatch, batches
 
-__all__ = ["ChatSession", "TokenAgent", "TokenBatch", "batches"]
+__all__ = ["ChatSession", "TokenAgent", "TokenBatch", "TrainOptions", "batches", "train"]
 
-_HOME = {"ChatSession": "adapters", "TokenAgent": "adapters", "TokenBatch": "tokens", "batches": "tokens"}
+_HOME = {
+    "ChatSession": "adapters",
+    "TokenAgent": "adapters",
+    "TokenBatch": "tokens",
+    "TrainOptions": "learner.options",
+    "batches": "tokens",
+    "train": "learner.run",
+}
 """Where the public names come from; they are imported on first use."""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gem_core import CommandSpec, hookimpl
+from gem_core import AgentSpec, CommandSpec, hookimpl
 from gem_core.registry import EnvSpec
 
 
@@ -12,6 +12,11 @@ from gem_core.registry import EnvSpec
 def gem_add_commands() -> Iterable[CommandSpec]:
     """The commands that train."""
     return [
+        CommandSpec(
+            name="train",
+            entry_point="gem_train.learner.command:command",
+            summary="Train a small policy from scratch on a processor, in any environments of text.",
+        ),
         CommandSpec(
             name="train-study",
             entry_point="gem_train.studies.command:command",
@@ -30,5 +35,17 @@ def gem_register_envs() -> Iterable[EnvSpec]:
             summary="How many shapes are in a small picture, which ones, of which colour?",
             tags=("image",),
             requires=("package:gem-train[vision]",),
+        )
+    ]
+
+
+@hookimpl
+def gem_register_agents() -> Iterable[AgentSpec]:
+    """The agent ``train``."""
+    return [
+        AgentSpec(
+            name="train",
+            entry_point="gem_train.learner.agent:CheckpointAgent",
+            summary="Plays as a policy of 'gem train' does, as train:FOLDER.",
         )
     ]

@@ -38,7 +38,7 @@ def _vector(
     options: TrainOptions, ids: tuple[str, ...], slots: int, plan: Iterator[PlanItem] | list[PlanItem]
 ) -> VectorEnv:
     return gem.make_vec(
-        ids[0] if len(ids) == 1 else [ids[slot % len(ids)] for slot in range(slots)],
+        ids[0] if len(ids) == 1 else [ids[slot // options.group_size % len(ids)] for slot in range(slots)],
         slots,
         autoreset="disabled",
         wrappers=options.wrappers,

@@ -11,11 +11,10 @@ import gem_core as gem
 from gem_core.env import stable_hash
 from gem_core.errors import ArgumentError
 from gem_core.records import Episode, PlanItem
-from gem_core.types import Observation
 from gem_train.learner.environments import has_seats
 from gem_train.learner.learning import Learner
 from gem_train.learner.options import TrainOptions
-from gem_train.learner.playing import encode, text_of
+from gem_train.learner.playing import encode, next_piece, shown_and_said, text_of
 from gem_train.learner.policy_loss import score
 from gem_train.learner.vision import Pictures
 from gem_train.learner.vocabulary import END, Vocabulary
@@ -53,7 +52,7 @@ def build_vocabulary(options: TrainOptions, recorded: Sequence[Episode]) -> Voca
         (
             text
             for episode in episodes
-            for shown, said in _turns(episode, options.feedback)
+            for shown, said in shown_and_said(episode.transitions, options.feedback)
             for text in (text_of(shown), said)
         ),
         options.vocabulary,
@@ -109,18 +108,18 @@ def _rows(learner: Learner, recorded: Sequence[Episode]) -> TokenBatch:
     read, said, owner, row = [], [], [], []
     for index, episode in enumerate(recorded):
         view = episode.info.get("view") is not None
-        past: list[int] = []
-        starts: list[int] = []
-        for turn, (shown, text) in enumerate(_turns(episode, options.feedback)):
-            asked, answered = encode(shown, vocabulary, pictures), [*vocabulary.encode(text, phrases=False), END]
-            anew = view or turn == 0 or options.memory is not None
-            memory = 0 if view else options.memory or 0
-            read.append([*past[starts[-memory:][0] :], *asked] if anew and memory and starts else asked)
+        earlier: list[tuple[list[int], list[int]]] = []
+        length = 0
+        for shown, text in shown_and_said(episode.transitions, options.feedback):
+            asked = encode(shown, vocabulary, pictures)
+            answered = [*vocabulary.encode(text, phrases=False), END]
+            piece, anew = next_piece(options, asked, earlier, length, view=view)
+            length = (0 if anew else length) + len(piece) + len(answered)
+            read.append(piece)
             said.append(answered)
             owner.append(index)
             row.append(anew)
-            starts.append(len(past))
-            past += [*asked, *answered]
+            earlier.append((asked, answered))
     return TokenBatch.from_turns(
         contexts=read,
         responses=said,
@@ -130,12 +129,3 @@ def _rows(learner: Learner, recorded: Sequence[Episode]) -> TokenBatch:
         learnable=[len(tokens) <= options.max_tokens for tokens in said],
         terminated=[True] * len(recorded),
     )
-
-
-def _turns(episode: Episode, feedback: bool) -> Iterator[tuple[Observation, str]]:
-    """Yield what the player was shown, as the policy would be, and what it said."""
-    info = episode.info
-    for number, turn in enumerate(episode.transitions):
-        shown = info.get("feedback", turn.observation) if feedback and number else turn.observation
-        yield shown, turn.action.text
-        info = turn.info

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from collections import Counter
+from collections.abc import Mapping
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -35,8 +38,30 @@ class Learner:
             self.policy.parameters(), lr=options.learning_rate, betas=(0.9, 0.95), weight_decay=0.0
         )
         self.updates = 0
-        self.role_means: dict[str, float] = {}
-        """Moving mean of the returns of each seat, where the options ask for role baselines."""
+        self.baselines: dict[str, float] = {}
+        """The moving mean of each seat's returns, with ``role_baselines``."""
+
+    def state(self) -> dict[str, Any]:
+        """Return a copy of everything that a run goes on from: plain values and tensors."""
+        return copy.deepcopy(
+            {
+                "options": self.options.to_dict(),
+                "words": self.vocabulary.words,
+                "policy": self.policy.state_dict(),
+                "optimizer": self.optimizer.state_dict(),
+                "updates": self.updates,
+                "baselines": self.baselines,
+            }
+        )
+
+    @classmethod
+    def restored(cls, state: Mapping[str, Any]) -> Self:
+        """Return the learner whose state this was."""
+        learner = cls(TrainOptions.from_dict(state["options"]), Vocabulary(state["words"]))
+        learner.policy.load_state_dict(state["policy"])
+        learner.optimizer.load_state_dict(state["optimizer"])
+        learner.updates, learner.baselines = state["updates"], dict(state["baselines"])
+        return learner
 
     def learn(self, batch: TokenBatch, values: Floats, bootstrap: Floats) -> dict[str, float]:
         """Take the steps of one update, and return the means of its metrics.
@@ -49,7 +74,8 @@ class Learner:
         options = self.options
         left = (options.updates - self.updates) / max(options.updates / 3, 1)
         self.optimizer.param_groups[0]["lr"] = options.learning_rate * min(1.0, left)
-        rows = Rows.of(batch, *turn_advantages(batch, options, values, bootstrap, self._baselines(batch)))
+        baselines = self._role_baselines(batch) if options.role_baselines else None
+        rows = Rows.of(batch, *turn_advantages(batch, options, values, bootstrap, baselines))
         generator = torch.Generator().manual_seed(stable_hash(options.seed, "minibatches", self.updates))
         metrics: list[dict[str, float]] = []
         for _ in range(options.epochs):
@@ -60,18 +86,17 @@ class Learner:
         self.updates += 1
         return {name: float(np.mean([step[name] for step in metrics])) for name in (metrics[0] if metrics else ())}
 
-    def _baselines(self, batch: TokenBatch) -> Floats:
-        """Return the mean return of each episode's role so far, and move the means on; zeros without role baselines."""
-        if not self.options.role_baselines:
-            return np.zeros(len(batch.terminated))
-        roles = sorted({str(seat) for seat in batch.seats})
-        index = np.array([roles.index(str(seat)) for seat in batch.seats])
-        means = np.array([self.role_means.get(role, 0.0) for role in roles])
-        learnable = batch.learnable.any(axis=1)
-        advantages, moved = role_baselines(means, batch.episode_returns, index, learnable=learnable)
-        self.role_means |= dict(zip(roles, moved.tolist(), strict=True))
-        baselines: Floats = batch.episode_returns - advantages
-        return baselines
+    def _role_baselines(self, batch: TokenBatch) -> Floats:
+        """Return what to subtract from the returns of each episode, (E,), and move the means of the seats on."""
+        names = [str(seat) for seat in batch.seats]
+        known = list(dict.fromkeys([*self.baselines, *names]))
+        means = np.array([self.baselines.get(name, 0.0) for name in known])
+        roles = np.array([known.index(name) for name in names])
+        counts = batch.learnable.any(axis=1)
+        advantages, means = role_baselines(means, batch.episode_returns, roles, learnable=counts)
+        self.baselines = dict(zip(known, means.tolist(), strict=True))
+        subtracted: Floats = batch.episode_returns - advantages
+        return subtracted
 
     def _step(self, rows: Rows, part: Tensor) -> dict[str, float]:
         """Take one step of the optimizer on some rows."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Self, get_args
 
 from gem_core.errors import ArgumentError
 
@@ -36,10 +37,10 @@ class TrainOptions:
         clip: How far PPO's and GRPO's ratio may be from 1 before moving further earns nothing.
         entropy: Weight of the entropy bonus.
         value_weight: Weight of the critic's loss.
-        role_baselines: Subtract a moving mean of the returns of each seat, in self-play; for ``"reinforce"`` and
-            ``"rebn"``.
+        role_baselines: Subtract a moving mean of the returns of each seat, in self-play; for one environment, with
+            REINFORCE or ReBN.
         failure_reward: Added to the last reward of an episode that was not solved, as -1 for rewards of 1 and -1.
-        overlap: Play the next batch while learning from this one, one step off-policy, with importance weights.
+        overlap: Play the next batch while learning from this one, one update off-policy, with importance weights.
         feedback: Show after the first turn only what is new (``info["feedback"]``), not how things stand, where the
             environment tells them apart: shorter, for environments whose feedback says all.
         memory: How many earlier turns the policy reads besides what it is to answer; None for all that fit in
@@ -118,17 +119,59 @@ class TrainOptions:
         ):
             if not getattr(self, name):
                 object.__setattr__(self, name, value)
-        if compares and self.group_size < 2:
-            raise ArgumentError(f"{self.algorithm} compares episodes within groups: group_size must be 2 or more")
-        if self.episodes % self.group_size:
-            raise ArgumentError(f"episodes ({self.episodes}) must be a multiple of group_size ({self.group_size})")
-        if not 0 <= self.gamma <= 1:
-            raise ArgumentError(f"gamma must be from 0 to 1, not {self.gamma}")
-        if self.max_tokens >= self.context:
-            raise ArgumentError(f"max_tokens ({self.max_tokens}) must be below context ({self.context})")
-        if self.width % self.heads:
-            raise ArgumentError(f"width ({self.width}) must be a multiple of heads ({self.heads})")
+        for refused, message in self._checks(compares, critic):
+            if refused:
+                raise ArgumentError(message)
+
+    def _checks(self, compares: bool, critic: bool) -> Iterator[tuple[bool, str]]:
+        """Yield what is refused, and what is said then."""
+        for name in ("updates", "episodes", "epochs", "minibatches", "max_tokens", "layers", "width", "heads"):
+            yield getattr(self, name) < 1, f"{name} must be 1 or more, not {getattr(self, name)}"
+        yield not self.env, "env must name an environment, as in env=('game:GuessTheNumber-v0',)"
+        yield self.temperature <= 0, f"temperature must be above 0, not {self.temperature}"
+        yield (
+            self.role_baselines and (compares or critic or len(self.env) > 1),
+            "role_baselines is for reinforce and rebn, in one environment",
+        )
+        yield (
+            compares and self.group_size < 2,
+            f"{self.algorithm} compares episodes within groups: group_size must be 2 or more",
+        )
+        yield (
+            self.episodes % self.group_size != 0,
+            f"episodes ({self.episodes}) must be a multiple of group_size ({self.group_size})",
+        )
+        yield not 0 <= self.gamma <= 1, f"gamma must be from 0 to 1, not {self.gamma}"
+        yield (
+            self.max_tokens >= self.context,
+            f"max_tokens ({self.max_tokens}) must be below context ({self.context})",
+        )
+        yield self.width % self.heads != 0, f"width ({self.width}) must be a multiple of heads ({self.heads})"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the options as plain JSON."""
-        return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+        """Return the options as plain JSON.
+
+        Raises:
+            ArgumentError: A wrapper or an argument of the environments is no JSON, as a function is not.
+        """
+        try:
+            plain: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        except (TypeError, ValueError) as error:
+            raise ArgumentError(
+                f"wrappers and arguments of environments must be names and plain values: {error}"
+            ) from None
+        return plain
+
+    @classmethod
+    def from_dict(cls, plain: Mapping[str, Any]) -> Self:
+        """Return the options that ``to_dict`` made this of.
+
+        Raises:
+            ArgumentError: They are of another version.
+        """
+        lists = {name: tuple(plain.get(name, ())) for name in ("env", "eval_envs")}
+        wrappers = tuple(each if isinstance(each, str) else tuple(each) for each in plain.get("wrappers", ()))
+        try:
+            return cls(**{**plain, **lists, "wrappers": wrappers})
+        except TypeError as error:
+            raise ArgumentError(f"these are no options of this version of gem-train: {error}") from None

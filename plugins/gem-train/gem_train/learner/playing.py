@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from gem_core.records import Transition
 from gem_core.types import Info, Observation
 from gem_core.vector import VectorEnv
 from gem_train.learner.generation import Sampled, sample
@@ -189,16 +190,11 @@ class Player:
         options, lengths = self.options, self._cache.lengths
         pieces, new = [], []
         for seat, row, length in zip(seats, rows, lengths[rows].tolist(), strict=True):
-            read = self._encode(seat.shown)
-            # A row that would be too long goes on without its past.
-            too_long = length + 1 + len(read) + options.max_tokens > options.context
-            new_row = seat.view or not seat.turns or options.memory is not None or too_long
+            earlier = [(turn.shown_ids, turn.said.tokens) for turn in seat.turns[-(options.memory or 1) :]]
+            # What was sampled last is not in the cache.
+            read, new_row = next_piece(options, self._encode(seat.shown), earlier, length + 1, view=seat.view)
             if new_row:
                 lengths[row] = 0
-                for turn in reversed(seat.turns[-options.memory :] if options.memory and not seat.view else ()):
-                    read = [*turn.shown_ids, *turn.said.tokens, *read]
-                read = read[-(options.context - options.max_tokens) :]
-            # What was sampled last is still to be read.
             pieces.append(read if new_row else [seat.turns[-1].said.tokens[-1], *read])
             new.append((read, new_row))
         drawn = sample(
@@ -235,6 +231,32 @@ class Player:
             drawn = sample(self._cache, range(len(cut_off)), pieces, 1, keep=False, temperature=0.0)
             values[cut_off] = [said.value for said in drawn]
         return values
+
+
+def next_piece(
+    options: TrainOptions,
+    shown: list[int],
+    earlier: Sequence[tuple[Sequence[int], Sequence[int]]],
+    length: int,
+    *,
+    view: bool,
+) -> tuple[list[int], bool]:
+    """Return what the policy reads before it answers, and whether a new row begins with it.
+
+    Args:
+        options: Of the run.
+        shown: Ids of what it is to answer, and the mark of the response.
+        earlier: What it was shown and said in earlier turns, as many as ``memory``; at least the last, if there is one.
+        length: Tokens of the row so far.
+        view: Whether ``shown`` has the whole history.
+    """
+    too_long = length + len(shown) + options.max_tokens > options.context
+    if earlier and not view and options.memory is None and not too_long:
+        return shown, False
+    remembered = earlier[-options.memory :] if options.memory and not view else ()
+    read = [*(token for turn in remembered for tokens in turn for token in tokens), *shown]
+    # A conversation that is too long goes on without its past, and a prompt without its beginning.
+    return read[-(options.context - options.max_tokens) :], True
 
 
 def token_batch(
@@ -303,3 +325,16 @@ def _pieces(observation: Observation) -> Iterator[str | Image]:
             yield part["image"]
         else:
             yield part.get("text", "")
+
+
+def shown_and_said(transitions: Sequence[Transition], feedback: bool) -> Iterator[tuple[Observation, str]]:
+    """Yield what the policy would have been shown in each turn of an episode, and what was said.
+
+    Args:
+        transitions: The turns.
+        feedback: See ``TrainOptions``.
+    """
+    before: Info = {}
+    for turn in transitions:
+        yield before.get("feedback", turn.observation) if feedback else turn.observation, turn.action.text
+        before = turn.info

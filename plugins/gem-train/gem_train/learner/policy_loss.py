@@ -30,7 +30,7 @@ _CHUNK_TOKENS = 8192
 
 
 def turn_advantages(
-    batch: TokenBatch, options: TrainOptions, values: Floats, bootstrap: Floats, baselines: Floats
+    batch: TokenBatch, options: TrainOptions, values: Floats, bootstrap: Floats, baselines: Floats | None = None
 ) -> tuple[Floats, Floats]:
     """Return the advantages and the returns that a critic learns, both (E, T).
 
@@ -39,7 +39,7 @@ def turn_advantages(
         options: The algorithm and its constants.
         values: Of the critic, (E, T).
         bootstrap: Of the critic after the last turn, (E,).
-        baselines: Of each episode's role, (E,), for algorithms without a critic or groups.
+        baselines: Subtracted from the returns of each episode, (E,); None for nothing.
     """
     learnable = batch.learnable
     if options.algorithm == "ppo":
@@ -48,10 +48,12 @@ def turn_advantages(
         )
         return normalize_advantages(advantages, learnable), targets
     returns = discounted_returns(batch.rewards, batch.mask, gamma=options.gamma)
+    if baselines is not None:
+        returns = np.where(batch.mask, returns - baselines[:, None], 0.0)
     if options.algorithm == "reinforce":
-        return np.where(learnable, returns - baselines[:, None], 0.0), returns
+        return np.where(learnable, returns, 0.0), returns
     if options.algorithm == "rebn":
-        return return_batch_normalization(returns - baselines[:, None], learnable), returns
+        return return_batch_normalization(returns, learnable), returns
     counts = learnable.any(axis=1)
     if options.algorithm == "rloo":
         of_episode = rloo_advantages(batch.episode_returns, batch.groups, learnable=counts)

@@ -99,7 +99,8 @@ class Training:
             return self._play_update(update)
         ready = self._play_update(update) if self._next is None else self._next.result()
         self._player.policy.load_state_dict(self.learner.policy.state_dict())
-        self._next = self._thread.submit(self._play_update, update + 1)
+        if update + 1 < self.options.updates:
+            self._next = self._thread.submit(self._play_update, update + 1)
         return ready
 
     def _play_update(self, update: int) -> tuple[list[Played], Floats, Pictures]:

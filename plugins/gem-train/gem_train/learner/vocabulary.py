@@ -12,7 +12,7 @@ _PHRASE = re.compile(r"[^\d\n]*?[^\W\d_]{2,}[^\w\n]+[^\W\d_]{2,}[^\d\n]*")
 
 _WORD = re.compile(
     r"\d+"  # a number, always by itself, so that "25" is one token wherever it stands
-    r"|\\[^\W\d_]+\{"  # \boxed{
+    r"| ?\\[^\W\d_]+\{"  # \boxed{
     r"| {2,}"  # the space between columns
     r"| ?[^\W\d_]+(?: (?=\d))?"  # a word with the space before it, and that after it where a number follows
     r"| ?[^\w\s](?: (?=\d))?"  # a mark

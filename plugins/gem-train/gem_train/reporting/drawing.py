@@ -98,7 +98,8 @@ def grid_figure(panels: Sequence[DrawPanel], legend: Sequence[Key] = ()) -> Figu
     """Draw panels in rows of up to three, with a legend above them."""
     columns = 2 if len(panels) == 4 else min(len(panels), 3)
     rows = -(-len(panels) // columns)
-    above = _LEGEND_LINE * -(-len(legend) // (2 * columns))
+    keys_in_line = 2 * columns if columns > 1 else 1
+    above = _LEGEND_LINE * -(-len(legend) // keys_in_line)
     figure = Figure(figsize=(PANEL_SIZE[0] * columns, PANEL_SIZE[1] * rows + above))
     axes = figure.subplots(rows, columns, squeeze=False, gridspec_kw=_margins(rows, columns, above)).flat
     for draw, each in zip(panels, axes, strict=False):
@@ -107,7 +108,7 @@ def grid_figure(panels: Sequence[DrawPanel], legend: Sequence[Key] = ()) -> Figu
         unused.remove()
     if legend:
         lines = [Line2D([], [], color=series_colour(key.series), label=key.label, **_LOOKS[key.look]) for key in legend]
-        figure.legend(handles=lines, loc="upper left", ncols=2 * columns)
+        figure.legend(handles=lines, loc="upper left", ncols=keys_in_line)
     return figure
 
 

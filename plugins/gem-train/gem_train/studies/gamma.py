@@ -49,15 +49,15 @@ def options_of(algorithm: Algorithm, gamma: float, seed: int) -> TrainOptions:
         algorithm=algorithm,
         gamma=gamma,
         seed=seed,
-        updates=100,
+        updates=130,
         episodes=512,
-        learning_rate=1.5e-3,
+        learning_rate=1e-3,
         feedback=True,
         memory=1,
         max_tokens=10,
         context=64,
         imitate="gem_train.players:interval_player",
-        imitate_steps=500,
+        imitate_steps=600,
         eval_episodes=_EVALUATED,
     )
 

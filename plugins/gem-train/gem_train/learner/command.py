@@ -1,0 +1,306 @@
+"""``gem train``: a small policy learns from scratch, on the processor."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import shlex
+import signal
+import time
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from click.core import ParameterSource
+
+from gem_core.cli import (
+    INTERRUPTED,
+    AtLeast,
+    arguments_option,
+    counted,
+    echo_line,
+    env_arguments,
+    find_envs,
+    stack_options,
+    wrapper_stack,
+)
+from gem_core.errors import ArgumentError, MissingRequirementError
+from gem_train.learner.options import ALGORITHMS, TrainOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+_DEFAULTS = {field.name: field.default for field in fields(TrainOptions)}
+_ABOVE_0 = click.FloatRange(min=0, min_open=True)
+_FROM_0 = click.FloatRange(min=0)
+_SHARE = click.FloatRange(min=0, max=1)
+_BESIDE_RESUME = ("resume", "tensorboard", "wandb", "as_json")
+
+
+class _Option(click.Option):
+    """An option of a group in the help; its default is that of ``TrainOptions``."""
+
+    def __init__(self, declarations: list[str], group: str = "", **attributes: Any) -> None:
+        name = declarations[0].removeprefix("--").replace("-", "_")
+        default = _DEFAULTS.get(name)
+        if default and "is_flag" not in attributes and not attributes.get("multiple"):
+            attributes |= {"default": default, "show_default": True}
+        super().__init__(declarations, **attributes)
+        self.group = group
+
+
+class _GroupedCommand(click.Command):
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record is not None and isinstance(parameter, click.Option):
+                group = parameter.group if isinstance(parameter, _Option) else "Run and environments"
+                groups.setdefault(group, []).append(record)
+        for title, records in groups.items():
+            with formatter.section(title):
+                formatter.write_dl(records)
+
+
+def _group(title: str, *options: tuple[str, Any, str]) -> Callable[[Any], Any]:
+    """Return what adds options to a command: of each its name, its type or ``True`` for a flag, and its help."""
+
+    def add(command: Any) -> Any:
+        for name, kind, text in reversed(options):
+            kwargs: dict[str, Any] = {"is_flag": True} if kind is True else {"type": kind}
+            if isinstance(kind, click.FloatRange):
+                kwargs["metavar"] = "NUMBER"
+            command = click.option(name, cls=_Option, group=title, help=text, **kwargs)(command)
+        return command
+
+    return add
+
+
+@click.command(
+    "train",
+    cls=_GroupedCommand,
+    epilog="""\b
+Examples:
+  gem train game:GuessTheNumber-v0 --imitate gem_train.players:interval_player --out runs/guess
+  gem train --resume runs/guess
+  gem train game:Sudoku-v0-easy --algorithm ppo --imitate random --eval-every 50
+  gem train game:GuessTheNumber-v0 --imitate bisect --feedback --memory 1 --context 64 --episodes 512
+  gem run game:GuessTheNumber-v0 --agent train:runs/guess
+\b
+A policy that has seen nothing writes nothing that an environment reads: let it imitate a player first,
+even 'random'. Without a view among the wrappers it reads the conversation: what it was shown and what
+it said; with one, what the view shows.
+\b
+The folder of the run has options.json, metrics.jsonl, samples.jsonl, checkpoint.pt, curves.png and
+index.html. Ctrl-C keeps a checkpoint. The same command with --out, or --resume FOLDER, goes on, and
+gives the metrics and weights of a run that was never stopped (with --overlap only nearly).
+\b
+Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument, 130 after Ctrl-C.
+""",
+)
+@click.argument("ids", nargs=-1, metavar="ID...")
+@arguments_option
+@stack_options("A view says what the policy reads.")
+@click.option("-o", "--out", type=click.Path(file_okay=False), help="Folder of the run.  [default: a new one in runs/]")
+@click.option("--resume", metavar="FOLDER", help="Go on with the run in FOLDER, with its options.")
+@click.option("-s", "--seed", type=AtLeast(min=0), default=0, show_default=True, help="Seed of everything drawn.")
+@click.option("--threads", type=AtLeast(min=0), default=0, help="Threads of torch.  [default: torch's own]")
+@click.option("--tensorboard", is_flag=True, help="Write for TensorBoard as well, into FOLDER/tensorboard.")
+@click.option("--wandb", metavar="PROJECT", help="Log to a project of Weights & Biases as well.")
+@click.option("--json", "as_json", is_flag=True, help="Write the last metrics as JSON.")
+@_group(
+    "Algorithm",
+    ("--algorithm", click.Choice(ALGORITHMS), "How advantages and the loss are made."),
+    ("--gamma", _SHARE, "Discount from turn to turn."),
+    ("--lam", _SHARE, "Lambda of GAE, for PPO."),
+    ("--updates", AtLeast(min=1), "Number of updates."),
+    ("--episodes", AtLeast(min=1), "Episodes of each update."),
+    ("--group-size", AtLeast(min=1), "Episodes with one start.  [default: 8 for GRPO and RLOO, else 1]"),
+    ("--epochs", AtLeast(min=1), "Passes over each batch.  [default: 4 for PPO, else 1]"),
+    ("--minibatches", AtLeast(min=1), "Steps of the optimizer in a pass.  [default: 4 for PPO, else 1]"),
+    ("--learning-rate", _ABOVE_0, "Of AdamW; it falls to 0 over the last third."),
+    ("--clip", _ABOVE_0, "Range of the ratio, for PPO and GRPO."),
+    ("--entropy", _FROM_0, "Weight of the entropy bonus.  [default: 0]"),
+    ("--role-baselines", True, "Subtract a moving mean of each seat's returns, in self-play."),
+    ("--overlap", True, "Play the next batch while learning from this one, one update off-policy."),
+)
+@_group(
+    "Policy",
+    ("--feedback", True, "Show after the first turn only what is new, where the environment tells."),
+    ("--memory", AtLeast(min=0), "Earlier turns that the policy reads.  [default: all that fit in --context]"),
+    ("--context", AtLeast(min=2), "Most tokens of a prompt and its response."),
+    ("--max-tokens", AtLeast(min=1), "Most tokens of a response."),
+    ("--skip-cut-off", True, "Learn nothing from responses that stopped there."),
+    ("--temperature", _ABOVE_0, "Temperature of sampling."),
+    ("--layers", AtLeast(min=1), "Layers of the transformer."),
+    ("--width", AtLeast(min=2), "Width of the transformer, a multiple of 4."),
+)
+@_group(
+    "Imitation, evaluation and checkpoints",
+    ("--imitate", str, "Agent to imitate first: a name, or MODULE:CALLABLE."),
+    ("--imitate-episodes", AtLeast(min=1), "Episodes that it plays."),
+    ("--imitate-steps", AtLeast(min=1), "Steps of the optimizer, of 128 turns each."),
+    ("--eval-every", AtLeast(min=0), "Updates between evaluations.  [default: one, at the end]"),
+    ("--eval-episodes", AtLeast(min=1), "Episodes of an evaluation."),
+    ("--checkpoint-every", AtLeast(min=1), "Updates between checkpoints."),
+)
+@click.option(
+    "--eval-env",
+    "eval_envs",
+    cls=_Option,
+    group="Imitation, evaluation and checkpoints",
+    multiple=True,
+    metavar="ID",
+    help="Evaluate on this environment. Can be repeated.  [default: those that are learnt]",
+)
+@click.pass_context
+def command(
+    ctx: click.Context,
+    /,
+    resume: str | None,
+    out: str | None,
+    tensorboard: bool,
+    wandb: str | None,
+    as_json: bool,
+    **given: Any,
+) -> None:
+    """Train a small transformer from scratch, which reads and writes the text of environments.
+
+    Several environments are learnt together. What it learns is kept in a folder, and plays as the agent train:FOLDER.
+    """
+    # Imported here, so that help need not wait for them.
+    from gem_core.rollouts import current_folder_importable
+
+    try:
+        from gem_train.learner.run import train
+        from gem_train.learner.run_folder import RunFolder
+    except ImportError as error:
+        raise MissingRequirementError("gem train needs PyTorch: pip install 'gem-train[torch]'") from error
+    ctx.with_resource(current_folder_importable())  # a player to imitate may be there
+    if resume is not None:
+        _refuse_beside_resume(ctx)
+        folder, options = Path(resume), RunFolder(resume).options()
+    else:
+        options = _options(given)
+        folder = Path(out) if out is not None else _new_folder(options)
+    shown = _Shown(options)
+    try:
+        with shown:
+            metrics = train(
+                options,
+                folder,
+                tensorboard=tensorboard,
+                wandb=wandb,
+                on_imitation=shown.imitation,
+                on_update=shown.update,
+            )
+    except KeyboardInterrupt:
+        # A second Ctrl-C would cut off what is said after the first.
+        before_it = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        ctx.call_on_close(lambda: signal.signal(signal.SIGINT, before_it))
+        click.echo(f"gem: interrupted; go on with: gem train --resume {shlex.quote(str(folder))}", err=True)
+        ctx.exit(INTERRUPTED)
+    if as_json:
+        click.echo(json.dumps({"folder": str(folder), **metrics}, indent=1))
+    else:
+        _print_end(metrics, options, folder)
+    _tell_errors(ctx, folder)
+
+
+def _refuse_beside_resume(ctx: click.Context) -> None:
+    for parameter in ctx.command.params:
+        name = str(parameter.name)
+        if ctx.get_parameter_source(name) == ParameterSource.COMMANDLINE and name not in _BESIDE_RESUME:
+            what = parameter.opts[-1] if isinstance(parameter, click.Option) else "the ids"
+            raise ArgumentError(f"--resume goes on with the options of the run; leave out {what}")
+
+
+def _options(given: dict[str, Any]) -> TrainOptions:
+    ids = given.pop("ids")
+    if not ids:
+        raise ArgumentError("name an environment, as in 'gem train game:GuessTheNumber-v0'; 'gem list' shows them")
+    envs = find_envs(ids, several=False)
+    if any(own for _, own in envs):
+        raise ArgumentError("gem train takes ids of environments, not folders")
+    stack = [given.pop(name) for name in ("wrappers", "tools", "max_tool_uses", "max_turns")]
+    return TrainOptions(
+        env=tuple(record.id for record, _ in envs),
+        env_kwargs=env_arguments(given.pop("arguments")),
+        wrappers=tuple(wrapper_stack(*stack)),
+        learn_cut_off=not given.pop("skip_cut_off"),
+        eval_envs=tuple(given.pop("eval_envs")),
+        **{name: value for name, value in given.items() if value is not None},
+    )
+
+
+def _new_folder(options: TrainOptions) -> Path:
+    name = f"train-{time.strftime('%Y%m%d-%H%M%S')}-{options.seed}"
+    for number in itertools.count(1):
+        folder = Path("runs", name if number == 1 else f"{name}-{number}")
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        return folder
+    raise StopIteration
+
+
+class _Shown:
+    """Progress of imitation, then of updates."""
+
+    def __init__(self, options: TrainOptions) -> None:
+        from gem_core.progress import Progress
+
+        self._options, self._make = options, Progress
+        self._progress: Any = None
+        self._unit = ""
+
+    def __enter__(self) -> _Shown:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._progress is not None:
+            self._progress.__exit__(*error)
+
+    def imitation(self, step: int, loss: float) -> None:
+        """Show a step of imitation."""
+        self._advance("imitation", "steps", self._options.imitate_steps, step + 1, f"loss {loss:.3f}")
+
+    def update(self, update: int, metrics: Mapping[str, float]) -> None:
+        """Show an update."""
+        self._advance("training", "updates", self._options.updates, update, _line(metrics))
+
+    def _advance(self, title: str, unit: str, total: int, done: int, status: str) -> None:
+        if unit != self._unit:
+            self.__exit__()
+            self._progress, self._unit = self._make(total, title, unit=unit).__enter__(), unit
+        self._progress.advance(done, status)
+
+
+def _line(metrics: Mapping[str, float | None], prefix: str = "") -> str:
+    """Return return, success and turns in words, as far as they are known."""
+    shown = []
+    for name, form in (("return", "{:.3f}"), ("success", "{:.0%}"), ("turns", "{:.2f}")):
+        value = metrics.get(prefix + name)
+        if value is not None and value == value:
+            shown.append(f"{name} {form.format(value)}")
+    return ", ".join(shown)
+
+
+def _print_end(metrics: Mapping[str, float | None], options: TrainOptions, folder: Path) -> None:
+    """Say how the run ended, and what can be done with it."""
+    echo_line(f"last update: {_line(metrics)}")
+    for prefix in dict.fromkeys(f"{name.rpartition('/')[0]}/" for name in metrics if name.startswith("eval/")):
+        echo_line(f"evaluation{prefix.removeprefix('eval').rstrip('/').replace('/', ' of ')}: {_line(metrics, prefix)}")
+    echo_line(f"page: {folder / 'index.html'}")
+    echo_line(f"let it play: gem run {options.env[0]} --agent {shlex.quote(f'train:{folder}')}")
+
+
+def _tell_errors(ctx: click.Context, folder: Path) -> None:
+    from gem_train.reporting import read_metrics
+
+    errors = sum(int(line.get("errors") or 0) for line in read_metrics(folder))
+    if errors:
+        echo_line(f"gem: {counted(errors, 'episode')} had an error, and nothing was learnt from them", err=True)
+    ctx.exit(1 if errors else 0)
