@@ -44,10 +44,10 @@ def timed(name, function):
     return call
 
 def report(started, tokens):
-    whole = time.perf_counter() - started
+    whole = time.perf_counter() - started[0]
     playing = seconds["playing"] - seconds["environment"]
-    print(json.dumps({{"seconds": whole, "tokens": tokens, "playing": playing / whole,
-        "environment": seconds["environment"] / whole, "learning": seconds["learning"] / whole}}))
+    shares = {{name: each / whole for name, each in {{**seconds, "playing": playing}}.items()}}
+    print(json.dumps({{"seconds": whole, "cpu_s": time.process_time() - started[1], "tokens": tokens, **shares}}))
 """
 
 WAITING = """
@@ -82,7 +82,7 @@ Player.play, Learner.learn = timed("playing", Player.play), timed("learning", Le
 with Training(learner) as training:
     training.update()
     seconds = dict.fromkeys(seconds, 0.0)
-    started, tokens = time.perf_counter(), 0
+    started, tokens = (time.perf_counter(), time.process_time()), 0
     for _ in range(UPDATES):
         tokens += sum(len(turn.said.tokens) for seat in training.update().played for turn in seat.turns)
     report(started, tokens)
@@ -223,7 +223,8 @@ optimizer = torch.optim.AdamW(model.parameters(), lr=options.learning_rate, beta
 envs, seeds = [gem.make(options.env[0], **game) for _ in range(options.episodes)], iter(range(10**6))
 for number in range(UPDATES + 1):
     if number == 1:  # the first was to warm up
-        seconds, started, tokens = dict.fromkeys(seconds, 0.0), time.perf_counter(), 0
+        seconds, tokens = dict.fromkeys(seconds, 0.0), 0
+        started = time.perf_counter(), time.process_time()
     *batch, count = timed("playing", play)()
     timed("learning", learn)(*batch)
     if number:
@@ -267,6 +268,7 @@ def measure_learner(python: str, form: str, file: str, repeats: int) -> None:
             name,
             f"{case.median('seconds'):.2f}",
             f"{case.median('seconds') / ours.median('seconds'):.2f}",
+            f"{case.median('cpu_s') / ours.median('cpu_s'):.2f}",
             f"{case.median('tokens') / case.median('seconds'):.0f}",
             *(f"{case.median(part):.0%}" for part in ("playing", "environment", "learning")),
         ]
@@ -274,7 +276,9 @@ def measure_learner(python: str, form: str, file: str, repeats: int) -> None:
     ]
     title = f"GuessTheNumber, {form}: {UPDATES} updates of {EPISODES} episodes; medians of {repeats} alternating runs"
     parts = ["playing", "environment", "learning"]
-    harness.print_table(title, ["side", "seconds", "of ours", "sampled tokens/s", *parts], rows)
+    harness.print_table(
+        title, ["side", "seconds", "of ours", "processor time of ours", "sampled tokens/s", *parts], rows
+    )
 
 
 def measure_overlap(python: str, file: str, repeats: int) -> None:

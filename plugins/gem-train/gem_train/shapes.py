@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import gem_core as gem
 from gem_core.env import Content
+from gem_core.errors import ArgumentError
 from gem_core.parsing import extract_last_boxed_answer
 from gem_core.types import ResetResult, StepResult
 
@@ -43,7 +44,7 @@ class ShapesEnv(gem.Env):
     def __init__(self, questions: tuple[str, ...] | list[str] = tuple(_QUESTIONS)) -> None:
         super().__init__()
         if not questions or not set(questions) <= set(_QUESTIONS):
-            raise gem.errors.ArgumentError(f"questions are some of {', '.join(_QUESTIONS)}, not {questions!r}")
+            raise ArgumentError(f"questions are some of {', '.join(_QUESTIONS)}, not {questions!r}")
         self._questions = list(questions)
         self._question, self._answer = self._questions[0], ""
 
