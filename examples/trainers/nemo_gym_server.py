@@ -61,6 +61,7 @@ from responses_api_agents.gymnasium_agent.app import GymnasiumAgent, GymnasiumAg
 import gem_core as gem
 from gem_core.errors import EnvFaultError, GemError
 from gem_train import ChatSession
+from gem_train.adapters.trial import FailsOnce, check, register_trial_envs
 
 # The server: one session for each rollout, found by the cookie that NeMo-Gym gives it.
 
@@ -219,31 +220,6 @@ async def serve(app, running):
     return server.servers[0].sockets[0].getsockname()[1]
 
 
-class Multiply(gem.Tool):
-    """A tool that needs nothing installed."""
-
-    name, description, concurrency = "multiply", "Multiplies two numbers.", "inline"
-
-    class Parameters(gem.Tool.Parameters):
-        left: float
-        right: float
-
-    def call(self, arguments, session):
-        return str(arguments.left * arguments.right)
-
-
-class Flaky(gem.DatasetEnv):
-    """Fails once, as where a sandbox is gone."""
-
-    failures = 1
-
-    def step(self, action):
-        if Flaky.failures:
-            Flaky.failures -= 1
-            raise OSError("the sandbox is gone")
-        return super().step(action)
-
-
 async def play(batch, max_steps):
     """Run rows as NeMo-Gym's collection does, all at once; return the results, or errors, and the server."""
     set_global_aiohttp_client(GlobalAIOHTTPAsyncClientConfig())  # one for all servers of a process
@@ -267,12 +243,10 @@ async def play(batch, max_steps):
 
 def main():
     """Run rows through the three servers, and check what came back."""
-    product = [{"question": "What is 6 times 7?", "answer": "42"}]
-    gem.register("demo:Product-v0", lambda: gem.ToolEnv(gem.DatasetEnv(product), [Multiply], tool_reward=0.25))
-    gem.register("demo:Flaky-v0", lambda: Flaky(product))
+    register_trial_envs()
     game = list(rows("game:GuessTheNumber-v0", 3))
     wrong = {**game[0], "gem": {"id": "game:GuesTheNumber-v0"}}
-    batch = [*game, game[0], *rows("demo:Product-v0"), *rows("demo:Flaky-v0"), wrong]
+    batch = [*game, game[0], *rows("trial:Product-v0"), *rows("trial:FailsOnce-v0"), wrong]
     results, server = asyncio.run(play(batch, max_steps=5))
     for row, result in zip(batch, results, strict=True):
         if isinstance(result, dict):
@@ -280,21 +254,14 @@ def main():
         print(f"{row['gem']['id']} seed {row['gem'].get('seed')}: {result}")
 
     first, second, cut, again, tool, flaky, refused = results
-    check("equal seeds start and go alike", first["response"]["output"] == again["response"]["output"])
-    check("sessions that run at once do not mix", first["info"]["rewards"] != second["info"]["rewards"])
-    check("the reward is the sum of the turns", all(r["reward"] == sum(r["info"]["rewards"]) for r in results[:6]))
-    check("a limit of turns truncates", cut["truncated"] and len(cut["info"]["rewards"]) == 5)
-    check("tools are called natively", "function_call_output" in str(tool["response"]) and tool["reward"] == 1.25)
-    check("a failed environment is played again, not scored", flaky["reward"] == 1 and Flaky.failures == 0)
-    check("a wrong id is told", "Did you mean" in refused)
-    check("every environment is closed", not server.session_state)
-
-
-def check(promise, held):
-    """Say that a promise held, or stop."""
-    if not held:
-        sys.exit(f"error: this did not hold: {promise}")
-    print(f"ok: {promise}")
+    check(first["response"]["output"] == again["response"]["output"], "equal seeds start and go alike")
+    check(first["info"]["rewards"] != second["info"]["rewards"], "sessions that run at once do not mix")
+    check(all(r["reward"] == sum(r["info"]["rewards"]) for r in results[:6]), "the reward is the sum of the turns")
+    check(cut["truncated"] and len(cut["info"]["rewards"]) == 5, "a limit of turns truncates")
+    check("function_call_output" in str(tool["response"]) and tool["reward"] == 1.25, "tools are called natively")
+    check(flaky["reward"] == 1 and FailsOnce.failures == 1, "a failed environment is played again, not scored")
+    check("Did you mean" in refused, "a wrong id is told")
+    check(not server.session_state, "every environment is closed")
 
 
 if __name__ == "__main__":

@@ -25,15 +25,12 @@ fails is told to the model, and the episode goes on. Images are sent as data URL
 from __future__ import annotations
 
 import asyncio
-import base64
-import io
 import os
 import re
 import socket
 import sys
 import threading
 import uuid
-from collections.abc import Mapping
 from typing import Any
 
 import uvicorn
@@ -44,7 +41,7 @@ from openenv.core.env_server.interfaces import Environment
 from openenv.core.env_server.types import Action, Observation, State
 
 import gem_core as gem
-from gem_train.adapters import ChatSession, ChatStep
+from gem_train.adapters import ChatSession, ChatStep, images_as_urls
 from gem_train.adapters.trial import check
 
 GUESS = "game:GuessTheNumber-v0-easy"
@@ -90,7 +87,7 @@ class GemEnvironment(Environment[ChatAction, ChatObservation, State]):
         """Begin an episode; an environment that fails is an error of the request."""
         self.episode_id = episode_id or uuid.uuid4().hex
         messages = await self.session.reset(seed, options)
-        return ChatObservation(messages=as_json(messages), tools=self.session.tools)
+        return ChatObservation(messages=images_as_urls(messages), tools=self.session.tools)
 
     async def step_async(self, action: ChatAction, timeout_s: float | None = None) -> ChatObservation:
         """Take a response."""
@@ -127,34 +124,13 @@ def response_of(action: ChatAction) -> gem.Response:
 def observation_of(session: ChatSession, step: ChatStep) -> ChatObservation:
     """Return the observation of a step. Where the machinery failed there is no reward: 0 would be a verdict."""
     return ChatObservation(
-        messages=as_json(step.messages),
+        messages=images_as_urls(step.messages),
         done=step.done,
         reward=None if step.error is not None else step.reward,
         truncated=step.truncated,
         success=session.success if step.done else None,
         error=step.error,
     )
-
-
-def as_json(messages: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return messages whose images are data URLs, as in the OpenAI chat API."""
-
-    def plain(part: Any) -> Any:
-        if not isinstance(part, Mapping) or part.get("type") != "image":
-            return part
-        data = io.BytesIO()
-        part["image"].save(data, format="PNG")
-        return {
-            "type": "image_url",
-            "image_url": {"url": f"data:image/png;base64,{base64.b64encode(data.getvalue()).decode()}"},
-        }
-
-    return [
-        {**message, "content": list(map(plain, message["content"]))}
-        if isinstance(message["content"], list)
-        else message
-        for message in messages
-    ]
 
 
 def app(env_id: str | None = None, max_sessions: int = 64) -> Any:

@@ -45,6 +45,7 @@ from skyrl_gym.envs.base_text_env import BaseTextEnv, BaseTextEnvStepOutput
 import gem_core as gem
 from gem_core.errors import EnvFaultError
 from gem_train import ChatSession
+from gem_train.adapters.trial import FailsOnce, check, register_trial_envs
 
 
 class GemTextEnv(BaseTextEnv):
@@ -170,31 +171,6 @@ def run_trainer(config):
 # What this file does here: SkyRL-gym's part of an episode, with a scripted model.
 
 
-class Multiply(gem.Tool):
-    """A tool that needs nothing installed."""
-
-    name, description, concurrency = "multiply", "Multiplies two numbers.", "inline"
-
-    class Parameters(gem.Tool.Parameters):
-        left: float
-        right: float
-
-    def call(self, arguments, session):
-        return str(arguments.left * arguments.right)
-
-
-class Flaky(gem.DatasetEnv):
-    """Fails once, as where a sandbox is gone."""
-
-    failures = 1
-
-    def step(self, action):
-        if Flaky.failures:
-            Flaky.failures -= 1
-            raise OSError("the sandbox is gone")
-        return super().step(action)
-
-
 class ScriptedGenerator:
     """Calls an environment as SkyRL's generator does, with a model that bisects and calls a tool once."""
 
@@ -226,35 +202,26 @@ CALL = '<tool_call>{"name": "multiply", "arguments": {"left": 6, "right": 7}}</t
 
 async def main():
     """Play rows at once, and check what came back."""
-    product = [{"question": "What is 6 times 7?", "answer": "42"}]
-    gem.register("demo:Product-v0", lambda: gem.ToolEnv(gem.DatasetEnv(product), [Multiply], tool_reward=0.25))
-    gem.register("demo:Flaky-v0", lambda: Flaky(product))
+    register_trial_envs()
     register()
     game = list(rows("game:GuessTheNumber-v0", 3))
-    batch = [*game, game[0], *rows("demo:Product-v0"), *rows("demo:Flaky-v0")]
+    batch = [*game, game[0], *rows("trial:Product-v0"), *rows("trial:FailsOnce-v0")]
     generator = patient(ScriptedGenerator)(max_turns=4)
     results = await asyncio.gather(*(generator.agent_loop(row["prompt"], row["env_class"], row) for row in batch))
     for row, result in zip(batch, results, strict=True):
         print(f"{row['gem']}: rewards {result['rewards']}, {result['metrics']}")
     first, cut, _, again, tool, flaky = results
-    check("the prompt of a row is what its seed starts", all(result["as in the row"] for result in results))
-    check("equal rows go alike", first["chat"] == again["chat"])
-    check("episodes that are played at once do not mix", first["chat"] != cut["chat"] and first["rewards"] == [0, 0, 1])
-    check("max_turns ends an episode", cut["rewards"] == [0, 0, 0, 0] and cut["metrics"]["success"] == 0)
-    check("a tool is called in the text", tool["rewards"] == [0.25, 1])
-    check("a failed environment is played again, not scored", flaky["rewards"] == [1] and Flaky.failures == 0)
+    check(all(result["as in the row"] for result in results), "the prompt of a row is what its seed starts")
+    check(first["chat"] == again["chat"], "equal rows go alike")
+    check(first["chat"] != cut["chat"] and first["rewards"] == [0, 0, 1], "episodes that are played at once do not mix")
+    check(cut["rewards"] == [0, 0, 0, 0] and cut["metrics"]["success"] == 0, "max_turns ends an episode")
+    check(tool["rewards"] == [0.25, 1], "a tool is called in the text")
+    check(flaky["rewards"] == [1] and FailsOnce.failures == 1, "a failed environment is played again, not scored")
     try:
         skyrl_gym.make("gem", env_config={}, extras={"gem": {"id": "game:GuesTheNumber-v0", "seed": 0}})
-        check("a wrong id is an error", False)
+        check(False, "a wrong id is an error")
     except gem.GemError as error:
-        check("a wrong id is an error that names the right one", "Did you mean" in str(error))
-
-
-def check(promise, held):
-    """Say that a promise held, or stop."""
-    if not held:
-        sys.exit(f"error: this did not hold: {promise}")
-    print(f"ok: {promise}")
+        check("Did you mean" in str(error), "a wrong id is an error that names the right one")
 
 
 if __name__ == "__main__":

@@ -42,8 +42,6 @@ What it cannot take, and what happens then:
 """
 
 import asyncio
-import base64
-import io
 import itertools
 import os
 import sys
@@ -55,7 +53,8 @@ import verifiers.v1 as vf
 from pydantic import Field
 
 import gem_core as gem
-from gem_train import ChatSession
+from gem_train.adapters import ChatSession, images_as_urls
+from gem_train.adapters.trial import check, register_trial_envs
 
 __all__ = ["GemEnv", "GemTaskset"]
 
@@ -123,14 +122,14 @@ class GemEnv(vf.Env[GemEnvConfig]):
         with ChatSession(start.env_id, **start.kwargs) as session:
             messages = await session.reset(start.seed, start.options)
             async with agents.player.interaction(task) as interaction:
-                segment = await interaction.turn([sendable(message) for message in messages])
+                segment = await interaction.turn(images_as_urls(messages))
                 while not segment.terminated:
                     step = await session.step(response_of(segment))
                     if step.error is not None:
                         raise RuntimeError(f"{start.env_id} failed, not the agent: {step.error['message']}")
                     if step.done:
                         break
-                    segment = await interaction.turn([sendable(message) for message in step.messages])
+                    segment = await interaction.turn(images_as_urls(step.messages))
                 trace = interaction.trace
                 episode = session.episode
                 told = {"rewards": session.rewards, "seed": episode.seed, "success": session.success}
@@ -147,42 +146,7 @@ def response_of(segment):
     return gem.Response(said.content or "", reasoning=said.reasoning_content)
 
 
-def sendable(message):
-    """Return a message of GEM as one for the chat API: images as data URLs."""
-    if isinstance(message["content"], str):
-        return message
-    return {**message, "content": [part if part["type"] == "text" else data_url(part) for part in message["content"]]}
-
-
-def data_url(part):
-    """Return an image part with its image as PNG in the URL."""
-    file = io.BytesIO()
-    part["image"].save(file, "PNG")
-    data = base64.b64encode(file.getvalue()).decode()
-    return {"type": "image_url", "image_url": {"url": f"data:image/png;base64,{data}"}}
-
-
 # What this file does here: real episodes, with a scripted model.
-
-
-class Multiply(gem.Tool):
-    """A tool that needs nothing installed."""
-
-    name, description, concurrency = "multiply", "Multiplies two numbers.", "inline"
-
-    class Parameters(gem.Tool.Parameters):
-        left: float
-        right: float
-
-    def call(self, arguments, session):
-        return str(arguments.left * arguments.right)
-
-
-class Broken(gem.DatasetEnv):
-    """Fails, as where a sandbox is gone."""
-
-    def step(self, action):
-        raise OSError("the sandbox is gone")
 
 
 def scripted_model():
@@ -218,43 +182,34 @@ async def play(url, env_id, tasks=1, rollouts=1, **player):
 
 async def main():
     """Play, and check what verifiers recorded."""
-    product = [{"question": "What is 6 times 7?", "answer": "42"}]
-    gem.register("demo:Product-v0", lambda: gem.ToolEnv(gem.DatasetEnv(product), [Multiply], tool_reward=0.25))
-    gem.register("demo:Broken-v0", lambda: Broken(product))
+    register_trial_envs()
     url = scripted_model()
     first, same, other, _ = game = await play(url, "game:GuessTheNumber-v0", tasks=2, rollouts=2)
     (short,) = await play(url, "game:GuessTheNumber-v0", max_turns=2)
-    (tool,) = await play(url, "demo:Product-v0")
-    (broken,) = await play(url, "demo:Broken-v0")
+    (tool,) = await play(url, "trial:Product-v0")
+    (broken,) = await play(url, "trial:FailsOnce-v0")
     for episode in (*game, short, tool, broken):
         (trace,) = episode.traces
         name, error = episode.task.data.name, trace.last_error
         print(f"{name}: ok {trace.ok}, reward {trace.reward:g}, {error.message if error else trace.info['gem']}")
 
-    check("rollouts of one task start and go alike", told(first) == told(same) and told(first) != told(other))
+    check(told(first) == told(same) and told(first) != told(other), "rollouts of one task start and go alike")
     check(
-        "the reward is the sum of the turns", all(each.traces[0].reward == sum(told(each)["rewards"]) for each in game)
+        all(each.traces[0].reward == sum(told(each)["rewards"]) for each in game), "the reward is the sum of the turns"
     )
-    check("max_turns cuts off", told(short)["turns"] == 2 and not told(short)["ended"] and short.ok)
-    check("a tool is called in the text", told(tool)["rewards"] == [0.25, 1.0])
-    check("a failed environment is an error and no reward", not broken.ok and not broken.traces[0].rewards)
+    check(told(short)["turns"] == 2 and not told(short)["ended"] and short.ok, "max_turns cuts off")
+    check(told(tool)["rewards"] == [0.25, 1.0], "a tool is called in the text")
+    check(not broken.ok and not broken.traces[0].rewards, "a failed environment is an error and no reward")
     try:
         await play(url, "game:GuesTheNumber-v0")
-        check("a wrong id is an error", False)
+        check(False, "a wrong id is an error")
     except gem.GemError as error:
-        check("a wrong id is an error that names the right one", "Did you mean" in str(error))
+        check("Did you mean" in str(error), "a wrong id is an error that names the right one")
 
 
 def told(episode):
     """Return what GEM recorded of the one trace."""
     return episode.traces[0].info["gem"]
-
-
-def check(promise, held):
-    """Say that a promise held, or stop."""
-    if not held:
-        sys.exit(f"error: this did not hold: {promise}")
-    print(f"ok: {promise}")
 
 
 if __name__ == "__main__":

@@ -20,9 +20,10 @@ def answered(requests: int, **options: Any) -> tuple[list[Any], list[int]]:
         sizes.append(len(prompts))
         if options.get("fails"):
             raise RuntimeError("out of memory")
-        return [
+        answers = [
             Generated([*prompt, sampling["max_tokens"]]) for prompt, sampling in zip(prompts, samplings, strict=True)
         ]
+        return answers[: options.get("answers")]
 
     async def run() -> list[Any]:
         engine = BatchedEngine(ask, most=options["most"], quiet_s=0.0)
@@ -50,6 +51,8 @@ def test_failure_is_raised_at_every_request_of_the_batch() -> None:
     """Nobody waits for ever."""
     found, _ = answered(3, most=8, fails=True)
     assert [str(one) for one in found] == ["out of memory"] * 3
+    found, _ = answered(3, most=8, answers=2)
+    assert [str(one) for one in found] == ["the engine gave 2 answers to 3 prompts"] * 3
 
 
 def test_abandoned_request_does_not_spoil_its_batch() -> None:

@@ -79,10 +79,11 @@ def test_ends_and_success_are_those_of_the_record() -> None:
 
 
 def test_groups_are_those_of_the_plan() -> None:
-    """Equal names of one run are one group; without a name each episode is its own."""
-    named = [("0", 1), ("1", 1), (None, 1), ("0", 1), (None, 1), ("0", 2)]
-    batch = batches([episode(turn(), group=group, run_seed=run) for group, run in named])
-    assert batch.groups.tolist() == [0, 1, 2, 0, 3, 4]
+    """Equal names of one run of one task are one group; without a name each episode is its own."""
+    named = [("0", 1, "toy:Q"), ("1", 1, "toy:Q"), (None, 1, "toy:Q"), ("0", 1, "toy:Q"), (None, 1, "toy:Q")]
+    named += [("0", 2, "toy:Q"), ("0", 1, "toy:R")]
+    batch = batches([episode(turn(), group=group, run_seed=run, id=task) for group, run, task in named])
+    assert batch.groups.tolist() == [0, 1, 2, 0, 3, 4, 5]
 
 
 def test_states_are_how_things_stood_before_a_turn() -> None:
@@ -91,6 +92,12 @@ def test_states_are_how_things_stood_before_a_turn() -> None:
     first = episode(turn(info={}), turn(observation="Q a No.Door 1.", info=told), turn(observation="Q b"), info=told)
     second = episode(turn(observation="Q a No.Door 1."))
     assert_array_equal(batches([first, second]).states, [[0, 1, 0], [1, -1, -1]])
+
+
+def test_states_compare_images_by_their_pixels() -> None:
+    """Two renderings of one state are one state."""
+    shown = [[{"type": "image", "image": Image.new("RGB", (2, 2), colour)}] for colour in ("red", "red", "blue")]
+    assert_array_equal(batches([episode(*(turn(observation=each) for each in shown))]).states, [[0, 0, 1]])
 
 
 def test_seats_are_episodes_of_their_own() -> None:

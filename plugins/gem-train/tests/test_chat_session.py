@@ -220,6 +220,17 @@ def test_tools_are_offered_in_text_or_natively():
     assert (answer["role"], "the sum" in answer["content"]) == ("user", True)
 
 
+def test_text_of_messages_can_be_encoded():
+    """A lone surrogate, which tokenizers and servers refuse, is a question mark; the record keeps it."""
+    session = ChatSession(GUESS, wrappers=[Add()])
+    session.reset_sync(seed=0)
+    call = '<tool_call>{"name": "\\udc00", "arguments": {}}</tool_call>'
+    (answer,) = session.step_sync(f"\ud800{call}").messages
+    assert "\udc00" in str(session.episode.messages[-1]["content"])
+    assert "?" in answer["content"]
+    json.dumps(session.messages, ensure_ascii=False).encode()
+
+
 def test_history_that_is_rewritten_is_refused():
     """A trainer has tokenized it already."""
     session = ChatSession(RewriteHistory(CountEnv()))

@@ -7,7 +7,6 @@ import importlib.util
 import json
 import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -226,20 +225,6 @@ def test_openrlhf_is_refused_what_it_cannot_append(openrlhf: Any) -> None:
 # Oat
 
 
-def test_oat_gets_one_transition_a_turn(load: Load, engine: TrialEngine) -> None:
-    """Ids and log-probabilities token by token, rewards, ends, and a dict for the metrics."""
-    oat = load("oat_actor")
-    actor = oat.trial_actor(engine, rollout_batch_size_per_device=1, wave=1, num_envs=1, prompt_max_length=1500)
-    ((*turns,),), metrics = actor.collect_experience()
-    assert [turn.prompt_ids for turn in turns] == [prompt for prompt, _ in engine.calls]
-    assert [turn.response_ids for turn in turns] == [list(made.token_ids) for _, made in engine.calls]
-    assert [turn.response_logprobs for turn in turns] == [made.logprobs for _, made in engine.calls]
-    assert [turn.done for turn in turns] == [False] * (len(turns) - 1) + [True]
-    assert len({id(turn.info) for turn in turns}) == len(turns)
-    assert all(turn.info == {} for turn in turns)
-    assert metrics["actor/num_episodes"] == 1
-
-
 def test_oat_is_given_other_episodes_for_those_that_failed(load: Load, engine: TrialEngine, breaking: Any) -> None:
     """They are left out and counted, and the learner has as many transitions as it wants."""
     oat = load("oat_actor")
@@ -275,15 +260,6 @@ def played(rl2: Any, engine: TrialEngine, row: Any, **options: Any) -> Any:
     return sample
 
 
-@pytest.mark.parametrize("options", [{"skip_special_tokens": True}, {"skip_special_tokens": False}])
-def test_rl2_goes_on_with_one_sequence(load: Load, engine: TrialEngine, options: Any) -> None:
-    """Whether the text shows the end of a response or not, and with each reward on the last token of its turn."""
-    (made,) = played(load("rl2_env"), engine, ROW, **options).state_dicts
-    check_sequence(engine, made["states"], made["action_mask"], made["logps"])
-    ends = [len(prompt) + len(said.token_ids) - 1 for prompt, said in engine.calls]
-    assert {place: reward for place, reward in enumerate(made["rewards"]) if reward} == {ends[1]: 0.5, ends[2]: 0.5}
-
-
 def test_rl2_closes_a_turn_that_was_cut_off(load: Load, engine: TrialEngine) -> None:
     """The end of the turn is in the next state, outside the mask."""
     (made,) = played(load("rl2_env"), engine, ROW, max_new_tokens=len(GUESSES[0])).state_dicts
@@ -309,31 +285,6 @@ def test_rl2_plays_a_failed_episode_again_and_then_raises(load: Load, breaking: 
     Breaking.failures = 3
     with pytest.raises(EnvFaultError, match="the engine is down"):
         played(rl2, engine, breaking)
-    assert not rl2.SESSIONS
-
-
-def test_rl2_in_its_older_form(load: Load, engine: TrialEngine, tmp_path: Path, monkeypatch: Any) -> None:
-    """``reset`` and ``step`` are given text and return text, with reward and score."""
-    rl2 = load("rl2_env")
-    engine.tokenizer.save_pretrained(tmp_path)
-    monkeypatch.setenv("GEM_TOKENIZER", str(tmp_path))
-
-    async def play() -> list[Any]:
-        state, info = await rl2.reset(dict(ROW))
-        results = []
-        for text in GUESSES:
-            results.append(await rl2.step(state, f"{text}<|im_end|>", info))
-            assert results[-1]["done"] or results[-1]["next_state"].startswith(f"{state}{text}<|im_end|>\n<|im_start|>")
-            state, info = results[-1]["next_state"], results[-1]["extra_info"]
-        return results
-
-    results = asyncio.run(play())
-    assert [(one["reward"], one["score"], one["done"]) for one in results] == [
-        (0.0, 0.0, False),
-        (0.5, 0.5, False),
-        (0.5, 0.5, True),
-    ]
-    assert set(results[0]) == {"next_state", "reward", "score", "done", "extra_info"}
     assert not rl2.SESSIONS
 
 
@@ -416,7 +367,7 @@ def test_roll_uses_the_package_where_it_is_installed(load: Load) -> None:
 def test_file_holds_what_it_promises(
     load: Load, name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Those that need no framework run as they are."""
+    """Those that need no framework run as they are, and check an episode token by token."""
     pytest.importorskip("transformers")
     monkeypatch.setenv("GEM_TOKENIZER", "set by the file")
     result = load(name).main()

@@ -14,7 +14,7 @@ from failing_envs import Divide, register
 from trainer_files import import_trainer
 
 from gem_core.errors import EnvFaultError
-from gem_train import ChatSession
+from gem_train.adapters import ChatSession, images_as_urls
 
 A, B, C = TypeVar("A"), TypeVar("B"), TypeVar("C")
 
@@ -108,11 +108,11 @@ def test_openenv_tells_the_model_of_a_failed_tool(openenv: Any) -> None:
     assert env.session.episode.transitions[-1].action.cut_off
 
 
-def test_openenv_sends_images_as_data_urls(openenv: Any) -> None:
+def test_images_become_data_urls() -> None:
     """Text beside them stays as it is."""
     image = SimpleNamespace(save=lambda file, format: file.write(b"pixels"))
     parts = [{"type": "text", "text": "Look."}, {"type": "image", "image": image}]
-    (message,) = openenv.as_json([{"role": "user", "content": parts}])
+    (message,) = images_as_urls([{"role": "user", "content": parts}])
     url = f"data:image/png;base64,{base64.b64encode(b'pixels').decode()}"
     assert message["content"] == [parts[0], {"type": "image_url", "image_url": {"url": url}}]
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 pytest.importorskip("torch")
+
+from study_measures import count_turns
 
 from gem_train.learner.options import TrainOptions
 from gem_train.learner.training import Training, warm_start
@@ -30,12 +31,9 @@ TINY = {
 }
 
 
-def count_turns(training: Training) -> dict[str, Any]:
-    return {"turns": sum(len(seat.turns) for seat in training.evaluate())}
-
-
 def test_runs_are_kept_and_not_made_again(tmp_path: Path) -> None:
-    """A run with other options is made; and runs that differ in the algorithm share a warm start."""
+    """A result of other options is made again, a kept one is not; runs that differ in the algorithm share a start."""
+    (tmp_path / "rebn.json").write_text(json.dumps({"options": {}, "measured": []}))
     jobs = [Job(name, TrainOptions(**TINY, algorithm=name), count_turns, every=1) for name in ("rebn", "reinforce")]  # type: ignore[arg-type]
     first = run_jobs(jobs, tmp_path, workers=1, quiet=True)
     assert [measured["update"] for measured in first["rebn"]["measured"]] == [0, 1]
@@ -44,13 +42,6 @@ def test_runs_are_kept_and_not_made_again(tmp_path: Path) -> None:
     written = (tmp_path / "rebn.json").stat().st_mtime_ns
     assert run_jobs(jobs, tmp_path, workers=1, quiet=True) == first
     assert (tmp_path / "rebn.json").stat().st_mtime_ns == written
-
-
-def test_a_result_of_other_options_is_made_again(tmp_path: Path) -> None:
-    """An old folder never answers for a new study."""
-    job = Job("one", TrainOptions(**TINY), count_turns)
-    (tmp_path / "one.json").write_text(json.dumps({"options": {}, "measured": []}))
-    assert run_jobs([job], tmp_path, workers=1, quiet=True)["one"]["options"]["episodes"] == 4
 
 
 @lru_cache

@@ -175,6 +175,14 @@ def test_broken_characters_and_special_tokens_in_a_response_stay_as_they_were_sa
     assert episode.transitions[0].action.text == "\ufffd<|im_start|>a"
 
 
+def test_lone_surrogates_of_an_observation_are_question_marks() -> None:
+    """Tokenizers refuse them, and a model can have an environment say them by the JSON of a call."""
+    tokenizer = chat_tokenizer()
+    episode = played(TalkEnv(turns=2, begin="Begin \ud800."), Engine(*[letters(tokenizer, "a")] * 2), tokenizer)
+    assert "Begin ?." in tokenizer.decode(episode.transitions[0].action.prompt_token_ids)
+    assert episode.turns == 2
+
+
 def test_white_space_that_a_template_strips_is_no_reason_to_write_tokens_anew() -> None:
     """The sampled tokens stay, white space included."""
     tokenizer = chat_tokenizer(STRIPPING)

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from gem_train.adapters.batched_engine import BatchedEngine
     from gem_train.adapters.chat_session import ChatSession, ChatStep
     from gem_train.adapters.chat_template import ChatTemplate
+    from gem_train.adapters.image_urls import images_as_urls
     from gem_train.adapters.token_agent import Generated, TokenAgent
     from gem_train.adapters.trial import TrialEngine, trial_tokenizer
 
@@ -20,6 +21,7 @@ __all__ = [
     "Generated",
     "TokenAgent",
     "TrialEngine",
+    "images_as_urls",
     "trial_tokenizer",
 ]
 
@@ -31,6 +33,7 @@ _HOME = {
     "Generated": "token_agent",
     "TokenAgent": "token_agent",
     "TrialEngine": "trial",
+    "images_as_urls": "image_urls",
     "trial_tokenizer": "trial",
 }
 """Where the public names come from; they are imported on first use."""

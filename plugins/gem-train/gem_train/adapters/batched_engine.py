@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from gem_core.errors import AgentError
 from gem_train.adapters.token_agent import Generated
 
 AskBatch = Callable[[list[list[int]], list[dict[str, Any]]], Sequence[Generated]]
@@ -44,12 +45,15 @@ class BatchedEngine:
                 count = len(self._waiting)
                 await asyncio.sleep(self.quiet_s)
             batch, self._waiting = self._waiting[: self.most], self._waiting[self.most :]
-            answers: Sequence[Generated | Exception]
+            prompts, samplings, replies = zip(*batch, strict=True)
+            answers: list[Generated | Exception]
             try:
-                answers = await asyncio.to_thread(self.ask, [each[0] for each in batch], [each[1] for each in batch])
+                answers = list(await asyncio.to_thread(self.ask, list(prompts), list(samplings)))
+                if len(answers) != len(batch):
+                    raise AgentError(f"the engine gave {len(answers)} answers to {len(batch)} prompts")
             except Exception as error:  # noqa: BLE001 - an engine may raise anything
                 answers = [error] * len(batch)
-            for (_, _, reply), answer in zip(batch, answers, strict=True):
+            for reply, answer in zip(replies, answers, strict=True):
                 if reply.done():  # its episode was given up meanwhile
                     continue
                 if isinstance(answer, Exception):

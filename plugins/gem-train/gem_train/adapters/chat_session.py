@@ -12,6 +12,7 @@ from gem_core.errors import ArgumentError, EnvFaultError, NotSupportedError, Res
 from gem_core.records import EpisodeStart
 from gem_core.rollouts import new_episode
 from gem_core.types import TERMINAL_STATE, Info, ResetResult, StepResult
+from gem_train.text import encodable
 
 Message = dict[str, Any]
 
@@ -54,6 +55,9 @@ class ChatSession:
     ``reset`` returns the first messages, ``step`` takes a response and returns those that follow it. The record of the
     episode, with the reward of every turn, is in ``episode``. Each method has a form for plain code, ``reset_sync`` and
     ``step_sync``; one session is used from one place at a time.
+
+    Messages have a question mark for what UTF-8 cannot hold, a lone surrogate, which tokenizers and servers refuse; the
+    record keeps it.
 
     An environment that raises in ``step`` ends the episode with ``ChatStep.error``, as in a rollout; one that was made
     from an id is then made anew by the next ``reset``.
@@ -225,7 +229,7 @@ class ChatSession:
         self._episode = episode = new_episode(_described(env), start, observation, info)
         episode.reads, episode.system = "messages", self._system
         episode.native_tools = self._native_tools and bool(info.get("tools"))
-        self._messages = episode.messages
+        self._messages = encodable(episode.messages)
         self._live = True
         return self.messages
 
@@ -245,7 +249,7 @@ class ChatSession:
         turn = Transition(episode.final_observation, response, reward, terminated, truncated, info)
         episode.transitions.append(turn)
         episode.final_observation = observation
-        self._messages = episode.messages
+        self._messages = encodable(episode.messages)
         if self._messages[: len(before)] != before:
             raise NotSupportedError(
                 f"{episode.id} rewrites messages that were sent already, and this chat only grows; "

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any, cast
 
 from gem_core.errors import ArgumentError
+from gem_train.text import encodable
 
 Message = dict[str, Any]
 
@@ -71,7 +72,7 @@ class ChatTemplate:
 
     def encode(self, text: str) -> list[int]:
         """Return the tokens of a rendered text."""
-        return list(self.tokenizer.encode(text, add_special_tokens=False))
+        return list(self.tokenizer.encode(encodable(text), add_special_tokens=False))
 
     def decode(self, ids: Sequence[int]) -> str:
         """Return the text of a sampled response, without the token that ended its turn."""

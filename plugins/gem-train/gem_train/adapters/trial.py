@@ -1,4 +1,4 @@
-"""A tokenizer and an engine for trying an adapter without a model, and checks of what comes out, token by token."""
+"""For trying an adapter without a model: a tokenizer, an engine, environments, and checks of what comes out."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
+from gem_core import DatasetEnv, Tool, ToolEnv, register
+from gem_core.types import StepResult
 from gem_train.adapters.token_agent import Generated
 
 CHATML = (
@@ -112,3 +114,41 @@ def check_sequence(engine: TrialEngine, ids: Sequence[int], mask: Sequence[Any],
     check(list(logprobs) == wanted, "every log-probability is in its place")
     text = engine.tokenizer.decode(list(ids))
     check(text.count("<|im_start|>") == text.count("<|im_end|>"), "every turn is closed once")
+
+
+class Multiply(Tool):
+    """A tool that needs nothing installed."""
+
+    name = "multiply"
+    description = "Multiplies two numbers."
+    concurrency = "inline"
+
+    class Parameters(Tool.Parameters):
+        """Two numbers."""
+
+        left: float
+        right: float
+
+    def call(self, arguments: Any, session: Any) -> str:
+        """Return the product."""
+        return str(arguments.left * arguments.right)
+
+
+class FailsOnce(DatasetEnv):
+    """Fails in the first step that is made in any, as where a sandbox is gone."""
+
+    failures = 0
+
+    def step(self, action: str) -> StepResult:
+        """Fail, or grade."""
+        if not FailsOnce.failures:
+            FailsOnce.failures = 1
+            raise OSError("the sandbox is gone")
+        return super().step(action)
+
+
+def register_trial_envs() -> None:
+    """Register ``trial:Product-v0``, a question with a tool that pays 0.25 a call, and ``trial:FailsOnce-v0``."""
+    rows = [{"question": "What is 6 times 7?", "answer": "42"}]
+    register("trial:Product-v0", lambda: ToolEnv(DatasetEnv(rows), [Multiply], tool_reward=0.25))
+    register("trial:FailsOnce-v0", lambda: FailsOnce(rows))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from hashlib import sha256
 from typing import Any, Literal
 
 import numpy as np
@@ -88,13 +89,25 @@ def _terminated(episode: Episode) -> bool:
 
 def _group(episode: Episode, index: int) -> object:
     """Return what the episodes of a group share; the seats of an environment do not start alike."""
-    return index if episode.group is None else (episode.run_seed, episode.group, episode.seat)
+    return index if episode.group is None else (episode.id, episode.run_seed, episode.group, episode.seat)
 
 
 def _state(episode: Episode, turn: int) -> str:
     """Return how things stood before a turn: what the task says of it, or else all that the environment showed."""
     info = episode.transitions[turn - 1].info if turn else episode.info
-    return repr(info.get("suffix") or episode.transitions[turn].observation)
+    return repr(_comparable(info.get("suffix") or episode.transitions[turn].observation))
+
+
+def _comparable(shown: Any) -> Any:
+    """Return an observation with its images by their pixels: ``repr`` of an image tells where it is in memory."""
+    if isinstance(shown, list):
+        return [_comparable(part) for part in shown]
+    if not isinstance(shown, dict):
+        return shown
+    if shown.get("type") != "image":
+        return {name: _comparable(value) for name, value in shown.items()}
+    image = shown["image"]
+    return image.mode, image.size, sha256(image.tobytes()).digest()
 
 
 def _numbered(keys: Iterable[object]) -> list[int]:

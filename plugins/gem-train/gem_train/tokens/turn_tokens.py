@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 from gem_core.errors import ArgumentError
 from gem_core.records import Episode
 from gem_core.types import Observation, Response
+from gem_train.text import encodable
 
 
 @runtime_checkable
@@ -133,7 +134,7 @@ def _encoded_response(action: Response, complete: bool, tokenizer: Any) -> list[
 
 
 def _encoded(text: str, tokenizer: Any) -> list[int]:
-    text = text.encode("utf-8", "replace").decode()  # tokenizers refuse the lone surrogates that a model may write
+    text = encodable(text)
     if isinstance(tokenizer, Encoder):
         return list(tokenizer.encode(text, add_special_tokens=False))
     if not callable(tokenizer):

@@ -1,0 +1,12 @@
+"""What a process of a study measures in the tests: in a module that it can import."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gem_train.learner.training import Training
+
+
+def count_turns(training: Training) -> dict[str, Any]:
+    """Return how many turns an evaluation takes."""
+    return {"turns": sum(len(seat.turns) for seat in training.evaluate())}
