@@ -18,8 +18,9 @@ from pathlib import Path
 
 import harness
 
-EPISODES, UPDATES, STEP_S, MOST_REPEATS = 128, 4, 0.02, 2
-FORMS: dict[str, int | None] = {"one turn back": 1, "conversation": None}
+UPDATES, STEP_S, MOST_REPEATS = 4, 0.02, 2
+FORMS: dict[str, tuple[int | None, int]] = {"one turn back": (1, 128), "conversation": (None, 32)}
+"""How many earlier turns the policy reads, None for all, and the episodes of an update."""
 
 OPTIONS = """
 import dataclasses, json, time
@@ -238,21 +239,22 @@ def main() -> None:
     sides = harness.arguments()
     repeats = min(sides.repeats, MOST_REPEATS)
     with tempfile.TemporaryDirectory() as folder:
-        files = {form: str(Path(folder) / f"{memory}.pt") for form, memory in FORMS.items()}
+        files = {form: str(Path(folder) / f"{form}.pt") for form in FORMS}
         for form, file in files.items():
-            harness.run_once(harness.snippet(sides.ours, _options(file, FORMS[form]) + WARM_START))
+            harness.run_once(harness.snippet(sides.ours, _options(file, form) + WARM_START))
         for form, file in files.items():
             measure_learner(sides.ours, form, file, repeats)
         measure_overlap(sides.ours, files["one turn back"], repeats)
 
 
-def _options(file: str, memory: int | None, *, overlap: bool = False) -> str:
-    return OPTIONS.format(file=file, memory=memory, updates=UPDATES, episodes=EPISODES, overlap=overlap)
+def _options(file: str, form: str, *, overlap: bool = False) -> str:
+    memory, episodes = FORMS[form]
+    return OPTIONS.format(file=file, memory=memory, updates=UPDATES, episodes=episodes, overlap=overlap)
 
 
 def measure_learner(python: str, form: str, file: str, repeats: int) -> None:
     """Compare wall time and sampled tokens a second with the bare loop's."""
-    given = _options(file, FORMS[form])
+    given = _options(file, form)
     results = harness.measure(
         {
             "ours": harness.snippet(python, given + OURS),
@@ -274,7 +276,9 @@ def measure_learner(python: str, form: str, file: str, repeats: int) -> None:
         ]
         for name, case in results.items()
     ]
-    title = f"GuessTheNumber, {form}: {UPDATES} updates of {EPISODES} episodes; medians of {repeats} alternating runs"
+    title = (
+        f"GuessTheNumber, {form}: {UPDATES} updates of {FORMS[form][1]} episodes; medians of {repeats} alternating runs"
+    )
     parts = ["playing", "environment", "learning"]
     harness.print_table(
         title, ["side", "seconds", "of ours", "processor time of ours", "sampled tokens/s", *parts], rows
@@ -283,12 +287,12 @@ def measure_learner(python: str, form: str, file: str, repeats: int) -> None:
 
 def measure_overlap(python: str, file: str, repeats: int) -> None:
     """Compare runs with and without playing beside learning."""
-    rows = []
+    rows, form = [], "one turn back"
     for name, step_s in ((f"waits {STEP_S * 1000:.0f} ms a step", STEP_S), ("does not wait", 0.0)):
         waiting = WAITING.format(step_s=step_s) if step_s else ""
         results = harness.measure(
             {
-                str(overlap): harness.snippet(python, _options(file, 1, overlap=overlap) + waiting + OURS)
+                str(overlap): harness.snippet(python, _options(file, form, overlap=overlap) + waiting + OURS)
                 for overlap in (False, True)
             },
             repeats=repeats,
@@ -299,7 +303,7 @@ def measure_overlap(python: str, file: str, repeats: int) -> None:
         seconds = [case.median("seconds") for case in (apart, beside)]
         rows.append([name, *shares, *(f"{each:.2f}" for each in seconds), f"{seconds[0] / seconds[1]:.2f}"])
     header = ["environment", "playing", "environment", "learning", "seconds", "overlap, seconds", "times as fast"]
-    harness.print_table(f"Rollouts beside learning, {UPDATES} updates of {EPISODES} episodes", header, rows)
+    harness.print_table(f"Rollouts beside learning, {UPDATES} updates of {FORMS[form][1]} episodes", header, rows)
 
 
 if __name__ == "__main__":
