@@ -40,6 +40,7 @@ class Context:
         read_messages: What ``messages`` calls.
         seat: Name of the agent's seat among several; None where it is alone.
         read_observation: What ``observation`` calls.
+        view: Name of the view that shows the agent what it is sent; None for none.
     """
 
     episode: str
@@ -55,6 +56,7 @@ class Context:
     read_messages: Callable[[], list[dict[str, Any]]] = field(default=list, repr=False)
     seat: str | None = None
     read_observation: Callable[[], Observation] = field(default=str, repr=False)
+    view: str | None = None
 
     @property
     def messages(self) -> list[dict[str, Any]]:

@@ -45,6 +45,7 @@ class RunningSeat:
             read_messages=self.conversation.messages,
             seat=episode.seat,
             read_observation=lambda: episode.final_observation,
+            view=info.get("view"),
         )
 
     def add(self, reward: float, terminated: bool, truncated: bool, observation: Observation, info: Info) -> None:

@@ -75,7 +75,7 @@ class CheckpointAgent:
             )
         ]
         before = [*(said[-1].prompt_token_ids or ()), *(said[-1].token_ids or ())] if said else []
-        view = context.info.get("view") is not None
+        view = context.view is not None
         piece, anew = next_piece(options, self._encode(shown), earlier, len(before), view=view)
         return piece if anew else [*before, *piece]
 

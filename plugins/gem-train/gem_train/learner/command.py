@@ -123,6 +123,7 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     ("--clip", _ABOVE_0, "Range of the ratio, for PPO and GRPO."),
     ("--entropy", _FROM_0, "Weight of the entropy bonus.  [default: 0]"),
     ("--role-baselines", True, "Subtract a moving mean of each seat's returns, in self-play."),
+    ("--failure-reward", float, "Added to the last reward of an episode that was not solved.  [default: 0]"),
     ("--overlap", True, "Play the next batch while learning from this one, one update off-policy."),
 )
 @_group(
@@ -170,7 +171,7 @@ def command(
     Several environments are learnt together. What it learns is kept in a folder, and plays as the agent train:FOLDER.
     """
     # Imported here, so that help need not wait for them.
-    from gem_core.rollouts import current_folder_importable
+    from gem_core.rollouts import current_folder_importable, load_agent
 
     try:
         from gem_train.learner.run import train
@@ -183,6 +184,8 @@ def command(
         folder, options = Path(resume), RunFolder(resume).options()
     else:
         options = _options(given)
+        if options.imitate is not None:
+            load_agent(options.imitate)  # a wrong name is told before a folder is made
         folder = Path(out) if out is not None else _new_folder(options)
     shown = _Shown(options)
     try:
@@ -294,7 +297,12 @@ def _print_end(metrics: Mapping[str, float | None], options: TrainOptions, folde
     for prefix in dict.fromkeys(f"{name.rpartition('/')[0]}/" for name in metrics if name.startswith("eval/")):
         echo_line(f"evaluation{prefix.removeprefix('eval').rstrip('/').replace('/', ' of ')}: {_line(metrics, prefix)}")
     echo_line(f"page: {folder / 'index.html'}")
-    echo_line(f"let it play: gem run {options.env[0]} --agent {shlex.quote(f'train:{folder}')}")
+    again = ["gem", "run", options.env[0], "--agent", f"train:{folder}"]
+    if options.wrappers:
+        again += ["--wrappers", json.dumps(options.to_dict()["wrappers"])]
+    for name, value in options.env_kwargs.items():
+        again += ["--set", f"{name}={json.dumps(value)}"]
+    echo_line(f"let it play: {shlex.join(again)}")
 
 
 def _tell_errors(ctx: click.Context, folder: Path) -> None:

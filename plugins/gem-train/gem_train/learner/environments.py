@@ -48,7 +48,7 @@ def _vector(
     )
 
 
-def has_seats(env_id: str, options: TrainOptions) -> bool:
-    """Tell whether several agents act in an environment."""
+def seat_count(env_id: str, options: TrainOptions) -> int:
+    """Return how many agents act in an environment at most; 0 where an agent is alone."""
     with closing(gem.make(env_id, wrappers=options.wrappers, **options.env_kwargs)) as env:
-        return isinstance(env.unwrapped, gem.MultiAgentEnv)
+        return len(env.unwrapped.possible_agents) if isinstance(env.unwrapped, gem.MultiAgentEnv) else 0

@@ -11,7 +11,7 @@ import gem_core as gem
 from gem_core.env import stable_hash
 from gem_core.errors import ArgumentError
 from gem_core.records import Episode, PlanItem
-from gem_train.learner.environments import has_seats
+from gem_train.learner.environments import seat_count
 from gem_train.learner.learning import Learner
 from gem_train.learner.options import TrainOptions
 from gem_train.learner.playing import encode, next_piece, shown_and_said, text_of
@@ -38,7 +38,7 @@ def record_episodes(options: TrainOptions, agent: str, episodes: int) -> list[Ep
         seed = stable_hash(options.seed, "imitation")
         with gem.make_vec(env_id, 64, wrappers=options.wrappers, seed=seed, **options.env_kwargs) as vec:
             plan = [PlanItem() for _ in range(episodes)]
-            if has_seats(env_id, options):
+            if seat_count(env_id, options):
                 recorded.extend(seat for joint in gem.rollout(vec, agents=agent, plan=plan) for seat in joint)
             else:
                 recorded.extend(gem.rollout(vec, agent, plan=plan))

@@ -131,8 +131,11 @@ class Slot:
             own = info["agents"][name] if together else info
             seat = self.seats.setdefault(name, Played(self.number, name, shown))
             seat.view = seat.view or own.get("view") is not None
-            seat.shown = own.get("feedback", shown) if self.feedback and seat.turns else shown
+            seat.shown = self._shown(seat, shown, own)
             self.acting.append(seat)
+
+    def _shown(self, seat: Played, observation: Observation, info: Info) -> Observation:
+        return info.get("feedback", observation) if self.feedback and seat.turns else observation
 
     def _earn(self, name: str | None, seen: Observation, reward: float, ended: bool, info: Info, *, over: bool) -> None:
         seat = self.seats.setdefault(name, Played(self.number, name, seen))
@@ -141,7 +144,7 @@ class Slot:
         else:
             seat.first_reward += reward
         if over:
-            seat.shown, seat.terminated, seat.error = seen, ended, "error" in info
+            seat.shown, seat.terminated, seat.error = self._shown(seat, seen, info), ended, "error" in info
             correct = info.get("correct", None if ended else False)
             seat.success = float("nan") if correct is None or seat.error else float(correct)
 
@@ -190,9 +193,8 @@ class Player:
         options, lengths = self.options, self._cache.lengths
         pieces, new = [], []
         for seat, row, length in zip(seats, rows, lengths[rows].tolist(), strict=True):
-            earlier = [(turn.shown_ids, turn.said.tokens) for turn in seat.turns[-(options.memory or 1) :]]
             # What was sampled last is not in the cache.
-            read, new_row = next_piece(options, self._encode(seat.shown), earlier, length + 1, view=seat.view)
+            read, new_row = self._next_piece(seat, length + 1)
             if new_row:
                 lengths[row] = 0
             pieces.append(read if new_row else [seat.turns[-1].said.tokens[-1], *read])
@@ -221,12 +223,24 @@ class Player:
             known = self._ids[observation] = encode(observation, self.vocabulary, self.policy.pictures)
         return known
 
+    def _prompt(self, seat: Played) -> list[int]:
+        """Return all that the policy would read if the episode of a seat went on."""
+        turns = seat.turns
+        begin = max(place for place, turn in enumerate(turns) if turn.new_row)
+        before = [token for turn in turns[begin:] for tokens in (turn.read, turn.said.tokens) for token in tokens]
+        piece, new_row = self._next_piece(seat, len(before))
+        return piece if new_row else [*before, *piece]
+
+    def _next_piece(self, seat: Played, length: int) -> tuple[list[int], bool]:
+        earlier = [(turn.shown_ids, turn.said.tokens) for turn in seat.turns[-(self.options.memory or 1) :]]
+        return next_piece(self.options, self._encode(seat.shown), earlier, length, view=seat.view)
+
     def bootstrap(self, played: Sequence[Played]) -> Floats:
         """Return the critic's value after the last turn of each episode that was cut off; 0 elsewhere."""
         values = np.zeros(len(played))
         cut_off = [index for index, seat in enumerate(played) if seat.turns and not seat.terminated and not seat.error]
         if self.options.algorithm == "ppo" and cut_off:
-            pieces = [self._encode(played[index].shown)[-self.options.context + 1 :] for index in cut_off]
+            pieces = [self._prompt(played[index]) for index in cut_off]
             self._cache.lengths.zero_()
             drawn = sample(self._cache, range(len(cut_off)), pieces, 1, keep=False, temperature=0.0)
             values[cut_off] = [said.value for said in drawn]

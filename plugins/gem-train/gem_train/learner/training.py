@@ -10,15 +10,13 @@ from contextlib import ExitStack
 from typing import NamedTuple, Self
 
 from gem_core.env import stable_hash
-from gem_train.learner.environments import evaluation_envs, has_seats, training_envs
+from gem_train.learner.environments import evaluation_envs, seat_count, training_envs
 from gem_train.learner.imitation import build_vocabulary, imitate, record_episodes
 from gem_train.learner.learning import Learner
 from gem_train.learner.options import TrainOptions
 from gem_train.learner.playing import Played, Player, token_batch, values_of
 from gem_train.learner.policy_loss import Floats
 from gem_train.learner.vision import Pictures
-
-_MOST_SEATS = 8
 
 
 class Update(NamedTuple):
@@ -127,4 +125,4 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def _seats(env_id: str, options: TrainOptions) -> int:
-    return _MOST_SEATS if has_seats(env_id, options) else 1
+    return max(1, seat_count(env_id, options))
