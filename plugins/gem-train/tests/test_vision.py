@@ -82,7 +82,7 @@ def test_learning_scores_images_as_generation_saw_them(memory: int | None) -> No
 
 
 def test_overlap_learns_from_what_the_weights_before_played() -> None:
-    """The second batch comes from the weights before the first update, with its own images."""
+    """A batch is scored with its own images, by the weights of one update ago as they sampled it."""
     options = TrainOptions(
         env=("train:Shapes-v0",),
         episodes=8,
