@@ -28,7 +28,7 @@ PAGES = {
 ELSEWHERE = {"docs/terminal.md", "docs/mcpmark.md"}
 """They need containers, or a database: the plugins' own tests run them."""
 FILE = re.compile(r"# ([\w./-]+\.\w+)\n")
-NOT_TYPED = "pip install ", "make ", "export ", "python examples/", "gem train-study "
+NOT_TYPED = "pip install ", "make ", "export ", "python examples/", "gem train-study ", "gem train train:"
 """Needs the network or minutes, or has a test of its own; and so do commands that ask a model."""
 
 

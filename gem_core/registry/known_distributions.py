@@ -6,6 +6,7 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("namespace", "game"): ("gem-games",),
     ("namespace", "ta"): ("gem-games",),
     ("namespace", "math"): ("gem-math",),
+    ("namespace", "train"): ("gem-train",),
     ("namespace", "rg"): ("gem-math",),
     ("namespace", "code"): ("gem-code",),
     ("namespace", "qa"): ("gem-qa",),

@@ -87,7 +87,7 @@ def test_what_all_rows_begin_with_changes_nothing():
         for part in parts:
             scored = score(learner.policy, tokens[part], sampled[part])
             (scored.logprobs.sum() + scored.entropy.sum() + scored.values.sum()).backward()
-        return torch.cat([each.grad.flatten() for each in learner.policy.parameters()])
+        return torch.cat([each.grad.flatten() for each in learner.policy.parameters() if each.grad is not None])
 
     together, apart = gradient([slice(None)]), gradient([slice(row, row + 1) for row in range(len(tokens))])
     # A row by itself is all one beginning, up to its first response.

@@ -10,9 +10,9 @@ from gem_core.rollouts import Context
 from gem_core.types import Observation, Response
 from gem_train.learner.generation import sample
 from gem_train.learner.model import Cache
-from gem_train.learner.playing import next_piece, shown_and_said, text_of
+from gem_train.learner.playing import encode, next_piece, shown_and_said
 from gem_train.learner.run_folder import RunFolder
-from gem_train.learner.vocabulary import ANSWER, END
+from gem_train.learner.vocabulary import END
 
 
 class CheckpointAgent:
@@ -69,15 +69,15 @@ class CheckpointAgent:
         recent = slice(-(options.memory or 1), None)
         shown = context.info.get("feedback", observation) if options.feedback and said else observation
         earlier = [
-            (self._encode(text), response.token_ids or ())
-            for (text, _), response in zip(
+            (self._encode(earlier_shown), response.token_ids or ())
+            for (earlier_shown, _), response in zip(
                 [*shown_and_said(context.transitions, options.feedback)][recent], said[recent], strict=True
             )
         ]
         before = [*(said[-1].prompt_token_ids or ()), *(said[-1].token_ids or ())] if said else []
         view = context.view is not None
-        piece, anew = next_piece(options, self._encode(text_of(shown)), earlier, len(before), view=view)
+        piece, anew = next_piece(options, self._encode(shown), earlier, len(before), view=view)
         return piece if anew else [*before, *piece]
 
-    def _encode(self, text: str) -> list[int]:
-        return [*self.vocabulary.encode(text), ANSWER]
+    def _encode(self, observation: Observation) -> list[int]:
+        return encode(observation, self.vocabulary, self.policy.pictures)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -16,8 +17,12 @@ from gem_train.learner.generation import Sampled, sample
 from gem_train.learner.model import Cache, Policy
 from gem_train.learner.options import TrainOptions
 from gem_train.learner.policy_loss import Floats
+from gem_train.learner.vision import Pictures
 from gem_train.learner.vocabulary import ANSWER, END, Vocabulary
 from gem_train.tokens import TokenBatch
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 
 @dataclass(slots=True)
@@ -173,6 +178,7 @@ class Player:
         slots = [Slot(number, *first, feedback) for number, first in enumerate(zip(*vec.reset(), strict=True))]
         self._generator.manual_seed(seed)
         self._cache.lengths.zero_()
+        self.policy.pictures = Pictures(len(self.vocabulary))
         rows: dict[int, int] = {}
         while running := [slot for slot in slots if slot.acting]:
             asked = [seat for slot in running for seat in slot.acting]
@@ -208,12 +214,13 @@ class Player:
 
     def _encode(self, observation: Observation) -> list[int]:
         """Return the ids of an observation, and the mark of the response after them."""
-        text = text_of(observation)
-        known = self._ids.get(text)
+        if not isinstance(observation, str):
+            return encode(observation, self.vocabulary, self.policy.pictures)
+        known = self._ids.get(observation)
         if known is None:
             if len(self._ids) > 50_000:
                 self._ids.clear()
-            known = self._ids[text] = [*self.vocabulary.encode(text), ANSWER]
+            known = self._ids[observation] = encode(observation, self.vocabulary, self.policy.pictures)
         return known
 
     def _prompt(self, seat: Played) -> list[int]:
@@ -303,20 +310,38 @@ def values_of(played: Sequence[Played], batch: TokenBatch) -> Floats:
     return values
 
 
+def encode(observation: Observation, vocabulary: Vocabulary, pictures: Pictures) -> list[int]:
+    """Return the ids of an observation, images where they stand in it, and the mark of the response after them."""
+    ids: list[int] = []
+    for is_text, pieces in groupby(_pieces(observation), lambda piece: isinstance(piece, str)):
+        if is_text:
+            ids += vocabulary.encode("".join(map(str, pieces)))
+        else:
+            ids += (number for image in pieces if not isinstance(image, str) for number in pictures.ids(image))
+    return [*ids, ANSWER]
+
+
 def text_of(observation: Observation) -> str:
     """Return the text of any observation: plain, content parts, or chat messages with their roles."""
+    return "".join(piece for piece in _pieces(observation) if isinstance(piece, str))
+
+
+def _pieces(observation: Observation) -> Iterator[str | Image]:
     if isinstance(observation, str):
-        return observation
-    parts = []
+        yield observation
+        return
     for part in observation:
         if "role" in part:
-            parts.append(f"{part['role']}: {text_of(part.get('content') or '')}\n")
+            yield f"{part['role']}: "
+            yield from _pieces(part.get("content") or "")
+            yield "\n"
+        elif part.get("type") == "image":
+            yield part["image"]
         else:
-            parts.append(part.get("text", ""))
-    return "".join(parts)
+            yield part.get("text", "")
 
 
-def shown_and_said(transitions: Sequence[Transition], feedback: bool) -> Iterator[tuple[str, str]]:
+def shown_and_said(transitions: Sequence[Transition], feedback: bool) -> Iterator[tuple[Observation, str]]:
     """Yield what the policy would have been shown in each turn of an episode, and what was said.
 
     Args:
@@ -325,5 +350,5 @@ def shown_and_said(transitions: Sequence[Transition], feedback: bool) -> Iterato
     """
     before: Info = {}
     for turn in transitions:
-        yield text_of(before.get("feedback", turn.observation) if feedback else turn.observation), turn.action.text
+        yield before.get("feedback", turn.observation) if feedback else turn.observation, turn.action.text
         before = turn.info

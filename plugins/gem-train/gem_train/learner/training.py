@@ -16,6 +16,7 @@ from gem_train.learner.learning import Learner
 from gem_train.learner.options import TrainOptions
 from gem_train.learner.playing import Played, Player, token_batch, values_of
 from gem_train.learner.policy_loss import Floats
+from gem_train.learner.vision import Pictures
 
 
 class Update(NamedTuple):
@@ -60,7 +61,7 @@ class Training:
         seats = max(_seats(env_id, options) for env_id in options.env)
         self._player = Player(policy, learner.vocabulary, options, options.episodes * seats)
         self._thread = self._open.enter_context(ThreadPoolExecutor(1)) if options.overlap else None
-        self._next: Future[tuple[list[Played], Floats]] | None = None
+        self._next: Future[tuple[list[Played], Floats, Pictures]] | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -71,7 +72,7 @@ class Training:
     def update(self) -> Update:
         """Play a batch of episodes and learn from it."""
         options, learner = self.options, self.learner
-        played, bootstrap = self._play()
+        played, bootstrap, learner.policy.pictures = self._play()
         groups = [seat.slot // options.group_size for seat in played]
         batch = token_batch(
             played, groups=groups, learn_cut_off=options.learn_cut_off, failure_reward=options.failure_reward
@@ -91,8 +92,8 @@ class Training:
         with evaluation_envs(options, env_id) as envs:
             return player.play(envs, stable_hash(options.seed, "evaluation", learner.updates))
 
-    def _play(self) -> tuple[list[Played], Floats]:
-        """Return a batch, and the critic's values after its last turns; with ``overlap``, begin the next one beside."""
+    def _play(self) -> tuple[list[Played], Floats, Pictures]:
+        """Return a batch, the critic's values after its last turns, and its images; ``overlap`` begins the next."""
         update = self.learner.updates
         if self._thread is None:
             return self._play_update(update)
@@ -102,9 +103,9 @@ class Training:
             self._next = self._thread.submit(self._play_update, update + 1)
         return ready
 
-    def _play_update(self, update: int) -> tuple[list[Played], Floats]:
+    def _play_update(self, update: int) -> tuple[list[Played], Floats, Pictures]:
         played = self._player.play(self._envs, stable_hash(self.options.seed, "sampling", update))
-        return played, self._player.bootstrap(played)
+        return played, self._player.bootstrap(played), self._player.policy.pictures
 
 
 def describe(played: Sequence[Played]) -> dict[str, float]:
