@@ -54,7 +54,7 @@ def act(observation, context):
         (["run", COUNTDOWN, "--agent", ":x"], "no agent ':x': name one as MODULE:CALLABLE, or one of "),
         (["run", COUNTDOWN, "--agent", "os:"], "no agent 'os:': name one as MODULE:CALLABLE"),
         (["run", COUNTDOWN, "--agent", "os:sep"], "no agent 'os:sep': an agent is a callable of"),
-        (["run", COUNTDOWN, "--agent", "randm"], "no agent 'randm'. Did you mean 'random'?"),
+        (["run", COUNTDOWN, "--agent", "randon"], "no agent 'randon'. Did you mean 'random'?"),
         (["run", COUNTDOWN, "--wrappers", "conct"], "no wrapper or tool 'conct'. Did you mean 'concat'"),
         (["run", COUNTDOWN, "--backend", "proces"], "no vector backend 'proces'. Did you mean 'process'?"),
         (

@@ -42,7 +42,7 @@ def test_agents_are_found_by_name_and_by_module(module: str) -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("randm", "no agent 'randm'. Did you mean 'random'? There are: "),
+        ("randon", "no agent 'randon'. Did you mean 'random'? There are: "),
         ("no_such_module:act", "no agent 'no_such_module:act': there is no agent and no module 'no_such_module'."),
         ("json:dumsp", "no agent 'json:dumsp': 'json' has no 'dumsp'. Did you mean 'dump' or 'dumps'?"),
     ],

@@ -135,7 +135,7 @@ def test_pass_at_k_is_shown_for_as_many_epochs_as_each_row_has() -> None:
         ([GAME], "there is no model to evaluate: name one by --model, as openai:MODEL or MODULE:CALLABLE"),
         (["gmaes", "--model", "random"], "no suite 'gmaes'. Did you mean 'games'?"),
         (["game:GuesTheNumber-v0", "--model", "random"], "no environment 'game:GuesTheNumber-v0'. Did you mean"),
-        ([GAME, "--model", "randm"], "no agent 'randm'. Did you mean 'random'?"),
+        ([GAME, "--model", "randon"], "no agent 'randon'. Did you mean 'random'?"),
         (
             [GAME, "--model", "random", "--role", "user"],
             "--role takes ROLE=AGENT, as user=openai:gpt-5-mini, not 'user'",

@@ -106,7 +106,7 @@ def success_of(training: Training) -> float:
 def test_imitation_lowers_the_loss_and_is_heard():
     """What the player said is said by the policy."""
     options = tiny(imitate="learner_envs:always_right", imitate_steps=150)
-    recorded = record_episodes(options, "learner_envs:always_right", 32)
+    recorded = record_episodes(options, options.env, "learner_envs:always_right", 32)
     assert {turn.action for episode in recorded for turn in episode.transitions} == {always_right("")}
     learner = Learner(options, Vocabulary.build(["Say left or right.\npull", "left", "right"]))
     losses = list(imitate(learner, recorded))
