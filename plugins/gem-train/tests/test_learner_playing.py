@@ -13,10 +13,17 @@ from learner_envs import learner_of_both_arms, tiny_learner
 import gem_core as gem
 from gem_train import batches
 from gem_train.learner.agent import CheckpointAgent
-from gem_train.learner.playing import token_batch
+from gem_train.learner.playing import Played, groups_of, token_batch
 from gem_train.learner.policy_loss import score
 from gem_train.learner.run_folder import RunFolder
 from gem_train.learner.training import Training
+
+
+def test_a_group_is_of_one_start_and_one_seat():
+    """GRPO and RLOO do not compare a player with its opponent."""
+    played = [Played(slot, seat, "") for slot in range(4) for seat in ("first", "second")]
+    assert groups_of(played, 2) == [0, 1, 0, 1, 2, 3, 2, 3]
+    assert groups_of([Played(slot, None, "") for slot in range(4)], 2) == [0, 0, 1, 1]
 
 
 def test_each_seat_of_self_play_has_its_own_episode():

@@ -273,6 +273,19 @@ def next_piece(
     return read[-(options.context - options.max_tokens) :], True
 
 
+def groups_of(played: Sequence[Played], group_size: int) -> list[int]:
+    """Return the number of each episode's group: one start, and one seat.
+
+    Seats are compared with the same seat in other episodes, not with their opponents.
+
+    Args:
+        played: Episodes of seats.
+        group_size: Slots that begin alike.
+    """
+    numbers: dict[tuple[int, str | None], int] = {}
+    return [numbers.setdefault((seat.slot // group_size, seat.seat), len(numbers)) for seat in played]
+
+
 def token_batch(
     played: Sequence[Played], *, groups: Sequence[int], learn_cut_off: bool = True, failure_reward: float = 0.0
 ) -> TokenBatch:

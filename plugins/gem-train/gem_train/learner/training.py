@@ -14,7 +14,7 @@ from gem_train.learner.environments import evaluation_envs, seat_count, training
 from gem_train.learner.imitation import build_vocabulary, imitate, record_episodes
 from gem_train.learner.learning import Learner
 from gem_train.learner.options import TrainOptions
-from gem_train.learner.playing import Played, Player, token_batch, values_of
+from gem_train.learner.playing import Played, Player, groups_of, token_batch, values_of
 from gem_train.learner.policy_loss import Floats
 from gem_train.learner.vision import Pictures
 
@@ -73,7 +73,7 @@ class Training:
         """Play a batch of episodes and learn from it."""
         options, learner = self.options, self.learner
         played, bootstrap, learner.policy.pictures = self._play()
-        groups = [seat.slot // options.group_size for seat in played]
+        groups = groups_of(played, options.group_size)
         batch = token_batch(
             played, groups=groups, learn_cut_off=options.learn_cut_off, failure_reward=options.failure_reward
         )
