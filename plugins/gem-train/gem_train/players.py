@@ -12,6 +12,8 @@ from gem_core.types import Observation
 
 _RANGE = re.compile(r"The number is from (-?\d+) to (-?\d+)\.", re.ASCII)
 _HINT = re.compile(r"(higher|lower) than (-?\d+)", re.ASCII)
+_HAND = re.compile(r"player and hold the (jack|queen|king)\. Moves so far: ([a-z, ]+)\.")
+_CHIPS = {"jack": 0.25, "queen": 0.5, "king": 0.75}
 _SLIPS = 0.04
 
 _QUESTION = re.compile(r"(\d+) ([+*]) (\d+)", re.ASCII)
@@ -53,3 +55,14 @@ def tool_player(observation: Observation, context: Context) -> str:
         slip = 0 if random.random() < _RIGHT_SUMS else random.integers(-3, 4)
         answer = str(max(int(left) + int(right) + slip, 0))
     return f"\\boxed{{{answer}}}"
+
+
+def kuhn_player(observation: Observation, context: Context) -> str:
+    r"""Play KuhnPoker: bet or call with the king three times of four, with the queen twice, with the jack once."""
+    shown = str(context.observation)
+    card, played = _HAND.findall(shown)[-1]
+    random = np.random.default_rng(stable_hash(context.info.get("seed"), context.episode, context.turn, shown))
+    puts_in = random.random() < _CHIPS[card]
+    if played.endswith("bet"):
+        return "\\boxed{call}" if puts_in else "\\boxed{fold}"
+    return "\\boxed{bet}" if puts_in else "\\boxed{check}"

@@ -42,7 +42,7 @@ def gem_train(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: p
 
 SMALL = (
     *("arms:One-v0", "--threads", "1", "--updates", "2", "--episodes", "8", "--width", "16", "--layers", "1"),
-    *("--imitate", "random", "--imitate-episodes", "16", "--imitate-steps", "10", "--eval-episodes", "8"),
+    *("--imitate-episodes", "16", "--imitate-steps", "10", "--eval-episodes", "8"),
 )
 
 
@@ -102,6 +102,7 @@ def test_gem_train_from_the_first_update_to_the_page(gem_train: Any, capsys: pyt
     page = (run / "index.html").read_text()
     assert "Say left or right." in page
     assert "imitate_steps" in page
+    assert json.loads((run / "options.json").read_text())["imitate"] == "random"
     again = gem_train("--resume", "run")
     assert again.code == 0
     assert "let it play: gem run arms:One-v0 --agent train:run" in again.out
@@ -121,9 +122,14 @@ def test_what_lets_it_play_has_the_stack_of_the_run(gem_train: Any):
     assert caught.value.code == 0
 
 
+def test_nothing_is_imitated_where_asked(gem_train: Any):
+    assert gem_train(*SMALL, "--imitate", "none", "--out", "run").code == 0
+    assert json.loads(Path("run/options.json").read_text())["imitate"] is None
+
+
 def test_ctrl_c_says_how_to_go_on(gem_train: Any):
     """With a code of its own; here before the first update, so that the same run begins."""
-    outcome = gem_train(*SMALL[:-8], "--imitate", "learner_envs:interrupts", "--out", "my run")
+    outcome = gem_train(*SMALL[:-6], "--imitate", "learner_envs:interrupts", "--out", "my run")
     assert outcome.code == 130
     assert outcome.err.endswith("gem: interrupted; go on with: gem train --resume 'my run'\n")
 
@@ -141,6 +147,7 @@ WRONG = {
     "--resume goes on with the options of the run; leave out --gamma": ["--resume", "run", "--gamma", "0.5"],
     "--resume goes on with the options of the run; leave out the ids": ["arms:One-v0", "--resume", "run"],
     "there is no agent and no module 'nobody_here'": ["arms:One-v0", "--imitate", "nobody_here:agent"],
+    "environment 'arms:One-v0': got an unexpected keyword argument 'nothing'": ["arms:One-v0", "--set", "nothing=1"],
     "width (18) must be a multiple of heads (4)": ["arms:One-v0", "--width", "18"],
 }
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from functools import lru_cache
 from pathlib import Path
 
@@ -28,6 +31,7 @@ TINY = {
     "max_tokens": 4,
     "feedback": True,
     "memory": 1,
+    "imitate": None,
 }
 
 
@@ -42,6 +46,32 @@ def test_runs_are_kept_and_not_made_again(tmp_path: Path) -> None:
     written = (tmp_path / "rebn.json").stat().st_mtime_ns
     assert run_jobs(jobs, tmp_path, workers=1, quiet=True) == first
     assert (tmp_path / "rebn.json").stat().st_mtime_ns == written
+
+
+FOREVER = """
+from pathlib import Path
+from study_measures import wait_forever
+from gem_train.learner.options import TrainOptions
+from gem_train.studies.jobs import Job, run_jobs
+
+if __name__ == "__main__":
+    options = TrainOptions(env=("game:GuessTheNumber-v0",), imitate=None, updates=1, width=8, heads=2)
+    run_jobs([Job("one", options, wait_forever, every=1)], Path("study"), workers=1, quiet=True)
+"""
+
+
+@pytest.mark.thorough
+def test_a_killed_study_leaves_no_process(tmp_path: Path) -> None:
+    """Its output ends when the last process that could write to it has ended."""
+    (tmp_path / "study.py").write_text(FOREVER)
+    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    study = subprocess.Popen([sys.executable, "study.py"], cwd=tmp_path, env=env, stdout=subprocess.PIPE, text=True)
+    assert study.stdout is not None
+    assert study.stdout.readline() == "measuring\n"
+    study.kill()
+    assert study.stdout.read() == ""
+    study.wait()
+    study.stdout.close()
 
 
 @lru_cache

@@ -82,15 +82,15 @@ def _group(title: str, *options: tuple[str, Any, str]) -> Callable[[Any], Any]:
     cls=_GroupedCommand,
     epilog="""\b
 Examples:
-  gem train game:GuessTheNumber-v0 --imitate gem_train.players:interval_player --out runs/guess
+  gem train game:GuessTheNumber-v0-easy --out runs/guess
   gem train --resume runs/guess
-  gem train game:Sudoku-v0-easy --algorithm ppo --imitate random --eval-every 50
+  gem train game:Sudoku-v0-easy --algorithm ppo --eval-every 50
   gem train game:GuessTheNumber-v0 --imitate bisect --feedback --memory 1 --context 64 --episodes 512
   gem run game:GuessTheNumber-v0 --agent train:runs/guess
 \b
-A policy that has seen nothing writes nothing that an environment reads: let it imitate a player first,
-even 'random'. Without a view among the wrappers it reads the conversation: what it was shown and what
-it said; with one, what the view shows.
+A policy that has seen nothing writes nothing that an environment reads: so it first imitates a player,
+who plays at random unless --imitate names another. Without a view among the wrappers it reads the
+conversation: what it was shown and what it said; with one, what the view shows.
 \b
 The folder of the run has options.json, metrics.jsonl, samples.jsonl, checkpoint.pt, curves.png and
 index.html. Ctrl-C keeps a checkpoint. The same command with --out, or --resume FOLDER, goes on, and
@@ -119,7 +119,7 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     ("--group-size", AtLeast(min=1), "Episodes with one start.  [default: 8 for GRPO and RLOO, else 1]"),
     ("--epochs", AtLeast(min=1), "Passes over each batch.  [default: 4 for PPO, else 1]"),
     ("--minibatches", AtLeast(min=1), "Steps of the optimizer in a pass.  [default: 4 for PPO, else 1]"),
-    ("--learning-rate", _ABOVE_0, "Of AdamW; it falls to 0 over the last third."),
+    ("--learning-rate", _ABOVE_0, "Of AdamW; it falls to 0, in a straight line, until the last update."),
     ("--clip", _ABOVE_0, "Range of the ratio, for PPO and GRPO."),
     ("--entropy", _FROM_0, "Weight of the entropy bonus.  [default: 0]"),
     ("--role-baselines", True, "Subtract a moving mean of each seat's returns, in self-play."),
@@ -139,7 +139,7 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
 )
 @_group(
     "Imitation, evaluation and checkpoints",
-    ("--imitate", str, "Agent to imitate first: a name, or MODULE:CALLABLE."),
+    ("--imitate", str, "Agent to imitate first: a name, MODULE:CALLABLE, or none."),
     ("--imitate-episodes", AtLeast(min=1), "Episodes that it plays."),
     ("--imitate-steps", AtLeast(min=1), "Steps of the optimizer, of 128 turns each."),
     ("--eval-every", AtLeast(min=0), "Updates between evaluations.  [default: one, at the end]"),
@@ -171,7 +171,7 @@ def command(
     Several environments are learnt together. What it learns is kept in a folder, and plays as the agent train:FOLDER.
     """
     # Imported here, so that help need not wait for them.
-    from gem_core.rollouts import current_folder_importable, load_agent
+    from gem_core.rollouts import current_folder_importable
 
     try:
         from gem_train.learner.run import train
@@ -184,8 +184,7 @@ def command(
         folder, options = Path(resume), RunFolder(resume).options()
     else:
         options = _options(given)
-        if options.imitate is not None:
-            load_agent(options.imitate)  # a wrong name is told before a folder is made
+        _check_names(options)  # before a folder is made
         folder = Path(out) if out is not None else _new_folder(options)
     shown = _Shown(options)
     try:
@@ -220,7 +219,7 @@ def _refuse_beside_resume(ctx: click.Context) -> None:
 
 
 def _options(given: dict[str, Any]) -> TrainOptions:
-    ids = given.pop("ids")
+    ids, imitate = given.pop("ids"), given.pop("imitate")
     if not ids:
         raise ArgumentError("name an environment, as in 'gem train game:GuessTheNumber-v0'; 'gem list' shows them")
     envs = find_envs(ids, several=False)
@@ -233,8 +232,20 @@ def _options(given: dict[str, Any]) -> TrainOptions:
         wrappers=tuple(wrapper_stack(*stack)),
         learn_cut_off=not given.pop("skip_cut_off"),
         eval_envs=tuple(given.pop("eval_envs")),
+        imitate=None if imitate == "none" else imitate,
         **{name: value for name, value in given.items() if value is not None},
     )
+
+
+def _check_names(options: TrainOptions) -> None:
+    """Make the player and each environment once, so that a wrong name or argument is told at once."""
+    from gem_core.rollouts import load_agent
+    from gem_train.learner.environments import seat_count
+
+    if options.imitate is not None:
+        load_agent(options.imitate)
+    for env_id in (*options.env, *options.eval_envs):
+        seat_count(env_id, options)
 
 
 def _new_folder(options: TrainOptions) -> Path:

@@ -102,8 +102,13 @@ def _sample_together(
     state = torch.tensor([places.setdefault(tuple(piece), len(places)) for piece in pieces])
     tokens, counts = _padded(list(places))
     limit = drawn.shape[1]
-    working = cache.copy_of(torch.zeros(len(places), dtype=torch.long), tokens.shape[1] + limit)
-    stream = working.read(tokens, counts)
+    # What all rows begin with, such as the rules of a game, is read once.
+    alike = int((tokens == tokens[0]).all(dim=0)[: int(counts.min()) - 1].long().cumprod(dim=0).sum())
+    working = cache.copy_of(torch.zeros(1, dtype=torch.long), alike)
+    if alike:
+        working.read(tokens[:1, :alike], torch.tensor([alike]))
+    working = working.copy_of(torch.zeros(len(places), dtype=torch.long), tokens.shape[1] - alike + limit)
+    stream = working.read(tokens[:, alike:], counts - alike)
     values = working.policy.values(stream)[state]
     running = torch.arange(len(pieces))
     for column in range(limit):

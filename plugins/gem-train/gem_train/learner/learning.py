@@ -72,8 +72,8 @@ class Learner:
             bootstrap: Of the critic after the last turn, (E,).
         """
         options = self.options
-        left = (options.updates - self.updates) / max(options.updates / 3, 1)
-        self.optimizer.param_groups[0]["lr"] = options.learning_rate * min(1.0, max(0.0, left))
+        left = max(0.0, 1 - self.updates / options.updates)
+        self.optimizer.param_groups[0]["lr"] = options.learning_rate * left
         baselines = self._role_baselines(batch) if options.role_baselines else None
         rows = Rows.of(batch, *turn_advantages(batch, options, values, bootstrap, baselines))
         generator = torch.Generator().manual_seed(stable_hash(options.seed, "minibatches", self.updates))

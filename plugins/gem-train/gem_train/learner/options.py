@@ -33,7 +33,7 @@ class TrainOptions:
         group_size: Episodes with one start; 1, or 8 where the algorithm compares within groups.
         epochs: Passes over each batch; 1, or 4 for PPO.
         minibatches: Parts of a batch, each with a step of the optimizer; 1, or 4 for PPO.
-        learning_rate: Of AdamW; it falls to 0 over the last third.
+        learning_rate: Of AdamW; it falls to 0, in a straight line, until the last update.
         clip: How far PPO's and GRPO's ratio may be from 1 before moving further earns nothing.
         entropy: Weight of the entropy bonus.
         value_weight: Weight of the critic's loss.
@@ -53,7 +53,7 @@ class TrainOptions:
         heads: Of the transformer.
         context: The most tokens of a prompt and its response; the beginning of a longer prompt is dropped.
         vocabulary: The most words.
-        imitate: Name of an agent to imitate first; None for none.
+        imitate: Name of an agent to imitate first, so that the policy knows what an answer looks like; None for none.
         imitate_episodes: Episodes that it plays.
         imitate_steps: Steps of the optimizer, of 128 turns each.
         eval_every: Updates between evaluations; 0 for one at the end alone.
@@ -92,7 +92,7 @@ class TrainOptions:
     heads: int = 4
     context: int = 512
     vocabulary: int = 2048
-    imitate: str | None = None
+    imitate: str | None = "random"
     imitate_episodes: int = 4000
     imitate_steps: int = 600
     eval_every: int = 0

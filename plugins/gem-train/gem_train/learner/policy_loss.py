@@ -25,7 +25,7 @@ from gem_train.tokens import TokenBatch
 
 Floats = NDArray[np.float64]
 
-_CHUNK_TOKENS = 8192
+_CHUNK_TOKENS = 4096
 """Tokens that go through the model at once, for the sake of the processor's caches."""
 
 

@@ -22,7 +22,7 @@ from gem_train.studies.jobs import Job, run_jobs
 
 GAMMAS = (0.5, 0.9, 0.999)
 _NUMBERS, _MOST_TURNS, _SHOWN_TURNS = 50, 10, 3
-_EVALUATED = 4096
+_EVALUATED = 2048
 _SETTINGS: tuple[tuple[Algorithm, float], ...] = tuple(
     (algorithm, gamma) for gamma in (0.9, 0.999, 0.5) for algorithm in ("rebn", "reinforce")
 )
@@ -50,15 +50,17 @@ def options_of(algorithm: Algorithm, gamma: float, seed: int) -> TrainOptions:
         algorithm=algorithm,
         gamma=gamma,
         seed=seed,
-        updates=130,
-        episodes=512,
-        learning_rate=1e-3,
+        updates=280,
+        episodes=128,
+        learning_rate=1.3e-3,
         feedback=True,
         memory=1,
         max_tokens=10,
         context=64,
         imitate="gem_train.players:interval_player",
-        imitate_steps=600,
+        imitate_steps=700,
+        width=48,
+        heads=2,
         eval_episodes=_EVALUATED,
     )
 

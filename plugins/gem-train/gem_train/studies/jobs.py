@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -63,10 +64,11 @@ def run_jobs(jobs: Sequence[Job], folder: Path, *, workers: int | None = None, q
     size = min(workers or len(os.sched_getaffinity(0)), max(len(waiting), 1))
     with (
         Progress(len(waiting), folder.name, unit="runs", quiet=quiet) as progress,
-        ProcessPoolExecutor(size, mp_context=context) as pool,
+        ProcessPoolExecutor(size, mp_context=context, initializer=_end_with_parent) as pool,
     ):
         try:
-            _finish([pool.submit(make, job, folder) for make, job in tasks], lambda done: None)
+            starting = [pool.submit(make, job, folder) for make, job in tasks]
+            _finish(starting, lambda done: progress.advance(0, f"{done} of {len(tasks)} warm starts"))
             _finish([pool.submit(_run, job, folder) for job in waiting], progress.advance)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -74,6 +76,18 @@ def run_jobs(jobs: Sequence[Job], folder: Path, *, workers: int | None = None, q
                 process.terminate()
             raise
     return {job.name: _read(folder, job) for job in jobs}
+
+
+def _end_with_parent() -> None:
+    """End this process as soon as the one that started it has ended, even by a kill."""
+
+    def wait_for_parent() -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait_for_parent, daemon=True).start()
 
 
 def _finish(futures: list[Future[None]], on_done: Callable[[int], None]) -> None:
