@@ -44,6 +44,21 @@ class TwoArms(gem.Env):
         return begins + "\n" + "pull" * int(self.np_random.integers(5))
 
 
+class SometimesAbsent(TwoArms):
+    """Does not begin from one seed in three, writes down that there was no error, and has no random actions."""
+
+    sample_random_action = gem.Env.sample_random_action
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        if seed is not None and seed % 3 == 0:
+            raise ConnectionError("no server")
+        return super().reset(seed, options)
+
+    def step(self, action: str) -> Any:
+        *result, info = super().step(action)
+        return *result, info | {"error": None}
+
+
 def always_right(observation: Any) -> str:
     """Imitated, to learn from."""
     return "right"
@@ -59,6 +74,8 @@ def register() -> None:
     for env_id, kwargs in (("arms:One-v0", {}), ("arms:Four-v0", {"turns": 4}), ("arms:Failing-v0", {"fails": True})):
         if env_id not in gem.list_envs("arms"):
             gem.register(env_id, TwoArms, **kwargs)
+    if "arms:Absent-v0" not in gem.list_envs("arms"):
+        gem.register("arms:Absent-v0", SometimesAbsent)
 
 
 def tiny(env: str | tuple[str, ...] = "arms:One-v0", **given: Any) -> TrainOptions:

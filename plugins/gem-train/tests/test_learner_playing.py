@@ -13,6 +13,7 @@ from learner_envs import learner_of_both_arms, tiny_learner
 import gem_core as gem
 from gem_train import batches
 from gem_train.learner.agent import CheckpointAgent
+from gem_train.learner.learning import Learner
 from gem_train.learner.playing import Played, groups_of, token_batch
 from gem_train.learner.policy_loss import score
 from gem_train.learner.run_folder import RunFolder
@@ -21,9 +22,26 @@ from gem_train.learner.training import Training
 
 def test_a_group_is_of_one_start_and_one_seat():
     """GRPO and RLOO do not compare a player with its opponent."""
-    played = [Played(slot, seat, "") for slot in range(4) for seat in ("first", "second")]
-    assert groups_of(played, 2) == [0, 1, 0, 1, 2, 3, 2, 3]
-    assert groups_of([Played(slot, None, "") for slot in range(4)], 2) == [0, 0, 1, 1]
+    played = [Played(slot, slot // 2, seat, "") for slot in range(4) for seat in ("first", "second")]
+    assert groups_of(played) == [0, 1, 0, 1, 2, 3, 2, 3]
+    assert groups_of([Played(slot, slot // 2, None, "") for slot in range(4)]) == [0, 0, 1, 1]
+
+
+def test_episodes_that_cannot_begin_move_no_group():
+    """They are counted; the others are compared with their like, and the next update begins with its own starts."""
+    learner = tiny_learner("arms:Absent-v0", imitate="learner_envs:always_right", algorithm="grpo", group_size=4)
+    later = Learner.restored(learner.state() | {"updates": 1})
+    with Training(learner) as training:
+        first, second = training.update(), training.update()
+    with Training(later) as training:
+        again = training.update()
+    begun = [seat for seat in first.played if seat.turns]
+    assert len(begun) == learner.options.episodes
+    assert first.metrics["errors"] == len(first.played) - len(begun) > 0
+    assert not any(seat.error for seat in begun)
+    assert [seat.start for seat in again.played] == [seat.start for seat in second.played]
+    groups = dict(zip(groups_of(first.played), [seat.start for seat in first.played], strict=True))
+    assert len(groups) == len({seat.start for seat in first.played})
 
 
 def test_each_seat_of_self_play_has_its_own_episode():

@@ -138,7 +138,27 @@ def test_episodes_with_an_error_are_told(gem_train: Any):
     """And set the exit code, as in gem run."""
     outcome = gem_train("arms:Failing-v0", *SMALL[1:], "--out", "run")
     assert outcome.code == 1
-    assert "had an error, and nothing was learnt from them" in outcome.err
+    assert "had an error, and were left out" in outcome.err
+
+
+def test_each_environment_has_its_own_evaluation(gem_train: Any):
+    """Where several are learnt, and errors of an evaluation are told as well."""
+    ids = ("arms:One-v0", "arms:Failing-v0")
+    outcome = gem_train(*ids, *SMALL[1:], "--eval-env", ids[0], "--eval-env", ids[1], "--out", "run", "--json")
+    assert {f"eval/{env_id}/return" for env_id in ids} <= set(json.loads(outcome.out))
+    again = gem_train(*ids, *SMALL[1:], "--out", "other", "--json")
+    assert {f"eval/{env_id}/return" for env_id in ids} <= set(json.loads(again.out))
+    only_evaluated = gem_train(*SMALL, "--eval-env", ids[1], "--out", "third")
+    assert only_evaluated.code == 1
+    assert "had an error, and were left out" in only_evaluated.err
+
+
+def test_a_page_that_a_kill_prevented_is_drawn_later(gem_train: Any):
+    """By the command that finds the run complete."""
+    gem_train(*SMALL, "--out", "run")
+    Path("run/index.html").unlink()
+    assert gem_train("--resume", "run").code == 0
+    assert Path("run/index.html").exists()
 
 
 WRONG = {
@@ -148,6 +168,9 @@ WRONG = {
     "--resume goes on with the options of the run; leave out the ids": ["arms:One-v0", "--resume", "run"],
     "there is no agent and no module 'nobody_here'": ["arms:One-v0", "--imitate", "nobody_here:agent"],
     "environment 'arms:One-v0': got an unexpected keyword argument 'nothing'": ["arms:One-v0", "--set", "nothing=1"],
+    "episodes (8), in groups of 8, must be as many of each of the 2 environments": [
+        *("arms:One-v0", "arms:Four-v0", "--algorithm", "grpo", "--episodes", "8")
+    ],
     "width (18) must be a multiple of heads (4)": ["arms:One-v0", "--width", "18"],
 }
 

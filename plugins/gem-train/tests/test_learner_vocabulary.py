@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import string
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -47,3 +48,10 @@ def test_it_is_no_larger_than_asked():
     small = Vocabulary.build(SEEN, size=120)
     assert len(small.words) == 120
     assert small.decode(small.encode(SEEN[0])) == SEEN[0]
+
+
+@pytest.mark.parametrize("text", ["a" * 100_000, "a " * 50_000, "ab" * 50_000, ", " * 50_000, "a.b" * 40_000])
+def test_hostile_text_is_read_in_linear_time(text: str) -> None:
+    """A model may print anything through a tool."""
+    vocabulary = Vocabulary.build([text])
+    assert vocabulary.decode(vocabulary.encode(text)) == text

@@ -77,7 +77,7 @@ def test_study_runs_from_imitation_to_the_page(tmp_path: Path, monkeypatch: pyte
     tiny: dict[str, Any] = {"updates": 1, "episodes": 4, "eval_episodes": 12, "width": 8, "heads": 2}
     tiny |= {"imitate_episodes": 12, "imitate_steps": 2}
     monkeypatch.setattr(rewards, "options_of", lambda *given: replace(options_of(*given), **tiny))
-    rows = rewards.run(tmp_path, quick=True, seeds=3, workers=1, quiet=True)
+    rows = rewards.run(tmp_path, quick=True, seeds=1, workers=1, quiet=True)
     assert [(row["setting"], row["questions"]) for row in rows] == [
         (setting, kind)
         for setting in ("REINFORCE, 0 and 1", "REINFORCE, -1 and 1", "ReBN, 0 and 1")

@@ -32,7 +32,7 @@ def test_evaluations_are_in_the_vocabulary_and_not_imitated() -> None:
 def test_study_runs_from_imitation_to_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """At the smallest size, on one seed."""
     monkeypatch.setattr(transfer, "options_of", tiny_options)
-    rows = transfer.run(tmp_path, quick=True, seeds=3, workers=1, quiet=True)
+    rows = transfer.run(tmp_path, quick=True, seeds=1, workers=1, quiet=True)
     assert [(row["trained"], row["evaluated"]) for row in rows] == [
         (trained, evaluated) for trained in transfer.TRAINED.values() for evaluated in transfer.EVALUATED.values()
     ]

@@ -112,7 +112,7 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
 @_group(
     "Algorithm",
     ("--algorithm", click.Choice(ALGORITHMS), "How advantages and the loss are made."),
-    ("--gamma", _SHARE, "Discount from turn to turn."),
+    ("--gamma", _SHARE, "Discount from turn to turn; not for GRPO and RLOO."),
     ("--lam", _SHARE, "Lambda of GAE, for PPO."),
     ("--updates", AtLeast(min=1), "Number of updates."),
     ("--episodes", AtLeast(min=1), "Episodes of each update."),
@@ -319,7 +319,12 @@ def _print_end(metrics: Mapping[str, float | None], options: TrainOptions, folde
 def _tell_errors(ctx: click.Context, folder: Path) -> None:
     from gem_train.reporting import read_metrics
 
-    errors = sum(int(line.get("errors") or 0) for line in read_metrics(folder))
+    errors = sum(
+        int(value or 0)
+        for line in read_metrics(folder)
+        for name, value in line.items()
+        if name.rpartition("/")[2] == "errors"
+    )
     if errors:
-        echo_line(f"gem: {counted(errors, 'episode')} had an error, and nothing was learnt from them", err=True)
+        echo_line(f"gem: {counted(errors, 'episode')} had an error, and were left out", err=True)
     ctx.exit(1 if errors else 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import closing
 from itertools import count
+from typing import Self
 
 import gem_core as gem
 from gem_core.env import stable_hash
@@ -13,25 +14,44 @@ from gem_core.vector import VectorEnv
 from gem_train.learner.options import TrainOptions
 
 
-def training_envs(options: TrainOptions, first_update: int = 0) -> VectorEnv:
-    """Return a slot for each episode of an update; each ``reset`` begins the episodes of the next one."""
-    return _vector(options, options.env, options.episodes, _training_plan(options, first_update))
+class TrainingPlan:
+    """What the episodes of an update begin with: those of a group with the same seed.
+
+    An episode that cannot begin takes one more start; ``begin`` leaves behind what an earlier update took or did not.
+
+    Args:
+        options: Of the run.
+    """
+
+    def __init__(self, options: TrainOptions) -> None:
+        self._options = options
+        self.begin(0)
+
+    def begin(self, update: int) -> None:
+        """Go to the first episode of an update."""
+        self._update, self._places = update, count()
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> PlanItem:
+        options = self._options
+        group = next(self._places) // options.group_size
+        return PlanItem(
+            id=options.env[group % len(options.env)],
+            seed=stable_hash(options.seed, "training", self._update, group),
+        )
+
+
+def training_envs(options: TrainOptions, plan: TrainingPlan) -> VectorEnv:
+    """Return a slot for each episode of an update."""
+    return _vector(options, options.env, options.episodes, plan)
 
 
 def evaluation_envs(options: TrainOptions, env_id: str) -> VectorEnv:
     """Return a slot for each episode of an evaluation, whose starts are the same every time."""
     items = [PlanItem(seed=stable_hash(options.seed, "evaluation", place)) for place in range(options.eval_episodes)]
     return _vector(options, (env_id,), options.eval_episodes, items)
-
-
-def _training_plan(options: TrainOptions, first_update: int) -> Iterator[PlanItem]:
-    for update in count(first_update):
-        for place in range(options.episodes // options.group_size):
-            yield PlanItem(
-                id=options.env[place % len(options.env)],
-                seed=stable_hash(options.seed, "training", update, place),
-                repeat=options.group_size,
-            )
 
 
 def _vector(

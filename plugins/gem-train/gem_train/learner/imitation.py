@@ -9,7 +9,7 @@ import torch
 
 import gem_core as gem
 from gem_core.env import stable_hash
-from gem_core.errors import ArgumentError
+from gem_core.errors import ArgumentError, SamplingNotSupported
 from gem_core.records import Episode, PlanItem
 from gem_train.learner.environments import seat_count
 from gem_train.learner.learning import Learner
@@ -26,30 +26,39 @@ _VOCABULARY_EPISODES = 256
 
 
 def record_episodes(options: TrainOptions, env_ids: Sequence[str], agent: str, episodes: int) -> list[Episode]:
-    """Let a player play, and return its episodes, one for each seat.
+    """Let a player play, and return its episodes, one for each seat, in the order of the plan.
 
     Args:
         options: How the environments are made.
         env_ids: Which ones.
         agent: Name of the player, as ``load_agent`` takes it.
         episodes: Number of episodes of each environment.
+
+    Raises:
+        SamplingNotSupported: The player is "random", and an environment has no random actions.
     """
     recorded: list[Episode] = []
     for env_id in dict.fromkeys(env_ids):
         seed = stable_hash(options.seed, "imitation")
-        with gem.make_vec(env_id, 64, wrappers=options.wrappers, seed=seed, **options.env_kwargs) as vec:
-            plan = [PlanItem() for _ in range(episodes)]
-            if seat_count(env_id, options):
-                recorded.extend(seat for joint in gem.rollout(vec, agents=agent, plan=plan) for seat in joint)
-            else:
-                recorded.extend(gem.rollout(vec, agent, plan=plan))
+        plan = [PlanItem() for _ in range(episodes)]
+        try:
+            with gem.make_vec(env_id, 64, wrappers=options.wrappers, seed=seed, **options.env_kwargs) as vec:
+                if seat_count(env_id, options):
+                    joints = sorted(gem.rollout(vec, agents=agent, plan=plan), key=lambda joint: int(joint.key))
+                    recorded.extend(seat for joint in joints for seat in joint)
+                else:
+                    recorded.extend(sorted(gem.rollout(vec, agent, plan=plan), key=lambda episode: int(episode.key)))
+        except SamplingNotSupported as error:
+            raise SamplingNotSupported(
+                f"{env_id} does not say what a valid action is, so nobody can play it at random; "
+                "name another player with --imitate"
+            ) from error
     return recorded
 
 
 def build_vocabulary(options: TrainOptions, recorded: Sequence[Episode]) -> Vocabulary:
     """Return the words of what a player was shown and said, and of what a random one meets, evaluations included."""
-    env_ids = (*options.env, *options.eval_envs)
-    episodes = [*recorded, *record_episodes(options, env_ids, "random", _VOCABULARY_EPISODES)]
+    episodes = [*recorded, *_random_episodes(options, shown={episode.id for episode in recorded})]
     return Vocabulary.build(
         (
             text
@@ -59,6 +68,24 @@ def build_vocabulary(options: TrainOptions, recorded: Sequence[Episode]) -> Voca
         ),
         options.vocabulary,
     )
+
+
+def _random_episodes(options: TrainOptions, shown: set[str]) -> Iterator[Episode]:
+    """Yield what a random player meets in each environment, evaluations included.
+
+    Where there are no random actions, what the imitated player met is enough; words of evaluations are spelled then.
+
+    Raises:
+        SamplingNotSupported: Nobody has played an environment that is learnt.
+    """
+    for env_id in dict.fromkeys((*options.env, *options.eval_envs)):
+        if env_id in shown and options.imitate == "random":
+            continue
+        try:
+            yield from record_episodes(options, [env_id], "random", _VOCABULARY_EPISODES)
+        except SamplingNotSupported:
+            if env_id in options.env and env_id not in shown:
+                raise
 
 
 def imitate(learner: Learner, recorded: Sequence[Episode]) -> Iterator[float]:

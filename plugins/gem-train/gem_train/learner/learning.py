@@ -127,7 +127,7 @@ class Learner:
                 scored.logprobs, old, advantages, mask, clip_low=low, clip_high=high, denominator=tokens
             )
         else:
-            weights = truncated_importance_weights(scored.logprobs, old, mask) if options.overlap else None
+            weights = truncated_importance_weights(scored.logprobs, old, mask) if options.off_policy else None
             loss, seen = policy_gradient_loss(
                 scored.logprobs, old, advantages, mask, weights=weights, denominator=tokens
             )

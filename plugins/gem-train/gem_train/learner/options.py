@@ -26,13 +26,14 @@ class TrainOptions:
             normalized over the batch. ``"ppo"``: GAE with a critic, clipped. ``"grpo"``: relative to the mean and
             deviation of a group of episodes with one start, clipped; ``"dr-grpo"``: without the deviation.
             ``"rloo"``: relative to the mean of the others in the group.
-        gamma: Discount from turn to turn.
+        gamma: Discount from turn to turn; GRPO and RLOO compare undiscounted returns.
         lam: Of GAE.
         updates: Number of updates.
         episodes: Episodes of each update.
         group_size: Episodes with one start; 1, or 8 where the algorithm compares within groups.
         epochs: Passes over each batch; 1, or 4 for PPO.
-        minibatches: Parts of a batch, each with a step of the optimizer; 1, or 4 for PPO.
+        minibatches: Parts of a batch, each with a step of the optimizer; 1, or 4 for PPO. After the first step
+            on a batch, what is not clipped is weighed by importance.
         learning_rate: Of AdamW; it falls to 0, in a straight line, until the last update.
         clip: How far PPO's and GRPO's ratio may be from 1 before moving further earns nothing.
         entropy: Weight of the entropy bonus.
@@ -123,6 +124,11 @@ class TrainOptions:
             if refused:
                 raise ArgumentError(message)
 
+    @property
+    def off_policy(self) -> bool:
+        """Whether steps are taken on what other weights sampled."""
+        return self.overlap or self.epochs * self.minibatches > 1
+
     def _checks(self, compares: bool, critic: bool) -> Iterator[tuple[bool, str]]:
         """Yield what is refused, and what is said then."""
         for name in ("updates", "episodes", "epochs", "minibatches", "max_tokens", "layers", "width", "heads"):
@@ -140,6 +146,11 @@ class TrainOptions:
         yield (
             self.episodes % self.group_size != 0,
             f"episodes ({self.episodes}) must be a multiple of group_size ({self.group_size})",
+        )
+        yield (
+            self.episodes // self.group_size % len(self.env) != 0,
+            f"episodes ({self.episodes}), in groups of {self.group_size}, must be as many of each of the "
+            f"{len(self.env)} environments",
         )
         yield not 0 <= self.gamma <= 1, f"gamma must be from 0 to 1, not {self.gamma}"
         yield (

@@ -59,6 +59,7 @@ class Played:
 
     Args:
         slot: Number of the slot.
+        start: Seed that it began with; episodes of a group have the same.
         seat: Name of the seat; None where an agent is alone.
         shown: What the seat is to answer next, or was shown last.
         view: Whether ``shown`` has the whole history, as a view shows it.
@@ -70,6 +71,7 @@ class Played:
     """
 
     slot: int
+    start: int | None
     seat: str | None
     shown: Observation
     view: bool = False
@@ -96,13 +98,13 @@ class Slot:
     """
 
     def __init__(self, number: int, observation: Any, info: Info, feedback: bool) -> None:
-        self.number, self.feedback = number, feedback
+        self.number, self.start, self.feedback = number, info.get("seed"), feedback
         self.seats: dict[str | None, Played] = {}
         self.acting: list[Played] = []
         """Who is to answer."""
-        if "error" in info:
-            self.seats[None] = Played(number, None, observation, error=True)
-        elif not info.get("idle"):
+        self.failed = len(info.get("failed_resets", ()))
+        """Episodes that did not begin; the one that did came after them."""
+        if not info.get("idle"):
             self._show(observation, info)
 
     def action(self) -> Any:
@@ -118,7 +120,7 @@ class Slot:
             ended = bool(info["terminations"][name])
             seen = observation[name] if name in observation else own["final_obs"]
             self._earn(name, seen, float(reward[name]), ended, own, over=ended or bool(info["truncations"][name]))
-        if "error" in info:
+        if info.get("error") is not None:
             for seat in self.seats.values():
                 seat.error = seat.error or not seat.terminated
         self.acting = []
@@ -129,7 +131,7 @@ class Slot:
         together = isinstance(observation, dict)
         for name, shown in (observation if together else {None: observation}).items():
             own = info["agents"][name] if together else info
-            seat = self.seats.setdefault(name, Played(self.number, name, shown))
+            seat = self.seats.setdefault(name, Played(self.number, self.start, name, shown))
             seat.view = seat.view or own.get("view") is not None
             seat.shown = self._shown(seat, shown, own)
             self.acting.append(seat)
@@ -138,13 +140,17 @@ class Slot:
         return info.get("feedback", observation) if self.feedback and seat.turns else observation
 
     def _earn(self, name: str | None, seen: Observation, reward: float, ended: bool, info: Info, *, over: bool) -> None:
-        seat = self.seats.setdefault(name, Played(self.number, name, seen))
+        seat = self.seats.setdefault(name, Played(self.number, self.start, name, seen))
         if seat.turns:
             seat.turns[-1].reward += reward
         else:
             seat.first_reward += reward
         if over:
-            seat.shown, seat.terminated, seat.error = self._shown(seat, seen, info), ended, "error" in info
+            seat.shown, seat.terminated, seat.error = (
+                self._shown(seat, seen, info),
+                ended,
+                info.get("error") is not None,
+            )
             correct = info.get("correct", None if ended else False)
             seat.success = float("nan") if correct is None or seat.error else float(correct)
 
@@ -168,7 +174,7 @@ class Player:
     def play(self, vec: VectorEnv, seed: int) -> list[Played]:
         """Play one episode in every slot, and return what each seat lived through, in the order of the slots.
 
-        All seats that are to act are answered at once.
+        All seats that are to act are answered at once. Episodes that could not begin come last, without turns.
 
         Args:
             vec: Made with ``autoreset="disabled"``, so that each call begins the next episodes of its plan.
@@ -186,7 +192,8 @@ class Player:
             results = vec.step({slot.number: slot.action() for slot in running})
             for slot, *result in zip(running, *results, strict=True):
                 slot.add(*result)
-        return [seat for slot in slots for seat in slot.seats.values()]
+        failed = [Played(slot.number, None, None, "", error=True) for slot in slots for _ in range(slot.failed)]
+        return [seat for slot in slots for seat in slot.seats.values()] + failed
 
     def _answer(self, seats: list[Played], rows: list[int]) -> None:
         """Add a turn to each of some seats."""
@@ -273,17 +280,13 @@ def next_piece(
     return read[-(options.context - options.max_tokens) :], True
 
 
-def groups_of(played: Sequence[Played], group_size: int) -> list[int]:
+def groups_of(played: Sequence[Played]) -> list[int]:
     """Return the number of each episode's group: one start, and one seat.
 
     Seats are compared with the same seat in other episodes, not with their opponents.
-
-    Args:
-        played: Episodes of seats.
-        group_size: Slots that begin alike.
     """
-    numbers: dict[tuple[int, str | None], int] = {}
-    return [numbers.setdefault((seat.slot // group_size, seat.seat), len(numbers)) for seat in played]
+    numbers: dict[tuple[int | None, str | None], int] = {}
+    return [numbers.setdefault((seat.start, seat.seat), len(numbers)) for seat in played]
 
 
 def token_batch(

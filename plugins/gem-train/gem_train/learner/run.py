@@ -64,11 +64,13 @@ def train(
                     state = learner.state()
                     if _is_due(learner.updates, options.checkpoint_every, options):
                         run.save(state)
-                        run.draw()
+                        if learner.updates < options.updates:
+                            run.draw()
                     on_update(learner.updates, metrics)
         except BaseException:
             run.save(state)
             raise
+    run.draw()
     return read_metrics(folder)[-1]
 
 
@@ -83,7 +85,7 @@ def _update(training: Training, run: RunFolder) -> dict[str, float]:
     if _is_due(updates, options.eval_every, options):
         ids = options.eval_envs or tuple(dict.fromkeys(options.env))
         for env_id in ids:
-            name = "eval" if ids == options.env else f"eval/{env_id}"
+            name = "eval" if len(ids) == 1 and ids == options.env else f"eval/{env_id}"
             evaluated = describe(training.evaluate(env_id))
             metrics |= {f"{name}/{metric}": value for metric, value in evaluated.items()}
     return metrics

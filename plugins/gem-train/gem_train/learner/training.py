@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from typing import NamedTuple, Self
 
 from gem_core.env import stable_hash
-from gem_train.learner.environments import evaluation_envs, seat_count, training_envs
+from gem_train.learner.environments import TrainingPlan, evaluation_envs, seat_count, training_envs
 from gem_train.learner.imitation import build_vocabulary, imitate, record_episodes
 from gem_train.learner.learning import Learner
 from gem_train.learner.options import TrainOptions
@@ -56,7 +56,8 @@ class Training:
         self.learner, self.options = learner, learner.options
         options = self.options
         self._open = ExitStack()
-        self._envs = self._open.enter_context(training_envs(options, learner.updates))
+        self._plan = TrainingPlan(options)
+        self._envs = self._open.enter_context(training_envs(options, self._plan))
         policy = copy.deepcopy(learner.policy) if options.overlap else learner.policy
         seats = max(_seats(env_id, options) for env_id in options.env)
         self._player = Player(policy, learner.vocabulary, options, options.episodes * seats)
@@ -73,7 +74,7 @@ class Training:
         """Play a batch of episodes and learn from it."""
         options, learner = self.options, self.learner
         played, bootstrap, learner.policy.pictures = self._play()
-        groups = groups_of(played, options.group_size)
+        groups = groups_of(played)
         batch = token_batch(
             played, groups=groups, learn_cut_off=options.learn_cut_off, failure_reward=options.failure_reward
         )
@@ -104,6 +105,7 @@ class Training:
         return ready
 
     def _play_update(self, update: int) -> tuple[list[Played], Floats, Pictures]:
+        self._plan.begin(update)
         played = self._player.play(self._envs, stable_hash(self.options.seed, "sampling", update))
         return played, self._player.bootstrap(played), self._player.policy.pictures
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 import string
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
-_PHRASE = re.compile(r"[^\d\n]*?[^\W\d_]{2,}[^\w\n]+[^\W\d_]{2,}[^\d\n]*")
-"""What stands in one line with no number in it, if it has two words or more."""
+_SEGMENT = re.compile(r"[^\d\n]+")
+_TWO_WORDS = re.compile(r"(?<![^\W\d_])[^\W\d_]{2,}[^\w\n]+[^\W\d_]{2,}")
 
 _WORD = re.compile(
     r"\d+"  # a number, always by itself, so that "25" is one token wherever it stands
@@ -51,7 +51,7 @@ class Vocabulary:
         """
         seen = list(texts)
         words = Counter(word for text in seen for word in _WORD.findall(text))
-        phrases = Counter(phrase for text in seen for phrase in _PHRASE.findall(text))
+        phrases = Counter(phrase[0] for text in seen for phrase in _phrases(text))
         often = max(2, len(seen) // 200)
         characters = sorted({*string.printable, *(character for word in words for character in word)})[:size]
         longer = [word for word, _ in words.most_common() if len(word) > 1]
@@ -70,7 +70,7 @@ class Vocabulary:
         """
         ids: list[int] = []
         end = 0
-        for found in _PHRASE.finditer(text) if phrases else ():
+        for found in _phrases(text) if phrases else ():
             if (known := self._ids.get(found[0])) is not None:
                 ids += self._words(text[end : found.start()])
                 ids.append(known)
@@ -89,3 +89,8 @@ class Vocabulary:
             else:
                 ids.extend(self._ids.get(character, UNKNOWN) for character in word)
         return ids
+
+
+def _phrases(text: str) -> Iterator[re.Match[str]]:
+    """Yield what stands in one line with no number in it, if it has two words or more."""
+    return (found for found in _SEGMENT.finditer(text) if _TWO_WORDS.search(found[0]))

@@ -14,7 +14,7 @@ from gem_train.learner.training import Training, describe
 from gem_train.reporting import curves_with_bands, write_study_page
 from gem_train.studies import rewards
 from gem_train.studies.jobs import Job, run_jobs
-from gem_train.studies.measured import Run, last_interval, measured_curve
+from gem_train.studies.measured import Run, evaluated, last_interval, measured_curve
 
 TEXT = """\
 Four algorithms learn seven tasks, each from the same warm start, for the same number of updates and episodes:
@@ -170,7 +170,7 @@ def options_of(task: Task, algorithm: Algorithm, seed: int) -> TrainOptions:
 
 def measure(training: Training) -> dict[str, Any]:
     """Return the success and the return of the evaluation."""
-    described = describe(training.evaluate())
+    described = describe(evaluated(training))
     return {name: described[name] for name in ("success", "return")}
 
 
@@ -191,7 +191,7 @@ def run(folder: Path, *, quick: bool, seeds: int, workers: int | None, quiet: bo
 
     Args:
         folder: Where everything is kept; runs that are there are not made again.
-        quick: Three tasks, two algorithms, one seed.
+        quick: Three tasks, two algorithms.
         seeds: Number of seeds.
         workers: Processes; None for one a processor.
         quiet: Show no progress.
@@ -201,7 +201,6 @@ def run(folder: Path, *, quick: bool, seeds: int, workers: int | None, quiet: bo
     """
     tasks = [task for task in TASKS if not quick or task.name in _QUICK_TASKS]
     algorithms = [name for name in ALGORITHMS if not quick or name in _QUICK_ALGORITHMS]
-    seeds = 1 if quick else seeds
     by_chance = {task.name: random_player(task) for task in tasks}
     jobs = {
         (task.name, algorithm, seed): _job(task, algorithm, seed)

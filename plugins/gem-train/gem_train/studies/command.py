@@ -43,8 +43,8 @@ again. Its folder holds a page (index.html), figures and the result of each run.
 """,
 )
 @click.argument("study", type=click.Choice(list(STUDIES)), metavar="STUDY")
-@click.option("-q", "--quick", is_flag=True, help="Fewer settings and one seed: minutes instead of half an hour.")
-@click.option("--seeds", type=AtLeast(min=1), help="Runs of each setting.  [default: 5; 1 for algorithms]")
+@click.option("-q", "--quick", is_flag=True, help="One seed, and fewer settings: minutes instead of half an hour.")
+@click.option("--seeds", type=AtLeast(min=1), help="Runs of each setting.  [default: 5; 1 for algorithms and --quick]")
 @click.option("-w", "--workers", type=AtLeast(min=1), help="Runs at once, each on one thread.  [default: processors]")
 @click.option("-o", "--out", type=click.Path(file_okay=False), help="Folder of the study.  [default: runs/study-STUDY]")
 @click.option("--json", "as_json", is_flag=True, help="Write the results as JSON.")
@@ -54,7 +54,7 @@ def command(study: str, quick: bool, seeds: int | None, workers: int | None, out
     Everything runs on the processors of this machine, from imitation of a scripted player to the page of results.
     """
     folder = Path(out or f"runs/study-{study}{'-quick' if quick else ''}")
-    seeds = seeds or (1 if study == "algorithms" else 5)
+    seeds = seeds or (1 if quick or study == "algorithms" else 5)
     results = _study(study)(folder, quick=quick, seeds=seeds, workers=workers, quiet=False)
     if as_json:
         sys.stdout.write(json.dumps(results, indent=2) + "\n")

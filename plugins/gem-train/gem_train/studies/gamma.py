@@ -11,7 +11,6 @@ from gem_train.learner.options import Algorithm, TrainOptions
 from gem_train.learner.training import Training
 from gem_train.reporting import (
     Bar,
-    Curve,
     bars_with_intervals,
     curves_with_bands,
     first_guesses,
@@ -19,6 +18,7 @@ from gem_train.reporting import (
     write_study_page,
 )
 from gem_train.studies.jobs import Job, run_jobs
+from gem_train.studies.measured import curve, evaluated
 
 GAMMAS = (0.5, 0.9, 0.999)
 _NUMBERS, _MOST_TURNS, _SHOWN_TURNS = 50, 10, 3
@@ -50,16 +50,16 @@ def options_of(algorithm: Algorithm, gamma: float, seed: int) -> TrainOptions:
         algorithm=algorithm,
         gamma=gamma,
         seed=seed,
-        updates=300,
-        episodes=128,
-        learning_rate=1.3e-3,
+        updates=230,
+        episodes=256,
+        learning_rate=1.6e-3,
         feedback=True,
         memory=1,
         max_tokens=10,
         context=64,
         imitate="gem_train.players:interval_player",
-        imitate_steps=900,
-        width=48,
+        imitate_steps=700,
+        layers=1,
         heads=2,
         eval_episodes=_EVALUATED,
     )
@@ -67,7 +67,7 @@ def options_of(algorithm: Algorithm, gamma: float, seed: int) -> TrainOptions:
 
 def measure(training: Training) -> dict[str, Any]:
     """Return the mean turns of the evaluation, and how often each number was guessed in the first turns."""
-    played = [seat for seat in training.evaluate() if not seat.error]
+    played = evaluated(training)
     turns = [len(seat.turns) if seat.success == 1.0 else _MOST_TURNS for seat in played]
     mean = sum(turns) / len(turns)
     guesses = [[0] * _NUMBERS for _ in range(_SHOWN_TURNS)]
@@ -97,12 +97,12 @@ def run(folder: Path, *, quick: bool, seeds: int, workers: int | None, quiet: bo
 
     Args:
         folder: Where everything is kept; runs that are there are not made again.
-        quick: Three settings, one seed.
+        quick: Three settings.
         seeds: Number of seeds.
         workers: Processes; None for one a processor.
         quiet: Show no progress.
     """
-    settings, seeds = (_QUICK, 1) if quick else (_SETTINGS, seeds)
+    settings = _QUICK if quick else _SETTINGS
     jobs = [
         Job(f"{algorithm}-{gamma}-{seed}", options_of(algorithm, gamma, seed), measure)
         for seed in range(seeds)
@@ -142,7 +142,12 @@ def _write(folder: Path, table: list[dict[str, Any]], by_setting: dict[tuple[Alg
     bars = [
         Bar(name, row["mean_turns"], row["low"], row["high"]) for name, row in zip(names.values(), table, strict=True)
     ]
-    curves = {names[setting]: _curve(runs) for setting, runs in by_setting.items()}
+    curves = {
+        names[setting]: curve(
+            range(1, len(runs[0]["curve"]) + 1), [[each["turns"] for each in run["curve"]] for run in runs]
+        )
+        for setting, runs in by_setting.items()
+    }
     best = by_setting["rebn", 0.9]
     guesses = [
         [sum(run["measured"][-1]["guesses"][turn][place] for run in best) for place in range(_NUMBERS)]
@@ -169,12 +174,3 @@ def _write(folder: Path, table: list[dict[str, Any]], by_setting: dict[tuple[Alg
         ],
         table=table,
     )
-
-
-def _curve(runs: Sequence[dict[str, Any]]) -> Curve:
-    intervals = [
-        mean_interval([run["curve"][update]["turns"] for run in runs]) for update in range(len(runs[0]["curve"]))
-    ]
-    low = [interval.low for interval in intervals if interval.low is not None]
-    high = [interval.high for interval in intervals if interval.high is not None]
-    return Curve(list(range(1, len(intervals) + 1)), [interval.mean for interval in intervals], low, high)

@@ -61,7 +61,8 @@ def run_jobs(jobs: Sequence[Job], folder: Path, *, workers: int | None = None, q
         (_make_start, job) for path, job in starts.items() if not path.exists()
     ]
     context = multiprocessing.get_context("spawn")
-    size = min(workers or len(os.sched_getaffinity(0)), max(len(waiting), 1))
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    size = min(workers or processors, max(len(waiting), 1))
     with (
         Progress(len(waiting), folder.name, unit="runs", quiet=quiet) as progress,
         ProcessPoolExecutor(size, mp_context=context, initializer=_end_with_parent) as pool,

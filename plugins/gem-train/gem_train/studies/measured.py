@@ -5,10 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from gem_core.errors import EnvFaultError
+from gem_train.learner.playing import Played
+from gem_train.learner.training import Training
 from gem_train.reporting import Curve, Interval, mean_interval
 
 Run = Mapping[str, Any]
 """The result of a job."""
+
+
+def evaluated(training: Training, env_id: str | None = None) -> list[Played]:
+    """Return the episodes of an evaluation, those with an error left out.
+
+    Raises:
+        EnvFaultError: All of them had one.
+    """
+    played = [seat for seat in training.evaluate(env_id) if not seat.error]
+    if not played:
+        raise EnvFaultError(f"every episode of {env_id or training.options.env[0]} had an error; try 'gem run' on it")
+    return played
 
 
 def last_interval(runs: Sequence[Run], value: Callable[[Any], float]) -> Interval:
@@ -28,9 +43,11 @@ def measured_curve(runs: Sequence[Run], value: Callable[[Any], float]) -> Curve:
         runs: One a seed.
         value: Reads it from what ``measure`` returned.
     """
-    places = range(len(runs[0]["measured"]))
-    intervals = [mean_interval([value(run["measured"][place]) for run in runs]) for place in places]
     steps = [run["update"] for run in runs[0]["measured"]]
-    if len(runs) < 2:
-        return Curve(steps, [interval.mean for interval in intervals])
-    return Curve(steps, *([getattr(interval, end) for interval in intervals] for end in ("mean", "low", "high")))
+    return curve(steps, [[value(each) for each in run["measured"]] for run in runs])
+
+
+def curve(steps: Sequence[int], values: Sequence[Sequence[float]]) -> Curve:
+    """Return the mean of several runs, (runs, steps), with its interval at each step."""
+    intervals = [mean_interval(of_step) for of_step in zip(*values, strict=True)]
+    return Curve(list(steps), *([getattr(each, end) for each in intervals] for end in ("mean", "low", "high")))

@@ -11,7 +11,7 @@ from gem_train.learner.options import Algorithm, TrainOptions
 from gem_train.learner.training import Training
 from gem_train.reporting import curves_with_bands, write_study_page
 from gem_train.studies.jobs import Job, run_jobs
-from gem_train.studies.measured import Run, last_interval, measured_curve
+from gem_train.studies.measured import Run, evaluated, last_interval, measured_curve
 
 ENV_ID = "study:SumsAndProducts-v0"
 WRAPPERS = ("python", ("tools", {"max_tool_uses": 3, "instructions": False}))
@@ -82,7 +82,7 @@ def options_of(setting: Setting, seed: int) -> TrainOptions:
 
 def measure(training: Training) -> dict[str, Any]:
     """Return success, the share of episodes with the tool, and the mean calls, of sums and of products."""
-    played = [seat for seat in training.evaluate() if not seat.error]
+    played = evaluated(training)
     measured: dict[str, Any] = {}
     for kind, sign in KINDS.items():
         seats = [seat for seat in played if sign in str(seat.turns[0].shown)]
@@ -100,7 +100,7 @@ def run(folder: Path, *, quick: bool, seeds: int, workers: int | None, quiet: bo
 
     Args:
         folder: Where everything is kept; runs that are there are not made again.
-        quick: One seed.
+        quick: Changes nothing here.
         seeds: Number of seeds.
         workers: Processes; None for one a processor.
         quiet: Show no progress.
@@ -109,7 +109,6 @@ def run(folder: Path, *, quick: bool, seeds: int, workers: int | None, quiet: bo
         GemError: The tool, of the distribution gem-tools, is not there; the message says what to install.
     """
     gem.make(ENV_ID, wrappers=WRAPPERS).close()
-    seeds = 1 if quick else seeds
     jobs = {
         (setting, seed): Job(
             f"{setting.algorithm}{setting.failure_reward:+g}-{seed}", options_of(setting, seed), measure, every=10

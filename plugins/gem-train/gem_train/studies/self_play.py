@@ -23,6 +23,7 @@ from gem_train.learner.training import Training
 from gem_train.learner.vocabulary import ANSWER, END
 from gem_train.reporting import Curve, curves_with_bands, mean_interval, write_study_page
 from gem_train.studies.jobs import Job, Measure, run_jobs
+from gem_train.studies.measured import curve, evaluated
 from gem_train.tokens import TokenBatch
 
 _HISTORIES: tuple[History, ...] = (), ("check",), ("bet",), ("check", "bet")
@@ -163,7 +164,7 @@ def _returns(training: Training, seat: str, opponent: str) -> list[float]:
     env_id = f"study:TicTacToe-v0-{seat}-{opponent}"
     if env_id not in gem.list_envs("study"):
         gem.register(env_id, "gem_core.rollouts:single_agent", env="game:TicTacToe-v0", seat=seat, others=opponent)
-    return [game.episode_return for game in training.evaluate(env_id) if not game.error]
+    return [game.episode_return for game in evaluated(training, env_id)]
 
 
 _JOB_MEASURES: dict[str, Measure] = {"KuhnPoker": measure_kuhn, "TicTacToe": measure_tictactoe}
@@ -181,12 +182,11 @@ def run(folder: Path, *, quick: bool, seeds: int, workers: int | None, quiet: bo
 
     Args:
         folder: Where everything is kept; runs that are there are not made again.
-        quick: One seed.
+        quick: Changes nothing here.
         seeds: Number of seeds.
         workers: Processes; None for one a processor.
         quiet: Show no progress.
     """
-    seeds = 1 if quick else seeds
     names = {
         (game, baselines): [f"{game}-{'with' if baselines else 'without'}-baselines-{seed}" for seed in range(seeds)]
         for game, baselines in product(GAMES, (True, False))
@@ -273,11 +273,4 @@ def _write(folder: Path, table: list[dict[str, Any]], by_setting: dict[tuple[str
 
 
 def _curve(runs: Sequence[list[dict[str, Any]]], measure: str) -> Curve:
-    moments = list(zip(*runs, strict=True))
-    intervals = [mean_interval([each[measure] for each in moment]) for moment in moments]
-    return Curve(
-        [moment[0]["update"] for moment in moments],
-        [interval.mean for interval in intervals],
-        [interval.low for interval in intervals],
-        [interval.high for interval in intervals],
-    )
+    return curve([each["update"] for each in runs[0]], [[each[measure] for each in measured] for measured in runs])

@@ -10,7 +10,7 @@ from gem_train.learner.options import TrainOptions
 from gem_train.learner.training import Training
 from gem_train.reporting import curves_with_bands, write_study_page
 from gem_train.studies.jobs import Job, run_jobs
-from gem_train.studies.measured import Run, last_interval, measured_curve
+from gem_train.studies.measured import Run, evaluated, last_interval, measured_curve
 
 TRAINED = {"one range": "game:GuessTheNumber-v0-hard", "any range": "game:GuessTheNumber-v0-random"}
 EVALUATED = {
@@ -56,7 +56,7 @@ def measure(training: Training) -> dict[str, Any]:
     """Return the success on each environment."""
     measured = {}
     for name, env_id in EVALUATED.items():
-        played = [seat for seat in training.evaluate(env_id) if not seat.error]
+        played = evaluated(training, env_id)
         measured[name] = sum(seat.success == 1.0 for seat in played) / len(played)
     return measured
 
@@ -66,12 +66,11 @@ def run(folder: Path, *, quick: bool, seeds: int, workers: int | None, quiet: bo
 
     Args:
         folder: Where everything is kept; runs that are there are not made again.
-        quick: One seed.
+        quick: Changes nothing here.
         seeds: Number of seeds.
         workers: Processes; None for one a processor.
         quiet: Show no progress.
     """
-    seeds = 1 if quick else seeds
     jobs = [
         Job(f"{trained.replace(' ', '-')}-{seed}", options_of(trained, seed), measure, every=20)
         for seed in range(seeds)
