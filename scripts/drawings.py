@@ -240,8 +240,8 @@ def vector_environments() -> Drawing:
         it.box(90, y, length, 32, "waits for a slow server" if length > 300 else "a step", kind, size=SMALL)
     for slot in (0, 1, 3):
         it.box(276, 70 + slot * 44, 120, 32, "the next step", "agent", size=SMALL)
-    it.text(268, 36, "recv(min_envs=3)", anchor="middle", bold=True)
-    it.text(574, 36, "step(actions)", anchor="middle", bold=True)
+    it.text(268, 36, "recv(min_envs=3) returns", anchor="middle", bold=True)
+    it.text(574, 36, "step(actions) returns", anchor="middle", bold=True)
     it.arrow((90, 262), (660, 262))
     it.text(664, 267, "time")
     it.text(90, 290, "With send and recv, three go on at once. With step, all wait for slot 2.")
