@@ -93,6 +93,7 @@ def test_plugin_tutorial_ends_with_a_wheel_in_a_fresh_environment(tmp_path: Path
         "PIP_FIND_LINKS": str(wheels),
         "PIP_NO_BUILD_ISOLATION": "0",  # pip reads this variable the other way round
         "PIP_DISABLE_PIP_VERSION_CHECK": "1",
+        "PYTHONWARNINGS": "default",  # pip's own are none of ours
     }
     steps = steps_of(text_of("plugin"))
     outputs = follow(steps, folder, variables(tmp_path) | offline)

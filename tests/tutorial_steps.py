@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
+import signal
 import subprocess
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -11,6 +13,8 @@ from typing import NamedTuple
 
 _BLOCK = re.compile(r'^(`{3,})(\w+)(?: title="([^"]+)")?\n(.*?)^\1$', re.MULTILINE | re.DOTALL)
 _END_OF_STEP = "\x1e"
+LONGEST_S = 1_800
+"""Far more than a tutorial takes, on a machine with nothing else to do."""
 
 
 class Step(NamedTuple):
@@ -61,7 +65,7 @@ def follow(steps: list[Step], folder: Path, variables: Mapping[str, str]) -> lis
     kept = folder.with_name(f"{folder.name}-blocks")
     kept.mkdir()
     script = "\n".join(_lines_of_shell(steps, kept))
-    done = subprocess.run(
+    with subprocess.Popen(
         ["bash", "-e", "-c", script],
         cwd=folder,
         env=variables,
@@ -69,12 +73,16 @@ def follow(steps: list[Step], folder: Path, variables: Mapping[str, str]) -> lis
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
-        timeout=600,
-        check=False,
-    )
-    outputs = done.stdout.split(_END_OF_STEP)[:-1]
-    if done.returncode:
-        raise AssertionError(f"this step failed:\n{steps[len(outputs)].code}\n{done.stdout}")
+        start_new_session=True,
+    ) as shell:
+        try:
+            printed, _ = shell.communicate(timeout=LONGEST_S)
+        except BaseException:
+            os.killpg(shell.pid, signal.SIGKILL)  # a command of it would go on without the shell
+            raise
+    outputs = printed.split(_END_OF_STEP)[:-1]
+    if shell.returncode:
+        raise AssertionError(f"this step failed:\n{steps[len(outputs)].code}\n{printed}")
     return outputs
 
 
