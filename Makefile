@@ -80,6 +80,17 @@ format: $(VENV)/.dev ## format the code, and mend what ruff can mend
 	@$(BIN)/ruff check --quiet --fix-only .
 	@$(BIN)/ruff format .
 
+.PHONY: docs
+docs: $(VENV)-docs/.installed ## build the documentation into site/, and check every link of it
+	$(call say,building the documentation)
+	@NO_MKDOCS_2_WARNING=1 $(VENV)-docs/bin/mkdocs build --strict
+	@$(PYTHON) scripts/check_site.py site
+
+.PHONY: docs-pages
+docs-pages: $(VENV)/.dev ## write the pages of the reference that are made from commands and packages
+	@$(BIN)/python scripts/command_reference.py
+	@$(BIN)/python scripts/api_reference.py
+
 .PHONY: bench
 bench: $(VENV)/.installed $(VENV)-peer/.installed $(VENV)-inspect/.installed ## measure beside gem-llm and inspect_ai; prints ratios
 	@for script in $(BENCHMARKS); do \
@@ -96,7 +107,7 @@ constraints: ## pin the newest versions in constraints.txt (PYTHONS="python3.11 
 .PHONY: clean
 clean: ## remove all that these commands made, but for runs/
 	@if [ -d .venv-docker ]; then scripts/docker_engine.sh stop; fi
-	rm -rf .venv-docker $(VENV) $(VENV)-isolated $(VENV)-peer $(VENV)-inspect .venv-trainers .venv-mcp build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv-docker $(VENV) $(VENV)-isolated $(VENV)-peer $(VENV)-inspect $(VENV)-docs .venv-trainers .venv-mcp build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The environments. A stamp file says that one is up to date; what it was made from stands behind the colon.
@@ -131,6 +142,12 @@ $(VENV)/.installed: $(VENV)/.demo $(PLUGIN_PROJECTS)
 $(VENV)/.dev: $(VENV)/.installed requirements-dev.txt
 	$(call say,installing the development tools)
 	$(call quietly,$(INSTALL) -r requirements-dev.txt)
+	@touch $@
+
+$(VENV)-docs/.installed: $(VENV)/.made requirements-docs.txt constraints.txt
+	$(call say,installing what builds the documentation)
+	$(call quietly,$(PYTHON) -m venv --clear $(VENV)-docs)
+	$(call quietly,$(VENV)-docs/bin/python -m pip install --quiet -c constraints.txt -r requirements-docs.txt)
 	@touch $@
 
 $(VENV)-peer/.installed: $(VENV)/.made benchmarks/requirements-peer.txt

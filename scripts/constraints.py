@@ -55,7 +55,8 @@ def resolve(python: str, preferred: dict[str, str]) -> tuple[str, dict[str, str]
 def install_report(python: str, *options: str) -> list[dict[str, Any]] | None:
     """Return the metadata of what pip would install, the repository's own distributions apart; None if it cannot."""
     projects = [".", *(str(path.parent) for path in sorted(ROOT.glob("plugins/*/pyproject.toml")))]
-    command = [python, "-m", "pip", "install", "--quiet", "--dry-run", "--report", "-", "-r", "requirements-dev.txt"]
+    command = [python, "-m", "pip", "install", "--quiet", "--dry-run", "--report", "-"]
+    command += ["-r", "requirements-dev.txt", "-r", "requirements-docs.txt"]
     done = subprocess.run([*command, *options, *projects], cwd=ROOT, capture_output=True, text=True)
     if done.returncode:
         sys.stderr.write(done.stderr)

@@ -23,10 +23,14 @@ pytest.importorskip("gem_games", reason="the examples play games; install plugin
 ROOT = Path(__file__).parent.parent
 PAGES = {
     path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
-    for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    for path in [
+        ROOT / "README.md",
+        *sorted((ROOT / "docs").glob("*.md")),
+        *sorted((ROOT / "docs/concepts").glob("*.md")),
+    ]
 }
-ELSEWHERE = {"docs/terminal.md", "docs/mcpmark.md"}
-"""They need containers, or a database: the plugins' own tests run them."""
+ELSEWHERE = {"docs/terminal.md", "docs/mcpmark.md", "docs/python-tool.md", "docs/search.md", "docs/mcp.md"}
+"""They need containers, a database or a server: the plugins' own tests run them."""
 FILE = re.compile(r"# ([\w./-]+\.\w+)\n")
 NOT_TYPED = "pip install ", "make ", "export ", "python examples/", "gem train-study ", "gem train train:"
 """Needs the network or minutes, or has a test of its own; and so do commands that ask a model."""
@@ -108,14 +112,14 @@ def test_commands_begin_with_what_a_reader_has() -> None:
 def test_every_block_is_run() -> None:
     """All but settings and output are Python or commands, so that the tests above run them."""
     languages = {block.language for text in PAGES.values() for block in extract_code_blocks(text)}
-    assert languages == {"python", "console", "toml", "yaml", "text"}
+    assert languages == {"python", "console", "json", "toml", "yaml", "text"}
 
 
 def test_the_plugin_written_by_hand_is_found(tmp_path: Path) -> None:
     """Its two files, installed, are listed without importing its environment."""
     files = {
         match[1]: block.code
-        for block in extract_code_blocks(PAGES["docs/concepts.md"])
+        for block in extract_code_blocks(PAGES["docs/environments.md"])
         if (match := FILE.match(block.code))
     }
     (tmp_path / "gem_mine").mkdir()
@@ -151,18 +155,37 @@ def test_the_two_commands_are_targets_of_the_makefile() -> None:
 
 @pytest.mark.parametrize("page", [*PAGES, "CONTRIBUTING.md"])
 def test_every_file_that_a_page_names_is_there(page: str) -> None:
-    """Links, and paths in backticks."""
-    text = (ROOT / page).read_text(encoding="utf-8")
+    """Links, and paths in backticks; not what stands in blocks of code."""
+    text = re.sub(r"^```.*?^```", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     linked = [(ROOT / page).parent / path for path in re.findall(r"\]\((?!http)([^)#]+)[^)]*\)", text)]
     named = [ROOT / path for path in re.findall(r"`((?:gem_core|plugins|docs|benchmarks|scripts)/[\w./-]*)`", text)]
     assert [path for path in linked + named if not path.exists()] == []
 
 
 def test_every_page_is_in_the_index() -> None:
-    """The README and docs/README.md link to each page of docs/."""
-    pages = {Path(page).name for page in PAGES} - {"README.md"}
-    assert {path for path in pages if f"(docs/{path})" not in PAGES["README.md"]} == set()
-    assert {path for path in pages if f"({path})" not in PAGES["docs/README.md"]} == set()
+    """docs/index.md links to each guide of docs/, but for how we write."""
+    pages = {Path(page).name for page in PAGES if page.count("/") == 1} - {"README.md", "index.md", "style.md"}
+    assert {path for path in pages if f"({path})" not in PAGES["docs/index.md"]} == set()
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
+def test_a_front_door_is_short(page: str) -> None:
+    """At most 900 words, with a picture, the command that installs, and an example."""
+    text = PAGES[page]
+    assert len(text.split()) <= 900
+    assert "![" in text
+    assert "pip install gem-core" in text
+    assert extract_code_blocks(text, "python")
+
+
+@pytest.mark.parametrize("page", sorted(ROOT.glob("plugins/*/README.md")), ids=lambda page: page.parent.name)
+def test_a_plugins_page_is_short(page: Path) -> None:
+    """At most 900 words, with the command that installs, and one to try it."""
+    text = page.read_text(encoding="utf-8")
+    typed = [line for block in extract_code_blocks(text, "console") for line in block.code.splitlines()]
+    assert len(text.split()) <= 900
+    assert any(line.startswith("pip install ") and page.parent.name in line for line in typed)
+    assert any(line.startswith("gem ") for line in typed) or extract_code_blocks(text, "python")
 
 
 def test_every_option_of_tools_stands_in_the_table() -> None:

@@ -13,7 +13,8 @@ from gem_core.parsing import extract_code_blocks
 
 README = (Path(__file__).parent.parent / "README.md").read_text("utf-8")
 PYTHON = [block.code for block in extract_code_blocks(README, "python")]
-COMMANDS = [line for block in extract_code_blocks(README, "console") for line in block.code.splitlines()]
+TYPED = [line for block in extract_code_blocks(README, "console") for line in block.code.splitlines()]
+COMMANDS = [line for line in TYPED if line.startswith("gem ")]
 
 
 @pytest.mark.parametrize("code", PYTHON, ids=lambda code: code.splitlines()[2][:40])

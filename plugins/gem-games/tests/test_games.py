@@ -60,12 +60,12 @@ def test_registered_ids_and_parameters() -> None:
     assert {spec.id: dict(spec.kwargs) for spec in specs} == PARAMETERS
 
 
-def test_readme_lists_the_registered_ids() -> None:
+def test_the_guide_lists_the_registered_ids() -> None:
     """All but TextArena's, of which it tells how they are named."""
     from gem_games._plugin import gem_register_agents, gem_register_envs
 
-    readme = Path(__file__).parents[1].joinpath("README.md").read_text(encoding="utf-8")
-    table = [line.split("`")[1] for line in readme.splitlines() if line.startswith("| `")]
+    guide = Path(__file__).parents[3].joinpath("docs", "games.md").read_text(encoding="utf-8")
+    table = [line.split("`")[1] for line in guide.splitlines() if line.startswith("| `")]
     games = [spec.id for spec in gem_register_envs() if spec.namespace == "game"]
     declared = games + [spec.name for spec in gem_register_agents()]
     assert table == declared

@@ -1,4 +1,4 @@
-"""The examples of the plugin's README run, and its tables say what there is."""
+"""The examples of the plugin's README and of its guide run, and the tables say what there is."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from gem_math.listing import math_specs
 from gem_math.math_env import MathEnv
 
 README = Path(__file__).parents[1].joinpath("README.md").read_text(encoding="utf-8")
-PYTHON = [block.code for block in extract_code_blocks(README, "python")]
+GUIDE = Path(__file__).parents[3].joinpath("docs", "mathematics.md").read_text(encoding="utf-8")
+PYTHON = [block.code for page in (README, GUIDE) for block in extract_code_blocks(page, "python")]
 COMMANDS = [
     line
     for block in extract_code_blocks(README, "console")

@@ -1,4 +1,4 @@
-"""The example of the README runs as it stands."""
+"""The example of the guide to search runs as it stands."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 
 from gem_core.parsing import extract_code_blocks
 
-README = Path(__file__).parent.parent / "README.md"
+GUIDE = Path(__file__).parents[3] / "docs" / "search.md"
 
 
 def test_the_search_example_runs(tmp_path: Path) -> None:
     """And solves its task."""
     code = next(
-        block.code for block in extract_code_blocks(README.read_text("utf-8"), "python") if "search" in block.code
+        block.code for block in extract_code_blocks(GUIDE.read_text("utf-8"), "python") if "search" in block.code
     )
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", code],

@@ -1,4 +1,4 @@
-"""The example of the README runs as it stands, and its configuration is read."""
+"""The example of the guide to MCP servers runs as it stands, and its configuration is read."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import pytest
 from gem_core.parsing import extract_code_blocks
 from gem_tools.mcp.config import read_config
 
-README = (Path(__file__).parent.parent / "README.md").read_text("utf-8").partition("## MCP servers")[2]
+GUIDE = (Path(__file__).parents[3] / "docs" / "mcp.md").read_text("utf-8")
 
 
 @pytest.mark.thorough
 def test_the_mcp_example_runs(tmp_path: Path) -> None:
     """And solves its task, after a call that the schema refuses."""
-    server, agent = (block.code for block in extract_code_blocks(README, "python"))
+    server, agent = (block.code for block in extract_code_blocks(GUIDE, "python"))
     (tmp_path / "notes.py").write_text(server, encoding="utf-8")
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", agent], cwd=tmp_path, capture_output=True, text=True, timeout=120
@@ -33,7 +33,7 @@ def test_the_mcp_example_runs(tmp_path: Path) -> None:
 
 def test_the_configuration_is_read(monkeypatch, tmp_path):
     monkeypatch.setenv("TICKETS_TOKEN", "t")
-    (example,) = (block.code for block in extract_code_blocks(README, "json"))
+    (example,) = (block.code for block in extract_code_blocks(GUIDE, "json"))
     path = tmp_path / "servers.json"
     path.write_text(example, encoding="utf-8")
     files, tickets = read_config(path)

@@ -1,0 +1,48 @@
+"""An extension of griffe, for what mkdocstrings would not understand of our docstrings.
+
+Blocks of code, which follow a line that ends with ``::``, become blocks of Markdown. A class that is called with its
+fields, as a NamedTuple or a model of pydantic, has attributes where its docstring says ``Args:``.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import textwrap
+from typing import Any
+
+import griffe  # type: ignore[import-not-found]
+
+BLOCK = re.compile(r"^(?P<indent> *)(?P<text>.*?):{2}\n\n?(?P<code>(?:(?P=indent) {4}.*\n?|[ ]*\n)+)", re.MULTILINE)
+
+
+class DocstringBlocks(griffe.Extension):  # type: ignore[misc]
+    """Rewrites docstrings before they are read."""
+
+    def on_instance(self, *, obj: Any, **_: Any) -> None:
+        """Rewrite the docstring of one module, class, function or attribute."""
+        if not obj.docstring:
+            return
+        obj.docstring.value = BLOCK.sub(fenced, obj.docstring.value)
+        if obj.is_class and "__init__" not in obj.members and not obj.decorators:
+            obj.docstring.value = re.sub(r"^Args:$", "Attributes:", obj.docstring.value, flags=re.MULTILINE)
+
+
+def fenced(match: re.Match[str]) -> str:
+    """Return a block between fences, with what comes before it."""
+    indent, text = match["indent"], match["text"]
+    code = textwrap.dedent(match["code"]).strip("\n")
+    before = f"{indent}{text}:\n\n" if text and text != "Example" else ""
+    lines = [f"```{language_of(code)}", *code.splitlines(), "```"]
+    return before + "".join(f"{indent}{line}".rstrip() + "\n" for line in lines) + "\n"
+
+
+def language_of(code: str) -> str:
+    """Return "python" for what is Python, "toml" for a table of TOML, otherwise "text"."""
+    if re.match(r"\[[\w.\"-]+\]\n", code):
+        return "toml"
+    try:
+        ast.parse(code)
+    except SyntaxError:
+        return "text"
+    return "python"

@@ -1,0 +1,82 @@
+"""The documentation's site: pages that are made by scripts, links between pages, and the check of the built site."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+
+def script(name: str) -> ModuleType:
+    """Return one of the scripts as a module."""
+    spec = importlib.util.spec_from_file_location(f"{name}_script", ROOT / "scripts" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_commands_are_described_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a narrow terminal too; after a change of a command, `make docs-pages` writes the page again."""
+    monkeypatch.setenv("COLUMNS", "40")
+    page = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
+    assert page == script("command_reference").page()
+
+
+def test_packages_are_described_as_they_are() -> None:
+    """Each package has its page, and none is left over; `make docs-pages` writes them again."""
+    folder = ROOT / "docs" / "reference"
+    pages = {path.name: path.read_text(encoding="utf-8") for path in folder.glob("*.md") if path.name != "commands.md"}
+    assert pages == script("api_reference").pages()
+
+
+@pytest.mark.parametrize(
+    ("place", "target", "on_site"),
+    [
+        ("docs/tools.md", "environments.md#seeds", "environments.md#seeds"),
+        ("docs/tools.md", "../plugins/gem-tau", "plugins/gem-tau/README.md"),
+        ("docs/tools.md", "../CHANGELOG.md", "changelog.md"),
+        ("docs/tools.md", "../examples/train_hf.py", "examples/train_hf.py.md"),
+        ("docs/tools.md", "gallery", "gallery/index.md"),
+        ("docs/reference/gem_core.md", "../tools.md", "../tools.md"),
+        ("plugins/gem-tau/README.md", "../../docs/tau.md", "../../tau.md"),
+        ("plugins/gem-tau/README.md", "../../README.md", "../../index.md"),
+        ("docs/tools.md", "https://example.org/a.md", "https://example.org/a.md"),
+        ("docs/tools.md", "#calls", "#calls"),
+    ],
+)
+def test_a_link_is_rewritten_for_the_site(place: str, target: str, on_site: str) -> None:
+    """What works between files of the repository works between pages of the site."""
+    hooks = script("site_hooks")
+    assert hooks.link_on_site(target, place, hooks.page_of(place)) == on_site
+
+
+def test_a_link_in_code_is_left_alone() -> None:
+    """Only links of the text are rewritten, also those whose text is code."""
+    hooks = script("site_hooks")
+    text = "[`a`](x.md) `[b](x.md)`\n\n```text\n[c](x.md)\n```\n"
+    assert hooks.rewrite_links(text, lambda target: "y.md") == text.replace("[`a`](x.md)", "[`a`](y.md)")
+
+
+def test_links_that_lead_nowhere_are_found(tmp_path: Path) -> None:
+    """A missing file, a missing anchor, and what a browser would load from another host; all else is right."""
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "index.html").write_text('<p id="here"><a href="../index.html#top">up</a></p>', encoding="utf-8")
+    (tmp_path / "index.html").write_text(
+        '<h1 id="top"></h1><a href="a/">a</a><a href="a/index.html#here">b</a><a href="#top">c</a>'
+        '<a href="https://example.org/">d</a><a href="b/">e</a><a href="a/index.html#there">f</a>'
+        '<script src="https://example.org/s.js"></script>',
+        encoding="utf-8",
+    )
+    assert script("check_site").check(tmp_path) == [
+        "index.html: b/: no such file",
+        "index.html: a/index.html#there: no such anchor",
+        "index.html: https://example.org/s.js: loaded from another host",
+    ]

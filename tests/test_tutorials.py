@@ -1,0 +1,184 @@
+"""Each tutorial is followed to the letter from an empty folder, and what it shows is what comes out.
+
+In a tutorial a block with a title is the file of that name; ``console`` blocks are typed, in one shell, from top to
+bottom; and a ``text`` block is the output of the block before it, in which ``…`` stands for anything. A ``console``
+block with a title is for elsewhere, as with a model or on a GPU.
+"""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import pytest
+from tutorial_steps import agrees, follow, shown_outputs, steps_of
+
+from gem_core.parsing import extract_code_blocks
+
+ROOT = Path(__file__).parent.parent
+TUTORIALS = {path.stem: path for path in sorted((ROOT / "docs" / "tutorials").glob("*.md")) if path.stem != "index"}
+NEEDS = {
+    "data-set": ("gem_core",),
+    "model": ("gem_games", "gem_openai", "gem_eval"),
+    "terminal-tasks": ("gem_terminal",),
+    "training": ("gem_train", "torch"),
+}
+"""Packages that a tutorial uses; the others need the games."""
+QUICK = {"first-episode"}
+"""Followed each time; all others with --thorough, since each command starts an interpreter."""
+ELSEWHERE = {
+    "Install",
+    "On a GPU",
+    "To PyPI",
+    "With a model",
+    "With a model of OpenAI",
+    "With vLLM, SGLang or another server of your own",
+}
+
+
+def text_of(name: str) -> str:
+    """Return a tutorial."""
+    return TUTORIALS[name].read_text(encoding="utf-8")
+
+
+def variables(folder: Path) -> dict[str, str]:
+    """Return an environment in which the commands of these tests' interpreter come first, and pip has no network."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("GEM_", "PYTEST_", "PIP_"))}
+    return kept | {
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+        "HOME": str(folder),
+        "PYTHONWARNINGS": "error",
+    }
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=() if name in QUICK else pytest.mark.thorough) for name in TUTORIALS if name != "plugin"],
+)
+def test_tutorial_works_to_the_letter(name: str, tmp_path: Path) -> None:
+    """Every command succeeds, and every output that is shown comes out."""
+    for package in NEEDS.get(name, ("gem_games",)):
+        pytest.importorskip(package)
+    if name == "terminal-tasks" and not shutil.which("bwrap"):
+        pytest.skip("without Docker it needs bubblewrap")
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    if name == "model":
+        shutil.copy(ROOT / "examples" / "scripted_server.py", folder)
+    steps = steps_of(text_of(name))
+    for shown, output in shown_outputs(steps, follow(steps, folder, variables(tmp_path))):
+        assert agrees(shown, output), f"shown:\n{shown}\ncame out:\n{output}"
+
+
+@pytest.mark.thorough
+def test_plugin_tutorial_ends_with_a_wheel_in_a_fresh_environment(tmp_path: Path) -> None:
+    """With real environments and a real wheel of the core; pip finds what the core needs without a network."""
+    wheels, needed, folder = tmp_path / "wheels", tmp_path / "needed", tmp_path / "empty"
+    for path in (wheels, needed, folder):
+        path.mkdir()
+    for path in Path(sysconfig.get_path("purelib")).iterdir():
+        if not path.name.startswith(("gem_", "_gem_", "__editable__", "_virtualenv", "pip")):
+            (needed / path.name).symlink_to(path)
+    build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "-w", str(wheels)]
+    subprocess.run([*build, str(ROOT)], check=True)
+    offline = {
+        "PYTHONPATH": str(needed),
+        "PIP_NO_INDEX": "1",
+        "PIP_FIND_LINKS": str(wheels),
+        "PIP_NO_BUILD_ISOLATION": "0",  # pip reads this variable the other way round
+        "PIP_DISABLE_PIP_VERSION_CHECK": "1",
+        "PYTHONWARNINGS": "",  # pip has some of its own
+    }
+    steps = steps_of(text_of("plugin"))
+    outputs = follow(steps, folder, variables(tmp_path) | offline)
+    for shown, output in shown_outputs(steps, outputs):
+        assert agrees(shown, output), f"shown:\n{shown}\ncame out:\n{output}"
+
+
+@pytest.mark.parametrize("name", TUTORIALS)
+def test_tutorial_is_short_and_complete(name: str) -> None:
+    """At most 900 words; it says what one has at the end and what to read next; all of its blocks are known."""
+    text = text_of(name)
+    assert len(text.split()) <= 900
+    assert "**At the end** " in text
+    assert "\n## Read next\n" in text
+    steps = steps_of(text)
+    assert len(steps) == len(extract_code_blocks(text))
+    for step in steps:
+        assert step.title or step.language in ("console", "text")
+        if step.language == "console" and step.title:
+            assert step.title in ELSEWHERE
+        if step.language == "python":
+            ast.parse(step.code)
+
+
+def test_every_tutorial_and_concept_is_in_its_index() -> None:
+    """With one line each."""
+    for folder, count in (("tutorials", 9), ("concepts", 7)):
+        index = (ROOT / "docs" / folder / "index.md").read_text(encoding="utf-8")
+        pages = {path.name for path in (ROOT / "docs" / folder).glob("*.md")} - {"index.md"}
+        assert set(re.findall(r"^\| \[[^\]]+\]\((\S+\.md)\) \| .+ \|$", index, re.MULTILINE)) == pages
+        assert len(pages) == count
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docs" / "concepts").glob("*.md")), ids=lambda path: path.stem)
+def test_concept_is_one_page_with_a_drawing(path: Path) -> None:
+    """At most 400 words, a drawing of its name, and a way to the details."""
+    text = path.read_text(encoding="utf-8")
+    assert len(text.split()) <= 400
+    if path.stem != "index":
+        assert f"](../images/concepts/{path.stem}.svg)" in text
+        assert "\n## More\n" in text
+
+
+def test_drawings_are_what_the_script_makes() -> None:
+    """Each is well-formed, says what it shows, and weighs at most 15 kB."""
+    done = subprocess.run(
+        [sys.executable, "scripts/drawings.py", "--check"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    drawings = sorted((ROOT / "docs" / "images" / "concepts").glob("*.svg"))
+    assert [path.stem for path in drawings] == sorted(
+        path.stem for path in (ROOT / "docs" / "concepts").glob("*.md") if path.stem != "index"
+    )
+    for path in drawings:
+        text = path.read_text(encoding="utf-8")
+        assert len(text) <= 15_000
+        assert re.search(r"<title id=.+</title>\n<desc id=.+</desc>", text)
+
+
+def test_style_examples_are_in_our_pages() -> None:
+    """The second version of each stands in the page that is named, and the first no longer does."""
+    parts = (ROOT / "docs" / "style.md").read_text(encoding="utf-8").split("\n### ")[1:]
+    assert len(parts) == 10
+    for part in parts:
+        before, after = (
+            re.sub(r"\s*\n> |^> ", " ", quote).strip() for quote in re.findall(r"(?:^> .+\n)+", part, re.M)
+        )
+        (link,) = re.findall(r"Before, in \[.+\]\((.+)\)", part)
+        page = " ".join((ROOT / "docs" / link).read_text(encoding="utf-8").split())
+        assert after in page
+        assert before not in page
+
+
+@pytest.mark.parametrize(
+    ("shown", "output", "same"),
+    [
+        ("a\n", "a\n\n", True),
+        ("a … c\n", "a b c\n", True),
+        ("a\n…\nz\n", "a\nb\nc\nz\n", True),
+        ("…\nz\n", "z\n", True),
+        ("a\n", "b\n", False),
+        ("a … c\n", "a b\nc\n", False),
+        ("a\n", "a\nb\n", False),
+    ],
+)
+def test_shown_output_is_compared(shown: str, output: str, same: bool) -> None:
+    """To the letter, but for what ``…`` stands for."""
+    assert agrees(shown, output) is same
