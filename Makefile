@@ -80,6 +80,13 @@ format: $(VENV)/.dev ## format the code, and mend what ruff can mend
 	@$(BIN)/ruff check --quiet --fix-only .
 	@$(BIN)/ruff format .
 
+.PHONY: wheels
+wheels: $(VENV)/.demo ## build the wheel of every distribution into dist/
+	$(call say,building gem-core and $(notdir $(PLUGINS)))
+	@rm -rf dist
+	$(call quietly,$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation -w dist . $(addprefix ./,$(PLUGINS)))
+	@ls dist
+
 .PHONY: bench
 bench: $(VENV)/.installed $(VENV)-peer/.installed $(VENV)-inspect/.installed ## measure beside gem-llm and inspect_ai; prints ratios
 	@for script in $(BENCHMARKS); do \
