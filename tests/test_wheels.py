@@ -100,10 +100,10 @@ def test_the_example_of_the_readme_runs_from_the_wheels(python: Path, tmp_path: 
 
 
 def test_every_plugin_is_found_in_its_wheel(python: Path, tmp_path: Path) -> None:
-    """With its commands, and without what its environments need."""
+    """And its environments are listed, without the packages that they need."""
     gem = python.parent / "gem"
-    done = run(gem, "plugins", "--check", cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = run(gem, "plugins", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
     for project in PROJECTS:
         name = "gem-core" if project == ROOT else project.name
         assert name in done.stdout

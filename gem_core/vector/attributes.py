@@ -156,15 +156,19 @@ class VectorAttributes:
         """Apply a function where a slot's environment lives, or is to be made."""
         slot = self._scheduler.slots[index]
         executor = self._scheduler.place(index, slot.own_id) if slot.phase is NEW else self._scheduler.at[index]
-        try:
-            return executor.apply(index, slot.own_id, slot.own_kwargs, function, *args)
-        except GemError:
-            raise
-        except Exception as error:
-            raise EnvFaultError(f"{slot.name()}: {Failure.of(error, args[0]).message}") from error
+        return executor.apply(index, slot.own_id, slot.own_kwargs, _apply, function, *args)
 
 
 # Applied to an environment where it lives, which may be another process.
+
+
+def _apply(env: AnyEnv, slot: int, function: Callable[..., Any], name: str, *args: Any) -> Any:
+    try:
+        return function(env, slot, name, *args)
+    except GemError:
+        raise
+    except Exception as error:
+        raise EnvFaultError(f"slot {slot}: {Failure.of(error, name).message}") from error
 
 
 def _get(env: AnyEnv, slot: int, name: str) -> Any:
