@@ -91,6 +91,13 @@ docs-pages: $(VENV)/.dev ## write the pages of the reference that are made from 
 	@$(BIN)/python scripts/command_reference.py
 	@$(BIN)/python scripts/api_reference.py
 
+.PHONY: wheels
+wheels: $(VENV)/.demo ## build the wheel of every distribution into dist/
+	$(call say,building gem-core and $(notdir $(PLUGINS)))
+	@rm -rf dist
+	$(call quietly,$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation -w dist . $(addprefix ./,$(PLUGINS)))
+	@ls dist
+
 .PHONY: bench
 bench: $(VENV)/.installed $(VENV)-peer/.installed $(VENV)-inspect/.installed ## measure beside gem-llm and inspect_ai; prints ratios
 	@for script in $(BENCHMARKS); do \

@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 CORE = ROOT / "gem_core"
 
 LAYERS = [
-    {"errors", "types", "parsing", "suggestions", "progress", "arguments", "background", "terminal"},
+    {"errors", "types", "parsing", "suggestions", "progress", "arguments", "background", "docs", "terminal"},
     {"registry"},
     {"_plugin"},
     {"env"},
@@ -23,6 +23,7 @@ LAYERS = [
     {"rollouts"},
     {"agents"},
     {"api"},
+    {"gymnasium_envs"},
     {"testing", "cli"},
 ]
 """From the bottom to the top. A room imports from its own layer and from those below."""

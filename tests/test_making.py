@@ -40,8 +40,8 @@ def test_render_mode_is_handled_by_make() -> None:
 def test_unknown_render_mode_is_refused() -> None:
     """A mode that the environment does not offer gives those it does."""
     with pytest.raises(ArgumentError) as caught:
-        gem.make("test:Guess-v3", render_mode="human")
-    assert str(caught.value) == "test:Guess-v3: no render mode 'human'; it offers 'ansi'"
+        gem.make("test:Guess-v3", render_mode="rgb_array")
+    assert str(caught.value) == "test:Guess-v3: no render mode 'rgb_array'; it offers 'ansi', 'human'"
 
 
 @pytest.mark.parametrize("when", ["before the first reset", "after the end"])

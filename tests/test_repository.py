@@ -152,6 +152,18 @@ def test_plugin_has_what_a_distribution_needs(plugin: Path):
 
 
 @pytest.mark.parametrize("folder", [ROOT, *PLUGINS], ids=lambda folder: folder.name)
+def test_distribution_names_its_version_licence_and_pages(folder: Path):
+    """The version of all, the one licence as a file, the documentation and the paper."""
+    project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    core = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["version"] == core["version"]
+    assert project["license-files"][0] == "LICENSE"
+    assert (folder / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
+    assert list(project["urls"]) == ["Documentation", "Paper"]
+    assert all(address.startswith("https://") for address in project["urls"].values())
+
+
+@pytest.mark.parametrize("folder", [ROOT, *PLUGINS], ids=lambda folder: folder.name)
 def test_wheel_holds_the_type_marker(folder: Path):
     """Users' type checkers read our annotations: each wheel has ``py.typed``, and the metadata says so."""
     wheel = pytest.importorskip("hatchling.builders.wheel", reason="what a wheel holds is asked of hatchling")

@@ -13,6 +13,7 @@ from held_envs import BEGUN, GATES, KINDS, LONG_S, register_held
 from toys import CountdownEnv, sampling_agent
 
 import gem_core as gem
+from gem_core.docs import page_url
 from gem_core.errors import ArgumentError, EnvFaultError, FaultBudgetError, RequestError, SamplingNotSupported
 from gem_core.records.plans import PlanItem
 from gem_core.rollouts.agent import Context
@@ -171,7 +172,8 @@ def test_actions_that_can_never_be_sampled_stop_the_run() -> None:
         list(gem.rollout("slots:Unsampled-v0", sampling_agent, plan=plan, seed=0))
     assert str(caught.value) == (
         "17 faults in a row without one finished episode; the last, in slots:Unsampled-v0: sample_random_action raised "
-        "RuntimeError: no idea. Mend the environment, or use on_error='raise' to see where it fails"
+        "RuntimeError: no idea. Mend the environment, or use on_error='raise' to see where it fails. "
+        f"See {page_url('vector-environments/#faults')}"
     )
 
 

@@ -7,8 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 from gem_core.arguments import signature_of
+from gem_core.docs import gallery_page, page_url
 from gem_core.errors import GemError
 from gem_core.registry.entry_points import load_entry_point
+from gem_core.registry.known_distributions import own_distributions
 from gem_core.registry.lookup import registry
 from gem_core.registry.plugins import Record
 from gem_core.registry.specs import AgentSpec, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
@@ -45,6 +47,7 @@ def describe_record(record: Record) -> dict[str, Any]:
             "tags": list(record.tags),
             "requires": list(record.requires),
             "deterministic": record.deterministic,
+            "page": page_of(record),
         }
     else:
         provider = next((plugin for plugin in registry().plugins() if record in plugin.records), None)
@@ -54,6 +57,13 @@ def describe_record(record: Record) -> dict[str, Any]:
         "entry_point": point if isinstance(point, str) else repr(point),
         "distribution": None if provider is None else provider.distribution,
     }
+
+
+def page_of(record: EnvSpec) -> str | None:
+    """Return the address of an environment's page in the gallery; None where another project offers it."""
+    provider = registry().provider(record.id)
+    ours = provider is not None and provider.distribution in own_distributions()
+    return page_url(gallery_page(record.id)) if ours else None
 
 
 def describe_in_full(record: NamedSpec) -> dict[str, Any]:

@@ -68,6 +68,7 @@ def _describe_env(record: EnvSpec, as_json: bool) -> None:
     _print_field("repeatable", "yes, by seed and actions" if record.deterministic else "no")
     _print_field("offered by", facts["distribution"] or "this program")
     _print_field("entry point", facts["entry_point"])
+    _print_field("page", facts["page"])
     _print_field("missing", list(missing.values()))
     if not missing:
         _print_class(record)
@@ -144,7 +145,11 @@ def _print_field(label: str, value: str | list[str] | None) -> None:
     lines = [value] if isinstance(value, str) and value else value or []
     width = output_width()
     if width is not None:
-        lines = [piece for line in lines for piece in textwrap.wrap(line, max(width - 16, 20), break_long_words=False)]
+        lines = [
+            piece
+            for line in lines
+            for piece in textwrap.wrap(line, max(width - 16, 20), break_long_words=False, break_on_hyphens=False)
+        ]
     for number, line in enumerate(lines):
         head = f"{label}:" if number == 0 else ""
         click.echo(f"  {head:<14}{line}")

@@ -11,6 +11,7 @@ import click
 from gem_core.cli.completion import complete_env_ids
 from gem_core.cli.descriptions import KINDS, describe_record
 from gem_core.cli.layout import cut_at_word, output_width
+from gem_core.docs import page_url
 from gem_core.errors import UnknownEnvError
 from gem_core.registry.lookup import registry
 from gem_core.registry.plugins import Plugin, Record
@@ -57,6 +58,8 @@ def command(pattern: str | None, show_all: bool, as_json: bool) -> None:
         _print_overview(registry().envs())
     else:
         _print_rows(map(_row, records))
+        if output_width() is not None and any(isinstance(record, EnvSpec) for record in records):
+            click.echo(click.style(f"\n{_gallery_line()}", dim=True))
 
 
 def matching(pattern: str | None) -> list[EnvSpec]:
@@ -122,8 +125,15 @@ def _print_overview(envs: list[EnvSpec]) -> None:
     others["commands"] = [record.name for record in offered if isinstance(record, CommandSpec)]
     _print_rows((word, ", ".join(names)) for word, names in others.items() if names)
     click.echo(
-        click.style(f"\n'gem list {next(iter(members))}' shows a namespace, 'gem list --all' every id.", dim=True)
+        click.style(
+            f"\n'gem list {next(iter(members))}' shows a namespace, 'gem list --all' every id.\n{_gallery_line()}",
+            dim=True,
+        )
     )
+
+
+def _gallery_line() -> str:
+    return f"Each family, with episodes to look at: {page_url('gallery/')}"
 
 
 def _print_rows(pairs: Iterable[tuple[str, str]]) -> None:

@@ -80,7 +80,10 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
     endless_tasks: bool = False
     """Whether ``options={"index": i}`` also takes numbers from ``num_tasks`` up, for fresh tasks of later epochs."""
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium declares it as an instance attribute
+    # Frames a second: what Gymnasium's checker asks of whatever can be rendered; text has none.
+    metadata: dict[str, Any] = {"render_modes": ["ansi", "human"], "render_fps": 4}  # noqa: RUF012 - as in Gymnasium
+    """The render modes that ``make`` offers: a text of the state, returned by ``render`` or printed at every step."""
+
     spec: EnvRecipe | None = None
 
     _generator: np.random.Generator | None = None
@@ -159,6 +162,14 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
 
         Returns:
             A whole response, as an agent would write it; None where no solution is known.
+        """
+        return None
+
+    def render(self) -> Any:
+        """Return a drawing of the present state as text, over several lines, for people; no agent sees it.
+
+        Returns:
+            The text; None where the last observation shows all that there is to see, and without a render mode.
         """
         return None
 

@@ -80,6 +80,9 @@ class MultiAgentEnv(Env):
     A response is untrusted text of a model: one that cannot be read is an observation for that agent, never an error.
     """
 
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as in Gymnasium
+    """List ``"ansi"`` and ``"human"`` where ``render`` returns a text; in the mode ``"human"`` it is printed here."""
+
     possible_agents: Sequence[str] = ()
     """Every agent that may take part, in the order of their turns."""
 
@@ -320,6 +323,10 @@ class MultiAgentEnv(Env):
             rewards[agent], turns.unpaid[agent] = turns.unpaid[agent], 0.0
             infos[agent], turns.news[agent] = turns.news[agent], {}
         observations = {agent: checked_observation(name, agent, self.observe(agent)) for agent in acting}
+        if self.render_mode == "human" and isinstance(drawing := self.render(), str):
+            from gem_core.terminal import Terminal
+
+            Terminal().show_drawing(drawing)
         return observations, rewards, dict(self.terminations), dict(self.truncations), infos
 
 

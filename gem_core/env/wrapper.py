@@ -10,6 +10,7 @@ import gymnasium
 
 from gem_core.arguments import RemembersArguments, signature_of
 from gem_core.background import in_thread, on_library_loop, run_sync
+from gem_core.docs import page_url
 from gem_core.env.base import AsyncEnv, Env, reset_arguments
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.results import refuse_action
@@ -53,7 +54,8 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         if isinstance(env, MultiAgentEnv) and type(self).step is Wrapper.step:  # its hooks take one agent's results
             raise ArgumentError(
                 f"{type(self).__name__} goes around a seat, and several agents act here; give wrappers to make, as in "
-                f"make(id, wrappers={{{next(iter(env.possible_agents), 'seat')!r}: [{type(self).__name__}]}})"
+                f"make(id, wrappers={{{next(iter(env.possible_agents), 'seat')!r}: [{type(self).__name__}]}}). "
+                f"See {page_url('several-agents/#wrappers-around-seats')}"
             )
         super().__init__(env)
 

@@ -11,6 +11,7 @@ from typing import Any, cast
 import gymnasium
 
 from gem_core.arguments import check_arguments
+from gem_core.env.base import Env
 from gem_core.env.guard import Guard
 from gem_core.env.joint_checks import check_seats
 from gem_core.env.multi_agent import MultiAgentEnv
@@ -23,6 +24,7 @@ from gem_core.registry.entry_points import call_entry_point, load_entry_point
 from gem_core.registry.lookup import registry
 from gem_core.registry.requirements import check_requirements
 from gem_core.registry.specs import EnvSpec
+from gem_core.wrappers.rendering import TEXT_MODES, Rendered
 from gem_core.wrappers.turn_limit import TurnLimit
 
 
@@ -92,13 +94,9 @@ def make_from(record: EnvSpec, kwargs: Mapping[str, Any], *wrappers: Wrappers) -
 def _finish_env(env: AnyEnv, record: EnvSpec, arguments: dict[str, Any], render_mode: str | None) -> AnyEnv:
     """Give a task its render mode, record and guard; one of several agents guards itself."""
     task = env.unwrapped
+    as_text = False
     if render_mode is not None:
-        modes = task.metadata.get("render_modes", [])
-        if render_mode not in modes:
-            raise ArgumentError(
-                f"{record.id}: no render mode {render_mode!r}; it offers {', '.join(map(repr, modes)) or 'none'}"
-            )
-        task.render_mode = render_mode
+        as_text = _set_render_mode(task, render_mode, record)
         arguments = {**arguments, "render_mode": render_mode}
     task.spec = _made_spec(record, arguments)
     if isinstance(task, MultiAgentEnv):
@@ -107,7 +105,23 @@ def _finish_env(env: AnyEnv, record: EnvSpec, arguments: dict[str, Any], render_
     if record.max_turns is not None:
         guarded = TurnLimit(guarded, max_turns=record.max_turns)
         guarded.implicit = True
-    return guarded
+    return Rendered(guarded, cast("str", render_mode)) if as_text else guarded
+
+
+def _set_render_mode(task: AnyEnv, render_mode: str, record: EnvSpec) -> bool:
+    """Set the render mode of a task; tell whether ``Rendered`` is to show its text."""
+    own: list[str] = task.metadata.get("render_modes", [])
+    several = isinstance(task, MultiAgentEnv)
+    modes = own if several else list(dict.fromkeys([*own, *TEXT_MODES]))
+    if render_mode not in modes:
+        raise ArgumentError(
+            f"{record.id}: no render mode {render_mode!r}; it offers {', '.join(map(repr, modes)) or 'none'}"
+        )
+    # A class that lists "human" itself also shows itself, as Gymnasium's do.
+    shows_itself = render_mode == "human" and "human" in own and task.metadata is not Env.metadata
+    as_text = render_mode in TEXT_MODES and not several and not shows_itself
+    task.render_mode = "ansi" if as_text else render_mode
+    return as_text
 
 
 def wrap(env: AnyEnv, wrappers: Wrappers) -> AnyEnv:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("namespace", "game"): ("gem-games",),
     ("namespace", "ta"): ("gem-games",),
@@ -57,6 +59,12 @@ KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
     ("command", "terminal"): ("gem-terminal",),
 }
 """By kind of record, as its ``kind`` says it (environments by namespace), and name."""
+
+
+@cache
+def own_distributions() -> frozenset[str]:
+    """Return the names of this project's distributions that offer something."""
+    return frozenset(owner for owners in KNOWN_DISTRIBUTIONS.values() for owner in owners)
 
 
 def distributions_with(name: str, kind: str | None = None) -> list[str]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import inspect
+import io
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import redirect_stdout
 from typing import Any
 
 import numpy as np
@@ -239,7 +241,8 @@ def gymnasium(subject: Subject) -> Iterator[str]:
 
     task = subject.new().unwrapped
     task.action_space.seed(subject.limits.seed)
-    with warnings.catch_warnings(record=True) as caught:
+    # It renders in every mode, and "human" prints.
+    with warnings.catch_warnings(record=True) as caught, redirect_stdout(io.StringIO()):
         warnings.simplefilter("always")
         try:
             subject.called("gymnasium's check_env", gymnasium_check, task)

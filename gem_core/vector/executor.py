@@ -6,7 +6,7 @@ import mmap
 import os
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, Protocol
 
@@ -71,6 +71,20 @@ class Executor(ABC):
     def tasks(self, slot: int, env_id: str | None, kwargs: Mapping[str, Any]) -> tuple[int | None, bool]:
         """Return ``num_tasks`` and ``endless_tasks`` of an environment; make it if the slot does not have it."""
         return self.runners[slot].tasks(env_id, kwargs)
+
+    def apply(
+        self, slot: int, env_id: str | None, kwargs: Mapping[str, Any], function: Callable[..., Any], *args: Any
+    ) -> Any:
+        """Return ``function(env, slot, *args)`` for a slot's environment; make that of the id if there is none.
+
+        Args:
+            slot: Number of the slot, without a command under way.
+            env_id: Id of the slot's own environment.
+            kwargs: Keyword arguments of that environment.
+            function: A function of a module, so that it can be sent to another process.
+            *args: What it takes besides.
+        """
+        return self.runners[slot].apply(env_id, kwargs, function, *args)
 
     # For step_timeout.
 

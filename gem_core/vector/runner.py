@@ -13,7 +13,9 @@ from gem_core.env.guard import Guard
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.results import checked_reset, checked_result
 from gem_core.env.seeding import checked_seed, stable_hash
+from gem_core.env.spec import EnvRecipe
 from gem_core.env.wrapper import AnyEnv, concurrency_of, reset_async, step_async
+from gem_core.errors import ArgumentError
 from gem_core.types import Action, Concurrency, ResetResult, StepResult
 from gem_core.vector.commands import Command, Failure, Outcome, Rebuild, Reset
 from gem_core.vector.joint import joint_reset, joint_step
@@ -185,6 +187,10 @@ class EnvRunner:
         spec = None if env is None else env.spec
         if spec is None:
             return {"id": None if env is None else type(env.unwrapped).__name__, "kwargs": {}, "wrappers": []}
+        if not isinstance(spec, EnvRecipe):
+            raise ArgumentError(
+                f"{spec.id} was made by gymnasium.make; a record needs what gem_core.make returns, or the id alone"
+            )
         return {"id": spec.id, "kwargs": spec.overrides(), "wrappers": spec.listed_wrappers()}
 
     def tasks(self, env_id: str | None, kwargs: Mapping[str, Any]) -> tuple[int | None, bool]:
@@ -194,6 +200,13 @@ class EnvRunner:
             raise cast("BaseException", failure.error)
         task = cast("Any", self.env).unwrapped
         return task.num_tasks, task.endless_tasks
+
+    def apply(self, env_id: str | None, kwargs: Mapping[str, Any], function: Callable[..., Any], *args: Any) -> Any:
+        """Return ``function(env, slot, *args)``; make the environment of the id if there is none."""
+        failure = self.prepare(env_id, kwargs) if self.env is None else None
+        if failure is not None:
+            raise cast("BaseException", failure.error)
+        return function(self.env, self.slot, *args)
 
     def failed(self, error: BaseException, where: str) -> Failure:
         """Close the environment after an exception; return the failure."""

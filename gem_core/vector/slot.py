@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, cast, get_args
 
+from gem_core.docs import page_url
 from gem_core.errors import ArgumentError, EnvFaultError, FaultBudgetError, ResetNeededError
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
 from gem_core.types import TERMINAL_STATE, Action, Info, Observation, StepResult
@@ -68,7 +69,7 @@ class FaultBudget:
                     advice = "It is the agent that fails, or the server that it asks, not the environment"
                 raise FaultBudgetError(
                     f"{self._in_a_row} faults in a row without one finished episode; the last, in {what}: "
-                    f"{error.get('message', error)}. {advice}"
+                    f"{error.get('message', error)}. {advice}. See {page_url('vector-environments/#faults')}"
                 )
 
 
@@ -188,7 +189,8 @@ class Slot:
         if self.phase is ENDED and self.rules.autoreset == "disabled":
             raise ResetNeededError(
                 f"the episode of slot {self.index} is over, and autoreset is disabled; "
-                "call reset(options={'reset_mask': …}) before the next step()"
+                "call reset(options={'reset_mask': …}) before the next step(). "
+                f"See {page_url('vector-environments/#when-episodes-end')}"
             )
 
     def next_episode(self) -> Command | None:

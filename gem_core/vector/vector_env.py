@@ -17,6 +17,7 @@ from gem_core.errors import ArgumentError, BridgeError, ClosedError, EnvFaultErr
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
 from gem_core.types import Action, Info, Observation
 from gem_core.vector.actions import Actions, Received, VectorStep, checked_slot, indices_and_actions, masked_slots
+from gem_core.vector.attributes import VectorAttributes
 from gem_core.vector.call import InterruptibleCall
 from gem_core.vector.commands import Failure
 from gem_core.vector.executor import Executor
@@ -24,14 +25,14 @@ from gem_core.vector.joint import check_joint_action
 from gem_core.vector.local import LocalExecutor, SyncExecutor
 from gem_core.vector.scheduler import Batch, First, Scheduler, StepBatch
 from gem_core.vector.setup import VectorSetup
-from gem_core.vector.slot import LIVE, Autoreset, OnError, Slot
+from gem_core.vector.slot import LIVE, OnError, Slot
 from gem_core.vector.waiting import Condition, Signal
 
 
-class VectorEnv:
+class VectorEnv(VectorAttributes):
     """Many environments that are reset and stepped together, each in its own slot; ``make_vec`` makes one.
 
-    It is not a ``gymnasium.vector.VectorEnv``: texts and infos are lists.
+    It is not a ``gymnasium.vector.VectorEnv``: texts and infos are lists. It has the same attributes.
 
     When an episode ends, the next begins in the same call (autoreset ``same_step``): the observation is the first of
     the new episode, and ``info["final_obs"]`` and ``info["final_info"]`` hold the last of the old one. If an
@@ -52,9 +53,6 @@ class VectorEnv:
         executors: Executors in which environments live.
         executor_of: Returns the number of the executor for an id, if there are several.
     """
-
-    ids: list[str | None]
-    """The id of each slot's own environment."""
 
     entries: list[tuple[str | None, Mapping[str, Any]]]
     """The requested ids with their keyword arguments, each once; there may be more of them than slots."""
@@ -116,11 +114,6 @@ class VectorEnv:
         return self._scheduler.signal
 
     @property
-    def num_envs(self) -> int:
-        """Number of slots."""
-        return len(self.ids)
-
-    @property
     def seed(self) -> int:
         """Seed of the run, from which the seed of each episode is derived."""
         return self._scheduler.rules.source.seed
@@ -129,11 +122,6 @@ class VectorEnv:
     def faults(self) -> int:
         """Number of environments that failed so far."""
         return self._scheduler.rules.budget.total
-
-    @property
-    def autoreset(self) -> Autoreset:
-        """When the next episode begins; see ``make_vec``."""
-        return self._scheduler.rules.autoreset
 
     @property
     def on_error(self) -> OnError:

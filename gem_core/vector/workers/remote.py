@@ -8,7 +8,7 @@ import threading
 import time
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self, cast
 
@@ -197,6 +197,12 @@ class RemoteExecutor(Executor, ABC):
     def tasks(self, slot: int, env_id: str | None, kwargs: Mapping[str, Any]) -> tuple[int | None, bool]:
         """Return ``num_tasks`` and ``endless_tasks``; see ``Executor.tasks``."""
         return cast("tuple[int | None, bool]", self._call(slot, "tasks", env_id, kwargs, record_of=env_id))
+
+    def apply(
+        self, slot: int, env_id: str | None, kwargs: Mapping[str, Any], function: Callable[..., Any], *args: Any
+    ) -> Any:
+        """Return what a function of the environment returns, a copy from its worker; see ``Executor.apply``."""
+        return self._call(slot, "apply", env_id, dict(kwargs), function, *args, record_of=env_id)
 
     def describe(self, slot: int) -> dict[str, Any]:
         """Return the description of a slot's environment that its worker sent when it was made."""

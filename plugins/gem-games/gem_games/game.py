@@ -87,8 +87,6 @@ class Game(Env):
     Source: the reward of each case is that of https://github.com/axon-rl/gem.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["ansi"]}  # noqa: RUF012 - Gymnasium declares it without ClassVar
-
     format_error_reward: float = FORMAT_ERROR_REWARD
     unreadable: str = "cannot be read."
     """Says, behind the content of a box, why ``_read`` made nothing of it."""

@@ -42,7 +42,7 @@ class JointGame(MultiAgentEnv):
     from a loss.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["ansi"]}  # noqa: RUF012 - Gymnasium declares it without ClassVar
+    metadata: dict[str, Any] = {"render_modes": ["ansi", "human"]}  # noqa: RUF012 - Gymnasium declares it without ClassVar
 
     stake: int = 1
     """What a seat that forfeits loses over the whole game, and the other wins: the most that can be lost."""
@@ -190,8 +190,8 @@ class JointGame(MultiAgentEnv):
         return f"\\boxed{{{self._random_answer(agent)}}}"
 
     def render(self) -> str | None:
-        """Draw the game as text with ANSI colours, if it was made with ``render_mode="ansi"``."""
-        if self.render_mode != "ansi":
+        """Draw the game as text with ANSI colours, if it was made with a ``render_mode``."""
+        if self.render_mode is None:
             return None
         if not self._heard:
             return "The game has not begun."

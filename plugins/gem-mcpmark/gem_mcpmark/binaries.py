@@ -7,6 +7,7 @@ import re
 import shutil
 from pathlib import Path
 
+from gem_core.docs import page_url
 from gem_core.errors import MissingRequirementError
 
 SERVER_VARIABLE = "GEM_MCPMARK_POSTGRES"
@@ -14,7 +15,8 @@ SERVER_VARIABLE = "GEM_MCPMARK_POSTGRES"
 
 ADVICE = (
     "it needs PostgreSQL 13 or newer: install your system's package 'postgresql' (apt-get install postgresql), or name "
-    f"a server of yours with {SERVER_VARIABLE}=postgresql://postgres:password@localhost:5432"
+    f"a server of yours with {SERVER_VARIABLE}=postgresql://postgres:password@localhost:5432. "
+    f"See {page_url('mcpmark/#the-server')}"
 )
 _PLACES = ("/usr/lib/postgresql/*/bin", "/usr/pgsql-*/bin", "/opt/homebrew/opt/postgresql@*/bin")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from gem_core import RequirementStatus
+from gem_core.docs import page_url
 from gem_terminal.errors import EngineError
 
 
@@ -31,5 +32,5 @@ def _status(met: str, unmet: str, check: Callable[[], object]) -> RequirementSta
     try:
         check()
     except EngineError as error:
-        return RequirementStatus("unmet", unmet, str(error))
+        return RequirementStatus("unmet", unmet, f"{error}. See {page_url('terminal/#backends')}")
     return RequirementStatus("met", met)

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from python_levels import why_not
 
+from gem_core.docs import page_url
 from gem_core.errors import MissingRequirementError
 from gem_tools.python import Limits, Pool, levels, starting
 from gem_tools.python import docker as docker_words
@@ -78,7 +79,7 @@ def test_a_level_that_is_missing_is_an_error(unknown: None, monkeypatch: pytest.
         Pool("bubblewrap", num_workers=1).run("")
     assert str(caught.value) == (
         "the Python sandbox 'bubblewrap' cannot run here: bubblewrap is not on the PATH: "
-        "install the package 'bubblewrap' of your system"
+        f"install the package 'bubblewrap' of your system. See {page_url('tools/#python')}"
     )
     with pytest.raises(MissingRequirementError) as caught:
         Pool("docker", num_workers=1).run("")

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from gem_core.docs import page_url
 from gem_core.errors import ArgumentError
 from gem_core.suggestions import did_you_mean
 from gem_terminal.errors import EngineError
@@ -61,7 +62,10 @@ def _chosen(choice: str, build_args: dict[str, str]) -> Backend:
         try:
             return _local()
         except EngineError as no_local:
-            raise EngineError(f"no terminal task can run here. Docker: {no_docker}. Local: {no_local}") from no_local
+            raise EngineError(
+                f"no terminal task can run here. Docker: {no_docker}. Local: {no_local}. "
+                f"See {page_url('terminal/#backends')}"
+            ) from no_local
 
 
 def _docker(build_args: dict[str, str]) -> Backend:

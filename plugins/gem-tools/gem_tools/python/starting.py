@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from gem_core.docs import page_url
 from gem_core.errors import ArgumentError, MissingRequirementError
 from gem_tools.python import docker
 from gem_tools.python.cell import Cell
@@ -108,7 +109,9 @@ async def chosen(sandbox: str, settings: Mapping[str, Any]) -> Chosen:
         else:
             return dataclasses.replace(found, passed_over=passed_over)
     reasons = "; ".join(f"{level}: {reason}" if sandbox == AUTO else reason for level, reason in passed_over.items())
-    raise MissingRequirementError(f"the Python sandbox {sandbox!r} cannot run here: {reasons}")
+    raise MissingRequirementError(
+        f"the Python sandbox {sandbox!r} cannot run here: {reasons}. See {page_url('tools/#python')}"
+    )
 
 
 async def _found(level: str, settings: Mapping[str, Any]) -> Chosen:

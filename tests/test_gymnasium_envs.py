@@ -1,0 +1,119 @@
+"""Environments of GEM by ``gymnasium.make``."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import pytest
+from distributions import install, python
+from gymnasium.utils.env_checker import check_env
+
+import gem_core as gem
+import gem_core.gymnasium_envs
+from gem_core.errors import ArgumentError
+from gem_core.gymnasium_envs import gymnasium_id
+
+COUNTDOWN = "GEM/toy.Countdown-v0"
+
+
+@pytest.fixture(autouse=True)
+def registered() -> None:
+    """The toys are in Gymnasium's table, though they were registered after the module was imported."""
+    gem_core.gymnasium_envs.register()
+
+
+def test_importing_the_module_is_all_that_is_needed() -> None:
+    """By Gymnasium's own way, in which an id names the module."""
+    pytest.importorskip("gem_games", reason="it makes a game; install plugins/gem-games")
+    code = "import gymnasium; print(gymnasium.make('gem_core.gymnasium_envs:GEM/game.Sudoku-v0-easy').spec.id)"
+    done = python(code, [])
+    assert (done.stdout, done.stderr) == ("GEM/game.Sudoku-v0-easy\n", "")
+
+
+def test_an_episode_is_that_of_gem_without_a_warning() -> None:
+    """Gymnasium's passive checker and its order enforcer are around it, and find nothing to say."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        theirs = gymnasium.make(COUNTDOWN, render_mode="ansi")
+        ours = gem.make("toy:Countdown-v0")
+        assert theirs.reset(seed=3) == ours.reset(seed=3)
+        action = ours.get_wrapper_attr("sample_random_action")()
+        assert theirs.unwrapped.sample_random_action() == action  # type: ignore[attr-defined]
+        assert theirs.step(action) == ours.step(action)
+        assert isinstance(theirs.render(), str)
+
+
+def test_gymnasium_checks_it() -> None:
+    """Its strict checker passes, every render mode included."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gymnasium.make(COUNTDOWN).unwrapped)
+
+
+def test_arguments_wrappers_and_limits_pass_through() -> None:
+    """Those of the environment and of ``gem.make`` inwards, Gymnasium's own to Gymnasium."""
+    env = gymnasium.make(COUNTDOWN, longest=9, wrappers="concat", max_episode_steps=1)
+    assert env.spec is not None
+    assert env.spec.kwargs == {"gem_id": "toy:Countdown-v0", "longest": 9, "wrappers": "concat"}
+    env.reset(seed=1)
+    assert env.step("nothing")[2:4] == (False, True)
+    with pytest.raises(ArgumentError, match="got an unexpected keyword argument 'shortest'"):
+        gymnasium.make(COUNTDOWN, shortest=1)
+
+
+def test_the_spec_is_gymnasiums_and_makes_the_same_again() -> None:
+    """Also as JSON."""
+    env: Any = gymnasium.make(COUNTDOWN, longest=9)
+    assert env.spec.id == COUNTDOWN
+    again = gymnasium.make(type(env.spec).from_json(env.spec.to_json()))
+    assert again.reset(seed=5) == env.reset(seed=5)
+    assert gymnasium.spec(COUNTDOWN).nondeterministic is False
+
+
+def test_several_at_once() -> None:
+    """In Gymnasium's vector environments, which write into the metadata of what they are given."""
+    before = dict(gem.Env.metadata)
+    vector = gymnasium.make_vec(COUNTDOWN, num_envs=2)
+    observations, _ = vector.reset(seed=1)
+    alone, _ = gem.make("toy:Countdown-v0").reset(seed=2)
+    assert observations[1] == alone
+    assert gem.Env.metadata == before
+
+
+def test_a_misspelt_id_gets_gymnasiums_own_advice() -> None:
+    """It knows all ids."""
+    with pytest.raises(gymnasium.error.NameNotFound, match=r"Did you mean: `toy.Countdown`\?"):
+        gymnasium.make("GEM/toy.Countdwn-v0")
+
+
+def test_every_id_has_one_of_its_own_in_gymnasium() -> None:
+    """No two map to the same; those of several agents are left out."""
+    records = [gem.spec(env_id) for env_id in gem.list_envs()]
+    alone = [record.id for record in records if not record.seats]
+    assert len({gymnasium_id(env_id) for env_id in alone}) == len(alone)
+    assert {gymnasium_id(env_id) for env_id in alone} <= set(gymnasium.registry)
+    assert not {gymnasium_id(record.id) for record in records if record.seats} & set(gymnasium.registry)
+
+
+def test_a_broken_plugin_breaks_none_of_it(tmp_path: Path) -> None:
+    """It is reported in one line, as by ``gem``; the others' environments are there."""
+    sites = [install(case, tmp_path) for case in ("fine", "import_error")]
+    code = "import gymnasium, gem_core.gymnasium_envs; print(gymnasium.spec('GEM/fine.One-v0').id)"
+    done = python(code, sites)
+    assert done.stdout == "GEM/fine.One-v0\n"
+    assert [line for line in done.stderr.splitlines() if "gem-import-error" not in line] == []
+
+
+def test_importing_gymnasium_alone_costs_nothing() -> None:
+    """It loads no entry points: nothing of GEM is imported before somebody asks for it."""
+    done = python("import gymnasium, sys; print([name for name in sys.modules if name.startswith('gem_')])", [])
+    assert done.stdout == "[]\n"
+
+
+def test_a_rollout_says_what_it_needs() -> None:
+    """A record holds what ``gem.make`` was given."""
+    with pytest.raises(ArgumentError, match=r"^GEM/toy.Countdown-v0 was made by gymnasium.make; a record needs what"):
+        list(gem.rollout(gymnasium.make(COUNTDOWN), "random", episodes=1))
