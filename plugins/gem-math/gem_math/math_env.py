@@ -24,6 +24,8 @@ _looked_at: collections.OrderedDict[tuple[int, str], Any] = collections.OrderedD
 class MathEnv(DatasetEnv):
     r"""Asks a problem and grades the answer in the last ``\boxed{}``, or ``<answer>``, of the response.
 
+    A right answer has the reward 1, anything else 0, unless the arguments below change that.
+
     ``info`` holds the verdict (``correct``), what was read out of the response (``parsed_action``) and the ``reason``::
 
         register("math:Mine", "gem_math:MathEnv", dataset_name="mine.jsonl", question_key="problem")

@@ -68,6 +68,12 @@ class _BoardEnv(_ClassicEnv):
 class TicTacToeEnv(_BoardEnv):
     """PettingZoo's ``tictactoe_v3``.
 
+    - The game is won: reward 1 for the winner, and -1 for the other player.
+    - A draw, and every move before the end: reward 0.
+
+    A response without a legal move is answered to that player alone, who tries again. After ``retries`` more in a row
+    the player forfeits: reward -1, nothing for the other one, and the game is over.
+
     Args:
         retries: How often a player may try again after a response without a legal move, before it forfeits.
     """
@@ -88,6 +94,12 @@ class TicTacToeEnv(_BoardEnv):
 class ConnectFourEnv(_BoardEnv):
     """PettingZoo's ``connect_four_v3``.
 
+    - The game is won: reward 1 for the winner, and -1 for the other player.
+    - A draw, and every move before the end: reward 0.
+
+    A response without a legal move is answered to that player alone, who tries again. After ``retries`` more in a row
+    the player forfeits: reward -1, nothing for the other one, and the game is over.
+
     Args:
         retries: How often a player may try again after a response without a legal move, before it forfeits.
     """
@@ -106,6 +118,11 @@ class ConnectFourEnv(_BoardEnv):
 
 class RockPaperScissorsEnv(_ClassicEnv):
     """PettingZoo's ``rps_v2``: both choose at once, round after round.
+
+    - In each round 1 for the winner and -1 for the other player; 0 for both if they chose alike.
+
+    A response without a gesture is answered to that player alone, who tries again. After ``retries`` more in a row
+    the player forfeits: reward -1, nothing for the other one, and the game is over.
 
     Args:
         num_actions: Odd number of gestures, 3 or more; with 5 there are Spock and lizard.

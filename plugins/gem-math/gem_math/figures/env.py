@@ -38,6 +38,8 @@ class FigureOptions(DatasetOptions, total=False):
 class FigureEnv(MathEnv):
     r"""Asks a problem with images: the observation is a list of content parts, and answers are graded as ``MathEnv``'s.
 
+    A right answer has the reward 1, anything else 0, unless keywords of ``MathEnv`` change that.
+
     Each ``<image>`` in the prompt stands for the next image of the row; images that no place is left for come first.
 
     Args:

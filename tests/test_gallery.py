@@ -1,0 +1,135 @@
+"""The gallery of the documentation: a page for each environment, as ``scripts/gallery.py`` writes it."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from xml.etree import ElementTree
+
+import pytest
+
+from gem_core.docs import gallery_page
+from gem_core.registry import registry
+from gem_core.registry.known_distributions import KNOWN_DISTRIBUTIONS
+
+DOCS = Path(__file__).parent.parent / "docs"
+SCRIPTS = Path(__file__).parent.parent / "scripts"
+PLUGINS = sorted({name for (kind, _), names in KNOWN_DISTRIBUTIONS.items() if kind == "namespace" for name in names})
+for plugin in PLUGINS:
+    pytest.importorskip(plugin.replace("-", "_"), reason=f"the gallery shows all plugins; install plugins/{plugin}")
+
+
+@pytest.fixture(scope="module")
+def gallery() -> Iterator[ModuleType]:
+    """Return the script as a module."""
+    sys.path.insert(0, str(SCRIPTS))
+    try:
+        yield import_module("gallery")
+    finally:
+        sys.path.remove(str(SCRIPTS))
+
+
+@pytest.fixture(scope="module")
+def rendered(gallery: ModuleType) -> dict[str, str]:
+    """Return what the script writes."""
+    pages: dict[str, str] = gallery.render()
+    return pages
+
+
+def drawing() -> ModuleType:
+    """Return the module that draws."""
+    return import_module("gallery_drawing")
+
+
+@pytest.mark.parametrize(
+    ("env_id", "page"),
+    [
+        ("game:GuessTheNumber-v0-hard", "gallery/game/guess-the-number/"),
+        ("game:TowerofHanoi-v0-easy", "gallery/game/towerof-hanoi/"),
+        ("math:GSM8K", "gallery/math/gsm8k/"),
+        ("eval:MATH500", "gallery/eval/math500/"),
+        ("pz:connect_four-v3", "gallery/pz/connect-four/"),
+        ("tau:Sample-solo", "gallery/tau/sample-solo/"),
+        ("rg:chain_sum", "gallery/rg/"),
+        ("ta:Chess-v0-long-multi", "gallery/ta/"),
+    ],
+)
+def test_versions_and_variants_share_a_page(env_id: str, page: str) -> None:
+    """Words of a name are joined by hyphens; generated environments have one page for all."""
+    assert gallery_page(env_id) == page
+
+
+def test_every_environment_has_a_page() -> None:
+    """With its id on it."""
+    for record in registry().envs():
+        if registry().provider(record.id) is not None:
+            page = DOCS / f"{gallery_page(record.id).rstrip('/')}.md"
+            assert f"`{record.id}`" in page.read_text(encoding="utf-8"), record.id
+
+
+def test_pages_are_what_the_script_writes(rendered: dict[str, str]) -> None:
+    """After a change, run ``python scripts/gallery.py``."""
+    files = [*(DOCS / "gallery").rglob("*.md"), *(DOCS / "images" / "gallery").rglob("*.svg")]
+    there = {path.relative_to(DOCS).as_posix(): path.read_text(encoding="utf-8") for path in files}
+    assert sorted(there) == sorted(rendered)
+    assert [path for path, text in rendered.items() if there[path] != text] == []
+
+
+def test_links_and_anchors_of_pages_lead_somewhere(rendered: dict[str, str]) -> None:
+    """Pages, pictures, and headings of the page on differences."""
+    for path, text in rendered.items():
+        for target, anchor in re.findall(r"\]\((?!http)([^)#]+)(?:#([^)]*))?\)", text) if path.endswith(".md") else ():
+            found = (DOCS / path).parent / target
+            assert found.exists(), f"{path}: {target}"
+            headings = re.findall(r"^#+ (.+)$", found.read_text(encoding="utf-8"), re.MULTILINE) if anchor else []
+            slugs = [re.sub(r"[^\w\s-]", "", heading).lower().replace(" ", "-") for heading in headings]
+            assert not anchor or anchor in slugs, f"{path}: {anchor}"
+
+
+def test_pictures_are_small_and_well_formed(rendered: dict[str, str]) -> None:
+    """At most 40 kB each, and all of the gallery 3 MB; none loads anything."""
+    pictures = {path: text for path, text in rendered.items() if path.endswith(".svg")}
+    assert len(pictures) > 20
+    for path, text in pictures.items():
+        assert len(text.encode()) <= 40_000, path
+        ElementTree.fromstring(text)
+        assert not re.search(r"<script|href=\"http|url\(", text), path
+    assert sum(len(text.encode()) for text in rendered.values()) <= 3_000_000
+
+
+def test_last_frame_stands_where_nothing_moves(gallery: ModuleType) -> None:
+    """Readers who want no motion, and programs that know no animation, see how the episode ended."""
+    frames = [drawing().Frame("", f"turn {number}", f"answer {number}", 0.5) for number in range(3)]
+    text = drawing().card("a:B", "random", frames)
+    still, _, moving = text.partition("@media(prefers-reduced-motion:no-preference)")
+    (hidden,) = re.findall(r"((?:\.f\d+,?)+)\{visibility:hidden\}", still)
+    groups = dict(re.findall(r'<g class="(f\d+)">(.*?)</g>', text))
+    assert [name for name, content in groups.items() if "turn 2" in content] == list(
+        set(groups) - set(hidden.replace(".", "").split(","))
+    )
+    assert moving.count("@keyframes") == len(groups)
+
+
+def test_text_of_an_episode_cannot_break_a_page_or_a_picture(gallery: ModuleType) -> None:
+    """A response is untrusted: marks of HTML, fences and control characters are shown as text."""
+    hostile = "</code></pre><script>x</script>\n```python\n&amp;\x00\x1b[31m"
+    episode = {
+        "id": "a:B",
+        "player": "random",
+        "seed": 1,
+        "options": {},
+        "opening": hostile,
+        "turns": [{"number": 1, "seat": None, "action": hostile, "reward": 0.0, "answer": hostile}],
+        "num_turns": 1,
+        "returns": {"": 0.0},
+        "success": {"": False},
+    }
+    told = "\n".join(import_module("gallery_sections").transcript(episode))
+    assert "<script" not in told
+    assert "```" not in told
+    picture = drawing().card("a:B", "random", [drawing().Frame(hostile, hostile, hostile, 0.0, hostile)])
+    assert [node for node in ElementTree.fromstring(picture).iter() if node.tag.endswith("script")] == []
