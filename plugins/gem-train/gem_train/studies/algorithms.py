@@ -85,12 +85,10 @@ TASKS = (
         {},
         {
             "updates": 40,
-            "episodes": 192,
+            "episodes": 128,
             "gamma": 0.9,
-            "feedback": True,
-            "memory": None,
-            "context": 288,
-            "imitate_steps": 90,
+            "max_tokens": 10,
+            "context": 224,
         },
     ),
     Task(
