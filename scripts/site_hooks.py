@@ -53,6 +53,8 @@ def on_files(files: Any, config: Any) -> Any:
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Rewrite a page's links to files of the repository."""
     uri = page.file.src_uri
+    if uri == "index.md":
+        page.meta["hide"] = ["navigation"]  # which would list this page alone
     place = next((old for old, new in MOVED.items() if new == uri and page.file.generated_by), None)
     if place is None:
         place = uri if page.file.generated_by else f"docs/{uri}"
