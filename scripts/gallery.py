@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -98,6 +98,7 @@ def render() -> Pages:
         for path, picture in _pictures(page, measured.get(page, {})):
             pages[path] = picture
     pages["gallery/index.md"] = "\n".join([MADE, *_index(members, measured)])
+    pages["gallery/.nav.yml"] = "\n".join(_navigation(members))
     return pages
 
 
@@ -247,17 +248,28 @@ def _index(members: Mapping[str, list[EnvSpec]], measured: Mapping[str, Any]) ->
     count = sum(map(len, members.values()))
     yield f"{count} environments in {len(members)} families. Each page has the ids, the arguments, the rewards, "
     yield "two recorded episodes, and the scores of a random player and of a good one.\n"
-    order = [*CATEGORIES, *sorted({page.partition("/")[0] for page in members} - set(CATEGORIES))]
-    for namespace in order:
+    for namespace in _namespaces(members):
         pages = [page for page in members if page.partition("/")[0] == namespace]
-        if not pages:
-            continue
         yield f"## {CATEGORIES.get(namespace, namespace)}\n"
         yield from _grid([page for page in pages if "good" in measured.get(page, {})], members)
         for page in pages:
             if "good" not in measured.get(page, {}):
                 yield f"- [{_title(page, members[page])}]({page}.md): {_summary(page, members[page])}"
         yield ""
+
+
+def _navigation(members: Mapping[str, list[EnvSpec]]) -> Iterator[str]:
+    """Yield the lines of the site's navigation in the gallery: namespaces by their titles."""
+    yield f"# {MADE[5:-5]}\nnav:\n  - index.md"
+    for namespace in _namespaces(members):
+        title = CATEGORIES.get(namespace, namespace)
+        yield f"  - {title}: {namespace}{'.md' if namespace in members else ''}"
+    yield ""
+
+
+def _namespaces(members: Iterable[str]) -> list[str]:
+    present = {page.partition("/")[0] for page in members}
+    return [*(name for name in CATEGORIES if name in present), *sorted(present - set(CATEGORIES))]
 
 
 def _grid(pages: Sequence[str], members: Mapping[str, list[EnvSpec]]) -> Iterator[str]:

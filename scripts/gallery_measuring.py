@@ -108,7 +108,12 @@ EPISODES = {
     "terminal": 4,
 }
 """Episodes of each player, by namespace."""
-FEWER = {"game:FifteenPuzzle-v0-hard": 20, "game:FifteenPuzzle-v0-random": 20}
+FEWER = {
+    "game:Sokoban-v0-hard": 20,
+    "game:Sokoban-v0-random": 20,
+    "game:FifteenPuzzle-v0-hard": 20,
+    "game:FifteenPuzzle-v0-random": 20,
+}
 USER = {"user": "tau-user:patient"}
 
 

@@ -102,7 +102,7 @@ def scores(records: Sequence[EnvSpec], played: Mapping[str, Any] | None, solver:
     """Yield the table of scores, and how they came about."""
     yield "## Scores\n"
     if not played or not played["rows"]:
-        yield f"Not measured. {needs_of(records[0]) or 'It does not run on the machine that made this page.'}\n"
+        yield f"Not measured. {needs_of(records[0]) or 'Nobody has played it for this page yet.'}\n"
         return
     seats = any(row["seat"] for row in played["rows"])
     heads = ["id", "player", *(["seat"] if seats else []), "episodes", "mean return", "success", "turns"]
