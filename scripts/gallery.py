@@ -18,13 +18,14 @@ from pathlib import Path
 from typing import Any
 
 from gallery_docstrings import described
-from gallery_drawing import GRIDS, Frame, card
+from gallery_drawing import GRIDS, Frame, card, wrapped
 from gallery_measuring import measure_family, solver_of
 from gallery_sections import arguments, ids, needs_of, rewards, scores, transcript
 
 from gem_core.docs import gallery_page
 from gem_core.registry import EnvSpec, registry
 from gem_core.registry.requirements import unmet
+from gem_core.types import TERMINAL_STATE
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 MEASURED = DOCS / "gallery" / "measured.json"
@@ -121,8 +122,20 @@ def _pictures(page: str, played: Mapping[str, Any]) -> Iterator[tuple[str, str]]
             episode = played[which]
             name = re.split(r"-v\d", episode["id"].partition(":")[2])[0]
             grid = GRIDS.get(name) if page.startswith("game/") else None
-            frames = [Frame(*frame) for frame in episode["frames"]]
+            frames = _with_question([Frame(*frame) for frame in episode["frames"]])
             yield picture_path(page, which), card(episode["id"], episode["player"], frames, grid)
+
+
+def _with_question(frames: list[Frame]) -> list[Frame]:
+    """Keep the question of a task of one turn in sight, and say plainly that a task is over."""
+    frames = [frame._replace(feedback=frame.feedback.replace(TERMINAL_STATE, "The task is over.")) for frame in frames]
+    if len(frames) != 2 or (frames[0].drawing and not frames[0].drawing.startswith("data:")):
+        return frames
+    question, answered = frames
+    if question.drawing:
+        return [question, answered._replace(feedback=f"{question.feedback}\n\n{answered.feedback}")]
+    text = "\n".join(wrapped(question.feedback, 88, 14))
+    return [question._replace(drawing=text, feedback=""), answered._replace(drawing=text)]
 
 
 # A page.

@@ -59,9 +59,9 @@ def _script(name: str, make: Callable[[], Player], told: str) -> Solver:
 
 GOLD = Solver(
     "own solution",
-    lambda env: lambda observation: env.get_wrapper_attr("gold_action")(),
+    lambda env: lambda observation: env.get_wrapper_attr("gold_action")() or "",
     "The own solution is what the environment itself knows to be right (`gold_action`). It is no agent: it shows the "
-    "highest return that there is.",
+    "highest return that there is. Where nothing is known to be right, it answers nothing.",
 )
 SOLVERS = {
     "game/guess-the-number": _agent("bisect"),
@@ -92,8 +92,8 @@ SOLVERS = {
     ),
 }
 SOLVERS["tau/sample-solo"] = SOLVERS["tau/sample"]
-NO_SOLVER = {"game/rock-paper-scissors", "pz/connect-four", "pz/rps", "pz/tictactoe", "ta"}
-"""Nobody here plays these well; and in rock, paper, scissors nothing is better than chance."""
+NO_SOLVER = {"mcp/sample", "game/rock-paper-scissors", "pz/connect-four", "pz/rps", "pz/tictactoe", "ta"}
+"""Nobody here plays these well, or knows an answer; and in rock, paper, scissors nothing is better than chance."""
 
 KWARGS = {"terminal:Sample": {"backend": "local"}, "terminal:Sample-terminal-bench": {"backend": "local"}}
 """Keyword arguments that an environment needs on a machine without an engine of containers."""
