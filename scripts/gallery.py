@@ -12,19 +12,20 @@ from __future__ import annotations
 import argparse
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 from gallery_docstrings import described
-from gallery_drawing import GRIDS, Frame, card
+from gallery_drawing import GRIDS, Frame, card, wrapped
 from gallery_measuring import measure_family, solver_of
 from gallery_sections import arguments, ids, needs_of, rewards, scores, transcript
 
 from gem_core.docs import gallery_page
 from gem_core.registry import EnvSpec, registry
 from gem_core.registry.requirements import unmet
+from gem_core.types import TERMINAL_STATE
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 MEASURED = DOCS / "gallery" / "measured.json"
@@ -98,6 +99,7 @@ def render() -> Pages:
         for path, picture in _pictures(page, measured.get(page, {})):
             pages[path] = picture
     pages["gallery/index.md"] = "\n".join([MADE, *_index(members, measured)])
+    pages["gallery/.nav.yml"] = "\n".join(_navigation(members))
     return pages
 
 
@@ -120,8 +122,20 @@ def _pictures(page: str, played: Mapping[str, Any]) -> Iterator[tuple[str, str]]
             episode = played[which]
             name = re.split(r"-v\d", episode["id"].partition(":")[2])[0]
             grid = GRIDS.get(name) if page.startswith("game/") else None
-            frames = [Frame(*frame) for frame in episode["frames"]]
+            frames = _with_question([Frame(*frame) for frame in episode["frames"]])
             yield picture_path(page, which), card(episode["id"], episode["player"], frames, grid)
+
+
+def _with_question(frames: list[Frame]) -> list[Frame]:
+    """Keep the question of a task of one turn in sight, and say plainly that a task is over."""
+    frames = [frame._replace(feedback=frame.feedback.replace(TERMINAL_STATE, "The task is over.")) for frame in frames]
+    if len(frames) != 2 or (frames[0].drawing and not frames[0].drawing.startswith("data:")):
+        return frames
+    question, answered = frames
+    if question.drawing:
+        return [question, answered._replace(feedback=f"{question.feedback}\n\n{answered.feedback}")]
+    text = "\n".join(wrapped(question.feedback, 88, 14))
+    return [question._replace(drawing=text, feedback=""), answered._replace(drawing=text)]
 
 
 # A page.
@@ -247,17 +261,28 @@ def _index(members: Mapping[str, list[EnvSpec]], measured: Mapping[str, Any]) ->
     count = sum(map(len, members.values()))
     yield f"{count} environments in {len(members)} families. Each page has the ids, the arguments, the rewards, "
     yield "two recorded episodes, and the scores of a random player and of a good one.\n"
-    order = [*CATEGORIES, *sorted({page.partition("/")[0] for page in members} - set(CATEGORIES))]
-    for namespace in order:
+    for namespace in _namespaces(members):
         pages = [page for page in members if page.partition("/")[0] == namespace]
-        if not pages:
-            continue
         yield f"## {CATEGORIES.get(namespace, namespace)}\n"
         yield from _grid([page for page in pages if "good" in measured.get(page, {})], members)
         for page in pages:
             if "good" not in measured.get(page, {}):
                 yield f"- [{_title(page, members[page])}]({page}.md): {_summary(page, members[page])}"
         yield ""
+
+
+def _navigation(members: Mapping[str, list[EnvSpec]]) -> Iterator[str]:
+    """Yield the lines of the site's navigation in the gallery: namespaces by their titles."""
+    yield f"# {MADE[5:-5]}\nnav:\n  - index.md"
+    for namespace in _namespaces(members):
+        title = CATEGORIES.get(namespace, namespace)
+        yield f"  - {title}: {namespace}{'.md' if namespace in members else ''}"
+    yield ""
+
+
+def _namespaces(members: Iterable[str]) -> list[str]:
+    present = {page.partition("/")[0] for page in members}
+    return [*(name for name in CATEGORIES if name in present), *sorted(present - set(CATEGORIES))]
 
 
 def _grid(pages: Sequence[str], members: Mapping[str, list[EnvSpec]]) -> Iterator[str]:

@@ -59,9 +59,9 @@ def _script(name: str, make: Callable[[], Player], told: str) -> Solver:
 
 GOLD = Solver(
     "own solution",
-    lambda env: lambda observation: env.get_wrapper_attr("gold_action")(),
+    lambda env: lambda observation: env.get_wrapper_attr("gold_action")() or "",
     "The own solution is what the environment itself knows to be right (`gold_action`). It is no agent: it shows the "
-    "highest return that there is.",
+    "highest return that there is. Where nothing is known to be right, it answers nothing.",
 )
 SOLVERS = {
     "game/guess-the-number": _agent("bisect"),
@@ -81,7 +81,9 @@ SOLVERS = {
         "reasoning", lambda: players.minesweeper, "It reveals what the numbers show to be safe, and else guesses."
     ),
     "game/game2048": _script("corner", lambda: players.game_2048, "It keeps its large tiles in a corner."),
-    "game/fifteen-puzzle": _script("search", players.fifteen_puzzle, "It searches for a short way (A*)."),
+    "game/fifteen-puzzle": _script(
+        "search", players.fifteen_puzzle, "It searches for a way (A*), in 4,000 positions a turn."
+    ),
     "game/sokoban": _script("search", players.sokoban, "It searches for a short way (A*)."),
     "tau/sample": Solver(
         "`tau-assistant`",
@@ -90,8 +92,8 @@ SOLVERS = {
     ),
 }
 SOLVERS["tau/sample-solo"] = SOLVERS["tau/sample"]
-NO_SOLVER = {"game/rock-paper-scissors", "pz/connect-four", "pz/rps", "pz/tictactoe", "ta"}
-"""Nobody here plays these well; and in rock, paper, scissors nothing is better than chance."""
+NO_SOLVER = {"mcp/sample", "game/rock-paper-scissors", "pz/connect-four", "pz/rps", "pz/tictactoe", "ta"}
+"""Nobody here plays these well, or knows an answer; and in rock, paper, scissors nothing is better than chance."""
 
 KWARGS = {"terminal:Sample": {"backend": "local"}, "terminal:Sample-terminal-bench": {"backend": "local"}}
 """Keyword arguments that an environment needs on a machine without an engine of containers."""
@@ -108,7 +110,12 @@ EPISODES = {
     "terminal": 4,
 }
 """Episodes of each player, by namespace."""
-FEWER = {"game:FifteenPuzzle-v0-hard": 20, "game:FifteenPuzzle-v0-random": 20}
+FEWER = {
+    "game:Sokoban-v0-hard": 10,
+    "game:Sokoban-v0-random": 10,
+    "game:FifteenPuzzle-v0-hard": 20,
+    "game:FifteenPuzzle-v0-random": 20,
+}
 USER = {"user": "tau-user:patient"}
 
 

@@ -18,7 +18,6 @@ from gem_games.words import words
 
 DIRECTIONS = "up", "down", "left", "right"
 _CORNER = [[7, 6, 5, 4], [6, 5, 4, 3], [5, 4, 3, 2], [4, 3, 2, 1]]
-_MOST_POSITIONS = 4_000
 
 Cell = tuple[int, int]
 Fact = tuple[frozenset[Cell], int]
@@ -121,6 +120,7 @@ class Planner:
         moves: Yields the moves of a position, each with the position after it.
         left: Returns how many moves are left at least; 0 at the end.
         weight: How much that counts; 1 gives the shortest way, more a quicker search.
+        most: Positions of a search; after so many it goes to the best of them.
     """
 
     def __init__(
@@ -128,9 +128,10 @@ class Planner:
         read: Callable[[str], Any],
         moves: Callable[[Any], Iterator[tuple[str, Any]]],
         left: Callable[[Any], int],
-        weight: float = 1.0,
+        weight: float,
+        most: int,
     ) -> None:
-        self.read, self.moves, self.left, self.weight = read, moves, left, weight
+        self.read, self.moves, self.left, self.weight, self.most = read, moves, left, weight, most
         self._plan: dict[Any, str] = {}
 
     def __call__(self, observation: str) -> str:
@@ -147,10 +148,10 @@ class Planner:
         length = {start: 0}
         queue = [(0.0, 0, start)]
         best, least = start, self.left(start)
-        while queue and least and len(length) < _MOST_POSITIONS:
+        while queue and least and len(length) < self.most:
             _, _, position = heapq.heappop(queue)
             for move, after in self.moves(position):
-                if length[position] + 1 < length.get(after, _MOST_POSITIONS):
+                if length[position] + 1 < length.get(after, self.most):
                     length[after], came[after] = length[position] + 1, (position, move)
                     left = self.left(after)
                     heapq.heappush(queue, (length[after] + self.weight * left, len(length), after))
@@ -162,7 +163,7 @@ class Planner:
 
 def fifteen_puzzle() -> Planner:
     """Return a player of FifteenPuzzle; a position is the tiles row by row, 0 for the gap."""
-    return Planner(_tiles, _slides, _tiles_left, weight=3.0)
+    return Planner(_tiles, _slides, _tiles_left, weight=3.0, most=4_000)
 
 
 def _tiles(observation: str) -> tuple[int, ...]:
@@ -191,7 +192,7 @@ def _tiles_left(tiles: tuple[int, ...]) -> int:
 
 def sokoban() -> Planner:
     """Return a player of Sokoban; a position is the board as text."""
-    return Planner(_room, _pushes, lambda room: room.count("$"), weight=2.0)
+    return Planner(_room, _pushes, lambda room: room.count("$"), weight=2.0, most=200_000)
 
 
 def _room(observation: str) -> str:

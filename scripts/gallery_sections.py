@@ -102,7 +102,7 @@ def scores(records: Sequence[EnvSpec], played: Mapping[str, Any] | None, solver:
     """Yield the table of scores, and how they came about."""
     yield "## Scores\n"
     if not played or not played["rows"]:
-        yield f"Not measured. {needs_of(records[0]) or 'It does not run on the machine that made this page.'}\n"
+        yield f"Not measured. {needs_of(records[0]) or 'Nobody has played it for this page yet.'}\n"
         return
     seats = any(row["seat"] for row in played["rows"])
     heads = ["id", "player", *(["seat"] if seats else []), "episodes", "mean return", "success", "turns"]
@@ -145,18 +145,22 @@ def transcript(episode: Mapping[str, Any]) -> Iterator[str]:
     yield f"Player: {episode['player']}. Environment: `{episode['id']}`, {start}."
     yield f"Return: {returns}. {_verdict(episode)}"
     yield ""
-    yield f"<details>\n<summary>All that was said ({episode['num_turns']} turns)</summary>\n"
+    yield f"<details>\n<summary>All that was said ({_counted(episode['num_turns'], 'turn')})</summary>\n"
     yield f"<pre><code>{_preformatted(episode['opening'])}</code></pre>\n"
     before = 0
     for turn in episode["turns"]:
         if turn["number"] > before + 1:
-            yield f"<p>[{turn['number'] - before - 1} turns are left out here]</p>\n"
+            yield f"<p>[left out here: {_counted(turn['number'] - before - 1, 'turn')}]</p>\n"
         before = turn["number"]
         who = f", {escape(turn['seat'])}" if turn["seat"] else ""
         yield f"<p><b>Turn {turn['number']}{who}</b>, reward {turn['reward']:.4g}</p>\n"
         yield f"<pre><code>{_preformatted(turn['action'])}</code></pre>\n"
         yield f"<pre><code>{_preformatted(turn['answer'])}</code></pre>\n" if turn["answer"] else ""
     yield "</details>\n"
+
+
+def _counted(count: int, word: str) -> str:
+    return f"{count} {word}{'' if count == 1 else 's'}"
 
 
 def _verdict(episode: Mapping[str, Any]) -> str:

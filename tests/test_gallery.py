@@ -73,7 +73,11 @@ def test_every_environment_has_a_page() -> None:
 
 def test_pages_are_what_the_script_writes(rendered: dict[str, str]) -> None:
     """After a change, run ``python scripts/gallery.py``."""
-    files = [*(DOCS / "gallery").rglob("*.md"), *(DOCS / "images" / "gallery").rglob("*.svg")]
+    files = [
+        *(DOCS / "gallery").rglob("*.md"),
+        *(DOCS / "gallery").glob(".nav.yml"),
+        *(DOCS / "images" / "gallery").rglob("*.svg"),
+    ]
     there = {path.relative_to(DOCS).as_posix(): path.read_text(encoding="utf-8") for path in files}
     assert sorted(there) == sorted(rendered)
     assert [path for path, text in rendered.items() if there[path] != text] == []
