@@ -21,11 +21,13 @@ class DocstringBlocks(griffe.Extension):  # type: ignore[misc]
 
     def on_instance(self, *, obj: Any, **_: Any) -> None:
         """Rewrite the docstring of one module, class, function or attribute."""
-        if not obj.docstring:
-            return
-        obj.docstring.value = BLOCK.sub(fenced, obj.docstring.value)
-        if obj.is_class and "__init__" not in obj.members and not obj.decorators:
-            obj.docstring.value = re.sub(r"^Args:$", "Attributes:", obj.docstring.value, flags=re.MULTILINE)
+        if obj.docstring:
+            obj.docstring.value = BLOCK.sub(fenced, obj.docstring.value)
+
+    def on_class_members(self, *, cls: Any, **_: Any) -> None:
+        """Rewrite the docstring of a class without a constructor of its own, once its members are known."""
+        if cls.docstring and "__init__" not in cls.members and not cls.decorators:
+            cls.docstring.value = re.sub(r"^Args:$", "Attributes:", cls.docstring.value, flags=re.MULTILINE)
 
 
 def fenced(match: re.Match[str]) -> str:
