@@ -42,13 +42,11 @@ GAMES: dict[str, dict[str, Any]] = {
     },
     "TicTacToe": {
         "imitate": "random",
-        "imitate_steps": 150,
+        "imitate_steps": 500,
         "updates": 100,
         "episodes": 128,
         "learning_rate": 1e-3,
-        "minibatches": 4,
         "context": 56,
-        "width": 32,
         "eval_episodes": 256,
     },
 }
