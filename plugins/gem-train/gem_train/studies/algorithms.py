@@ -34,9 +34,8 @@ imitates players of gem_train.players in GuessTheNumber (any number of the inter
 valid actions.
 
 The policy has about 150,000 parameters and learns for a minute or two: what stays at the level of imitation here says
-that it is hard for so small a policy in so short a time, not that the algorithm fails. Mastermind is such a task: ReBN
-with one seed did not improve on imitation. REINFORCE is at a disadvantage where most rewards are above 0, since it
-makes everything likelier that was done.
+that it is hard for so small a policy in so short a time, not that the algorithm fails. REINFORCE is at a disadvantage
+where most rewards are above 0, since it makes everything likelier that was done.
 
 Success and return are of 256 episodes that are the same for all algorithms; intervals are of the mean over seeds, 95 %,
 Student's t, and there is none for one seed.
