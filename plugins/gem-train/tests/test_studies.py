@@ -38,10 +38,13 @@ TINY = {
 def test_runs_are_kept_and_not_made_again(tmp_path: Path) -> None:
     """A result of other options is made again, a kept one is not; runs that differ in the algorithm share a start."""
     (tmp_path / "rebn.json").write_text(json.dumps({"options": {}, "measured": []}))
-    jobs = [Job(name, TrainOptions(**TINY, algorithm=name), count_turns, every=1) for name in ("rebn", "reinforce")]  # type: ignore[arg-type]
+    jobs = {
+        name: [Job(name, TrainOptions(**TINY, algorithm=name), count_turns, every=1)]  # type: ignore[arg-type]
+        for name in ("rebn", "reinforce")
+    }
     first = run_jobs(jobs, tmp_path, workers=1, quiet=True)
-    assert [measured["update"] for measured in first["rebn"]["measured"]] == [0, 1]
-    assert len(first["rebn"]["curve"]) == 1
+    assert [measured["update"] for measured in first["rebn"][0]["measured"]] == [0, 1]
+    assert len(first["rebn"][0]["curve"]) == 1
     assert len(list(tmp_path.glob("start-*.pt"))) == 1
     written = (tmp_path / "rebn.json").stat().st_mtime_ns
     assert run_jobs(jobs, tmp_path, workers=1, quiet=True) == first
@@ -56,7 +59,7 @@ from gem_train.studies.jobs import Job, run_jobs
 
 if __name__ == "__main__":
     options = TrainOptions(env=("game:GuessTheNumber-v0",), imitate=None, updates=1, width=8, heads=2)
-    run_jobs([Job("one", options, wait_forever, every=1)], Path("study"), workers=1, quiet=True)
+    run_jobs({None: [Job("one", options, wait_forever, every=1)]}, Path("study"), workers=1, quiet=True)
 """
 
 

@@ -62,7 +62,7 @@ def test_quick_study_is_three_tasks_and_two_algorithms(tmp_path: Path, monkeypat
     """From results that are there; the number of seeds is one."""
     measured = [{"update": update, "success": 0.1 * update, "return": 0.0} for update in (0, 5)]
     result = {"seconds": 1.0, "measured": measured}
-    monkeypatch.setattr(algorithms, "run_jobs", lambda jobs, folder, **given: {job.name: result for job in jobs})
+    monkeypatch.setattr(algorithms, "run_jobs", lambda jobs, folder, **given: {setting: [result] for setting in jobs})
     monkeypatch.setattr(algorithms, "random_player", lambda task: {"success": 0.25, "return": 0.5})
     rows = algorithms.run(tmp_path, quick=True, seeds=1, workers=1, quiet=True)
     assert len({row["task"] for row in rows}) == 3

@@ -200,17 +200,11 @@ def run(folder: Path, *, quick: bool, seeds: int, workers: int | None, quiet: bo
     algorithms = [name for name in ALGORITHMS if not quick or name in _QUICK_ALGORITHMS]
     by_chance = {task.name: random_player(task) for task in tasks}
     jobs = {
-        (task.name, algorithm, seed): _job(task, algorithm, seed)
-        for seed in range(seeds)
+        (task.name, algorithm): [_job(task, algorithm, seed) for seed in range(seeds)]
         for task in tasks
         for algorithm in algorithms
     }
-    results = run_jobs(list(jobs.values()), folder, workers=workers, quiet=quiet)
-    runs = {
-        (task.name, algorithm): [results[jobs[task.name, algorithm, seed].name] for seed in range(seeds)]
-        for task in tasks
-        for algorithm in algorithms
-    }
+    runs = run_jobs(jobs, folder, workers=workers, quiet=quiet)
     table = [_row(task, algorithm, some, by_chance[task]) for (task, algorithm), some in runs.items()]
     curves = {
         task.name: {

@@ -103,15 +103,13 @@ def run(folder: Path, *, quick: bool, seeds: int, workers: int | None, quiet: bo
         quiet: Show no progress.
     """
     settings = _QUICK if quick else _SETTINGS
-    jobs = [
-        Job(f"{algorithm}-{gamma}-{seed}", options_of(algorithm, gamma, seed), measure)
-        for seed in range(seeds)
+    jobs = {
+        (algorithm, gamma): [
+            Job(f"{algorithm}-{gamma}-{seed}", options_of(algorithm, gamma, seed), measure) for seed in range(seeds)
+        ]
         for algorithm, gamma in settings
-    ]
-    results = run_jobs(jobs, folder, workers=workers, quiet=quiet)
-    by_setting = {
-        setting: [results[f"{setting[0]}-{setting[1]}-{seed}"] for seed in range(seeds)] for setting in settings
     }
+    by_setting = run_jobs(jobs, folder, workers=workers, quiet=quiet)
     table = [_row(algorithm, gamma, runs) for (algorithm, gamma), runs in by_setting.items()]
     _write(folder, table, by_setting)
     return table

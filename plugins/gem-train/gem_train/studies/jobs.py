@@ -7,16 +7,19 @@ import multiprocessing
 import os
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from gem_core.env import stable_hash
 from gem_core.progress import Progress
 from gem_train.learner.options import TrainOptions
 from gem_train.learner.training import Training
+
+Setting = TypeVar("Setting", bound=Hashable)
+"""What a study compares."""
 
 Measure = Callable[[Training], dict[str, Any]]
 """A function of a module, since it is called in another process."""
@@ -39,14 +42,16 @@ class Job:
     every: int = 0
 
 
-def run_jobs(jobs: Sequence[Job], folder: Path, *, workers: int | None = None, quiet: bool = False) -> dict[str, Any]:
-    """Run what is not there yet, and return the result of each job by its name.
+def run_jobs(
+    settings: Mapping[Setting, Sequence[Job]], folder: Path, *, workers: int | None = None, quiet: bool = False
+) -> dict[Setting, list[dict[str, Any]]]:
+    """Run what is not there yet, and return the results of each setting in the order of its jobs.
 
     A result has ``"options"``, ``"seconds"`` (of the wall clock, the warm start left out), ``"curve"`` (the metrics of
     each update) and ``"measured"``, a list of what ``measure`` returned with the ``"update"`` of each.
 
     Args:
-        jobs: In the order in which they are begun.
+        settings: The jobs of each setting, one a seed. The first of all settings are begun before the second.
         folder: Where results and warm starts are kept.
         workers: Processes; None for one a processor.
         quiet: Show no progress.
@@ -55,7 +60,7 @@ def run_jobs(jobs: Sequence[Job], folder: Path, *, workers: int | None = None, q
         Exception: What a job raised; the results of the others are kept.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    waiting = [job for job in jobs if _read(folder, job) is None]
+    waiting = [job for of_seed in zip(*settings.values(), strict=True) for job in of_seed if not _result(folder, job)]
     starts = {_start_file(folder, job.options): job for job in waiting}
     tasks: list[tuple[Callable[[Job, Path], None], Job]] = [
         (_make_start, job) for path, job in starts.items() if not path.exists()
@@ -76,7 +81,7 @@ def run_jobs(jobs: Sequence[Job], folder: Path, *, workers: int | None = None, q
             for process in multiprocessing.active_children():
                 process.terminate()
             raise
-    return {job.name: _read(folder, job) for job in jobs}
+    return {setting: [_result(folder, job) for job in jobs] for setting, jobs in settings.items()}
 
 
 def _end_with_parent() -> None:
@@ -100,13 +105,13 @@ def _finish(futures: list[Future[None]], on_done: Callable[[int], None]) -> None
         on_done(len(futures) - len(left))
 
 
-def _read(folder: Path, job: Job) -> dict[str, Any] | None:
-    """Return a job's result if it is there and of these options."""
+def _result(folder: Path, job: Job) -> dict[str, Any]:
+    """Return a job's result; it is empty if it is not there, or of other options."""
     path = folder / f"{job.name}.json"
     if not path.exists():
-        return None
+        return {}
     result: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return result if result["options"] == json.loads(json.dumps(job.options.to_dict())) else None
+    return result if result["options"] == json.loads(json.dumps(job.options.to_dict())) else {}
 
 
 def _start_file(folder: Path, options: TrainOptions) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -110,14 +111,13 @@ def run(folder: Path, *, quick: bool, seeds: int, workers: int | None, quiet: bo
     """
     gem.make(ENV_ID, wrappers=WRAPPERS).close()
     jobs = {
-        (setting, seed): Job(
-            f"{setting.algorithm}{setting.failure_reward:+g}-{seed}", options_of(setting, seed), measure, every=10
-        )
-        for seed in range(seeds)
+        setting: [
+            Job(f"{setting.algorithm}{setting.failure_reward:+g}-{seed}", options_of(setting, seed), measure, every=10)
+            for seed in range(seeds)
+        ]
         for setting in SETTINGS
     }
-    results = run_jobs(list(jobs.values()), folder, workers=workers, quiet=quiet)
-    by_setting = {setting: [results[jobs[setting, seed].name] for seed in range(seeds)] for setting in SETTINGS}
+    by_setting = run_jobs(jobs, folder, workers=workers, quiet=quiet)
     table = [_row(setting, kind, runs) for setting, runs in by_setting.items() for kind in KINDS]
     captions = {
         "success": "Success while learning.",
@@ -151,7 +151,7 @@ def _value(kind: str, name: str, measured: dict[str, Any]) -> float:
     return value
 
 
-def _row(setting: Setting, kind: str, runs: list[Run]) -> dict[str, Any]:
+def _row(setting: Setting, kind: str, runs: Sequence[Run]) -> dict[str, Any]:
     success, with_tool, calls = (
         last_interval(runs, partial(_value, kind, name)) for name in ("success", "with_tool", "calls")
     )

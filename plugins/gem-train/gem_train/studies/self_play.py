@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from functools import cache
 from itertools import product
+from operator import itemgetter
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import torch
@@ -21,9 +23,9 @@ from gem_train.learner.playing import next_piece
 from gem_train.learner.policy_loss import score
 from gem_train.learner.training import Training
 from gem_train.learner.vocabulary import ANSWER, END
-from gem_train.reporting import Curve, curves_with_bands, mean_interval, write_study_page
+from gem_train.reporting import Curve, curves_with_bands, write_study_page
 from gem_train.studies.jobs import Job, Measure, run_jobs
-from gem_train.studies.measured import curve, evaluated
+from gem_train.studies.measured import Run, evaluated, last_interval, measured_curve
 from gem_train.tokens import TokenBatch
 
 _HISTORIES: tuple[History, ...] = (), ("check",), ("bet",), ("check", "bet")
@@ -185,28 +187,26 @@ def run(folder: Path, *, quick: bool, seeds: int, workers: int | None, quiet: bo
         workers: Processes; None for one a processor.
         quiet: Show no progress.
     """
-    names = {
-        (game, baselines): [f"{game}-{'with' if baselines else 'without'}-baselines-{seed}" for seed in range(seeds)]
+    jobs = {
+        (game, baselines): [_job(game, baselines, seed) for seed in range(seeds)]
         for game, baselines in product(GAMES, (True, False))
     }
-    jobs = [
-        Job(name, options_of(game, baselines, seed), _JOB_MEASURES[game], every=_EVERY[game])
-        for (game, baselines), of_seeds in names.items()
-        for seed, name in enumerate(of_seeds)
-    ]
-    results = run_jobs(jobs, folder, workers=workers, quiet=quiet)
-    by_setting = {setting: [results[name]["measured"] for name in of_seeds] for setting, of_seeds in names.items()}
+    by_setting = run_jobs(jobs, folder, workers=workers, quiet=quiet)
     for (game, _), runs in by_setting.items():
-        for measured in runs if game == "KuhnPoker" else ():
-            _add_mean_exploitability(measured)
+        for each in runs if game == "KuhnPoker" else ():
+            _add_mean_exploitability(each["measured"])
     table = [
         _row(game, measure, baselines, by_setting[game, baselines])
-        | {"seconds": sum(results[name]["seconds"] for name in names[game, baselines])}
         for game, measure in _COMPARED
         for baselines in (True, False)
     ]
     _write(folder, table, by_setting)
     return table
+
+
+def _job(game: str, baselines: bool, seed: int) -> Job:
+    name = f"{game}-{'with' if baselines else 'without'}-baselines-{seed}"
+    return Job(name, options_of(game, baselines, seed), _JOB_MEASURES[game], every=_EVERY[game])
 
 
 def _add_mean_exploitability(measured: Sequence[dict[str, Any]]) -> None:
@@ -223,23 +223,26 @@ def _decision(key: str) -> tuple[str, History]:
     return card, tuple(history)
 
 
-def _row(game: str, measure: str, baselines: bool, runs: Sequence[list[dict[str, Any]]]) -> dict[str, Any]:
-    first, last = (mean_interval([measured[place][measure] for measured in runs]) for place in (0, -1))
+def _row(game: str, measure: str, baselines: bool, runs: Sequence[Run]) -> dict[str, Any]:
+    last = last_interval(runs, itemgetter(measure))
     return {
         "game": game,
         "measure": measure,
         "baselines": baselines,
-        "start": first.mean,
+        "start": fmean(run["measured"][0][measure] for run in runs),
         "end": last.mean,
         "low": last.low,
         "high": last.high,
+        "seconds": sum(run["seconds"] for run in runs),
     }
 
 
 def _write(folder: Path, table: list[dict[str, Any]], by_setting: dict[tuple[str, bool], list[Any]]) -> None:
     def panel(game: str, measure: str) -> dict[str, Curve]:
         return {
-            f"{'with' if baselines else 'without'} baselines": _curve(by_setting[game, baselines], measure)
+            f"{'with' if baselines else 'without'} baselines": measured_curve(
+                by_setting[game, baselines], itemgetter(measure)
+            )
             for baselines in (True, False)
         }
 
@@ -268,7 +271,3 @@ def _write(folder: Path, table: list[dict[str, Any]], by_setting: dict[tuple[str
         ],
         table=table,
     )
-
-
-def _curve(runs: Sequence[list[dict[str, Any]]], measure: str) -> Curve:
-    return curve([each["update"] for each in runs[0]], [[each[measure] for each in measured] for measured in runs])

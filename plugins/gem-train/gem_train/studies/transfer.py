@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -71,15 +72,14 @@ def run(folder: Path, *, quick: bool, seeds: int, workers: int | None, quiet: bo
         workers: Processes; None for one a processor.
         quiet: Show no progress.
     """
-    jobs = [
-        Job(f"{trained.replace(' ', '-')}-{seed}", options_of(trained, seed), measure, every=20)
-        for seed in range(seeds)
+    jobs = {
+        trained: [
+            Job(f"{trained.replace(' ', '-')}-{seed}", options_of(trained, seed), measure, every=20)
+            for seed in range(seeds)
+        ]
         for trained in TRAINED
-    ]
-    results = run_jobs(jobs, folder, workers=workers, quiet=quiet)
-    by_setting = {
-        trained: [results[f"{trained.replace(' ', '-')}-{seed}"] for seed in range(seeds)] for trained in TRAINED
     }
+    by_setting = run_jobs(jobs, folder, workers=workers, quiet=quiet)
     table = [_row(trained, evaluated, runs) for trained, runs in by_setting.items() for evaluated in EVALUATED]
     curves = {
         evaluated: {
@@ -98,7 +98,7 @@ def _success(evaluated: str, measured: dict[str, float]) -> float:
     return measured[evaluated]
 
 
-def _row(trained: str, evaluated: str, runs: list[Run]) -> dict[str, Any]:
+def _row(trained: str, evaluated: str, runs: Sequence[Run]) -> dict[str, Any]:
     interval = last_interval(runs, partial(_success, evaluated))
     return {
         "trained": TRAINED[trained],
