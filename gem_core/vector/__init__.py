@@ -12,7 +12,7 @@ environments live; it has an ``EnvRunner`` for each slot, which makes, resets an
                 self.scheduler.advance(slot, ticket, self.runners[slot].perform(command))
 
 If environments live in workers that can be killed, derive from ``RemoteExecutor`` and ``WorkerLink`` instead, and run a
-``Worker`` in each worker. ``docs/writing-a-plugin.md`` has a complete example.
+``Worker`` in each worker; the plugin gem-ray is an example.
 """
 
 from gem_core.vector.commands import Command, Failure, Outcome, Reset

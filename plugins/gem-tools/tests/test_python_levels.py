@@ -79,7 +79,7 @@ def test_a_level_that_is_missing_is_an_error(unknown: None, monkeypatch: pytest.
         Pool("bubblewrap", num_workers=1).run("")
     assert str(caught.value) == (
         "the Python sandbox 'bubblewrap' cannot run here: bubblewrap is not on the PATH: "
-        f"install the package 'bubblewrap' of your system. See {page_url('tools/#python')}"
+        f"install the package 'bubblewrap' of your system. See {page_url('python-tool/#levels')}"
     )
     with pytest.raises(MissingRequirementError) as caught:
         Pool("docker", num_workers=1).run("")

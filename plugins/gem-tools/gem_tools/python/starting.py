@@ -110,7 +110,7 @@ async def chosen(sandbox: str, settings: Mapping[str, Any]) -> Chosen:
             return dataclasses.replace(found, passed_over=passed_over)
     reasons = "; ".join(f"{level}: {reason}" if sandbox == AUTO else reason for level, reason in passed_over.items())
     raise MissingRequirementError(
-        f"the Python sandbox {sandbox!r} cannot run here: {reasons}. See {page_url('tools/#python')}"
+        f"the Python sandbox {sandbox!r} cannot run here: {reasons}. See {page_url('python-tool/#levels')}"
     )
 
 
