@@ -102,14 +102,14 @@ class Soak:
         """Return the containers of this run."""
         if self.backend != "docker":
             return []
-        words = ["docker", "ps", "--all", "--quiet", "--filter", f"label=org.gem-llm.terminal.run={self.run}"]
+        words = ["docker", "ps", "--all", "--quiet", "--filter", f"label=gem-terminal.run={self.run}"]
         return subprocess.run(words, capture_output=True, text=True, check=True, timeout=60).stdout.split()
 
     def left(self) -> dict[str, list[str]]:
         """Return all that is there of this run: containers, networks, volumes, processes."""
         found = {"containers": self.containers(), "processes": self._processes()}
         if self.backend == "docker":
-            mine = f"label=org.gem-llm.terminal.run={self.run}"
+            mine = f"label=gem-terminal.run={self.run}"
             for what, words in (("networks", ["network", "ls"]), ("volumes", ["volume", "ls"])):
                 found[what] = _lines("docker", *words, "--quiet", "--filter", mine)
         return found

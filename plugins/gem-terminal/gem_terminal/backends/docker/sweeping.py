@@ -16,16 +16,16 @@ from gem_terminal.backends.docker.engine import FAILURES
 if TYPE_CHECKING:
     from gem_terminal.backends.docker.engine import Engine
 
-LABEL = "org.gem-llm.terminal"
+LABEL = "gem-terminal"
 """Its value says what a thing is: ``machine``, ``service``, ``network``, ``volume``, ``image``."""
 
-OWNER = "org.gem-llm.terminal.owner"
+OWNER = "gem-terminal.owner"
 """Its value names the process that a thing belongs to, as :func:`owner` does."""
 
-EXPIRES = "org.gem-llm.terminal.expires"
+EXPIRES = "gem-terminal.expires"
 """Its value is the Unix time after which a thing is of no use to anybody, also where its owner cannot be looked for."""
 
-RUN = "org.gem-llm.terminal.run"
+RUN = "gem-terminal.run"
 """Its value is ``GEM_TERMINAL_RUN`` of the process that made a thing, by which tests find their own; most have none."""
 
 REPOSITORY = "gem-terminal"
