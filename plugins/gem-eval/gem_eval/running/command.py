@@ -72,7 +72,7 @@ wrong argument, 130 after Ctrl-C.
 @click.option("-n", "--episodes", type=AtLeast(min=1), help="Rows of tasks without a data set.  [default: 100]")
 @click.option("-s", "--seed", type=AtLeast(min=0), help="Seed of the run.  [default: 0]")
 @arguments_option
-@stack_options("For tasks that name none.")
+@stack_options("In place of those that tasks name.")
 @click.option("--episode-time", type=click.FloatRange(min=0, min_open=True), help="Most seconds of an episode.")
 @click.option("--episode-tokens", type=AtLeast(min=1), help="Most tokens of an episode.")
 @click.option("--episode-cost", type=click.FloatRange(min=0, min_open=True), help="Most US dollars of an episode.")
