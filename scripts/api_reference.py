@@ -87,14 +87,13 @@ def page(package: Package, elsewhere: dict[str, str]) -> str:
         package: What it describes.
         elsewhere: Names that the page of another package describes, with that package.
     """
-    text = f"# {package.name}\n\n"
-    if elsewhere:
-        names = ", ".join(f"[`{name}`]({home}.md#{home}.{name})" for name, home in elsewhere.items())
-        text += f"Also offered here, and described where the link leads: {names}.\n\n"
-    text += f"::: {package.name}\n"
+    text = f"# {package.name}\n\n::: {package.name}\n"
     members = [name for name in package.offered if name not in elsewhere]
     if package.offered:
         text += "    options:\n" + (f"      members: [{', '.join(members)}]\n" if members else "      members: false\n")
+    if elsewhere:
+        names = ", ".join(f"[`{name}`]({home}.md#{home}.{name})" for name, home in elsewhere.items())
+        text += f"\n## Described elsewhere\n\n{names}\n"
     return text
 
 

@@ -1,7 +1,8 @@
 """An extension of griffe, for what mkdocstrings would not understand of our docstrings.
 
 Blocks of code, which follow a line that ends with ``::``, become blocks of Markdown. A class that is called with its
-fields, as a NamedTuple or a model of pydantic, has attributes where its docstring says ``Args:``.
+fields, as a NamedTuple or a model of pydantic, has attributes where its docstring says ``Args:``. Formulas become
+MathML, and names of pages become links.
 """
 
 from __future__ import annotations
@@ -12,8 +13,11 @@ import textwrap
 from typing import Any
 
 import griffe  # type: ignore[import-not-found]
+from latex2mathml.converter import convert  # type: ignore[import-not-found]
 
 BLOCK = re.compile(r"^(?P<indent> *)(?P<text>.*?):{2}\n\n?(?P<code>(?:(?P=indent) {4}.*\n?|[ ]*\n)+)", re.MULTILINE)
+FORMULA = re.compile(r":math:`([^`]+)`")
+PAGE = re.compile(r"``docs/([\w-]+\.md)``")
 
 
 class DocstringBlocks(griffe.Extension):  # type: ignore[misc]
@@ -22,7 +26,10 @@ class DocstringBlocks(griffe.Extension):  # type: ignore[misc]
     def on_instance(self, *, obj: Any, **_: Any) -> None:
         """Rewrite the docstring of one module, class, function or attribute."""
         if obj.docstring:
-            obj.docstring.value = BLOCK.sub(fenced, obj.docstring.value)
+            text = FORMULA.sub(
+                lambda match: f"<span>{convert(match[1])}</span>", BLOCK.sub(fenced, obj.docstring.value)
+            )
+            obj.docstring.value = PAGE.sub(r"[\1](../\1)", text)
 
     def on_class_members(self, *, cls: Any, **_: Any) -> None:
         """Rewrite the docstring of a class without a constructor of its own, once its members are known."""

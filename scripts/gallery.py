@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -92,13 +93,14 @@ def render() -> Pages:
     """Return all that the gallery consists of, without playing."""
     measured: dict[str, Any] = json.loads(MEASURED.read_text(encoding="utf-8"))
     members = families()
+    titles = titles_of(members)
     pages: Pages = {}
     for page, records in members.items():
         like = _shown_by(page, members, measured)
-        pages[f"gallery/{page}.md"] = "\n".join([MADE, *_page(page, records, measured.get(page), like)])
+        pages[f"gallery/{page}.md"] = "\n".join(_page(page, records, measured.get(page), like, titles))
         for path, picture in _pictures(page, measured.get(page, {})):
             pages[path] = picture
-    pages["gallery/index.md"] = "\n".join([MADE, *_index(members, measured)])
+    pages["gallery/index.md"] = "\n".join(_index(members, titles, measured))
     pages["gallery/.nav.yml"] = "\n".join(_navigation(members))
     return pages
 
@@ -141,19 +143,23 @@ def _with_question(frames: list[Frame]) -> list[Frame]:
 # A page.
 
 
-def _page(page: str, records: list[EnvSpec], played: Mapping[str, Any] | None, like: str | None) -> Iterator[str]:
+def _page(
+    page: str, records: list[EnvSpec], played: Mapping[str, Any] | None, like: str | None, titles: Mapping[str, str]
+) -> Iterator[str]:
     told = described(str(records[0].entry_point))
-    yield f"# {_title(page, records)}\n"
+    yield f"# {titles[page]}\n"
+    yield MADE  # below the title, which the site takes from the first line
     yield f"{_summary(page, records)}\n"
     above = "../" * (page.count("/") + 1)
     shown = page if played and "good" in played else like
+    if like is not None:
+        other = f"[{titles[like]}]({_link(page, like)})"
+        yield f"It was not played for this page. This is an episode of {other}, which has the same class:\n"
     if shown is not None:
         yield f"![An episode, turn by turn]({above}{picture_path(shown)})\n"
-    if like is not None:
-        yield f"Not played here. The picture is of [{_name(like)}]({_link(page, like)}), which has the same class.\n"
-    yield from _start(page, records, played)
+    yield from _start(page, records)
     yield from ids(records)
-    yield from arguments(told, above)
+    yield from arguments(told, above, records)
     yield from rewards(told)
     yield from scores(records, played, solver_of(page))
     for which, title in (("good", "A good episode"), ("bad", "A bad episode")):
@@ -168,11 +174,14 @@ def _page(page: str, records: list[EnvSpec], played: Mapping[str, Any] | None, l
         yield f"More about these tasks: [{title}]({above}{guide}).\n"
 
 
-def _name(page: str) -> str:
-    return page.replace("/", ":")
+def titles_of(members: Mapping[str, Sequence[EnvSpec]]) -> dict[str, str]:
+    """Return the title of each page: the name of its environments, with the namespace where others have that name."""
+    names = {page: _family(page, records) for page, records in members.items()}
+    counts = Counter(names.values())
+    return {page: name if counts[name] == 1 else f"{page.partition('/')[0]}:{name}" for page, name in names.items()}
 
 
-def _title(page: str, records: Sequence[EnvSpec]) -> str:
+def _family(page: str, records: Sequence[EnvSpec]) -> str:
     if "/" not in page:
         return CATEGORIES.get(page, page)
     return re.split(r"-v\d", records[0].name)[0]
@@ -189,7 +198,7 @@ def _summary(page: str, records: Sequence[EnvSpec]) -> str:
     return records[0].summary.partition(";")[0].rstrip(".") + "."
 
 
-def _start(page: str, records: Sequence[EnvSpec], played: Mapping[str, Any] | None) -> Iterator[str]:
+def _start(page: str, records: Sequence[EnvSpec]) -> Iterator[str]:
     first = records[0]
     provider = registry().provider(first.id)
     distribution = provider.distribution if provider is not None else ""
@@ -197,15 +206,22 @@ def _start(page: str, records: Sequence[EnvSpec], played: Mapping[str, Any] | No
     yield "```console"
     yield f"pip install {json.dumps(extras[0]) if extras else distribution}"
     yield f"gem info {first.id}"
-    if played:
-        solver = solver_of(page)
-        known = solver is not None and solver.name.startswith("`") and not first.seats
-        agent = solver.name.strip("`") if solver is not None and known else "random"
-        yield f"gem run {first.id} --agent {agent} --episodes 10"
+    yield f"gem run {first.id} {_agents(page, first)} --episodes 10"
     yield "```\n"
     yield f"Class `{first.entry_point}`, of the distribution `{distribution}`."
     needed = needs_of(first)
     yield f"{needed}\n" if needed else ""
+
+
+def _agents(page: str, record: EnvSpec) -> str:
+    """Return who plays, as options of ``gem run``: the one of the plugin against a random player where there is one."""
+    solver = solver_of(page)
+    name = solver.name.strip("`") if solver is not None and solver.name.startswith("`") else "random"
+    if "user" in record.seats:
+        return f"--agent assistant={name} --agent user=tau-user:patient"
+    if record.seats and name != "random":
+        return f"--agent {name} --agent random"
+    return f"--agent {name}"
 
 
 def _differences(page: str, records: Sequence[EnvSpec], above: str) -> Iterator[str]:
@@ -219,7 +235,7 @@ def _differences(page: str, records: Sequence[EnvSpec], above: str) -> Iterator[
     if ours:
         yield f"gem-llm, the package of the paper, has no such environment: it is ours. See {link}.\n"
         return
-    rows = [row for row in _table(text, heading) if _concerns(row[0], _title(page, records))]
+    rows = [row for row in _table(text, heading) if _concerns(row[0], _family(page, records))]
     if rows:
         yield "| | gem-llm | here |\n| --- | --- | --- |"
         yield from (f"| {' | '.join(row)} |" for row in rows)
@@ -256,18 +272,22 @@ def _concerns(cell: str, name: str) -> bool:
 # The index, and all files.
 
 
-def _index(members: Mapping[str, list[EnvSpec]], measured: Mapping[str, Any]) -> Iterator[str]:
+def _index(
+    members: Mapping[str, list[EnvSpec]], titles: Mapping[str, str], measured: Mapping[str, Any]
+) -> Iterator[str]:
     yield "# Gallery\n"
+    yield MADE
     count = sum(map(len, members.values()))
-    yield f"{count} environments in {len(members)} families. Each page has the ids, the arguments, the rewards, "
-    yield "two recorded episodes, and the scores of a random player and of a good one.\n"
+    yield f"{count} environments in {len(members)} families. Each page has the ids, the arguments and the rewards. "
+    yield "Where an environment needs nothing from elsewhere, it also has two recorded episodes, and the scores of a "
+    yield "random player and of a good one.\n"
     for namespace in _namespaces(members):
         pages = [page for page in members if page.partition("/")[0] == namespace]
         yield f"## {CATEGORIES.get(namespace, namespace)}\n"
-        yield from _grid([page for page in pages if "good" in measured.get(page, {})], members)
+        yield from _grid([page for page in pages if "good" in measured.get(page, {})], members, titles)
         for page in pages:
             if "good" not in measured.get(page, {}):
-                yield f"- [{_title(page, members[page])}]({page}.md): {_summary(page, members[page])}"
+                yield f"- [{titles[page]}]({page}.md): {_summary(page, members[page])}"
         yield ""
 
 
@@ -285,7 +305,7 @@ def _namespaces(members: Iterable[str]) -> list[str]:
     return [*(name for name in CATEGORIES if name in present), *sorted(present - set(CATEGORIES))]
 
 
-def _grid(pages: Sequence[str], members: Mapping[str, list[EnvSpec]]) -> Iterator[str]:
+def _grid(pages: Sequence[str], members: Mapping[str, list[EnvSpec]], titles: Mapping[str, str]) -> Iterator[str]:
     """Yield a table of pictures, two in a row."""
     if not pages:
         return
@@ -293,7 +313,7 @@ def _grid(pages: Sequence[str], members: Mapping[str, list[EnvSpec]]) -> Iterato
     for start in range(0, len(pages), 2):
         cells = []
         for page in pages[start : start + 2]:
-            title = _title(page, members[page])
+            title = titles[page]
             picture = f"[![{title}](../{picture_path(page)})]({page}.md)"
             cells.append(f"{picture}<br>**[{title}]({page}.md)**: {_summary(page, members[page])}")
         yield f"| {' | '.join([*cells, ''][:2])} |"

@@ -6,10 +6,14 @@ They are short and not the best there can be; they show what a good episode look
 from __future__ import annotations
 
 import heapq
+import json
 import re
+import runpy
 from collections import Counter
 from collections.abc import Callable, Iterator
+from importlib.resources import files
 from math import isqrt
+from pathlib import Path
 from typing import Any
 
 from gem_games.game_2048 import slide
@@ -212,3 +216,53 @@ def _pushes(room: str) -> Iterator[tuple[str, str]]:
         after[cell] = "+" if room[cell] in ".*" else "@"
         after[player] = "." if room[player] == "+" else "-"
         yield move, "".join(after)
+
+
+# Samples of tasks, by the solutions that come with them.
+
+
+def _reading_observations(play: Callable[[str], str]) -> Any:
+    """Return a player that is sent only what is new, also where there are tools."""
+    player: Any = play
+    player.reads = "observation"
+    return player
+
+
+def terminal() -> Any:
+    """Look around, type the solution of the sample task, and finish."""
+    solutions: dict[str, str] = {}
+    for task in files("gem_terminal").joinpath("data", "sample", "tasks").iterdir():
+        instruction = task.joinpath("instruction.md").read_text(encoding="utf-8")
+        solutions[instruction.strip()] = task.joinpath("solution", "solve.sh").read_text(encoding="utf-8")
+    left: list[str] = []
+
+    def play(observation: str) -> str:
+        for instruction, script in solutions.items():
+            if observation.startswith(instruction):
+                typed = script.partition("set -eu\n")[2].strip()
+                left[:] = ["<bash>ls -l /app</bash>", f"<bash>bash -eu <<'DONE'\n{typed}\nDONE</bash>", "<finish/>"]
+        return left.pop(0)
+
+    return _reading_observations(play)
+
+
+def databases() -> Any:
+    """Look at the tables, run the SQL that solves the sample task, and say that it is done."""
+    plugin = Path(__file__).resolve().parent.parent / "plugins" / "gem-mcpmark"
+    solutions: dict[str, str] = {}
+    for name, (right, _) in runpy.run_path(str(plugin / "tests" / "sample_solutions.py"))["SOLUTIONS"].items():
+        description = plugin / "gem_mcpmark" / "sample" / name / "description.md"
+        solutions[description.read_text(encoding="utf-8").strip()[:60]] = right.strip()
+    left: list[str] = []
+
+    def call(sql: str) -> str:
+        return f"<tool_call>{json.dumps({'name': 'execute_sql', 'arguments': {'sql': sql}})}</tool_call>"
+
+    def play(observation: str) -> str:
+        for beginning, sql in solutions.items():
+            if beginning in observation:
+                tables = "SELECT table_name FROM information_schema.tables WHERE table_schema = 'public'"
+                left[:] = [call(tables), call(sql), "Done."]
+        return left.pop(0)
+
+    return _reading_observations(play)

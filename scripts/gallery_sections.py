@@ -32,7 +32,8 @@ def needs_of(record: EnvSpec) -> str:
 
 def ids(records: Sequence[EnvSpec]) -> Iterator[str]:
     """Yield the table of ids, with the arguments in which they differ."""
-    differing = _differing(records)
+    family = len({record.name.partition("-")[0] for record in records}) == 1
+    differing = _differing(records) if family else []
     yield "## Ids\n"
     yield "| id | what it is | arguments |" if differing else "| id | what it is |"
     yield "| --- | --- | --- |" if differing else "| --- | --- |"
@@ -61,8 +62,9 @@ def _short(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}…"
 
 
-def arguments(told: Described, above: str) -> Iterator[str]:
+def arguments(told: Described, above: str, records: Sequence[EnvSpec]) -> Iterator[str]:
     """Yield the table of the constructor's arguments."""
+    known = set.intersection(*(set(record.kwargs) for record in records))
     yield "## Arguments\n"
     if not told.arguments:
         yield "There are none.\n"
@@ -71,7 +73,8 @@ def arguments(told: Described, above: str) -> Iterator[str]:
     yield "| argument | default | meaning |"
     yield "| --- | --- | --- |"
     for argument in told.arguments:
-        default = "must be given" if argument.default is None else f"`{_short_source(argument.default)}`"
+        required = "by the id" if argument.name in known else "must be given"
+        default = required if argument.default is None else f"`{_short_source(argument.default)}`"
         default = "" if argument.name.startswith("*") else default
         yield f"| `{argument.name}` | {default} | {_cell(argument.meaning)} |"
     yield ""
