@@ -312,7 +312,8 @@ class Registry:
             advice = self.how_to_get(namespace)
             if not advice and not failed:
                 near = did_you_mean(env_id, self._envs) or did_you_mean(namespace, namespaces)
-                advice = near or f" Namespaces: {', '.join(namespaces) or 'none'}."
+                known = f" Namespaces: {', '.join(namespaces) or 'none'}."
+                advice = near or f"{known} What gem.register adds is known to its own process alone."
             return f"no environment {env_id!r}.{advice}{failed} Run 'gem list'"
         candidates = [name for name in self._envs if not colon or name.startswith(f"{namespace}:")]
         hint = "" if colon else self.how_to_get(env_id)  # 'gem info' takes the names of all kinds
