@@ -105,7 +105,7 @@ EPISODES = {
     "code": 20,
     "math": 60,
     "qa": 60,
-    "rg": 5,
+    "rg": 20,
     "ta": 5,
     "pz": 50,
     "tau": 10,

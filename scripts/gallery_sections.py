@@ -112,7 +112,12 @@ def scores(records: Sequence[EnvSpec], played: Mapping[str, Any] | None, solver:
     yield f"| {' | '.join(heads)} |"
     yield f"| {' | '.join('---' for _ in heads)} |"
     for row in played["rows"]:
-        cells = [f"`{row['id']}`", row["player"], *([f"`{row['seat']}`"] if seats else []), str(row["episodes"])]
+        cells = [
+            f"`{row['id']}`",
+            row["player"],
+            *([f"`{row['seat']}`" if row["seat"] else ""] if seats else []),
+            str(row["episodes"]),
+        ]
         cells.append(_with_error(row["mean_return"], row["return_error"]))
         cells.append(_with_error(row["success"], row["success_error"], percent=True))
         yield f"| {' | '.join([*cells, _plain(row['turns'])])} |"
