@@ -18,7 +18,7 @@ MOST_BYTES = 40_000
 WIDTH = 820
 _MARGIN, _TOP, _LINE, _CHARACTER, _CELL = 24, 76, 19, 8.5, 36
 _SECONDS, _LAST_SECONDS = 1.2, 3.6
-_PANEL, _IMAGE = 250, 280
+_PANEL, _IMAGE, _LOG_LINES = 250, 280, 24
 _COLOURS = {
     "": "#cbd5e1",
     "1": "#f8fafc",
@@ -128,7 +128,7 @@ def _card(title: str, player: str, frames: Sequence[Frame], grid: Grid | None) -
     beside = right + _PANEL <= WIDTH - _MARGIN and any(drawing.elements for drawing in drawings)
     lowest = max(drawing.height for drawing in drawings)
     left, top = (right, _TOP) if beside else (_MARGIN, _TOP + lowest + (_LINE if lowest else 0))
-    told = [_panel(frame, left, top, most=9 if lowest else 18) for frame in frames]
+    told = [_panel(frame, left, top) for frame in frames] if lowest else _log(frames)
     height = max(_TOP + lowest, *(panel.height for panel in told)) + 2 * _MARGIN
     dots = [_dots(number, len(frames), height) for number in range(len(frames))]
     shown = [
@@ -302,20 +302,40 @@ def _pieces(line: str) -> list[Piece]:
 # The panel.
 
 
-def _panel(frame: Frame, left: float, top: float, *, most: int) -> _Drawn:
-    """Return what a frame says in words, and where it ends."""
-    width = WIDTH - left - _MARGIN
-    columns = int(width / _CHARACTER)
-    lines: list[tuple[str, str]] = [(frame.heading, "#94a3b8")]
-    lines += [(line, "#22d3ee") for line in wrapped(frame.action, columns, 5)]
+Line = tuple[str, str]
+"""A line, and its colour."""
+
+
+def _panel(frame: Frame, left: float, top: float) -> _Drawn:
+    """Return what a frame says in words, beside or below its drawing, and where it ends."""
+    columns = int((WIDTH - left - _MARGIN) / _CHARACTER)
+    return _written(_lines(frame, columns, 5 if columns < 60 else 14, 9), left, top)
+
+
+def _log(frames: Sequence[Frame]) -> list[_Drawn]:
+    """Return what is said up to each frame: of episodes without a drawing the last frame shows most of them."""
+    lines: list[Line] = []
+    panels = []
+    for frame in frames:
+        lines += [*([("", "")] if lines else []), *_lines(frame, int((WIDTH - 2 * _MARGIN) / _CHARACTER), 14, 8)]
+        panels.append(_written(lines[-_LOG_LINES:], _MARGIN, _TOP))
+    return panels
+
+
+def _lines(frame: Frame, columns: int, most_of_action: int, most_of_feedback: int) -> list[Line]:
+    lines: list[Line] = [(frame.heading, "#94a3b8")]
+    lines += [(line, "#22d3ee") for line in wrapped(frame.action, columns, most_of_action)]
     if frame.reward is not None:
         colour = "#4ade80" if frame.reward > 0 else "#f87171" if frame.reward < 0 else "#94a3b8"
         lines.append((f"reward {frame.reward:.4g}", colour))
-    lines += [(line, "#cbd5e1") for line in wrapped(frame.feedback, columns, most)]
+    return [*lines, *((line, "#cbd5e1") for line in wrapped(frame.feedback, columns, most_of_feedback))]
+
+
+def _written(lines: Sequence[Line], left: float, top: float) -> _Drawn:
     elements = [
         _text(left, top + 14 + number * _LINE, line, colour) for number, (line, colour) in enumerate(lines) if line
     ]
-    return _Drawn(elements, width, top + len(lines) * _LINE)
+    return _Drawn(elements, WIDTH - left - _MARGIN, top + len(lines) * _LINE)
 
 
 def wrapped(text: str, columns: int, most: int) -> list[str]:
