@@ -107,15 +107,21 @@ def test_pictures_are_small_and_well_formed(rendered: dict[str, str]) -> None:
 
 def test_last_frame_stands_where_nothing_moves(gallery: ModuleType) -> None:
     """Readers who want no motion, and programs that know no animation, see how the episode ended."""
-    frames = [drawing().Frame("", f"turn {number}", f"answer {number}", 0.5) for number in range(3)]
-    text = drawing().card("a:B", "random", frames)
-    still, _, moving = text.partition("@media(prefers-reduced-motion:no-preference)")
+    frames = [drawing().Frame(f"board {number}", f"turn {number}", f"answer {number}", 0.5) for number in range(3)]
+    assert seen_without_motion(drawing().card("a:B", "random", frames)) == {"board 2", "turn 2", "answer 2"}
+    conversation = [frame._replace(drawing="") for frame in frames]
+    assert len(seen_without_motion(drawing().card("a:B", "random", conversation))) == 6
+
+
+def seen_without_motion(picture: str) -> set[str]:
+    """What a picture shows of its frames where nothing moves; each group that is seen at times moves elsewhere."""
+    still, _, moving = picture.partition("@media(prefers-reduced-motion:no-preference)")
     (hidden,) = re.findall(r"((?:\.f\d+,?)+)\{visibility:hidden\}", still)
-    groups = dict(re.findall(r'<g class="(f\d+)">(.*?)</g>', text))
-    assert [name for name, content in groups.items() if "turn 2" in content] == list(
-        set(groups) - set(hidden.replace(".", "").split(","))
-    )
+    groups = dict(re.findall(r'<g class="(f\d+)">(.*?)</g>', picture))
     assert moving.count("@keyframes") == len(groups)
+    for name in hidden.replace(".", "").split(","):
+        picture = picture.replace(groups[name], "")
+    return set(re.findall(r">((?:board|turn|answer) \d)<", picture))
 
 
 def test_text_of_an_episode_cannot_break_a_page_or_a_picture(gallery: ModuleType) -> None:
