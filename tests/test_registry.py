@@ -64,8 +64,8 @@ def words(own_registry: registry.Registry) -> None:
         ),
         (
             "quux:One",
-            "no environment 'quux:One'. Namespaces: eval, word. What gem.register adds is known to its own process alone. "
-            "Run 'gem list'",
+            "no environment 'quux:One'. Namespaces: eval, word. "
+            "What gem.register adds is known to its own process alone. Run 'gem list'",
         ),
     ],
 )
