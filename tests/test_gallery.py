@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -107,10 +108,12 @@ def test_pictures_are_small_and_well_formed(rendered: dict[str, str]) -> None:
 
 def test_last_frame_stands_where_nothing_moves(gallery: ModuleType) -> None:
     """Readers who want no motion, and programs that know no animation, see how the episode ended."""
-    frames = [drawing().Frame(f"board {number}", f"turn {number}", f"answer {number}", 0.5) for number in range(3)]
-    assert seen_without_motion(drawing().card("a:B", "random", frames)) == {"board 2", "turn 2", "answer 2"}
-    conversation = [frame._replace(drawing="") for frame in frames]
-    assert len(seen_without_motion(drawing().card("a:B", "random", conversation))) == 6
+
+    def frames(board: str) -> list[Any]:
+        return [drawing().Frame(board.format(turn), f"turn {turn}", f"answer {turn}", 0.5) for turn in range(3)]
+
+    assert seen_without_motion(drawing().card("a:B", "random", frames("board {}"))) == {"board 2", "turn 2", "answer 2"}
+    assert len(seen_without_motion(drawing().card("a:B", "random", frames("")))) == 6
 
 
 def seen_without_motion(picture: str) -> set[str]:
