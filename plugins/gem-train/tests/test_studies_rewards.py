@@ -70,6 +70,7 @@ def test_player_solves_products_with_the_tool() -> None:
     assert {episode.success for episode in used} == {True}
 
 
+@pytest.mark.thorough
 def test_study_runs_from_imitation_to_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """At the smallest size, on one seed."""
     pytest.importorskip("gem_tools")

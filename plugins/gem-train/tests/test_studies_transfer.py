@@ -29,6 +29,7 @@ def test_evaluations_are_in_the_vocabulary_and_not_imitated() -> None:
     assert any("Mastermind" in word for word in learner.vocabulary.words)
 
 
+@pytest.mark.thorough
 def test_study_runs_from_imitation_to_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """At the smallest size, on one seed."""
     monkeypatch.setattr(transfer, "options_of", tiny_options)

@@ -99,6 +99,7 @@ def test_rewards_of_self_play_add_up_to_nothing() -> None:
         assert all(abs(seat.episode_return) in (1, 2) for seat in game)
 
 
+@pytest.mark.thorough
 def test_study_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A tiny study from the warm start to its page; a row for each game, with and without baselines."""
     monkeypatch.setattr(self_play, "GAMES", {game: {**options, **TINY} for game, options in self_play.GAMES.items()})

@@ -63,6 +63,8 @@ def test_learning_scores_images_as_generation_saw_them(memory: int | None) -> No
         max_tokens=4,
         width=16,
         context=96,
+        imitate_episodes=8,
+        imitate_steps=2,
     )
     learner = warm_start(options)
     before = copy.deepcopy(learner.policy)
