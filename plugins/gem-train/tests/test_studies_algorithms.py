@@ -40,14 +40,13 @@ def test_player_answers_and_answers_fit(task: algorithms.Task) -> None:
 
 
 def test_study_runs_from_imitation_to_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two tasks, every algorithm, two updates; the algorithms share a warm start."""
+    """One task, every algorithm, two updates; the algorithms share a warm start."""
     pytest.importorskip("gem_games")
-    pytest.importorskip("reasoning_gym")
     options_of = algorithms.options_of
     tiny: dict[str, Any] = {"updates": 2, "episodes": 8, "eval_episodes": 4, "width": 8, "heads": 2}
     tiny |= {"imitate_episodes": 8, "imitate_steps": 2}
     monkeypatch.setattr(algorithms, "options_of", lambda *given: replace(options_of(*given), **tiny))
-    tasks = [task for task in algorithms.TASKS if task.name in ("TowerofHanoi", "Addition")]
+    tasks = [task for task in algorithms.TASKS if task.name == "TowerofHanoi"]
     monkeypatch.setattr(algorithms, "TASKS", tasks)
     rows = algorithms.run(tmp_path, quick=False, seeds=1, workers=1, quiet=True)
     assert [(row["task"], row["algorithm"]) for row in rows] == [
