@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
 from gem_core.errors import ArgumentError
@@ -85,6 +85,19 @@ def check_arguments(maker: Callable[..., Any], args: tuple[Any, ...], options: M
         if isinstance(value, str) and parameter is not None and parameter.annotation in (bool, "bool"):
             # Any text, even "False", would silently count as true.
             raise ArgumentError(f"{owner}: {name} must be True or False, not the text {value!r:.100}")
+
+
+def with_options(given: Any, rule: str, is_one: Callable[[object], bool]) -> tuple[Any, dict[str, Any]]:
+    """Return what was named, and its options: of ``one``, or of ``(one, {option: value})``.
+
+    Raises:
+        ArgumentError: It is neither; the message begins with the rule.
+    """
+    if is_one(given):
+        return given, {}
+    if isinstance(given, Sequence) and len(given) == 2 and is_one(given[0]) and isinstance(given[1], Mapping):
+        return given[0], dict(given[1])
+    raise ArgumentError(f"{rule}, not {given!r:.200}")
 
 
 def overridden(maker: Callable[..., Any], arguments: Arguments, overrides: Mapping[str, Any]) -> Arguments:

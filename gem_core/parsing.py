@@ -43,8 +43,7 @@ def extract_last_boxed_answer(text: str) -> str | None:
     last = text.rfind(_BOXED)
     if last < 0:
         return None
-    # Nearly always the last box is complete and plain, so that is tried first; then the last box with braces inside;
-    # and only then is the text read from its beginning.
+    # Nearly always the last box is complete and plain, so that is tried first.
     content_start = last + len(_BOXED) + 1
     content_end = text.find("}", content_start)
     if content_end >= 0 and text[content_start - 1] == "{":
@@ -53,10 +52,9 @@ def extract_last_boxed_answer(text: str) -> str | None:
             return content
         if "{" not in content and "\\" not in content:
             return content.strip()
-    nested = _box_at(text, last)
-    if nested is not None:
-        return nested
-    return next(reversed(extract_boxed_answers(text)), None)
+    # The last box may be incomplete; only then is the text read from its beginning.
+    answers = extract_boxed_answers(text[last:]) or extract_boxed_answers(text)
+    return answers[-1] if answers else None
 
 
 def extract_boxed_answers(text: str) -> list[str]:
@@ -151,21 +149,3 @@ def _block(text: str, opening: re.Match[str], code_end: int, end: int) -> CodeBl
     if indent:
         code = re.sub(rf"^[ \t]{{1,{indent}}}", "", code, flags=re.MULTILINE)
     return CodeBlock((opening[3] or opening[5] or "").casefold(), code, opening.end(1), end)
-
-
-def _box_at(text: str, start: int) -> str | None:
-    position = start + len(_BOXED)
-    while position < len(text) and text[position] in " \t":
-        position += 1
-    if position >= len(text) or text[position] != "{":
-        return None
-    depth, content_start = 1, position + 1
-    for match in _BRACE_OR_BOX.finditer(text, content_start):
-        token = match[0]
-        if token[-1] == "{" and (token == "{" or len(token) > 2):
-            depth += 1
-        elif token == "}":
-            depth -= 1
-            if depth == 0:
-                return text[content_start : match.start()].strip()
-    return None

@@ -26,7 +26,8 @@ def test_all_that_a_plugin_offers_is_known(plugin: Any) -> None:
         for record in plugin.records
         if not isinstance(record, RequirementSpec)  # a word that is not known is taken as met: nobody asks for it
     }
-    assert offered == {key for key, owners in KNOWN_DISTRIBUTIONS.items() if plugin.distribution in owners}
+    known = KNOWN_DISTRIBUTIONS[plugin.distribution]
+    assert offered == {(kind, name) for kind, names in known.items() for name in names.split()}
 
 
 def test_a_command_of_a_plugin_that_is_not_installed_says_what_to_install(run_gem: RunGem, own_registry: Any) -> None:

@@ -15,7 +15,7 @@ REPORT = """
 import json, sys
 from gem_core.registry.known_distributions import KNOWN_DISTRIBUTIONS
 from gem_core.registry.lookup import registry
-KNOWN_DISTRIBUTIONS["namespace", "absent"] = ("gem-absent",)  # all of this project's may be installed
+KNOWN_DISTRIBUTIONS["gem-absent"] = {"namespace": "absent"}  # all of this project's may be installed
 plugins = {}
 for plugin in registry().plugins():
     failure = plugin.failure

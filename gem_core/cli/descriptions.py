@@ -10,7 +10,7 @@ from gem_core.arguments import signature_of
 from gem_core.docs import gallery_page, page_url
 from gem_core.errors import GemError
 from gem_core.registry.entry_points import load_entry_point
-from gem_core.registry.known_distributions import own_distributions
+from gem_core.registry.known_distributions import KNOWN_DISTRIBUTIONS
 from gem_core.registry.lookup import registry
 from gem_core.registry.plugins import Record
 from gem_core.registry.specs import AgentSpec, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
@@ -62,7 +62,7 @@ def describe_record(record: Record) -> dict[str, Any]:
 def page_of(record: EnvSpec) -> str | None:
     """Return the address of an environment's page in the gallery; None where another project offers it."""
     provider = registry().provider(record.id)
-    ours = provider is not None and provider.distribution in own_distributions()
+    ours = provider is not None and provider.distribution in KNOWN_DISTRIBUTIONS
     return page_url(gallery_page(record.id)) if ours else None
 
 

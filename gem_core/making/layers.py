@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeGuard, cast
 
-from gem_core.arguments import check_arguments
+from gem_core.arguments import check_arguments, with_options
 from gem_core.errors import ArgumentError
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.lookup import registry
@@ -114,11 +114,8 @@ def is_name(target: object) -> TypeGuard[str]:
 
 
 def _choice(choice: WrapperChoice) -> tuple[Target, dict[str, Any]]:
-    if isinstance(choice, str) or callable(choice) or _is_tool(choice):
-        return cast("Target", choice), {}
-    if isinstance(choice, Sequence) and len(choice) == 2 and isinstance(choice[1], Mapping):
-        return choice[0], dict(choice[1])
-    raise ArgumentError(f"a wrapper is a name, a tool, a callable, or (name, {{options}}), not {choice!r}")
+    rule = "a wrapper is a name, a tool, a callable, or (name, {options})"
+    return with_options(choice, rule, lambda one: isinstance(one, str) or callable(one) or _is_tool(one))
 
 
 def _layer(target: Target, options: dict[str, Any]) -> Layer:

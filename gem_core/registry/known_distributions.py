@@ -2,72 +2,32 @@
 
 from __future__ import annotations
 
-from functools import cache
-
-KNOWN_DISTRIBUTIONS: dict[tuple[str, str], tuple[str, ...]] = {
-    ("namespace", "game"): ("gem-games",),
-    ("namespace", "ta"): ("gem-games",),
-    ("namespace", "math"): ("gem-math",),
-    ("namespace", "train"): ("gem-train",),
-    ("namespace", "rg"): ("gem-math",),
-    ("namespace", "code"): ("gem-code",),
-    ("namespace", "qa"): ("gem-qa",),
-    ("namespace", "logic"): ("gem-qa",),
-    ("namespace", "terminal"): ("gem-terminal",),
-    ("namespace", "tau"): ("gem-tau",),
-    ("namespace", "mcp"): ("gem-mcpmark",),
-    ("namespace", "pz"): ("gem-pettingzoo",),
-    ("namespace", "eval"): ("gem-math", "gem-code", "gem-qa"),
-    ("tool", "python"): ("gem-tools",),
-    ("tool", "search"): ("gem-tools",),
-    ("tool", "mcp"): ("gem-tools",),
-    ("vector backend", "ray"): ("gem-ray",),
-    ("agent", "openai"): ("gem-openai",),
-    ("agent", "train"): ("gem-train",),
-    ("agent", "bisect"): ("gem-games",),
-    ("agent", "hanoi"): ("gem-games",),
-    ("agent", "mastermind"): ("gem-games",),
-    ("agent", "wikigame"): ("gem-games",),
-    ("agent", "tictactoe"): ("gem-games",),
-    ("agent", "kuhn"): ("gem-games",),
-    ("agent", "tau-assistant"): ("gem-tau",),
-    ("agent", "tau-user"): ("gem-tau",),
-    ("agent", "negotiator"): ("gem-games",),
-    ("tool", "distractor_tools"): ("gem-eval",),
-    ("wrapper", "cut_outputs"): ("gem-eval",),
-    ("wrapper", "paraphrase"): ("gem-eval",),
-    ("wrapper", "renamed_parameters"): ("gem-eval",),
-    ("wrapper", "tool_429"): ("gem-eval",),
-    ("wrapper", "tool_timeout"): ("gem-eval",),
-    ("wrapper", "typos"): ("gem-eval",),
-    ("command", "audit"): ("gem-eval",),
-    ("command", "bench-env"): ("gem-eval",),
-    ("command", "eval"): ("gem-eval",),
-    ("command", "robustness"): ("gem-eval",),
-    ("command", "show"): ("gem-eval",),
-    ("command", "compare"): ("gem-eval",),
-    ("command", "score"): ("gem-eval",),
-    ("command", "replay"): ("gem-eval",),
-    ("command", "report"): ("gem-eval",),
-    ("command", "export"): ("gem-eval",),
-    ("command", "view"): ("gem-eval",),
-    ("command", "train"): ("gem-train",),
-    ("command", "train-study"): ("gem-train",),
-    ("command", "mcp"): ("gem-tools",),
-    ("command", "serve-search"): ("gem-tools",),
-    ("command", "tau"): ("gem-tau",),
-    ("command", "terminal"): ("gem-terminal",),
+KNOWN_DISTRIBUTIONS: dict[str, dict[str, str]] = {
+    "gem-math": {"namespace": "eval math rg"},
+    "gem-code": {"namespace": "code eval"},
+    "gem-eval": {
+        "tool": "distractor_tools",
+        "wrapper": "cut_outputs paraphrase renamed_parameters tool_429 tool_timeout typos",
+        "command": "audit bench-env compare eval export replay report robustness score show view",
+    },
+    "gem-games": {"namespace": "game ta", "agent": "bisect hanoi kuhn mastermind negotiator tictactoe wikigame"},
+    "gem-mcpmark": {"namespace": "mcp"},
+    "gem-openai": {"agent": "openai"},
+    "gem-pettingzoo": {"namespace": "pz"},
+    "gem-qa": {"namespace": "eval logic qa"},
+    "gem-ray": {"vector backend": "ray"},
+    "gem-tau": {"namespace": "tau", "agent": "tau-assistant tau-user", "command": "tau"},
+    "gem-terminal": {"namespace": "terminal", "command": "terminal"},
+    "gem-tools": {"tool": "mcp python search", "command": "mcp serve-search"},
+    "gem-train": {"namespace": "train", "agent": "train", "command": "train train-study"},
 }
-"""By kind of record, as its ``kind`` says it (environments by namespace), and name."""
-
-
-@cache
-def own_distributions() -> frozenset[str]:
-    """Return the names of this project's distributions that offer something."""
-    return frozenset(owner for owners in KNOWN_DISTRIBUTIONS.values() for owner in owners)
+"""What each offers: names by kind of record, as its ``kind`` says it; environments by namespace."""
 
 
 def distributions_with(name: str, kind: str | None = None) -> list[str]:
     """Return the distributions that offer a name, of one kind or of any; none where nobody here does."""
-    found = (owners for (of, known), owners in KNOWN_DISTRIBUTIONS.items() if known == name and kind in (of, None))
-    return list(dict.fromkeys(owner for owners in found for owner in owners))
+    return [
+        owner
+        for owner, offered in KNOWN_DISTRIBUTIONS.items()
+        if any(name in names.split() for of, names in offered.items() if kind in (of, None))
+    ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from gem_core.arguments import check_arguments
+from gem_core.arguments import check_arguments, with_options
 from gem_core.errors import ArgumentError
 from gem_core.registry.entry_points import construct
 from gem_core.registry.lookup import registry
@@ -50,7 +50,7 @@ def _resolved(choice: ToolChoice) -> tuple[str, list[Tool]]:
     """Return where tools come from, in words, and the tools."""
     if isinstance(choice, Tool):
         return f"an instance of {type(choice).__name__}", [choice]
-    maker, options = _maker_and_options(choice)
+    maker, options = with_options(choice, "a tool is a Tool, a name, or (name, {options})", _is_maker)
     if isinstance(maker, type):
         check_arguments(maker, (), options, f"tool {maker.__name__!r}")
         made, origin = maker(**options), f"an instance of {maker.__name__}"
@@ -63,12 +63,5 @@ def _resolved(choice: ToolChoice) -> tuple[str, list[Tool]]:
     return origin, found
 
 
-def _maker_and_options(choice: object) -> tuple[str | type[Tool], dict[str, Any]]:
-    maker, options = choice, {}
-    if isinstance(choice, Sequence) and not isinstance(choice, str) and len(choice) == 2:
-        maker, options = choice
-    if isinstance(options, Mapping) and (
-        isinstance(maker, str) or (isinstance(maker, type) and issubclass(maker, Tool))
-    ):
-        return maker, dict(options)
-    raise ArgumentError(f"a tool is a Tool, a name, or (name, {{options}}), not {choice!r:.200}")
+def _is_maker(choice: object) -> bool:
+    return isinstance(choice, str) or (isinstance(choice, type) and issubclass(choice, Tool))

@@ -6,9 +6,9 @@ Each backend takes a ``VectorSetup`` and, by keyword, its own options; plugins a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
+from gem_core.arguments import with_options
 from gem_core.errors import ArgumentError
 from gem_core.registry.entry_points import construct
 from gem_core.registry.lookup import registry
@@ -21,7 +21,8 @@ from gem_core.vector.workers.process import ProcessExecutor
 
 def make_vector(ids: IdOrIds, num_envs: int | None, *, backend: object = "auto", **options: Any) -> VectorEnv:
     """Make several environments that are reset and stepped together; see ``make_vec`` for the arguments."""
-    name, backend_options = _backend_and_options(backend)
+    rule = "a backend is a name, or (name, {option: value})"
+    name, backend_options = with_options(backend, rule, lambda one: isinstance(one, str))
     setup = VectorSetup.of(ids, num_envs, **options)
     vector: VectorEnv = construct(registry().backend(name), setup, **backend_options)
     return vector
@@ -100,18 +101,3 @@ def _needs_worker(setup: VectorSetup, concurrency: Concurrency | None) -> bool:
 def _local(setup: VectorSetup) -> LocalExecutor:
     # An environment that runs in place cannot be abandoned.
     return LocalExecutor(setup, in_place=["inline"] if setup.step_timeout is None else [])
-
-
-def _backend_and_options(backend: object) -> tuple[str, Mapping[str, Any]]:
-    """Return the name of a backend and its options.
-
-    Raises:
-        ArgumentError: The backend is neither ``name`` nor ``(name, {option: value})``.
-    """
-    if isinstance(backend, str):
-        return backend, {}
-    if isinstance(backend, Sequence) and len(backend) == 2:
-        name, options = backend
-        if isinstance(name, str) and isinstance(options, Mapping):
-            return name, options
-    raise ArgumentError(f"a backend is a name, or (name, {{option: value}}), not {backend!r:.200}")

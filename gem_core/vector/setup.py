@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, cast
 
+from gem_core.arguments import with_options
 from gem_core.env.wrapper import AnyEnv, concurrency_of
 from gem_core.errors import ArgumentError
 from gem_core.making.environment import check_choices, make_from
@@ -179,8 +180,4 @@ def _is_pair(given: object) -> bool:
 
 
 def _as_pair(given: object) -> IdWithKwargs:
-    if isinstance(given, str):
-        return given, {}
-    if isinstance(given, tuple) and _is_pair(given):
-        return given[0], dict(given[1])
-    raise ArgumentError(f"an environment is an id, or (id, {{keyword: value}}), not {given!r:.200}")
+    return with_options(given, "an environment is an id, or (id, {keyword: value})", lambda one: isinstance(one, str))
