@@ -2,19 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 from gem_core.env.observations import is_messages, observation_from, split_observation
 from gem_core.records.turns import Turn, call_id, with_actions
-from gem_core.types import TERMINAL_STATE, Info, Observation
-
-if TYPE_CHECKING:
-    from gem_core.records.episode import Episode
+from gem_core.types import TERMINAL_STATE, Info, Observation, Response
 
 ChatMessage = dict[str, Any]
 
 CONCAT_WITH_ACTION = "concat_with_action"
+
+
+class Turned(Protocol):
+    """The attributes of a transition that the conversation uses."""
+
+    observation: Observation
+    action: Response
+    info: Info
+
+
+class Recorded(Protocol):
+    """The attributes of an ``Episode`` that the conversation uses."""
+
+    observation: Observation
+    info: Info
+    final_observation: Observation
+    reads: str | None
+    system: str | None
+    native_tools: bool
+
+    @property
+    def transitions(self) -> Sequence[Turned]:
+        """The turns so far, oldest first."""
 
 
 class Conversation:
@@ -28,7 +48,7 @@ class Conversation:
     ``system`` is the text of the system message, None without one.
     """
 
-    def __init__(self, episode: Episode) -> None:
+    def __init__(self, episode: Recorded) -> None:
         self._episode = episode
         # Records of earlier versions do not say what was sent; they may have had a view.
         self._viewed = "view" in episode.info or episode.reads is None
