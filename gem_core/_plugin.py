@@ -35,16 +35,16 @@ _AGENTS = [
     ("random", "agents.random:RandomAgent", "Draws a valid action in every state."),
     ("human", "agents.human:HumanAgent", "Asks a person at the terminal."),
 ]
-_COMMANDS = [
-    ("list", "cli.list_command:command", "List the environments that can be made."),
-    ("info", "cli.info_command:command", "Describe one environment, tool, wrapper, agent or backend."),
-    ("play", "cli.play_command:command", "Play an environment yourself, in the terminal."),
-    ("run", "cli.run_command:command", "Let an agent act in environments and record its episodes."),
-    ("plugins", "cli.plugins_command:command", "List the installed plugins, and what is wrong with them."),
-    ("doctor", "cli.doctor_command:command", "Find out what is broken, and what is missing to run the rest."),
-    ("new-plugin", "cli.new_plugin_command:command", "Start a plugin that installs and passes its own tests."),
-    ("completion", "cli.completion_command:command", "Print the script that completes words in your shell."),
-]
+_COMMANDS = {
+    "list": "List the environments that can be made.",
+    "info": "Describe one environment, tool, wrapper, agent or backend.",
+    "play": "Play an environment yourself, in the terminal.",
+    "run": "Let an agent act in environments and record its episodes.",
+    "plugins": "List the installed plugins, and what is wrong with them.",
+    "doctor": "Find out what is broken, and what is missing to run the rest.",
+    "new-plugin": "Start a plugin that installs and passes its own tests.",
+    "completion": "Print the script that completes words in your shell.",
+}
 
 
 @hookimpl
@@ -68,4 +68,7 @@ def gem_register_agents() -> Iterable[AgentSpec]:
 @hookimpl
 def gem_add_commands() -> Iterable[CommandSpec]:
     """The subcommands of ``gem``, each in a module of its own that is imported when it is called."""
-    return [CommandSpec(name=name, entry_point=f"gem_core.{at}", summary=text) for name, at, text in _COMMANDS]
+    return [
+        CommandSpec(name=name, entry_point=f"gem_core.cli.{name.replace('-', '_')}_command:command", summary=text)
+        for name, text in _COMMANDS.items()
+    ]
