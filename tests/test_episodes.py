@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 from typing import Any
@@ -16,7 +19,7 @@ from PIL import Image
 
 from gem_core.errors import EpisodeFileError
 from gem_core.records.episode import Episode, Transition
-from gem_core.records.files import EpisodeFileWarning, EpisodeWriter, read_episodes, write_episodes
+from gem_core.records.files import EpisodeFileWarning, EpisodeWriter, episode_lines, read_episodes, write_episodes
 from gem_core.records.plain_json import ImageFolder, to_plain
 from gem_core.types import Response
 
@@ -310,3 +313,22 @@ def test_what_contains_itself_is_cut_off_at_once() -> None:
     assert to_plain(circle) == {"a": "<contains itself>", "b": ["<contains itself>"]}
     shared = [1]
     assert to_plain([shared, shared]) == [[1], [1]]
+
+
+def test_a_file_has_one_writer_at_a_time(tmp_path: Path) -> None:
+    """A second one is told the process of the first, in whose file nothing changes; then it is its turn."""
+    path = tmp_path / "run.jsonl"
+    write = f"from gem_core.records import EpisodeWriter; EpisodeWriter({str(path)!r}, append=True)"
+    with EpisodeWriter(path) as writer:
+        writer.write(episode())
+        with pytest.raises(EpisodeFileError, match="this process"):
+            EpisodeWriter(path)
+        other = subprocess.run([sys.executable, "-c", write], capture_output=True, text=True, check=False)
+        assert "EpisodeFileError" in other.stderr
+        if sys.platform == "linux":
+            assert f"process {os.getpid()} is writing it" in other.stderr
+        writer.rewrite(line.text for line in episode_lines(path))
+        with pytest.raises(EpisodeFileError):
+            EpisodeWriter(path, append=True)
+    assert len(list(read_episodes(path))) == 1
+    EpisodeWriter(path, append=True).close()

@@ -275,3 +275,15 @@ def test_plan_of_a_vector_environment_is_resumed() -> None:
     first = list(gem.rollout(gem.make_vec(COUNTDOWN, 1, plan=plan, seed=3), sampling_agent))[:2]
     rest = list(gem.rollout(gem.make_vec(COUNTDOWN, 1, plan=plan, seed=4), sampling_agent, resume=first))
     assert [(episode.key, episode.run_seed) for episode in rest] == [("2", 3), ("3", 3)]
+
+
+@pytest.mark.parametrize("collect", [iter, list], ids=["as they come", "all at once"])
+def test_what_is_written_to_the_file_of_a_resumed_run_is_appended(tmp_path: Path, collect: Any) -> None:
+    """Also where nothing is left to run; the next run that is not resumed replaces it."""
+    path = tmp_path / "run.jsonl"
+    for count, new in ((2, 2), (5, 3), (5, 0)):
+        rest = collect(gem.rollout(COUNTDOWN, sampling_agent, episodes=count, seed=7, resume=path))
+        assert write_episodes(path, rest) == new
+        assert len(list(read_episodes(path))) == count
+    write_episodes(path, gem.rollout(COUNTDOWN, sampling_agent, episodes=1))
+    assert len(list(read_episodes(path))) == 1

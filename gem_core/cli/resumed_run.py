@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Collection
 from pathlib import Path
 
 import click
 
 from gem_core.cli.layout import counted
-from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records.files import EpisodeLine, episode_lines
+from gem_core.errors import ArgumentError
+from gem_core.records.files import EpisodeLine, EpisodeWriter, episode_lines
 from gem_core.records.joint import JointEpisode
 from gem_core.records.plans import EpisodeQueue
 from gem_core.records.summary import RunSummary
@@ -22,21 +20,20 @@ class ResumedRun:
     """The recorded episodes of a run that is resumed.
 
     Args:
-        path: The file.
+        writer: Writes the file.
         agents: Names of the agents that act now.
 
     Raises:
-        ArgumentError: It is not there, does not say of which run it is, or has games of other agents. Records of one
+        ArgumentError: It does not say of which run it is, or has games of other agents. Records of one
             agent do not name it.
         EpisodeFileError: It cannot be read.
     """
 
-    def __init__(self, path: Path, agents: Collection[str]) -> None:
-        self.path = path
+    def __init__(self, writer: EpisodeWriter, agents: Collection[str]) -> None:
+        self.writer = writer
+        self.path = path = writer.path
         self.done = FinishedEpisodes()
         self._again = 0
-        if not path.exists():
-            raise ArgumentError(f"--resume: there is no file {path}; a run that begins takes --out")
         seated: set[str] = set()
         for line in episode_lines(path):
             if line.episode is not None:
@@ -77,28 +74,20 @@ class ResumedRun:
                 summary.add(line.episode)
         summary.begin_session()
         if self._again:
-            self._rewrite()
+            self.writer.rewrite(line.text for line in episode_lines(self.path) if _stays(line))
             click.echo(f"gem: {counted(self._again, 'episode')} with an error or cut off: run again", err=True)
 
-    def _rewrite(self) -> None:
-        """Replace the file atomically by one without the episodes that are run again; images stay."""
-        target = self.path.resolve()
-        try:
-            number, name = tempfile.mkstemp(prefix=f"{target.name}.", suffix=".partial", dir=target.parent)
-            partial = Path(name)
-            try:
-                with os.fdopen(number, "wb") as file:
-                    for line in episode_lines(target):
-                        if _stays(line):
-                            file.write(line.text.rstrip(b"\n") + b"\n")
-                    file.flush()
-                    os.fsync(file.fileno())
-                partial.chmod(target.stat().st_mode & 0o7777)
-                partial.replace(target)
-            finally:
-                partial.unlink(missing_ok=True)
-        except OSError as error:
-            raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
+
+def file_to_resume(path: Path) -> EpisodeWriter:
+    """Return the writer of the file of a run that is resumed.
+
+    Raises:
+        ArgumentError: There is no such file.
+        EpisodeFileError: It cannot be written.
+    """
+    if not path.exists():
+        raise ArgumentError(f"--resume: there is no file {path}; a run that begins takes --out")
+    return EpisodeWriter(path, append=True)
 
 
 def _stays(line: EpisodeLine) -> bool:

@@ -157,7 +157,7 @@ def command(
     # Imported here, so that help and the completion of options need not wait for them.
     from gem_core.cli.acting import load_acting, several_agents
     from gem_core.cli.report import print_table, run_columns, status_of
-    from gem_core.cli.resumed_run import ResumedRun
+    from gem_core.cli.resumed_run import ResumedRun, file_to_resume
     from gem_core.progress import Progress
     from gem_core.records.files import EpisodeWriter
     from gem_core.records.plans import EpisodeQueue
@@ -174,7 +174,9 @@ def command(
     acting = load_acting(agents, [record for record, _ in envs], given(options), swap_seats=swap_seats)
     stack = wrapper_stacks(wrappers, tools, max_tool_uses, max_turns, envs[0][0])
     slots = _slots(acting, num_envs, len(chosen), episodes)
-    resumed = None if resume is None else ResumedRun(Path(resume), acting.agents)
+    # It is locked before it is read, so that nobody adds to it meanwhile.
+    writer = None if resume is None else ctx.with_resource(file_to_resume(Path(resume)))
+    resumed = None if writer is None else ResumedRun(writer, acting.agents)
     run_seed = seed if resumed is None else resumed.seed
     for agent in acting.agents.values():
         prepare_agent(agent)  # it says at the start what would fail later
@@ -191,7 +193,7 @@ def command(
         started = time.perf_counter()
         stopped_by: BaseException | None = None
         with (
-            EpisodeWriter(path, append=resumed is not None) as writer,
+            writer or EpisodeWriter(path) as writer,
             Progress(len(plan), f"seed {vector.seed}", quiet=acting.interactive is not None) as progress,
         ):
             try:

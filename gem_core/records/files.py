@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import json
 import os
+import stat
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -16,20 +19,24 @@ from gem_core.records.episode import Episode
 from gem_core.records.joint import Record, record_from_dict
 from gem_core.records.plain_json import ImageFolder
 
+_continued: set[Path] = set()
+"""Files that runs of this process have been resumed from, and that nobody has written to since."""
+
 
 class EpisodeFileWarning(UserWarning):
     """A line of a file of episodes was passed over; the message says which and why."""
 
 
 class EpisodeWriter:
-    """Writes episodes to a file as they finish, each line at once.
+    """Writes episodes to a file as they finish, each line at once. The file is locked until it is closed.
 
     Args:
         path: The file; folders above it are made.
-        append: Append to the file, instead of replacing it with the first episode.
+        append: Append to the file, instead of replacing it with the first episode. A file that a run was resumed from,
+            by ``rollout(resume=path)``, is appended to in any case.
 
     Raises:
-        EpisodeFileError: The file cannot be written.
+        EpisodeFileError: The file cannot be written, or is being written; the message says by which process.
     """
 
     def __init__(self, path: str | Path, *, append: bool = False) -> None:
@@ -37,16 +44,18 @@ class EpisodeWriter:
         self.count = 0
         self._images = ImageFolder.beside(self.path)
         self._append = append
-        self._to_empty = not append
+        self._begun = False
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            torn = append and _is_torn(self.path)
             # Without a buffer: a line is one system call, which Ctrl-C cannot cut in two.
             self._file = self.path.open("ab", buffering=0)
+            try:
+                lock_file(self._file.fileno(), self.path)
+            except BaseException:
+                self._file.close()
+                raise
         except OSError as error:
             raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
-        if torn:
-            self._write(b"\n")
 
     def write(self, episode: Record) -> None:
         """Write one episode, of one agent or of several."""
@@ -59,31 +68,63 @@ class EpisodeWriter:
         self._write(line.encode("ascii") + b"\n")
         self.count += 1
 
+    def rewrite(self, lines: Iterable[bytes]) -> None:
+        """Replace the content of the file by some lines, atomically; images stay.
+
+        Raises:
+            EpisodeFileError: The file cannot be written; it has not been changed.
+        """
+        target = self.path.resolve()
+        partial = target.with_name(f"{target.name}.{os.getpid()}.partial")
+        try:
+            try:
+                with partial.open("wb") as file:
+                    for line in lines:
+                        file.write(line.rstrip(b"\n") + b"\n")
+                    file.flush()
+                    os.fsync(file.fileno())
+                    os.fchmod(file.fileno(), os.fstat(self._file.fileno()).st_mode & 0o7777)
+                renewed = partial.open("ab", buffering=0)
+                lock_file(renewed.fileno(), partial)  # before anybody else can find it under the name of the file
+                partial.replace(target)
+            finally:
+                partial.unlink(missing_ok=True)
+        except OSError as error:
+            raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
+        self._file.close()
+        self._file = renewed
+
     def _write(self, data: bytes) -> None:
         try:
-            self._empty()
+            self._begin()
+            if not self.count and _is_torn(self.path):
+                data = b"\n" + data
             while data:
                 data = data[self._file.write(data) :]
         except OSError as error:
             raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
 
-    def _empty(self) -> None:
-        if self._to_empty and os.fstat(self._file.fileno()).st_size:
-            self._file.truncate(0)
-        self._to_empty = False
+    def _begin(self) -> None:
+        """Empty the file before the first line, unless it is appended to."""
+        if not self._begun:
+            self._begun = True
+            kept = self._append or self.path.resolve() in _continued
+            if not kept and os.fstat(self._file.fileno()).st_size:
+                self._file.truncate(0)
 
     def discard(self) -> None:
         """Close the file of a run that wrote nothing: earlier content stays, and an empty file is removed."""
-        self._to_empty = False
-        self.close()
+        self._begun = True
         with suppress(OSError):
             if not self._append and self.path.is_file() and not self.path.stat().st_size:
                 self.path.unlink()
+        self.close()
 
     def close(self) -> None:
         """Close the file; calling it again does nothing."""
         if not self._file.closed:
-            self._empty()
+            self._begin()
+            _continued.discard(self.path.resolve())
         self._file.close()
 
     def __enter__(self) -> Self:
@@ -93,6 +134,49 @@ class EpisodeWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self.close()
+
+
+def lock_file(descriptor: int, path: Path) -> None:
+    """Lock an open file of records for its writer; the lock ends when the file is closed, or with the process.
+
+    What is no file, as a pipe, is not locked.
+
+    Raises:
+        EpisodeFileError: Another writer has it; the message names its process, where the system tells.
+        OSError: It cannot be locked, or has been replaced since it was opened.
+    """
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        return
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        return
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise EpisodeFileError(
+            f"cannot write {path}: {_lock_holder(descriptor)} is writing it; wait until it has ended, or name another "
+            "file"
+        ) from None
+    except OSError as error:
+        if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):  # a file system without locks
+            raise
+    if not os.path.samestat(os.fstat(descriptor), path.stat()):
+        raise OSError(errno.ESTALE, "another process has just replaced it; try again")
+
+
+def _lock_holder(descriptor: int) -> str:
+    """Return what to call the process that has locked a file."""
+    number = os.fstat(descriptor).st_ino
+    with suppress(OSError, ValueError, IndexError):  # only Linux tells, and not of every file system
+        for line in Path("/proc/locks").read_text().splitlines():
+            _, kind, _, _, process, place, *_ = line.split()
+            if kind == "FLOCK" and int(place.rpartition(":")[2]) == number and int(process) > 0:
+                return "this process" if int(process) == os.getpid() else f"process {process}"
+    return "another process"
+
+
+def continue_file(path: str | Path) -> None:
+    """Let the writer of a file, the present one or the next, append to it, since a run goes on with its episodes."""
+    _continued.add(Path(path).resolve())
 
 
 def write_episodes(path: str | Path, episodes: Iterable[Record], *, append: bool = False) -> int:

@@ -99,9 +99,9 @@ def rollout(
             once: ``max_requests``, or else its ``max_concurrency``, or else 64 for an asynchronous one, and one for
             each id where the agent is plain. Of several agents, the one that may be asked most decides.
         max_requests: Questions to asynchronous agents that are open at once; None for as many as there are.
-        resume: Episodes of this run that are there already, or the file that holds them, to be written to with
-            ``append=True``: they are left out, but for those that ended in an error, which are run again. The seed is
-            theirs; a file that is not there yet holds none.
+        resume: Episodes of this run that are there already, or the file that holds them, to which new ones are then
+            appended: they are left out, but for those that ended in an error, which are run again. The seed is theirs;
+            a file that is not there yet holds none.
         progress: Show how far the run is, on standard error; or a callable that does.
 
     Yields:

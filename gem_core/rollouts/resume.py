@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from gem_core.errors import ArgumentError
 from gem_core.records.episode import Episode
-from gem_core.records.files import read_records
+from gem_core.records.files import continue_file, read_records
 from gem_core.records.joint import JointEpisode, Record
 from gem_core.records.plain_json import to_plain
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
@@ -125,6 +125,8 @@ def _other_run(key: str, difference: str) -> ArgumentError:
 def finished_episodes(resume: str | Path | Iterable[Record] | FinishedEpisodes | None) -> FinishedEpisodes:
     """Return the finished episodes of a file, which may not be there yet, or of an iterable of episodes.
 
+    What is then written to that file is appended to it.
+
     Raises:
         ArgumentError: Something in the iterable is no episode.
         EpisodeFileError: The file cannot be read.
@@ -132,6 +134,7 @@ def finished_episodes(resume: str | Path | Iterable[Record] | FinishedEpisodes |
     if isinstance(resume, FinishedEpisodes):
         return resume
     if isinstance(resume, str | Path):
+        continue_file(resume)
         resume = read_records(resume, images=False) if Path(resume).exists() else ()
     finished = FinishedEpisodes()
     for episode in resume or ():
