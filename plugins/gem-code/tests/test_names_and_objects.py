@@ -79,6 +79,47 @@ def test_a_function_may_be_named_like_one_of_pythons_own(judge: Judge, tests: ob
     assert not judge("x = 1", tests).correct
 
 
+@pytest.mark.parametrize(
+    ("test", "planted"),
+    [
+        ("assert math.isclose(f(2), 2.5)", "class math: isclose = staticmethod(lambda *a, **k: True)"),
+        ("assert isclose(f(2), 2.5)", "def isclose(*a): return True"),
+        ("assert Counter(f(2)) == Counter('ab')", "def Counter(x): return 1"),
+        ("assert re.fullmatch('[ab]+', str(f(2)))", "class re: fullmatch = staticmethod(lambda *a: True)"),
+        ("assert datetime(2020, 1, 1) == f(2) < datetime.now()", "def datetime(*a): return 0"),
+        ("import this\nassert f(2) == this.c", "open('this.py', 'w').write('c = 0')"),
+        ("import numpy\nassert numpy.allclose(f(2), 2.5)", "open('numpy.py', 'w').write('allclose = max')"),
+    ],
+)
+def test_names_of_the_library_are_the_judges(judge: Judge, test: str, planted: str) -> None:
+    """Whether a test imports them or not, and whatever files the program leaves."""
+    assert not judge(f"{planted}\ndef f(x): return 0", test).correct
+
+
+@pytest.mark.parametrize(
+    ("tests", "code"),
+    [
+        ("assert math.isclose(f(2), 2.5)", "def f(x): return x + 0.5"),
+        ("assert Counter(f(2)) == Counter('ab')", "def f(x): return ['b', 'a']"),
+        ("assert gcd(4, 6) == 2", "def gcd(a, b): return 2"),
+        (
+            "c = Counter()\nc.hit()\nassert c.hits == 1",
+            "class Counter:\n    hits = 0\n    def hit(self): self.hits += 1",
+        ),
+        (
+            "try:\n    assert f(0)\nexcept Overflow:\n    pass",
+            "class Overflow(Exception): pass\ndef f(x): raise Overflow",
+        ),
+        ("assert f(3) == 6 and product(2, 3) == 6", "def product(a, b): return a * b\ndef f(x): return product(x, 2)"),
+    ],
+)
+def test_right_programs_pass_beside_names_of_the_library(judge: Judge, tests: str, code: str) -> None:
+    """A function that bears such a name is the program's where it is tested alone, or the question defines it."""
+    prompt = "Write f, and `def product(a, b)`, which it calls." if "product" in tests else None
+    verdict = judge(code, tests, prompt=prompt)
+    assert verdict.correct, verdict.info()
+
+
 def test_check_calls_its_candidate_and_pythons_own_functions(judge: Judge) -> None:
     """Also where the function under test has the name of one of these."""
     tests = "def check(candidate):\n    assert candidate(1, 2) == 3\n    assert max([1, candidate(1, 1)]) == 2\n"

@@ -15,9 +15,11 @@ from __future__ import annotations
 import ast
 import builtins
 import ctypes
+import importlib
 import json
 import os
 import random
+import re
 import resource
 import signal
 import socket
@@ -32,6 +34,25 @@ from gem_code.inside.solution import OPERATIONS, Objects, leave_streams
 
 _PR_SET_DUMPABLE = 4
 _FILENAME = "<tests>"
+
+_PACKAGES = {"np": "numpy", "pd": "pandas", "nx": "networkx"}
+_PACKAGES |= {name: name for name in ("numpy", "pandas", "networkx", "scipy", "sympy", "sklearn", "torch", "pytest")}
+"""Packages beside the standard library, by the names that tests have for them."""
+
+_PLACES = [
+    "math",
+    "collections",
+    "itertools",
+    "functools",
+    "heapq",
+    "bisect",
+    "copy",
+    "typing",
+    "datetime",
+    "decimal",
+    "fractions",
+]
+"""Modules whose names tests use bare, as ``Counter``."""
 
 
 def run_tests() -> None:
@@ -48,6 +69,8 @@ def run_tests() -> None:
     work = json.load(sys.stdin)
     output = os.dup(1)
     leave_streams()
+    # The program may write modules into its folder; the tests import none of them.
+    sys.path[:] = [place for place in sys.path if place not in ("", os.getcwd())]
     program = Program(ours, pid, work)
     units = Units(program)
     try:
@@ -319,7 +342,11 @@ def _run(work: dict[str, Any], program: Program, units: Units) -> str | None:
     checks = any(node.name == "check" for node in functions)
     if checks and not work["entry"]:
         return "they define check(candidate), and the row names no function in 'entry_point'"
-    asked = _asked_of_the_program(tree, work["test"], work["entry"], bound)
+    used, defined = _global_names(symtable.symtable(work["test"], _FILENAME, "exec"))
+    unknown = used - defined - bound
+    library = {name: value for name in unknown for value in _from_library(name, tree)}
+    asked = _asked_of_the_program(tree, unknown, set(library) | set(dir(builtins)), work["entry"], work["prompt"])
+    space |= {name: value for name, value in library.items() if name not in asked}
     caught = {name.id for node in ast.walk(tree) for name in _caught(node) if name.id in asked}
     for name in asked:
         if name in caught:
@@ -370,15 +397,38 @@ def _prelude(prompt: str | None, entry: str | None, space: dict[str, Any]) -> se
     return set(space)
 
 
-def _asked_of_the_program(tree: ast.Module, source: str, entry: str | None, bound: set[str]) -> set[str]:
-    """Return the names that the tests use and nobody defines.
+def _from_library(name: str, tree: ast.Module) -> list[Any]:
+    """Return what the standard library, or a package, has under a name and the tests can mean; at most one value.
 
-    Where there are none, and all that is called bears the name of a function of Python's own, such a function is what
-    is tested; else it judges what is tested, and no program may put its own in the place.
+    Raises:
+        ImportError: It is the name of a package that is not installed.
     """
-    used, defined = _global_names(symtable.symtable(source, _FILENAME, "exec"))
-    own = set(dir(builtins))
-    asked = used - defined - bound - own
+    nodes = list(ast.walk(tree))
+    of_name = [node for node in nodes if isinstance(node, ast.Attribute) and getattr(node.value, "id", None) == name]
+    called = any(isinstance(node, ast.Call) and _called(node) == name for node in nodes)
+    found = []
+    if of_name and name in _PACKAGES:
+        return [importlib.import_module(_PACKAGES[name])]
+    if of_name and name in sys.stdlib_module_names:
+        found.append(importlib.import_module(name))
+    if not name.startswith("_"):
+        found += [vars(place)[name] for place in map(importlib.import_module, _PLACES) if name in vars(place)]
+    # An exception is of no use to a program that wants to pass, and may bear the name of one of its own.
+    found = [value for value in found if not (isinstance(value, type) and issubclass(value, BaseException))]
+    fits = [value for value in found if all(hasattr(value, node.attr) for node in of_name)]
+    return [value for value in fits if callable(value) or not called][:1]
+
+
+def _asked_of_the_program(
+    tree: ast.Module, unknown: set[str], own: set[str], entry: str | None, prompt: str | None
+) -> set[str]:
+    """Return which of the names that the tests use and do not define are the program's.
+
+    Those of Python and of its library are not: they judge what is tested, and no program may put its own in their
+    place. The program's are the function under test, what the question defines, and, if the tests use no other name,
+    what they call with plain values.
+    """
+    asked = unknown - own | {name for name in unknown if re.search(rf"\b(?:def|class) {name}\b", prompt or "")}
     if asked or entry:
         return asked | ({entry} if entry else set())
     helpers = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
@@ -386,14 +436,15 @@ def _asked_of_the_program(tree: ast.Module, source: str, entry: str | None, boun
     bodies = [*tests, *(node for node in tree.body if not isinstance(node, helpers))]
     nodes = [node for body in bodies for node in ast.walk(body)]
     asserted = [node.test for node in nodes if isinstance(node, ast.Assert)]
-    handed_over = [node for node in nodes if isinstance(node, ast.Call) and _called(node) in defined | bound]
-    kinds = {kind.__name__ for kind in PLAIN} - defined - bound
-    tested = own - kinds - defined - bound
+    handed_over = [node for node in nodes if isinstance(node, ast.Call) and _called(node) not in {None, *unknown}]
+    kinds = {kind.__name__ for kind in PLAIN} & unknown
+    tested = unknown - kinds
     # What makes a value, as list, is what is tested only where nothing else can be.
     return (
         _innermost([*asserted, *handed_over], tested)
         or _innermost(bodies, tested)
         or _innermost([*asserted, *handed_over], kinds)
+        or _innermost(bodies, kinds)
     )
 
 
