@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from gem_core import __version__
@@ -44,7 +45,7 @@ class RunningSeat:
             draw_action=draw_action,
             read_messages=self.conversation.messages,
             seat=episode.seat,
-            read_observation=lambda: episode.final_observation,
+            read_observation=partial(getattr, episode, "final_observation"),  # a copy of the seat reads its own
             view=info.get("view"),
         )
 

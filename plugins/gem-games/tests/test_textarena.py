@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import importlib.metadata
 import json
 import os
+import pickle
 import random
 import subprocess
 import sys
@@ -160,3 +162,18 @@ def test_a_seat_that_is_not_there_is_refused():
     with pytest.raises(ArgumentError) as caught:
         TextArenaEnv("TicTacToe-v0", players=2, seat=2)
     assert str(caught.value) == "seat must be a whole number from 0 to 1, not 2"
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])
+@pytest.mark.parametrize(
+    ("env_id", "kwargs"), [("ta:TicTacToe-v0", {}), ("ta:TwentyQuestions-v0", {"judge": "random"})]
+)
+def test_a_copy_plays_a_game_of_its_own(env_id, kwargs, copied):
+    """It goes on as the original would have, and leaves that as it is."""
+    env = make(env_id, **kwargs)
+    env.reset(seed=3)
+    env.step(env.sample_random_action())
+    other = copied(env)
+    refused = other.step("neither a move nor a question" if kwargs else "[9 9]")
+    assert env.unwrapped.table.refused == env.unwrapped.table.invalid == 0
+    assert env.step("neither a move nor a question" if kwargs else "[9 9]")[:4] == refused[:4]

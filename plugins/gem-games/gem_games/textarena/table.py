@@ -132,6 +132,19 @@ class Table:
         for action in actions:
             self.act(action)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy is made from: the game itself holds functions that no copy can have for its own."""
+        made = (self.name, self.players, self._max_turns, self._judge)
+        verdicts = [*self.verdicts, *self._known_verdicts]
+        return {"made": made, "seed": self.seed, "actions": self.actions, "verdicts": verdicts, "news": self._news}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Make a copy by playing the game again."""
+        Table.__init__(self, *state["made"])
+        if state["news"]:
+            self.replay(state["seed"], state["actions"], state["verdicts"])
+            self._news = state["news"]
+
     def tell(self, seat: int, text: str) -> None:
         """Let a text be all that is new for a seat."""
         self._news[seat] = [text]
