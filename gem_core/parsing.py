@@ -1,4 +1,4 @@
-r"""What agents write their answers in: ``\boxed{}``, ``<answer>`` tags and fenced code.
+r"""What agents write their answers in, ``\boxed{}``, ``<answer>`` tags and fenced code; and what they think before.
 
 Every function here takes any text at all and needs time in proportion to its length.
 """
@@ -8,6 +8,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from typing import NamedTuple
+
+THINKING_MARKS = (
+    ("[THINK]", "[/THINK]"),
+    ("<seed:think>", "</seed:think>"),
+    ("<|START_THINKING|>", "<|END_THINKING|>"),
+    ("<|channel|>analysis<|message|>", "<|end|>"),
+)
+"""Around the thinking of Mistral, Seed-OSS, Cohere and gpt-oss; most other models write ``<think>…</think>``."""
 
 _BOXED = "\\boxed"
 # A backslash escapes the character after it, so that LaTeX's \{ and \} do not count as braces. The start of
@@ -31,6 +39,26 @@ class CodeBlock(NamedTuple):
     code: str
     start: int
     end: int
+
+
+def without_thinking(action: str, tag: str = "think") -> str:
+    """Return a response without its thinking, in which nothing is answered, and nothing said to others.
+
+    Templates often open the block in the prompt, so that a response holds only the end of it: all up to the last
+    closing tag goes. A block that is never closed goes to the end.
+    """
+    opening, closing = f"<{tag}>", f"</{tag}>"
+    end = action.rfind(closing)
+    first = action.find(opening)
+    if end >= 0:
+        before = action[:first] if 0 <= first < end else ""
+        action = before + action[end + len(closing) :].lstrip()
+    action = action.partition(opening)[0]
+    for opening, closing in THINKING_MARKS:
+        if opening in action:
+            before, *blocks = action.split(opening)
+            action = before + "".join(block.partition(closing)[2] for block in blocks)
+    return action
 
 
 def extract_last_boxed_answer(text: str) -> str | None:

@@ -13,7 +13,7 @@ import gem_core as gem
 from gem_core.env.guard import Guard
 from gem_core.env.observations import join_observations
 from gem_core.errors import ArgumentError, StateNotSupported
-from gem_core.records.turns import without_thinking
+from gem_core.parsing import without_thinking
 from gem_core.tools import spoken
 from gem_core.types import StepResult
 from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView
@@ -84,6 +84,8 @@ def test_drop_thinking_leaves_out_thinking_of_earlier_turns() -> None:
         ("plain", "plain"),
         ("", ""),
         ("</think>", ""),
+        ("x[THINK]a[/THINK]y", "xy"),
+        ("<think>a</think>b<seed:think>c", "b"),
     ],
 )
 def test_without_thinking(action: str, left: str) -> None:

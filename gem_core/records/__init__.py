@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from gem_core.parsing import without_thinking
 from gem_core.records.episode import Episode, Transition
 from gem_core.records.files import (
     EpisodeFileWarning,
@@ -17,7 +18,7 @@ from gem_core.records.plain_json import ImageFolder, from_plain, to_plain
 from gem_core.records.plans import EpisodeStart, PlanItem, count_plan, cover_plan, group_plan, mixture_plan
 from gem_core.records.redaction import without_secrets
 from gem_core.records.summary import EnvSummary, RunSummary
-from gem_core.records.turns import Turn, without_thinking
+from gem_core.records.turns import Turn
 
 __all__ = [
     "EnvSummary",

@@ -68,19 +68,3 @@ def call_id(call: object, place: int) -> str:
     """Return the id of a native call, or one by its place where it has none, so that it can be answered."""
     given = call.get("id") if isinstance(call, Mapping) else None
     return str(given) if given else f"call_{place}"
-
-
-def without_thinking(action: str, tag: str = "think") -> str:
-    """Return a response without its thinking.
-
-    Templates often open the block in the prompt, so that a response holds only the end of it: all up to the last
-    closing tag goes. A block that is never closed goes to the end.
-    """
-    opening, closing = f"<{tag}>", f"</{tag}>"
-    end = action.rfind(closing)
-    first = action.find(opening)
-    if end >= 0:
-        before = action[:first] if 0 <= first < end else ""
-        action = before + action[end + len(closing) :].lstrip()
-    unclosed = action.find(opening)
-    return action if unclosed < 0 else action[:unclosed]

@@ -13,7 +13,8 @@ from typing import Any, ClassVar
 from gem_core.env.observations import join_observations, observation_from, split_observation, texts_of
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, StateNotSupported
-from gem_core.records.turns import Turn, with_actions, without_thinking
+from gem_core.parsing import without_thinking
+from gem_core.records.turns import Turn, with_actions
 from gem_core.types import Info, Observation, ResetResult, StepResult
 
 Summarizer = Callable[[str, list[Turn]], str]

@@ -8,8 +8,8 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from gem_core.parsing import extract_code_blocks, extract_last_boxed_answer
-from gem_core.records.turns import call_id, without_thinking
+from gem_core.parsing import THINKING_MARKS, extract_code_blocks, extract_last_boxed_answer, without_thinking
+from gem_core.records.turns import call_id
 from gem_core.tools.calls import FORMATS, bare_call, format_call, format_calls, without_end_tokens
 from gem_core.tools.calls.found import unknown
 from gem_core.tools.calls.values import loaded, value_at
@@ -23,13 +23,6 @@ _MOST_TAGS = 50
 """Different tags of a response that are held against the names of tools."""
 _MOST_QUOTED = 20
 """Calls of a response that are passed over because they are quoted."""
-_THINKING_MARKS = (
-    ("[THINK]", "[/THINK]"),
-    ("<seed:think>", "</seed:think>"),
-    ("<|START_THINKING|>", "<|END_THINKING|>"),
-    ("<|channel|>analysis<|message|>", "<|end|>"),
-)
-"""Around the thinking of Mistral, Seed-OSS, Cohere and gpt-oss."""
 
 # A tag or another mark in quotation marks is only mentioned, and is no call.
 _QUOTED_TAG = re.compile(r"""([`'"])(?:</?[^\s<>`'"]{1,64}+>|\[[A-Z_]{1,20}+\])\1""")
@@ -312,7 +305,7 @@ def thinking_blocks(action: str, tag: str | None = "think") -> tuple[list[tuple[
         if opened_before:
             spans.append((0, end + len(closing)))
     spans += _blocks(action, opening, closing, spans[0][1] if spans else 0)
-    for marks in _THINKING_MARKS:
+    for marks in THINKING_MARKS:
         if marks[0] in action:
             spans += _blocks(action, *marks, 0)
     return spans, opened_before
@@ -324,10 +317,7 @@ def spoken(action: str, tag: str = "think") -> str:
     thinking = thinking_blocks(text, tag)[0]
     if thinking:
         text = _LINE_BREAKS.sub("\n\n", blank_out(text, thinking))
-    text = without_thinking(text, tag)
-    for opening, _ in _THINKING_MARKS:
-        text = text.partition(opening)[0]  # the closed blocks are gone: what it opens goes on to the end
-    return text.strip()
+    return without_thinking(text, tag).strip()
 
 
 def _blocks(text: str, opening: str, closing: str, at: int) -> Iterator[tuple[int, int]]:

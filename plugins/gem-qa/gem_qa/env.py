@@ -7,11 +7,10 @@ from typing import Any, Literal, Unpack
 
 from gem_core.data import DatasetEnv, DatasetOptions, Grade, Row, RowSource
 from gem_core.errors import ArgumentError
-from gem_core.parsing import extract_last_boxed_answer, extract_last_tagged_answer
+from gem_core.parsing import extract_last_boxed_answer, extract_last_tagged_answer, without_thinking
 from gem_qa.answers import accepted_answers, scores, unwrapped
 from gem_qa.judging import Judge, find_judge, verdict_of
 
-_THOUGHT_END = "</think>"
 TAGGED = "{question}\n\nGive the answer alone, in as few words as it takes, between <answer> and </answer>."
 BOXED = "{question}\n\nGive the answer alone, in as few words as it takes, inside \\boxed{}."
 
@@ -95,12 +94,8 @@ class QAEnv(DatasetEnv):
         return Grade(value, correct, answer, {**info, "reason": reason})
 
     def answer_in(self, action: str) -> str | None:
-        """Return the answer that a response gives, or None; one behind a model's thinking goes before one in it."""
-        _, thought_ends, final = action.rpartition(_THOUGHT_END)
-        answer = self._answer_in(final) if thought_ends else None
-        return self._answer_in(action) if answer is None else answer
-
-    def _answer_in(self, action: str) -> str | None:
+        """Return the answer that a response gives outside its thinking; None without one."""
+        action = without_thinking(action)
         tagged, boxed = extract_last_tagged_answer, extract_last_boxed_answer
         first, second = (boxed, tagged) if self.extract_boxed else (tagged, boxed)
         answer = first(action)

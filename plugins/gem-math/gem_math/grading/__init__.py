@@ -10,7 +10,7 @@ from functools import lru_cache
 from typing import Any
 
 from gem_core.errors import GradingError
-from gem_core.parsing import extract_last_boxed_answer
+from gem_core.parsing import extract_last_boxed_answer, without_thinking
 from gem_math.grading.extraction import boxes_of, extract_answer
 from gem_math.grading.quantities import Leaf, equal_pairs, number_of, read_quantity
 from gem_math.grading.text import UnreadableError, clean, walk
@@ -55,7 +55,7 @@ def grade(
     r"""Compare a model's final answer with the reference.
 
     The answer is the content of the last ``\boxed{}``; without one, of the last ``<answer>`` tag; without that, what
-    follows "the answer is", or the whole text.
+    follows "the answer is", or the whole text. Thinking is left out: what stands in it alone is no answer.
 
     Args:
         answer: Model text.
@@ -77,6 +77,7 @@ def grade(
     Source: the boxed-answer convention of MATH, arXiv:2103.03874; math-verify 0.9.0 for formulas.
     """
     golds = gold_texts(gold)
+    answer = without_thinking(answer)
     boxes = boxes_of(answer)
     extracted = boxes.beside if boxes.joined else extract_answer(answer, strict=strict)
     others = [other for other in (boxes.beside, boxes.sentence) if other not in {None, extracted}]
