@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -58,6 +59,25 @@ def test_pandas_has_a_row_for_each_episode(run: Path) -> None:
     assert table["tokens_in"].dtype == "Int64"
     assert set(table["question"]) == {"Find the number."}
     assert len(gem_eval.to_pandas(run, run)) == 2 * len(rows)
+
+
+@pytest.mark.parametrize("form", ["jsonl", "csv", "inspect"])
+def test_a_damaged_episode_is_left_out_and_counted(run: Path, tmp_path: Path, form: str) -> None:
+    """All others are exported; standard error says which one is missing and why."""
+    path, out = shutil.copytree(run, tmp_path / "run"), tmp_path / "out"
+    content = bytearray((path / "episodes.jsonl.zst").read_bytes())
+    content[open_run(path).rows[1].offset + 20] ^= 0xFF
+    (path / "episodes.jsonl.zst").write_bytes(content)
+    done = CliRunner().invoke(
+        command, [str(path), "--to", form, "--out", str(out), *(["--texts"] if form == "csv" else [])]
+    )
+    whole = len(open_run(run).rows) - 1
+    assert (done.exit_code, done.stderr.count("line 2: passed over")) == (0, 1)
+    if form == "inspect":
+        logs = [ZipFile(log).namelist() for log in out.iterdir()]
+        assert sum(name.startswith("samples/") for names in logs for name in names) == whole
+    else:
+        assert done.stdout.startswith(f"{whole} episodes")
 
 
 def test_without_pandas_the_command_to_install_it_is_named(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -86,9 +86,8 @@ def write_eval(part: Part, file: BinaryIO) -> None:
 
 
 def _samples(part: Part) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the name of each sample's file, and the sample."""
-    for row in part.rows:
-        sample = _sample(part, row, part.run.episode(row))
+    """Yield the name of each sample's file, and the sample; a damaged episode is left out."""
+    for _, sample in part.run.intact(part.rows, lambda row: _sample(part, row, part.run.episode(row))):
         yield f"samples/{sample['id']}_epoch_{sample['epoch']}.json", sample
 
 

@@ -9,6 +9,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gem_core import Episode
 from gem_core.errors import MissingRequirementError
 from gem_eval.files import whole_file
 from gem_eval.opening import opened
@@ -41,7 +42,8 @@ def to_pandas(run: Run | str | Path, *more: Run | str | Path, texts: bool = Fals
     Args:
         run: A run, or its path.
         more: Further runs.
-        texts: Also the first observation (``question``) and the last response (``response``); each episode is read.
+        texts: Also the first observation (``question``) and the last response (``response``); each episode is read,
+            and one that is damaged is left out, and noted in ``Run.damage``.
 
     Raises:
         MissingRequirementError: pandas is not installed.
@@ -124,12 +126,12 @@ def _records(runs: Iterable[Run], texts: bool) -> Iterable[list[Any]]:
     """Yield the values of each episode in the order of the columns."""
     names = [name for name in _COLUMNS if name != "run"]
     for run in runs:
-        for row in run.rows:
-            yield [run.name, *(getattr(row, name) for name in names), *(_texts(run, row) if texts else ())]
+        read = ((row, _texts(episode)) for row, episode in run.episodes()) if texts else ((row, ()) for row in run.rows)
+        for row, more in read:
+            yield [run.name, *(getattr(row, name) for name in names), *more]
 
 
-def _texts(run: Run, row: Row) -> tuple[str, str | None]:
-    episode = run.episode(row)
+def _texts(episode: Episode) -> tuple[str, str | None]:
     return text_of(parts_of(episode.observation)), episode.transitions[-1].action.text if episode.transitions else None
 
 

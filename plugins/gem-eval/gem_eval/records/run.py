@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from gem_core import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
@@ -25,6 +25,8 @@ RUN_FILE, EPISODES_FILE, INDEX_FILE, METRICS_FILE, IMAGES = (
 )
 
 _LINES_AT_ONCE = 500
+
+_Read = TypeVar("_Read")
 
 _Line = tuple[int, int, bytes]
 """A line of a file: its number, where it begins, and what it says."""
@@ -192,9 +194,18 @@ class Run:
         return Episode.from_dict(self.line(row), self.images if images else None)
 
     def episodes(self) -> Iterator[tuple[Row, Episode]]:
-        """Yield the episodes as they count, each with its row."""
-        for row in self.rows:
-            yield row, self.episode(row)
+        """Yield the episodes as they count, each with its row; see ``intact``."""
+        return self.intact(self.rows, self.episode)
+
+    def intact(self, rows: Iterable[Row], read: Callable[[Row], _Read]) -> Iterator[tuple[Row, _Read]]:
+        """Yield rows, each with what is read of its episode; a damaged one is left out, and noted in ``damage``."""
+        for row in rows:
+            try:
+                found = read(row)
+            except EpisodeFileError as error:
+                self.damage[row.number] = str(error)
+            else:
+                yield row, found
 
     def row(self, number: int) -> Row:
         """Return the row of an episode by its number; in a file without the rows of the lines before it.
