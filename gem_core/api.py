@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from gem_core.vector.slot import Autoreset, OnError
     from gem_core.vector.vector_env import VectorEnv
 
-_SPEC_KEYWORDS = ("summary", "tags", "requires", "deterministic", "seats")
+_SPEC_KEYWORDS = ("summary", "tags", "max_turns", "requires", "deterministic", "seats")
 
 
 def register(id: str, entry_point: EntryPoint, **kwargs: Any) -> None:
@@ -27,8 +27,9 @@ def register(id: str, entry_point: EntryPoint, **kwargs: Any) -> None:
     Args:
         id: ``namespace:Name[-vN][-variant]``.
         entry_point: ``"package.module:Class"``, or a callable that returns an environment.
-        **kwargs: ``summary``, ``tags``, ``requires``, ``deterministic`` and ``seats`` describe it (see ``EnvSpec``);
-            every other keyword goes to the environment when it is made.
+        **kwargs: ``summary``, ``tags``, ``max_turns``, ``requires``, ``deterministic`` and ``seats`` describe it (see
+            ``EnvSpec``); every other keyword goes to the environment when it is made. ``max_turns`` is what
+            Gymnasium calls ``max_episode_steps``.
 
     Raises:
         RegistrationError: The id is malformed or taken.
@@ -42,9 +43,10 @@ def make(id: str | EnvSpec | MadeSpec, *, wrappers: Wrappers = (), **kwargs: Any
 
     Args:
         id: Id of a registered environment, or its record, or the ``spec`` of one that was made.
-        wrappers: Names of wrappers and tools, innermost first: ``"python,concat"``, or with options
-            ``["python", ("concat", {"max_turns": 4})]``. They go around those that a ``spec`` has already. Where
-            several agents act, they go around every seat; or around some, as in ``{"white": "python,concat"}``.
+        wrappers: Names of wrappers and tools, innermost first, with options behind a colon as on the command line:
+            ``"python,concat:max_turns=4"``; or a list: ``["python", ("concat", {"max_turns": 4})]``. They go around
+            those that a ``spec`` has already. Where several agents act, they go around every seat; or around some, as
+            in ``{"white": "python,concat"}``.
         **kwargs: Keyword arguments over the registered ones; ``render_mode`` works for every environment.
 
     Raises:

@@ -87,6 +87,12 @@ def check_arguments(maker: Callable[..., Any], args: tuple[Any, ...], options: M
             raise ArgumentError(f"{owner}: {name} must be True or False, not the text {value!r:.100}")
 
 
+def takes_keyword(maker: Callable[..., Any], name: str) -> bool:
+    """Tell whether a callable has an argument of a name; one that takes any keywords has none of this name."""
+    parameter = (signature_of(maker) or inspect.Signature()).parameters.get(name)
+    return parameter is not None and parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
+
+
 def with_options(given: Any, rule: str, is_one: Callable[[object], bool]) -> tuple[Any, dict[str, Any]]:
     """Return what was named, and its options: of ``one``, or of ``(one, {option: value})``.
 

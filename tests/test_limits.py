@@ -62,6 +62,25 @@ def test_max_turns_of_a_record_is_an_implicit_limit() -> None:
     assert env.spec.wrappers == ()  # type: ignore[union-attr]
 
 
+@pytest.mark.usefixtures("own_registry")
+def test_max_turns_of_a_registration_is_the_limit_of_the_environment() -> None:
+    """As Gymnasium's ``max_episode_steps``: ``make`` truncates, unless the environment takes the limit itself."""
+    given: list[int] = []
+
+    def announcing(max_turns: int = 9) -> EchoEnv:
+        given.append(max_turns)
+        return EchoEnv()
+
+    gem.register("test:Any-v0", lambda **options: EchoEnv(), max_turns=2)
+    gem.register("test:Own-v0", announcing, max_turns=2)
+    env, own = gem.make("test:Any-v0"), gem.make("test:Own-v0")
+    gem.make("test:Own-v0", max_turns=3)
+    env.reset()
+    assert [env.step("x")[3] for _ in range(2)] == [False, True]
+    assert given == [2, 3]
+    assert own.spec.kwargs == {"max_turns": 2}  # type: ignore[union-attr]
+
+
 def test_episode_stats_reports_once_at_the_end() -> None:
     """Return, length and duration stand in the last info alone, and start anew with each episode."""
     env = EpisodeStats(EchoEnv(turns=3))

@@ -204,3 +204,13 @@ def test_keywords_that_are_handed_on_are_named() -> None:
     assert env.spawn(id_key="q").reset()[1]["task_id"] == "a"
     with pytest.raises(ArgumentError, match=r"Did you mean 'question_key'\? It accepts: twice, dataset_name"):
         env.spawn(question_kye="q")
+
+
+@pytest.mark.parametrize(
+    "wrappers", ["concat:max_turns=2,episode_stats", ["concat:max_turns=2", "episode_stats"],
+                 [("concat", {"max_turns": 2}), "episode_stats"]]
+)  # fmt: skip
+def test_wrappers_are_named_as_on_the_command_line(wrappers: Any) -> None:
+    """Options stand behind a colon, in Python too."""
+    env = gem.make("test:Guess-v3", wrappers=wrappers)
+    assert env.spec.wrappers == (("concat", {"max_turns": 2}), ("episode_stats", {}))  # type: ignore[union-attr]

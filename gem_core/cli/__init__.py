@@ -33,10 +33,10 @@ if TYPE_CHECKING:
         arguments_option,
         call_again,
         env_arguments,
-        parsed_choices,
         stack_options,
         wrapper_stack,
     )
+    from gem_core.registry.choices import parsed_choices
 
 __all__ = [
     "INTERRUPTED",

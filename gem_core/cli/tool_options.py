@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 from collections.abc import Callable, Collection
@@ -14,8 +13,9 @@ from click.core import ParameterSource
 from gem_core.cli.acting import check_seats
 from gem_core.cli.completion import complete_tools, complete_wrappers
 from gem_core.errors import ArgumentError
+from gem_core.registry.choices import OPTION, option_value, parsed_choices
 from gem_core.registry.lookup import registry
-from gem_core.registry.specs import ToolSpec, WrapperSpec
+from gem_core.registry.specs import ToolSpec
 
 if TYPE_CHECKING:
     from gem_core.making.layers import WrapperChoice, Wrappers
@@ -25,17 +25,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 NO_LIMIT = "none"
 
-_PYTHON = {"True": True, "False": False, "None": None}
-"""Python's words for constants, which ``gem info`` shows, beside those of JSON."""
-
-# A name has no equals sign before its first colon, so a piece that has one is an option of the name before it.
-_NAME = re.compile(r"\s*([\w.-]+)\s*(?::(.*))?", re.ASCII | re.DOTALL)
 _AT_SEAT = re.compile(r"([^=:,\[{]*)=(.*)", re.DOTALL)
-_OPTION = re.compile(r"\s*(\w+)\s*=(.*)", re.ASCII | re.DOTALL)
-_FORMS = {
-    "--tools": "'python,search:top_k=2' or JSON as in '[[\"search\", {\"top_k\": 2}]]'",
-    "--wrappers": "'concat:max_turns=2,episode_stats' or JSON as in '[[\"concat\", {\"max_turns\": 2}]]'",
-}
 
 
 def _uses(ctx: click.Context, param: click.Parameter, value: str | None) -> int | str | None:
@@ -176,10 +166,10 @@ def env_arguments(given: tuple[str, ...]) -> dict[str, Any]:
     """
     arguments = {}
     for each in given:
-        setting = _OPTION.fullmatch(each)
+        setting = OPTION.fullmatch(each)
         if setting is None:
             raise ArgumentError(f"--set takes NAME=VALUE, not {each!r}")
-        arguments[setting[1]] = _value(setting[2], [])
+        arguments[setting[1]] = option_value(setting[2])
     return arguments
 
 
@@ -206,82 +196,6 @@ def call_again(ctx: click.Context, without: Collection[str], *more: str) -> str:
             for each in value if parameter.multiple else [value]:
                 options += [parameter.opts[-1], str(each)]
     return shlex.join([*ctx.command_path.split(), *arguments, *more, *options])
-
-
-def parsed_choices(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
-    """Return the tools or wrappers of one ``--tools``, ``--wrappers`` or the like, each with its options.
-
-    A value of an option is JSON where it can be read as such, commas included, or Python's True, False or None, and
-    text otherwise.
-
-    Raises:
-        ArgumentError: It is neither a list of names nor JSON.
-    """
-    if text.lstrip().startswith(("[", "{")):
-        return _from_json(text, option)
-    choices: list[tuple[str, dict[str, Any]]] = []
-    words = text.split(",")
-    while words:
-        word = words.pop(0)
-        setting, named = _OPTION.fullmatch(word), _NAME.fullmatch(word)
-        if setting and choices:
-            choices[-1][1][setting[1]] = _value(setting[2], words)
-        elif named:
-            name, rest = named[1], named[2]
-            if rest is not None and option != "--tools" and not _OPTION.fullmatch(rest) and not _is_registered(name):
-                path, _, rest = rest.partition(":")  # "package.module:Class", with its options behind another colon
-                name, rest = f"{name}:{path}", rest or None
-            choices.append((name, {}))
-            if rest is not None:
-                setting = _OPTION.fullmatch(rest)
-                if setting is None:
-                    raise ArgumentError(f"{option}: {rest!r} is no option of {name!r}; write {_form(option)}")
-                choices[-1][1][setting[1]] = _value(setting[2], words)
-        elif word.strip():
-            raise ArgumentError(f"{option}: {word!r} is no name; write {_form(option)}")
-    return choices
-
-
-def _form(option: str) -> str:
-    return _FORMS.get(option, _FORMS["--wrappers"])
-
-
-def _from_json(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ArgumentError(f"{option} is no valid JSON: {error}; write {_form(option)}") from None
-    if isinstance(content, dict):  # {"search": {"top_k": 2}, "python": {}}
-        content = list(content.items())
-    choices = [
-        (each, {}) if isinstance(each, str) else tuple(each) if isinstance(each, list | tuple) else ()
-        for each in content
-    ]
-    for choice in choices:
-        if len(choice) != 2 or not isinstance(choice[0], str) or not isinstance(choice[1], dict):
-            raise ArgumentError(
-                f"{option} must be a list of names, or of names with options, not {text:.200}; write {_form(option)}"
-            )
-    return choices
-
-
-def _value(text: str, following: list[str]) -> Any:
-    """Return the value of an option; a list, an object or a text in quotes takes what it needs of what follows."""
-    if text in _PYTHON:
-        return _PYTHON[text]
-    most = len(following) if text.lstrip()[:1] in ("[", "{", '"') else 0
-    for count in range(most + 1):
-        try:
-            value = json.loads(",".join([text, *following[:count]]))
-        except (ValueError, RecursionError):
-            continue
-        del following[:count]
-        return value
-    return text
-
-
-def _is_registered(name: str) -> bool:
-    return any(record.name == name for kind in (WrapperSpec, ToolSpec) for record in registry().named(kind))
 
 
 def _is_tool(name: str) -> bool:

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import gymnasium
 
-from gem_core.arguments import check_arguments
+from gem_core.arguments import check_arguments, takes_keyword
 from gem_core.env.base import Env
 from gem_core.env.guard import Guard
 from gem_core.env.joint_checks import check_seats
@@ -81,18 +81,24 @@ def make_from(record: EnvSpec, kwargs: Mapping[str, Any], *wrappers: Wrappers) -
     check_requirements(record, arguments)
     render_mode = arguments.pop("render_mode", None)
     owner = f"environment {record.id!r}"
-    env = call_entry_point(load_entry_point(record.entry_point, owner), (), arguments, owner)
+    maker = load_entry_point(record.entry_point, owner)
+    limit = record.max_turns
+    if limit is not None and takes_keyword(maker, "max_turns"):
+        arguments, limit = {"max_turns": limit, **arguments}, None
+    env = call_entry_point(maker, (), arguments, owner)
     if not isinstance(env, gymnasium.Env):
         raise RegistrationError(f"{record.id}: the entry point returned {type(env).__name__}, not an environment")
     try:
-        return reduce(wrap, wrappers, _finish_env(env, record, arguments, render_mode))
+        return reduce(wrap, wrappers, _finish_env(env, record, arguments, render_mode, limit))
     except BaseException:
         env.close()  # it may have started a server or a container
         raise
 
 
-def _finish_env(env: AnyEnv, record: EnvSpec, arguments: dict[str, Any], render_mode: str | None) -> AnyEnv:
-    """Give a task its render mode, record and guard; one of several agents guards itself."""
+def _finish_env(
+    env: AnyEnv, record: EnvSpec, arguments: dict[str, Any], render_mode: str | None, limit: int | None
+) -> AnyEnv:
+    """Give a task its render mode, record, guard and limit of turns; one of several agents has both of these itself."""
     task = env.unwrapped
     as_text = False
     if render_mode is not None:
@@ -102,8 +108,8 @@ def _finish_env(env: AnyEnv, record: EnvSpec, arguments: dict[str, Any], render_
     if isinstance(task, MultiAgentEnv):
         return env
     guarded: AnyEnv = Guard(env)
-    if record.max_turns is not None:
-        guarded = TurnLimit(guarded, max_turns=record.max_turns)
+    if limit is not None:
+        guarded = TurnLimit(guarded, max_turns=limit)
         guarded.implicit = True
     return Rendered(guarded, cast("str", render_mode)) if as_text else guarded
 

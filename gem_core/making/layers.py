@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeGuard, cast
 
 from gem_core.arguments import check_arguments, with_options
 from gem_core.errors import ArgumentError
+from gem_core.registry.choices import parsed_choices
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import EntryPoint, ToolSpec
@@ -21,7 +22,7 @@ WrapperChoice: TypeAlias = "Target | tuple[Target, Mapping[str, Any]]"
 """A target, or a name or callable with its options."""
 
 Stack: TypeAlias = "str | Sequence[WrapperChoice]"
-"""Innermost first: ``"python,concat"`` or ``["python", ("concat", {"max_turns": 4})]``."""
+"""Innermost first: ``"python,concat:max_turns=4"`` or ``["python", ("concat", {"max_turns": 4})]``."""
 
 Wrappers: TypeAlias = "Stack | Mapping[str, Stack]"
 """One stack; or, where several agents act, a stack for each of some seats: ``{"white": "python,concat"}``."""
@@ -102,9 +103,11 @@ def choices(wrappers: Stack) -> list[tuple[Target, dict[str, Any]]]:
         ArgumentError: Something is no wrapper.
     """
     if isinstance(wrappers, str):
-        return [(name.strip(), {}) for name in wrappers.split(",") if name.strip()]
+        return [*parsed_choices(wrappers, "wrappers")]
     if isinstance(wrappers, Iterable):
-        return [_choice(choice) for choice in wrappers]
+        return [
+            each for choice in wrappers for each in (choices(choice) if isinstance(choice, str) else [_choice(choice)])
+        ]
     raise ArgumentError(f"wrappers must be names joined by commas or a list, not {wrappers!r}")
 
 

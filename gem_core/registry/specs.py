@@ -34,8 +34,8 @@ class EnvSpec:
         kwargs: Keyword arguments for the entry point; ``make`` may override each.
         summary: One line for listings.
         tags: Words to search by.
-        max_turns: Turns after which ``make`` truncates an episode, on top of what the task itself announces.
-            A task that announces its own limit takes it as a keyword instead, in ``kwargs``.
+        max_turns: Turns after which an episode is truncated. An environment that takes a keyword of this name is given
+            it, so that it can announce its limit; around any other, ``make`` puts a ``TurnLimit``.
         requires: What must be there to run it, as in ``"network"``, ``"hub"``, ``"key:NAME"``, ``"package:NAME"`` or
             ``"package:NAME[EXTRA]"``, ``"command:NAME"``, ``"argument:NAME"`` (of ``make``), or ``"never:REASON"``
             where it cannot run at all; plugins offer more words, such as ``"docker"`` (see ``RequirementSpec``).

@@ -7,6 +7,7 @@ from typing import Any
 
 from gem_core.arguments import check_arguments, with_options
 from gem_core.errors import ArgumentError
+from gem_core.registry.choices import parsed_choices
 from gem_core.registry.entry_points import construct
 from gem_core.registry.lookup import registry
 from gem_core.tools.tool import Tool
@@ -15,13 +16,13 @@ ToolChoice = Tool | type[Tool] | str | tuple[str | type[Tool], Mapping[str, Any]
 """A tool, a class of tools, the name of a registered one, or a class or name with options."""
 
 ToolChoices = Tool | str | Sequence[ToolChoice]
-"""One tool, names joined by commas, or a list."""
+"""One tool, names joined by commas and with options, as in ``"python,search:top_k=2"``, or a list."""
 
 
 def tool_choices(tools: ToolChoices) -> list[Any]:
     """Return tools that are asked for as a list."""
     if isinstance(tools, str):
-        return [name.strip() for name in tools.split(",") if name.strip()]
+        return [*parsed_choices(tools, "tools")]
     return [tools] if isinstance(tools, Tool | type) else list(tools)
 
 

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 def write_jsonl(runs: Sequence[Run], path: Path) -> int:
     """Write the episodes of runs as JSON lines, their images beside them, and return their number.
 
-    A damaged episode is left out, and noted in ``Run.damage``. Each line is whole, without references to earlier observations. What a run says of an episode besides stays under
-    ``"evaluation"``, so that ``open_run`` of the file finds the same rows.
+    Each line is whole, without references to earlier observations. What a run says of an episode besides stays under
+    ``"evaluation"``, so that ``open_run`` of the file finds the same rows. A damaged episode is left out, and noted in
+    ``Run.damage``.
 
     Args:
         runs: The runs.
