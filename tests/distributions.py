@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 import tomllib
 from pathlib import Path
 
@@ -39,13 +38,11 @@ def python(code: str, paths: list[Path], **variables: str) -> subprocess.Complet
     """Run code in an interpreter that sees the core and the given folders."""
     root = Path(gem_core.__file__).parent.parent
     environment = {name: value for name, value in os.environ.items() if not name.startswith("GEM_")}
-    with tempfile.TemporaryDirectory() as cache:  # where the command notes what it has said today
-        environment |= {
-            "PYTHONPATH": os.pathsep.join(map(str, [*paths, root])),
-            "PYTHONDONTWRITEBYTECODE": "1",
-            "XDG_CACHE_HOME": cache,
-            **variables,
-        }
-        return subprocess.run(
-            [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=300, check=False
-        )
+    environment |= {
+        "PYTHONPATH": os.pathsep.join(map(str, [*paths, root])),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        **variables,
+    }
+    return subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=300, check=False
+    )

@@ -173,27 +173,6 @@ def test_one_plugin_that_offers_an_id_twice_loses_that_id(sites: dict[str, Path]
     )
 
 
-def test_a_warning_is_said_once_for_each_command_and_day(sites: dict[str, Path], tmp_path: Path) -> None:
-    """Not at every call; another command says it too, and so does the next day."""
-    both = [sites["fine"], sites["taken_id"]]
-    cache = str(tmp_path)
-    complaints = [
-        gem_of(both, command, XDG_CACHE_HOME=cache)[2].count("is offered by both")
-        for command in ("list", "list", "plugins", "plugins")
-    ]
-    assert complaints == [1, 0, 1, 0]
-    for noted in (tmp_path / "gem" / "said").iterdir():
-        noted.rename(noted.with_name(f"2000-01-01{noted.name[10:]}"))
-    assert "is offered by both" in gem_of(both, "list", XDG_CACHE_HOME=cache)[2]
-
-
-def test_a_note_that_cannot_be_written_does_no_harm(sites: dict[str, Path], tmp_path: Path) -> None:
-    """The warning is said, then."""
-    (tmp_path / "gem").write_text("a file in the place of the folder")
-    code, _, complaint = gem_of([sites["fine"], sites["taken_id"]], "list", XDG_CACHE_HOME=str(tmp_path))
-    assert (code, complaint.count("is offered by both")) == (0, 1)
-
-
 def test_where_there_are_only_tools_they_are_listed(sites: dict[str, Path]) -> None:
     """And it is said that there are no environments."""
     installed = ",".join(sorted({point.name for point in entry_points(group="gem.plugins")}))

@@ -13,7 +13,6 @@ import click
 from gem_core import __version__
 from gem_core._plugin import gem_add_commands
 from gem_core.cli.layout import Layout, echo_line, output_width
-from gem_core.cli.said_today import said_once
 from gem_core.errors import GemError
 from gem_core.registry.specs import CommandSpec
 from gem_core.suggestions import did_you_mean
@@ -21,6 +20,7 @@ from gem_core.suggestions import did_you_mean
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
+    from gem_core.cli.completion import AGENTS, ENVS, Words, env_ids
     from gem_core.cli.layout import counted
     from gem_core.cli.list_command import matching
     from gem_core.cli.model_options import agent_options, given
@@ -39,12 +39,15 @@ if TYPE_CHECKING:
     from gem_core.registry.choices import parsed_choices
 
 __all__ = [
+    "AGENTS",
+    "ENVS",
     "INTERRUPTED",
     "AtLeast",
     "Column",
     "Layout",
     "PlaySession",
     "PlayView",
+    "Words",
     "agent_options",
     "arguments_option",
     "call_again",
@@ -52,6 +55,7 @@ __all__ = [
     "counted",
     "echo_line",
     "env_arguments",
+    "env_ids",
     "find_env",
     "find_envs",
     "given",
@@ -67,15 +71,19 @@ __all__ = [
 ]
 
 _HOME = {
+    "AGENTS": "completion",
+    "ENVS": "completion",
     "AtLeast": "tool_options",
     "Column": "report",
     "PlaySession": "play_session",
     "PlayView": "play_view",
+    "Words": "completion",
     "agent_options": "model_options",
     "arguments_option": "tool_options",
     "call_again": "tool_options",
     "counted": "layout",
     "env_arguments": "tool_options",
+    "env_ids": "completion",
     "find_env": "targets",
     "find_envs": "targets",
     "given": "model_options",
@@ -176,8 +184,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     code: Any = 0
     try:
         # Without cli.main, which would exit with 1 for a closed pipe, and take an agent's EOFError for Ctrl-D.
-        command = next((word for word in arguments if not word.startswith("-")), "")
-        with said_once(command), cli.make_context("gem", list(arguments)) as ctx:
+        with cli.make_context("gem", list(arguments)) as ctx:
             code = cli.invoke(ctx)
         sys.stdout.flush()
     except click.exceptions.Exit as error:

@@ -1,13 +1,13 @@
-"""Shell completion of ids and names, with scripts for bash and fish that handle colons and commas."""
+"""Types of parameters that a shell completes, with scripts for bash and fish that handle colons and commas."""
 
 from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable
-from functools import wraps
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
+import click
 from click.shell_completion import (
     BashComplete,
     CompletionItem,
@@ -23,92 +23,90 @@ from gem_core.registry.lookup import registry
 from gem_core.registry.specs import AgentSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
 
 if TYPE_CHECKING:
-    import click
-
     # Here, as click before 8.5 has no generic CompletionItem.
     Items = list[CompletionItem[str]]
-    Completer = Callable[[click.Context, click.Parameter, str], Items]
+    Offer = Callable[[click.Context, str], Iterable[tuple[str, str]]]
 
 
-def _quiet(complete: Completer) -> Completer:
-    """Return a completer without errors and warnings while the user is typing; the command itself will report them."""
+class Words(click.types.StringParamType):
+    """A parameter that is a word, completed from what is registered.
 
-    @wraps(complete)
-    def quiet(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
+    Args:
+        offer: Returns the words that fit what was typed, each with its summary.
+        files: Whether the word may be a file or folder: one is completed if nothing else fits.
+    """
+
+    def __init__(self, offer: Offer, *, files: bool = False) -> None:
+        self._offer, self._files = offer, files
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
+        """Return the words; errors and warnings are left to the command itself."""
+        if self._files and (incomplete.startswith((".", "~")) or os.sep in incomplete):
+            return [CompletionItem(incomplete, type="file")]
         logger = logging.getLogger("gem_core")
         was, logger.disabled = logger.disabled, True
         try:
-            return complete(ctx, param, incomplete)
+            items = [CompletionItem(word, help=summary or None) for word, summary in self._offer(ctx, incomplete)]
         except GemError:
             return []
         finally:
             logger.disabled = was
+        return items or ([CompletionItem(incomplete, type="file")] if self._files and ":" not in incomplete else [])
 
-    return quiet
 
+def _names(*kinds: type[NamedSpec]) -> Offer:
+    """Return what offers the names of records of some kinds, after the last comma of a list."""
 
-def _names(*kinds: type[NamedSpec]) -> Completer:
-    """Return a completer for the names of records of some kinds, after the last comma of a list."""
-
-    def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
+    def offer(ctx: click.Context, incomplete: str) -> Iterable[tuple[str, str]]:
         before, comma, begun = incomplete.rpartition(",")
-        records = [record for kind in kinds for record in registry().named(kind) if record.name.startswith(begun)]
-        return [
-            CompletionItem(f"{before}{comma}{record.name}", help=record.summary or None)
-            for record in sorted(records, key=lambda record: record.name)
-        ]
+        records = sorted((record.name, record.summary) for kind in kinds for record in registry().named(kind))
+        return [(f"{before}{comma}{name}", summary) for name, summary in records if name.startswith(begun)]
 
-    return _quiet(complete)
+    return offer
 
 
-_complete_agent_names = _names(AgentSpec)
-complete_backends = _names(VectorBackendSpec)
-complete_tools = _names(ToolSpec)
-complete_wrappers = _names(WrapperSpec, ToolSpec)
-_complete_names = _names(ToolSpec, WrapperSpec, AgentSpec, VectorBackendSpec)
-
-
-@_quiet
-def complete_env_ids(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
-    """Return the ids that begin with the text, only namespaces while several of them match; folders behind a slash."""
-    if incomplete.startswith(".") or "/" in incomplete:
-        return [CompletionItem(incomplete, type="dir")]
+def env_ids(ctx: click.Context, incomplete: str) -> list[tuple[str, str]]:
+    """Return the ids that begin with a text; only their namespaces if there are several."""
     records = [record for record in registry().envs() if record.id.startswith(incomplete)]
     namespaces = list(dict.fromkeys(f"{record.namespace}:" for record in records))
     if len(namespaces) > 1:
-        return [CompletionItem(namespace) for namespace in namespaces]
-    return [CompletionItem(record.id, help=record.summary or None) for record in records]
+        return [(namespace, "") for namespace in namespaces]
+    return [(record.id, record.summary) for record in records]
 
 
-@_quiet
-def complete_seats(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
+def _seats(ctx: click.Context, incomplete: str) -> list[tuple[str, str]]:
     """Return the seats of the environments that were named before."""
     # While an option still lacks its value, click leaves the other words where they are.
     ids = [*ctx.args, *(ctx.params.get("ids") or ()), ctx.params.get("env_id")]
     seats = dict.fromkeys(seat for record in registry().envs() if record.id in ids for seat in record.seats)
-    return [CompletionItem(seat) for seat in seats if seat.startswith(incomplete)]
+    return [(seat, "") for seat in seats if seat.startswith(incomplete)]
 
 
-def complete_agents(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
-    """Return the seats that begin with the text, as ``white=``, and the agents; behind an equals sign the agents."""
+def _agents(ctx: click.Context, incomplete: str) -> list[tuple[str, str]]:
+    """Return seats, as ``white=``, and agents; behind an equals sign agents."""
     seat, equals, begun = incomplete.rpartition("=")
-    agents = _complete_agent_names(ctx, param, begun)
-    if equals:
-        return [CompletionItem(f"{seat}={agent.value}", help=agent.help) for agent in agents]
-    return [CompletionItem(f"{seat.value}=") for seat in complete_seats(ctx, param, incomplete)] + agents
+    agents = [(f"{seat}{equals}{name}", summary) for name, summary in _names(AgentSpec)(ctx, begun)]
+    return agents if equals else [*((f"{seat}=", "") for seat, _ in _seats(ctx, incomplete)), *agents]
 
 
-def complete_ids_and_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
-    """Return the matching ids and, after a first letter, the tools, wrappers, agents and backends."""
-    ids = complete_env_ids(ctx, param, incomplete)
-    return ids + _complete_names(ctx, param, incomplete) if incomplete else ids
+def _ids_and_names(ctx: click.Context, incomplete: str) -> Iterable[tuple[str, str]]:
+    """Return ids and, after a first letter, tools, wrappers, agents and backends."""
+    named = _names(ToolSpec, WrapperSpec, AgentSpec, VectorBackendSpec)
+    return [*env_ids(ctx, incomplete), *(named(ctx, incomplete) if incomplete else ())]
 
 
-@_quiet
-def complete_plugins(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
-    """Return the installed plugins whose names begin with the text."""
-    plugins = [plugin for plugin in registry().plugins() if plugin.name.startswith(incomplete)]
-    return [CompletionItem(plugin.name, help=str(plugin)) for plugin in plugins]
+def _plugins(ctx: click.Context, incomplete: str) -> Iterable[tuple[str, str]]:
+    return [(plugin.name, str(plugin)) for plugin in registry().plugins() if plugin.name.startswith(incomplete)]
+
+
+ENVS = Words(env_ids, files=True)
+ENVS_AND_NAMES = Words(_ids_and_names, files=True)
+SEATS = Words(_seats)
+AGENTS = Words(_agents)
+TOOLS = Words(_names(ToolSpec))
+WRAPPERS = Words(_names(WrapperSpec, ToolSpec))
+BACKENDS = Words(_names(VectorBackendSpec))
+PLUGINS = Words(_plugins)
 
 
 class ColonBash(BashComplete):

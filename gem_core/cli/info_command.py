@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gem_core.cli.completion import complete_ids_and_names
+from gem_core.cli.completion import ENVS_AND_NAMES
 from gem_core.cli.descriptions import describe_in_full, describe_record, find_named, option_lines, own_documentation
 from gem_core.cli.layout import output_width
 from gem_core.cli.targets import find_env
+from gem_core.cli.tool_options import import_option
 from gem_core.errors import GemError
 from gem_core.registry.requirements import unmet
 from gem_core.registry.specs import EnvSpec
@@ -34,7 +35,8 @@ Examples:
   gem info concat                     a wrapper; likewise an agent, as openai, or a backend
 """,
 )
-@click.argument("env_id", metavar="ID", shell_complete=complete_ids_and_names)
+@click.argument("env_id", metavar="ID", type=ENVS_AND_NAMES)
+@import_option
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON object.")
 def command(env_id: str, as_json: bool) -> None:
     """Describe one environment: its task, its arguments, what it needs, and what an agent sees first.

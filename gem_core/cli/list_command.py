@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 
 import click
 
-from gem_core.cli.completion import complete_env_ids
+from gem_core.cli.completion import ENVS
 from gem_core.cli.descriptions import KINDS, describe_record
 from gem_core.cli.layout import cut_at_word, output_width
 from gem_core.docs import page_url
@@ -32,7 +32,7 @@ Examples:
   gem list --json | python -m json.tool
 """,
 )
-@click.argument("pattern", required=False, shell_complete=complete_env_ids)
+@click.argument("pattern", required=False, type=ENVS)
 @click.option("--all", "show_all", is_flag=True, help="Show every id in a terminal too, as in a pipe.")
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON list, with all that is known of each.")
 def command(pattern: str | None, show_all: bool, as_json: bool) -> None:

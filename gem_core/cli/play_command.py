@@ -11,7 +11,7 @@ import click
 
 from gem_core.api import make
 from gem_core.cli import INTERRUPTED
-from gem_core.cli.completion import complete_agents, complete_env_ids, complete_seats
+from gem_core.cli.completion import AGENTS, ENVS, SEATS
 from gem_core.cli.run_command import free_path
 from gem_core.cli.targets import find_env
 from gem_core.cli.tool_options import AtLeast, arguments_option, call_again, env_arguments, stack_options, wrapper_stack
@@ -59,17 +59,15 @@ Colours are left out without a terminal, and where NO_COLOR is set.
 Exit code: 0 at the end or at the end of input, 2 for a wrong argument, 130 after Ctrl-C.
 """,
 )
-@click.argument("env_id", metavar="ID", shell_complete=complete_env_ids)
-@click.option(
-    "--seat", shell_complete=complete_seats, help="Where several agents act, your seat.  [default: the first]"
-)
+@click.argument("env_id", metavar="ID", type=ENVS)
+@click.option("--seat", type=SEATS, help="Where several agents act, your seat.  [default: the first]")
 @click.option(
     "-a",
     "--agent",
     "agents",
     multiple=True,
     metavar="[SEAT=]AGENT",
-    shell_complete=complete_agents,
+    type=AGENTS,
     help="Who plays the other seats: one agent, or one for each seat.  [default: random]",
 )
 @click.option("-s", "--seed", type=AtLeast(min=0), help="The same episodes as 'gem run' with this seed.")

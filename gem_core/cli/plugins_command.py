@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from gem_core.cli.completion import complete_plugins
+from gem_core.cli.completion import PLUGINS
 from gem_core.cli.diagnosis import describe_plugin, offers_in_words, problems_of
 from gem_core.cli.layout import echo_line
 from gem_core.registry.lookup import registry
@@ -26,7 +26,7 @@ Examples:
 line of what cannot be imported.
 """,
 )
-@click.argument("name", required=False, shell_complete=complete_plugins)
+@click.argument("name", required=False, type=PLUGINS)
 @click.option("--check", is_flag=True, help="Import all that they offer; exit with 1 when something is wrong.")
 @click.option(
     "--timeout",

@@ -16,7 +16,7 @@ import click
 
 from gem_core.api import make_vec
 from gem_core.cli import INTERRUPTED
-from gem_core.cli.completion import complete_agents, complete_backends, complete_env_ids
+from gem_core.cli.completion import AGENTS, BACKENDS, ENVS
 from gem_core.cli.layout import counted, echo_line
 from gem_core.cli.model_options import agent_options, given
 from gem_core.cli.targets import find_envs
@@ -74,7 +74,7 @@ openai:MODEL asks any OpenAI-compatible server; its key is read from OPENAI_API_
 Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument, 130 after Ctrl-C.
 """,
 )
-@click.argument("ids", nargs=-1, required=True, metavar="ID...", shell_complete=complete_env_ids)
+@click.argument("ids", nargs=-1, required=True, metavar="ID...", type=ENVS)
 @click.option(
     "-a",
     "--agent",
@@ -83,7 +83,7 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     default=["random"],
     show_default=True,
     metavar="[SEAT=]AGENT",
-    shell_complete=complete_agents,
+    type=AGENTS,
     help="A built-in agent, openai:MODEL, or MODULE:CALLABLE. Repeated where several agents act.",
 )
 @click.option("--swap-seats", is_flag=True, help="Let agents given by seat change seats from episode to episode.")
@@ -106,7 +106,7 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     "--backend",
     default="auto",
     show_default=True,
-    shell_complete=complete_backends,
+    type=BACKENDS,
     help="Where environments live: auto, sync, async, process, or a plugin's.",
 )
 @click.option(

@@ -1,38 +1,141 @@
-"""What an argument of the command line means: an id, a glob, or a folder that belongs to an environment."""
+"""What an argument of the command line means: an id, a glob, a folder, a class in a file, or a file of questions."""
 
 from __future__ import annotations
 
+import importlib
 import os
+import re
+import sys
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import click
 
+from gem_core.cli.layout import counted
 from gem_core.cli.list_command import matching
-from gem_core.errors import UnknownEnvError
+from gem_core.errors import ArgumentError, UnknownEnvError
+from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.lookup import registry
 from gem_core.registry.requirements import unmet
 from gem_core.registry.specs import EnvSpec
 
+_FILE = re.compile(r"(?P<file>.+\.py)(?::(?P<name>\w+))?", re.DOTALL)
+_NOT_IN_IDS = re.compile(r"[^\w.-]+", re.ASCII)
+_ASK_FOR_A_BOX = "{question}\n\nWrite your answer inside \\boxed{}."
 
-def find_env(id_or_folder: str) -> tuple[EnvSpec, dict[str, Any]]:
-    """Return the record of an environment, and keyword arguments for it: the folder, where one was given.
+
+def find_env(word: str) -> tuple[EnvSpec, dict[str, Any]]:
+    """Return the record of what a word names, and keyword arguments for it: the folder, if one was given.
+
+    A word is an id, a folder that belongs to an environment, a class in a file as ``my_env.py:MyEnv``, or a file of
+    questions. The last two are registered, as ``my_env:MyEnv`` and ``file:questions``, also for worker processes.
 
     Raises:
-        UnknownEnvError: There is no such id or folder, or the folder belongs to no environment.
+        ArgumentError: The file cannot be registered under its name.
+        UnknownEnvError: There is no such environment, file or folder, or the folder belongs to no environment.
     """
-    folder = Path(id_or_folder)
-    if ":" in id_or_folder or not (folder.is_dir() or os.sep in id_or_folder):
-        return registry().env(id_or_folder), {}
-    if not folder.is_dir():
-        raise UnknownEnvError(f"there is no folder {id_or_folder!r}")
-    record = registry().env_of_folder(folder)
-    return record, {record.folder_keyword: id_or_folder}
+    path = Path(word)
+    if match := _FILE.fullmatch(word):
+        return _env_of_class(Path(match["file"]), match["name"]), {}
+    if _is_data(path) and (path.is_file() or ":" not in word):
+        return _env_of_questions(path), {}
+    module, _, name = word.partition(":")
+    file = Path(f"{module}.py")  # an agent of MODULE:CALLABLE is looked for there, too
+    if file.is_file() and name and word not in {record.id for record in registry().envs()}:
+        return _env_of_class(file, name), {}
+    if ":" in word or not (path.is_dir() or os.sep in word):
+        return registry().env(word), {}
+    if not path.is_dir():
+        raise UnknownEnvError(f"there is no folder {word!r}")
+    record = registry().env_of_folder(path)
+    return record, {record.folder_keyword: word}
+
+
+def import_envs(word: str) -> None:
+    """Import a module that registers environments, or register a class in a file as ``find_env`` does.
+
+    Raises:
+        ArgumentError: It cannot be imported.
+    """
+    if word.endswith(".py"):
+        _module_of(Path(word))
+    elif _FILE.fullmatch(word) or _is_data(Path(word)):
+        find_env(word)
+    else:
+        _imported(word, f"--import {word}")
+
+
+def _env_of_class(path: Path, name: str | None) -> EnvSpec:
+    """Register a class, or function that returns an environment, in a file; without a name the only environment."""
+    module = _module_of(path)
+    if name is None:
+        import gymnasium  # here, so that help need not wait for it
+
+        from gem_core.env.multi_agent import MultiAgentEnv
+
+        own = [each for each in vars(module).values() if isinstance(each, type) and each.__module__ == module.__name__]
+        names = [each.__name__ for each in own if issubclass(each, gymnasium.Env | MultiAgentEnv)]
+        if len(names) != 1:
+            form = f"{path}:{names[0] if names else 'CLASS'}"
+            raise ArgumentError(f"{path} has {counted(len(names), 'environment')}: name one, as in {form}")
+        name = names[0]
+    maker = load_entry_point(f"{module.__name__}:{name}", str(path))
+    record = EnvSpec(
+        id=f"{module.__name__}:{name}",
+        entry_point=f"{module.__name__}:{name}",
+        summary=((maker.__doc__ if isinstance(maker, type) else "") or "").strip().partition("\n")[0],
+        seats=tuple(getattr(maker, "possible_agents", ())) if isinstance(maker, type) else (),
+    )
+    registry().add(record)
+    return record
+
+
+def _module_of(path: Path) -> ModuleType:
+    """Import a file as a module of its name, which workers find by the same path of modules."""
+    if not path.is_file():
+        raise UnknownEnvError(f"there is no file {str(path)!r}")
+    folder = str(path.resolve().parent)
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    module = _imported(path.stem, str(path)) if path.stem.isidentifier() else None
+    if module is None or not module.__file__ or not path.samefile(module.__file__):
+        raise ArgumentError(f"{path} cannot be imported as the module {path.stem!r}: give the file another name")
+    return module
+
+
+def _imported(name: str, owner: str) -> ModuleType:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        raise ArgumentError(f"{owner}: there is no module {error.name!r}; correct the name, or install it") from error
+    except (Exception, SystemExit) as error:  # third-party code may raise anything while it is imported
+        raise ArgumentError(f"{owner}: importing {name!r} failed: {type(error).__name__}: {error}") from error
+
+
+def _is_data(path: Path) -> bool:
+    from gem_core.data.files import KNOWN_ENDINGS, ending  # here, so that completion need not wait for it
+
+    return ending(path) in KNOWN_ENDINGS
+
+
+def _env_of_questions(path: Path) -> EnvSpec:
+    """Register the rows of a file as a ``DatasetEnv``."""
+    if not path.is_file():
+        raise UnknownEnvError(f"there is no file {str(path)!r}")
+    name = _NOT_IN_IDS.sub("-", path.name.partition(".")[0]).strip("-._") or "rows"
+    kwargs = {"dataset_name": str(path.resolve()), "prompt_template": _ASK_FOR_A_BOX}
+    record = EnvSpec(id=f"file:{name}", entry_point="gem_core:DatasetEnv", kwargs=kwargs, summary=f"Rows of {path}.")
+    present = next((each for each in registry().envs() if each.id == record.id), record)
+    if present.kwargs != record.kwargs:
+        raise ArgumentError(f"{path} and {present.kwargs.get('dataset_name')} are both {record.id}: rename one of them")
+    registry().add(record)
+    return record
 
 
 def find_envs(given: tuple[str, ...], *, several: bool) -> list[tuple[EnvSpec, dict[str, Any]]]:
-    """Return the environments that ids, globs and folders stand for, each with its keyword arguments, and each once.
+    """Return the environments that words and globs stand for, each with its keyword arguments, and each once.
 
     Args:
         given: What was typed.

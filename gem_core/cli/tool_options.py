@@ -11,7 +11,7 @@ import click
 from click.core import ParameterSource
 
 from gem_core.cli.acting import check_seats
-from gem_core.cli.completion import complete_tools, complete_wrappers
+from gem_core.cli.completion import TOOLS, WRAPPERS
 from gem_core.errors import ArgumentError
 from gem_core.registry.choices import OPTION, option_value, parsed_choices
 from gem_core.registry.lookup import registry
@@ -60,14 +60,14 @@ def stack_options(view: str) -> Callable[[Command], Command]:
             "--wrappers",
             multiple=True,
             metavar="NAMES",
-            shell_complete=complete_wrappers,
+            type=WRAPPERS,
             help=wrappers_help,
         ),
         click.option(
             "--tools",
             multiple=True,
             metavar="NAMES",
-            shell_complete=complete_tools,
+            type=TOOLS,
             help="Tools that the agent may call, with options behind a colon: 'python,search:top_k=2'. "
             "Can be repeated.",
         ),
@@ -147,15 +147,42 @@ def _seat_and_names(text: str) -> tuple[str | None, str]:
     return (None, text) if match is None else (match[1], match[2])
 
 
-arguments_option = click.option(
+def _import(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> None:
+    if value and not ctx.resilient_parsing:
+        from gem_core.cli.targets import import_envs
+        from gem_core.rollouts.agent import current_folder_importable
+
+        ctx.with_resource(current_folder_importable())
+        ctx.meta["imports"] = value
+        for word in value:
+            import_envs(word)
+
+
+import_option = click.option(
+    "--import",
+    "imports",
+    multiple=True,
+    metavar="MODULE",
+    is_eager=True,
+    expose_value=False,
+    callback=_import,
+    help="Import a module that registers environments, or a class as in my_env.py:MyEnv. Can be repeated.",
+)
+"""Adds the option for environments that no plugin offers."""
+
+_set_option = click.option(
     "--set",
     "arguments",
     multiple=True,
     metavar="NAME=VALUE",
-    help="Keyword argument of every environment, as JSON or text: 'max_turns=9'. Can be repeated; 'gem info ID' shows "
-    "what there is.",
+    help="Keyword argument of every environment, as JSON or text: 'max_turns=9'. Can be repeated; 'gem info ID' lists "
+    "them.",
 )
-"""Adds the option for keyword arguments of environments; see ``env_arguments``."""
+
+
+def arguments_option(command: Command) -> Command:
+    """Add ``--set`` and ``--import``; see ``env_arguments``."""
+    return _set_option(import_option(command))
 
 
 def env_arguments(given: tuple[str, ...]) -> dict[str, Any]:
@@ -185,7 +212,7 @@ def call_again(ctx: click.Context, without: Collection[str], *more: str) -> str:
     options: list[str] = []
     for parameter in ctx.command.params:
         name = str(parameter.name)
-        value: Any = ctx.params.get(name)
+        value: Any = ctx.params.get(name, ctx.meta.get(name))
         if name in without or ctx.get_parameter_source(name) != ParameterSource.COMMANDLINE:
             continue
         if isinstance(parameter, click.Argument):

@@ -20,7 +20,9 @@ JSON_ENDINGS = (".jsonl", ".ndjson", ".json")
 ``datasets`` reads them too, but its parser ends the whole process on brackets that are nested 100,000 deep.
 """
 
-_KNOWN_ENDINGS = (*JSON_ENDINGS, ".csv", ".tsv", ".parquet", ".arrow")
+KNOWN_ENDINGS = (*JSON_ENDINGS, ".csv", ".tsv", ".parquet", ".arrow")
+"""Endings of the files that a data set may be."""
+
 _HUB_NAME = re.compile(r"[\w.-]+(/[\w.-]+)?", re.ASCII)
 _SHIPPED = re.compile(r"(?P<package>[A-Za-z_]\w*):(?P<inside>[\w-][\w./-]*)", re.ASCII)
 
@@ -40,11 +42,11 @@ def local_path(source: str | Path) -> Path | None:
         is_folder, is_file = path.is_dir(), path.is_file()
     except (OSError, RuntimeError) as error:  # a name that is too long, a home folder that does not exist
         raise DatasetError(f"{str(source)!r:.200} is no path: {error}") from error
-    is_known = ending(path) in _KNOWN_ENDINGS
+    is_known = ending(path) in KNOWN_ENDINGS
     if is_folder or (is_file and is_known):
         return path.resolve()
     if is_file:
-        known = ", ".join(_KNOWN_ENDINGS)
+        known = ", ".join(KNOWN_ENDINGS)
         raise DatasetError(f"{str(source)!r} has an ending that is not known; known are: {known}")
     if isinstance(source, str) and _HUB_NAME.fullmatch(source) and not is_known:
         return None

@@ -33,7 +33,7 @@ Examples:
   gem tau check tau2-bench/data/tau2/domains/airline --json
 """,
 )
-@click.argument("folder")
+@click.argument("folder", type=click.Path())
 @click.option("--split", help="Only the tasks of this split, such as test; without it, all in the folder.")
 @click.option("--drop-one-write", is_flag=True, help="Also replay without each write in turn: that must get nothing.")
 @click.option("--json", "as_json", is_flag=True, help="Write a line of JSON for each task, with its final hash.")

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import gem_core
-from gem_core.cli import agent_options, arguments_option, env_arguments, find_env, given, matching, output_width
+from gem_core.cli import (
+    AGENTS,
+    ENVS,
+    agent_options,
+    arguments_option,
+    env_arguments,
+    find_env,
+    given,
+    matching,
+    output_width,
+)
 from gem_core.errors import GemError
 from gem_core.progress import Progress
 
@@ -51,7 +61,7 @@ Exit code: 0 if all environments are sound, 1 if one has a problem above the thr
 be audited, 2 for a wrong argument.
 """,
 )
-@click.argument("ids", nargs=-1, required=True, metavar="ID...")
+@click.argument("ids", nargs=-1, required=True, type=ENVS, metavar="ID...")
 @click.option("-n", "--limit", type=click.IntRange(min=1), default=50, show_default=True, help="Rows that are played.")
 @click.option("-s", "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the choice of rows.")
 @click.option(
@@ -64,10 +74,11 @@ be audited, 2 for a wrong argument.
 @click.option(
     "--against",
     multiple=True,
+    type=ENVS,
     metavar="ID|FILE",
     help="Rows that must not be among those of the environments. Can be repeated.",
 )
-@click.option("--model", metavar="AGENT", help="Also count the responses of a model that hold no answer.")
+@click.option("--model", type=AGENTS, metavar="AGENT", help="Also count the responses of a model that hold no answer.")
 @arguments_option
 @click.option("--json", "as_json", is_flag=True, help="Write what was found as JSON.")
 @agent_options

@@ -45,7 +45,7 @@ In a terminal, the rows that only one solved are a list: j and k move, Enter sho
 d where they part, q ends; --plain leaves it out.
 """,
 )
-@click.argument("runs", metavar="RUN…", nargs=-1, required=True)
+@click.argument("runs", metavar="RUN…", nargs=-1, required=True, type=click.Path())
 @click.option(
     "-m", "--model", "models", multiple=True, metavar="NAME", help="Take this model of every run; can be repeated."
 )

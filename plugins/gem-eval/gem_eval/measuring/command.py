@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gem_core.cli import (
+    AGENTS,
+    ENVS,
     INTERRUPTED,
     AtLeast,
     Column,
@@ -63,12 +65,13 @@ Exit code: 0 if every ID was measured, 1 if one cannot run here or had errors on
 argument, 130 after Ctrl-C, with what was measured until then.
 """,
 )
-@click.argument("ids", nargs=-1, required=True, metavar="ID...")
+@click.argument("ids", nargs=-1, required=True, type=ENVS, metavar="ID...")
 @click.option(
     "-m",
     "--model",
     default="random",
     show_default=True,
+    type=AGENTS,
     metavar="AGENT",
     help="openai:MODEL, MODULE:CALLABLE, or an agent's name.",
 )

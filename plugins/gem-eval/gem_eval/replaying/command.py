@@ -8,7 +8,17 @@ from typing import Any
 import click
 
 from gem_core import Episode
-from gem_core.cli import Column, agent_options, arguments_option, counted, echo_line, env_arguments, given, print_table
+from gem_core.cli import (
+    AGENTS,
+    Column,
+    agent_options,
+    arguments_option,
+    counted,
+    echo_line,
+    env_arguments,
+    given,
+    print_table,
+)
 from gem_core.errors import ArgumentError
 from gem_core.rollouts import close_agent, load_agent
 from gem_eval.output import print_json
@@ -46,7 +56,7 @@ argument.
 @click.argument("path", metavar="RUN", type=click.Path())
 @click.argument("number", metavar="EPISODE", type=click.IntRange(min=1))
 @click.option("--from-turn", metavar="K", type=click.IntRange(min=1), help="The first turn that is played anew.")
-@click.option("-a", "--agent", metavar="AGENT", help=f"Who goes on; '{_PERSON}' for yourself.")
+@click.option("-a", "--agent", type=AGENTS, metavar="AGENT", help=f"Who goes on; '{_PERSON}' for yourself.")
 @click.option("--branches", metavar="N", type=click.IntRange(min=1), default=1, show_default=True, help="How often.")
 @arguments_option
 @click.option("--force", is_flag=True, help="Go on where the replay is not as recorded.")

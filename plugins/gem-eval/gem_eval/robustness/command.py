@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gem_core.cli import (
+    AGENTS,
+    ENVS,
     INTERRUPTED,
     AtLeast,
     Column,
@@ -69,9 +71,14 @@ Exit code: 0 if every episode ran, 1 if one had an error that was not injected, 
 argument, 130 after Ctrl-C, with what was scored until then.
 """,
 )
-@click.argument("ids", nargs=-1, required=True, metavar="ID...")
+@click.argument("ids", nargs=-1, required=True, type=ENVS, metavar="ID...")
 @click.option(
-    "-m", "--model", required=True, metavar="AGENT", help="openai:MODEL, MODULE:CALLABLE, or an agent's name."
+    "-m",
+    "--model",
+    required=True,
+    type=AGENTS,
+    metavar="AGENT",
+    help="openai:MODEL, MODULE:CALLABLE, or an agent's name.",
 )
 @click.option(
     "-p",

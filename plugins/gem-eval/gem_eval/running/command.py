@@ -10,13 +10,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gem_core.cli import (
+    AGENTS,
     INTERRUPTED,
     AtLeast,
+    Words,
     agent_options,
     arguments_option,
     call_again,
     counted,
     env_arguments,
+    env_ids,
     given,
     parsed_choices,
     stack_options,
@@ -27,6 +30,12 @@ if TYPE_CHECKING:
     from gem_eval.records import Row
     from gem_eval.running.evaluation import EvaluationSession
     from gem_eval.suites import Suite
+
+
+def _suites_and_ids(ctx: click.Context, incomplete: str) -> list[tuple[str, str]]:
+    from gem_eval.suites import builtin_suites
+
+    return [*((name, "suite") for name in builtin_suites() if name.startswith(incomplete)), *env_ids(ctx, incomplete)]
 
 
 @click.command(
@@ -53,17 +62,20 @@ Exit code: 0 if every episode ran, 1 if one had an error or a limit of the run w
 wrong argument, 130 after Ctrl-C.
 """,
 )
-@click.argument("targets", nargs=-1, metavar="SUITE|ID...")
+@click.argument("targets", nargs=-1, type=Words(_suites_and_ids, files=True), metavar="SUITE|ID...")
 @click.option("--list", "list_suites", is_flag=True, help="List the suites that are built in.")
 @click.option(
     "-m",
     "--model",
     "models",
     multiple=True,
+    type=AGENTS,
     metavar="AGENT",
     help="openai:MODEL, MODULE:CALLABLE, or an agent's name. Can be repeated.",
 )
-@click.option("--role", "roles", multiple=True, metavar="ROLE=AGENT", help="Who plays another part: user, judge.")
+@click.option(
+    "--role", "roles", multiple=True, type=AGENTS, metavar="ROLE=AGENT", help="Who plays another part: user, judge."
+)
 @click.option("-e", "--epochs", type=AtLeast(min=1), help="How often each row is played.  [default: 1]")
 @click.option("--limit", type=AtLeast(min=1), help="Rows of each task at most.")
 @click.option("--sample-ids", metavar="ID,ID", help="Only the rows with these values of task_id.")

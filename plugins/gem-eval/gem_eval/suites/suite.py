@@ -205,9 +205,10 @@ def combined_suite(targets: Sequence[str | Path]) -> Suite:
 
 
 def _is_task(target: str | Path) -> bool:
-    """Tell whether a target is an id, a glob or a folder, not a suite."""
-    text = str(target)
-    return Path(target).is_dir() or (not Path(target).is_file() and any(character in text for character in ":*?["))
+    """Tell whether a target is an id, a glob, a folder, or a file of an environment, not a suite."""
+    path = Path(target)
+    is_yaml = path.suffix in {".yaml", ".yml"}
+    return path.is_dir() or (not is_yaml and (path.is_file() or any(each in str(target) for each in ":*?[")))
 
 
 def parse_suite(text: bytes, origin: str, *, default_name: str) -> Suite:

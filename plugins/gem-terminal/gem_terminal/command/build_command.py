@@ -23,7 +23,7 @@ Examples:
   gem terminal build my-tasks --build-arg BASE=python:3.12-slim-bookworm
 """,
 )
-@click.argument("where", nargs=-1, metavar="[PATH|ID]...")
+@click.argument("where", nargs=-1, type=click.Path(), metavar="[PATH|ID]...")
 @click.option("--task", "names", multiple=True, metavar="NAME", help="Only this task, or those of this pattern.")
 @click.option("--fresh", is_flag=True, help="Build anew, without caches.")
 @click.option("--jobs", type=click.IntRange(1, 64), default=2, show_default=True, help="Builds at once.")

@@ -47,7 +47,7 @@ Examples:
   gem terminal check my-tasks/fix-the-server --json
 """,
 )
-@click.argument("where", nargs=-1, metavar="[PATH|ID]...")
+@click.argument("where", nargs=-1, type=click.Path(), metavar="[PATH|ID]...")
 @click.option("--task", "names", multiple=True, metavar="NAME", help="Only this task, or those of this pattern.")
 @click.option("--jobs", type=click.IntRange(1, 64), default=2, show_default=True, help="Tasks at once.")
 @click.option(

@@ -29,7 +29,7 @@ Examples:
   gem terminal list my-tasks --json
 """,
 )
-@click.argument("where", nargs=-1, metavar="[PATH|ID]...")
+@click.argument("where", nargs=-1, type=click.Path(), metavar="[PATH|ID]...")
 @variable_option
 @backend_options
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON list, with all that is known of each.")

@@ -35,7 +35,7 @@ Examples:
   gem terminal shell fix-the-server --in my-tasks --user nobody
 """,
 )
-@click.argument("task")
+@click.argument("task", type=click.Path())
 @click.option("--in", "where", metavar="PATH|ID", help="Where the task is; without it, terminal:Sample or TASK itself.")
 @click.option("--user", default="", help="Whom the shell runs as; without it, the agent's user.")
 @variable_option

@@ -32,7 +32,7 @@ CONFIG is an mcpServers file, as Claude Desktop, Cursor and VS Code have them. A
 The exit code is 0 if every server answered, else 1.
 """,
 )
-@click.argument("config", required=False)
+@click.argument("config", required=False, type=click.Path())
 @click.option("--command", "command_line", help="Program of one server, with its arguments.")
 @click.option("--url", help="Address of one server that runs already.")
 @click.option("--transport", type=click.Choice(["http", "sse"]), help="How to speak to that address.")

@@ -28,7 +28,7 @@ Ask it, here or from another machine that may reach it:
 Ctrl-C ends it: what is under way is still answered, and the exit code is 0.
 """,
 )
-@click.argument("corpus")
+@click.argument("corpus", type=click.Path())
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on; 0.0.0.0 for all.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8000, show_default=True, help="0 takes a free one.")
 @click.option("--workers", type=click.IntRange(1, 256), help="Threads that search.  [default: one for each core]")

@@ -15,12 +15,15 @@ import click
 from click.core import ParameterSource
 
 from gem_core.cli import (
+    AGENTS,
+    ENVS,
     INTERRUPTED,
     AtLeast,
     arguments_option,
     counted,
     echo_line,
     env_arguments,
+    find_env,
     find_envs,
     stack_options,
     wrapper_stack,
@@ -35,7 +38,7 @@ _DEFAULTS = {field.name: field.default for field in fields(TrainOptions)}
 _ABOVE_0 = click.FloatRange(min=0, min_open=True)
 _FROM_0 = click.FloatRange(min=0)
 _SHARE = click.FloatRange(min=0, max=1)
-_BESIDE_RESUME = ("resume", "tensorboard", "wandb", "as_json")
+_BESIDE_RESUME = ("resume", "imports", "tensorboard", "wandb", "as_json")
 
 
 class _Option(click.Option):
@@ -99,7 +102,7 @@ gives the metrics and weights of a run that was never stopped (with --overlap on
 Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument, 130 after Ctrl-C.
 """,
 )
-@click.argument("ids", nargs=-1, metavar="ID...")
+@click.argument("ids", nargs=-1, type=ENVS, metavar="ID...")
 @arguments_option
 @stack_options("A view says what the policy reads.")
 @click.option("-o", "--out", type=click.Path(file_okay=False), help="Folder of the run.  [default: a new one in runs/]")
@@ -139,7 +142,7 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
 )
 @_group(
     "Imitation, evaluation and checkpoints",
-    ("--imitate", str, "Agent to imitate first: a name, MODULE:CALLABLE, or none."),
+    ("--imitate", AGENTS, "Agent to imitate first: a name, MODULE:CALLABLE, or none."),
     ("--imitate-episodes", AtLeast(min=1), "Episodes that it plays."),
     ("--imitate-steps", AtLeast(min=1), "Steps of the optimizer, of 128 turns each."),
     ("--eval-every", AtLeast(min=0), "Updates between evaluations.  [default: one, at the end]"),
@@ -152,6 +155,7 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     cls=_Option,
     group="Imitation, evaluation and checkpoints",
     multiple=True,
+    type=ENVS,
     metavar="ID",
     help="Evaluate on this environment. Can be repeated.  [default: those that are learnt]",
 )
@@ -231,7 +235,7 @@ def _options(given: dict[str, Any]) -> TrainOptions:
         env_kwargs=env_arguments(given.pop("arguments")),
         wrappers=tuple(wrapper_stack(*stack)),
         learn_cut_off=not given.pop("skip_cut_off"),
-        eval_envs=tuple(given.pop("eval_envs")),
+        eval_envs=tuple(find_env(each)[0].id for each in given.pop("eval_envs")),
         imitate=None if imitate == "none" else imitate,
         **{name: value for name, value in given.items() if value is not None},
     )
