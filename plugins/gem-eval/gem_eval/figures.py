@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from gem_core.cli import counted
+
 if TYPE_CHECKING:
     from gem_eval.scores import Metric, Score
     from gem_eval.statistics import Estimate
@@ -34,6 +36,15 @@ def with_bounds(estimate: Estimate | Score | None, metric: Metric) -> str:
         return shown
     low, high = (score(end, metric).removesuffix("%") for end in (estimate.low, estimate.high))
     return f"{shown} [{low}, {high}]"
+
+
+def pass_note(score: Score) -> str:
+    """Return how many rows the largest k of pass@k leaves out; empty for none."""
+    k, left_out = max(score.pass_left_out.items(), key=lambda each: int(each[0]), default=("1", 0))
+    if not left_out:
+        return ""
+    rows = f"{counted(left_out, 'row')} with fewer than {k} episodes that count"
+    return f"pass@{k} and pass^{k} of {score.model} at {score.id} leave out {rows}."
 
 
 def change(value: float | None, metric: Metric) -> str:

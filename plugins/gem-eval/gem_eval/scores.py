@@ -33,8 +33,8 @@ class Score:
         high: Upper end of the 95 % interval.
         episodes: Number of episodes; the mean of successes is over those that are not unscored.
         rows: Number of rows with a value.
-        pass_at: Of successes with several epochs, pass@k by k: for powers of two up to the fewest epochs that a row
-            has, and for those.
+        pass_at: Of successes with several epochs, pass@k by k: for powers of two up to the number of epochs, and for
+            that. Rows with fewer than k epochs that count are left out.
         errors: Number of episodes that failed by an error; no score counts them.
         truncated: Number of episodes that a limit cut off. Unless their task gave a verdict, they count as not solved.
         unscored: Number of episodes whose task did not tell whether it was solved.
@@ -44,6 +44,7 @@ class Score:
         without_unreadable: The estimate without unreadable episodes; None where it is the same, or there are no others.
         with_errors: The mean if errors counted as 0; None where there are no errors.
         with_unscored: The mean of successes if unscored episodes counted as 0; None where there are none.
+        pass_left_out: Number of rows that pass@k and pass^k leave out, by k: with fewer than k episodes that count.
     """
 
     id: str
@@ -65,6 +66,7 @@ class Score:
     without_unreadable: Estimate | None
     with_errors: float | None
     with_unscored: float | None
+    pass_left_out: dict[str, int]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as plain JSON; of ``pass_at`` and ``pass_hat`` the means."""
@@ -167,8 +169,9 @@ def _score(env_id: str, model: str, metric: Metric, played: Sequence[Row]) -> Sc
     unscored = [episode for episode in counted if episode.success is None]
     rows = _rows(metric, counted)
     estimate = _estimate(metric, rows)
-    ks = _ks(rows) if metric == "success" else []
     counts = [(len(row), int(sum(row))) for row in rows]
+    ks = _ks(max((count for count, _ in counts), default=0)) if metric == "success" else []
+    asked = len({(episode.id, episode.row) for episode in played})
 
     def without(left_out: Callable[[Row], bool]) -> Estimate | None:
         kept = [episode for episode in counted if not left_out(episode)]
@@ -202,6 +205,7 @@ def _score(env_id: str, model: str, metric: Metric, played: Sequence[Row]) -> Sc
         without_unreadable=without(lambda episode: episode.unreadable),
         with_errors=with_zeros(errors),
         with_unscored=with_zeros(unscored) if metric == "success" else None,
+        pass_left_out={str(k): asked - sum(count >= k for count, _ in counts) for k in ks},
     )
 
 
@@ -223,9 +227,6 @@ def _estimate(metric: Metric, rows: list[list[float]]) -> Estimate | None:
     return rate(rows) if metric == "success" else mean(rows)
 
 
-def _ks(rows: list[list[float]]) -> list[int]:
-    """Return the k of pass@k: powers of two up to the fewest epochs, and those; none for one epoch each."""
-    if max(map(len, rows), default=0) < 2:
-        return []
-    fewest = min(map(len, rows))
-    return sorted({fewest, *(2**power for power in range(fewest.bit_length()))})
+def _ks(epochs: int) -> list[int]:
+    """Return the k of pass@k: powers of two up to a number of epochs, and that; none for one epoch."""
+    return sorted({epochs, *(2**power for power in range(epochs.bit_length()))}) if epochs > 1 else []

@@ -107,8 +107,20 @@ def test_tasks_are_compared_one_by_one_and_together(tmp_path: Path) -> None:
         for name, one, two in (("a", "0000000", "10"), ("b", "1111111", "01"))
     ]
     found = gem_eval.compare(*paths)
-    assert [(each.id, each.rows, each.p_holm) for each in found.tasks] == [("t:A", 7, 2 * 2 / 2**7), ("t:B", 2, 1.0)]
+    assert [(each.id, each.rows, each.p_holm) for each in found.tasks] == [("t:A", 7, 2 / 2**7), ("t:B", 2, 1.0)]
     assert (found.overall.id, found.overall.rows, found.overall.only_b) == ("all", 9, 8)
+
+
+def test_tasks_that_cannot_differ_are_left_out_of_the_correction(tmp_path: Path) -> None:
+    """Of 26 tasks 25 have no row that differs: the p-value of the other stays as it is; Holm alone made it 26-fold."""
+    same = [row for number in range(25) for row in verdicts("10", id=f"t:Same{number}")]
+    paths = [
+        write_index(tmp_path / name, [*verdicts(solved, id="t:A"), *same])
+        for name, solved in (("a", "0000000"), ("b", "1111111"))
+    ]
+    found = gem_eval.compare(*paths)
+    assert [(each.p_holm, each.significant) for each in found.tasks[:2]] == [(2 / 2**7, True), (1.0, False)]
+    assert "corrected by Holm for 1 test (25 more cannot reach 0.05" in call(*paths).stdout
 
 
 def test_models_of_one_run_are_compared(tmp_path: Path) -> None:
@@ -134,8 +146,8 @@ def test_a_matrix_corrects_for_all_pairs(tmp_path: Path) -> None:
         for name, solved in (("a", "1" * 9), ("b", "0" * 9), ("c", "0" * 9))
     ]
     output = " ".join(call(*paths).output.split())
-    assert "a · +100.0 (0.012)* +100.0 (0.012)* b -100.0 (0.012)* · +0.0 (1.000)" in output
-    assert "corrected by Holm for 3 pairs" in output
+    assert "a · +100.0 (0.008)* +100.0 (0.008)* b -100.0 (0.008)* · +0.0 (1.000)" in output
+    assert "corrected by Holm for 2 pairs (1 more cannot reach 0.05" in output
 
 
 def test_runs_without_a_shared_row_are_refused(tmp_path: Path) -> None:

@@ -68,18 +68,24 @@ def test_a_score_has_the_fields_of_the_json_in_their_order() -> None:
     )
     assert (found[0]["mean"], found[0]["stderr"], found[0]["low"], found[0]["high"]) == rate([[1, 0], [0]])
     assert (found[1]["metric"], found[1]["mean"], found[1]["high"]) == ("return", 0.375, mean([[1, 0.5], [0]]).high)
-    assert [found[0][name] for name in ("episodes", "rows", "pass_at", "pass_hat")] == [3, 2, {"1": 0.25}, {"1": 0.25}]
+    assert [found[0][name] for name in ("episodes", "rows", "pass_at", "pass_left_out")] == [
+        3,
+        2,
+        {"1": 0.25, "2": 1.0},
+        {"1": 0, "2": 1},
+    ]
     assert json.loads(json.dumps(found)) == found
 
 
-def test_pass_at_goes_by_powers_of_two_to_the_fewest_epochs() -> None:
-    """Of rows with six and seven epochs: 1, 2, 4 and 6; of one epoch each none."""
+def test_pass_at_goes_by_powers_of_two_to_the_number_of_epochs() -> None:
+    """An error leaves its row out of the largest k, which is told, and takes it from no other; one epoch has none."""
     played = [Played("a", epoch < 2, epoch=epoch) for epoch in range(7)]
-    played += [Played("b", epoch < 1, epoch=epoch) for epoch in range(6)]
-    score = successes(*played)
+    played += [Played("b", epoch < 1, epoch=epoch, error="boom" if epoch == 6 else None) for epoch in range(7)]
+    score = successes(*played, Played("c", None, error="boom"))
     counts = [(7, 2), (6, 1)]
-    assert score.pass_at == {str(k): pass_at(counts, k) for k in (1, 2, 4, 6)}
-    assert score.pass_hat == {str(k): pass_hat(counts, k) for k in (1, 2, 4, 6)}
+    assert score.pass_at == {str(k): pass_at(counts, k) for k in (1, 2, 4, 7)}
+    assert score.pass_hat == {str(k): pass_hat(counts, k) for k in (1, 2, 4, 7)}
+    assert score.pass_left_out == {"1": 1, "2": 1, "4": 1, "7": 2}
     assert score.pass_at["1"].mean == pytest.approx(score.mean)
     assert successes(Played("a", True), Played("b", True)).pass_at == {}
 

@@ -39,7 +39,8 @@ that a limit cut off is not solved; where leaving these out changes the verdict,
 \b
 Success with one epoch of each row is tested by McNemar's exact test, everything else by a permutation
 test that gives each row's difference a random sign. Where several tasks, or several pairs of runs, are
-tested, p-values are corrected by Holm.
+tested, p-values are corrected by Holm; tests that cannot reach 0.05, as too few of their rows
+differ, are left out of the count (Tarone).
 \b
 In a terminal, the rows that only one solved are a list: j and k move, Enter shows both transcripts,
 d where they part, q ends; --plain leaves it out.

@@ -41,13 +41,15 @@ class Difference:
         b: Mean of the second.
         difference: ``b - a`` with its 95 % interval; None without rows.
         p: Two-sided p-value of the test that there is no difference; None without rows.
-        p_holm: The same, corrected by Holm for the number of tasks, or of pairs of sides, tested beside it.
+        p_holm: The same, corrected by Holm for the tasks, or pairs of sides, tested beside it. Tests that cannot reach
+            the level, as too few of their rows differ, are left out of the count, after Tarone.
         test: ``"mcnemar"`` for verdicts with one epoch of each row; else ``"permutation"`` of signs by row.
         only_a: Rows that only the first solved; None where values are not verdicts.
         only_b: Rows that only the second solved.
         more_rows: How many more rows would settle a difference of this size with a power of 80 %; 0 where these rows
             do, None where no number would.
         more_episodes: As many rows by the epochs that a row has, for one side.
+        least_p: The lowest p-value that the test could give with as many rows that differ.
     """
 
     id: str
@@ -62,6 +64,7 @@ class Difference:
     only_b: int | None = None
     more_rows: int | None = None
     more_episodes: int | None = None
+    least_p: float | None = None
 
     @property
     def significant(self) -> bool:
@@ -325,6 +328,7 @@ def _difference(name: str, pairs: Pairs, *, verdicts: bool) -> Difference:
         only_b,
         more,
         None if more is None else math.ceil(more * epochs),
+        min(1.0, 2 / 2 ** sum(value != 0 for value in apart)),  # all that differ on one side: 2 of 2**n assignments
     )
 
 
@@ -347,15 +351,29 @@ def _flips(pairs: Pairs, *, verdicts: bool) -> list[Flip]:
 def _corrected(tested: Sequence[Difference]) -> list[Difference]:
     """Correct the p-values of several tests, so that one false alarm among all is as rare as the level says.
 
-    Source: S. Holm, Scandinavian Journal of Statistics 6 (1979), 65-70.
+    Source: S. Holm, Scandinavian Journal of Statistics 6 (1979), 65-70; R. E. Tarone, Biometrics 46 (1990), 515-522.
     """
-    order = sorted((each.p, place) for place, each in enumerate(tested) if each.p is not None)
-    corrected: dict[int, float] = {}
+    factor, counted = counted_tests(tested)
+    corrected = {place: min(1.0, factor * each.p) for place, each in enumerate(tested) if each.p is not None}
+    order = sorted((each.p, place) for place, each in enumerate(tested) if each.p is not None and place in counted)
     highest = 0.0
     for rank, (p, place) in enumerate(order):
         highest = max(highest, min(1.0, (len(order) - rank) * p))
         corrected[place] = highest
     return [replace(each, p_holm=corrected.get(place)) for place, each in enumerate(tested)]
+
+
+def counted_tests(tested: Sequence[Difference]) -> tuple[int, list[int]]:
+    """Return Tarone's factor, and the places of the tests that can reach the level divided by it.
+
+    The factor is the lowest for which no more tests than that can; what the others find is never significant.
+    """
+    factor, places = 0, list(range(len(tested)))
+    while len(places) > factor:
+        factor += 1
+        least = [each.least_p for each in tested]
+        places = [place for place, p in enumerate(least) if p is not None and p * factor < LEVEL]
+    return factor, places
 
 
 def _counts(rows: Sequence[Sequence[Row]], condition: Callable[[Row], bool]) -> tuple[int, int]:

@@ -11,6 +11,7 @@ import click
 
 from gem_core.cli import Column, counted, echo_line, print_table, shown
 from gem_eval import figures
+from gem_eval.comparing.comparison import counted_tests
 from gem_eval.show.text import one_line
 
 if TYPE_CHECKING:
@@ -61,7 +62,8 @@ def print_matrix(sides: Sequence[Side], comparisons: Sequence[Comparison]) -> No
     print_table(columns, sides)
     click.echo()
     tests = " or ".join(dict.fromkeys(_TESTS[each.overall.test] for each in comparisons))
-    echo_line(f"p by {tests}, corrected by Holm for {len(comparisons)} pairs; * is below 0.05.")
+    corrected = _corrected_for([each.overall for each in comparisons], "pair")
+    echo_line(f"p by {tests}, corrected by Holm for {corrected}; * is below 0.05.")
 
 
 def flip_lines(comparison: Comparison, *, every: bool = False) -> Iterator[str]:
@@ -152,8 +154,15 @@ def _verdict_lines(comparison: Comparison) -> Iterator[str]:
         p = "" if other.p is None else f", {_p_is(other.p)}"
         yield f"Without the episodes that a limit cut off, {said} ({counted(other.rows, 'row')}{p})."
     if len(comparison.tasks) > 1:
-        yield f"The p-values of tasks are corrected by Holm for {len(comparison.tasks)} tests; that of all is one test."
+        corrected = _corrected_for(comparison.tasks, "test")
+        yield f"The p-values of tasks are corrected by Holm for {corrected}; that of all is one test."
     yield from _left_out_lines(comparison)
+
+
+def _corrected_for(tested: Sequence[Difference], what: str) -> str:
+    count = len(counted_tests(tested)[1])
+    rest = len(tested) - count
+    return counted(count, what) + (f" ({rest} more cannot reach 0.05, as too few of their rows differ)" if rest else "")
 
 
 def _left_out_lines(comparison: Comparison) -> Iterator[str]:

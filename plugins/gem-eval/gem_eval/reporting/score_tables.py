@@ -10,7 +10,7 @@ from gem_core.cli import shown
 from gem_eval import figures
 from gem_eval.reporting import plots
 from gem_eval.reporting.lines import Line, lined_table, lines, task_name
-from gem_eval.reporting.markup import Cell, name_cell, section, table
+from gem_eval.reporting.markup import Cell, name_cell, section, table, text
 
 if TYPE_CHECKING:
     from gem_eval.reporting.contents import Contents, Paired
@@ -49,7 +49,7 @@ def pass_table(contents: Contents, tasks: Sequence[str]) -> str:
 
     headers = [Cell("Mean"), *(Cell(f"pass@{k}") for k in ks), *(Cell(f"pass^{k}") for k in ks)]
     note = "pass@k: the probability that at least one of k tries solves a row; pass^k: that all do. "
-    note += "A dash: a row has fewer epochs without an error."
+    note += " ".join(text(figures.pass_note(_score(line, "success"))) for line in chosen)
     return f'<h3>pass@k</h3><p class="soft">{note}</p>{lined_table(contents, chosen, headers, cells)}'
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-from gem_core.cli import Column, print_table, shown, shown_count
+from gem_core.cli import Column, echo_line, print_table, shown, shown_count
 from gem_eval import figures
 
 if TYPE_CHECKING:
@@ -76,12 +76,12 @@ def print_scores(scores: Sequence[Score], episodes: Iterable[Row]) -> None:
     """Write the table of scores to standard output; columns that say nothing are left out."""
     rows = table_rows(scores, episodes)
     print_table(_columns(rows), rows)
+    for note in filter(None, (figures.pass_note(score) for score in scores)):
+        echo_line(note)
 
 
 def _columns(rows: Sequence[TableRow]) -> list[Column]:
-    by_row = [{int(k) for k in row.success.pass_at if int(k) > 1} for row in rows if row.success]
-    # The largest k that each row of the table has: after an error, fewer epochs count.
-    epochs = sorted(set.intersection(*by_row) or set.union(*by_row)) if by_row else []
+    epochs = sorted({int(k) for row in rows if row.success for k in row.success.pass_at if int(k) > 1})
     columns = [
         Column("task", lambda row: str(row.id), name=True),
         Column("model", lambda row: str(row.model), name=True),
