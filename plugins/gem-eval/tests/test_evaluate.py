@@ -70,6 +70,19 @@ def test_tasks_and_models_are_played_in_one_run() -> None:
     assert {row.row for row in run.rows} == {f"evaltest:Sums/q{number}" for number in range(9)}
 
 
+def test_what_a_suite_says_is_said_by_arguments_too() -> None:
+    """Of ids or of a suite; a name that is none is told the nearest."""
+    run = evaluate(["evaltest:Sums"], {"a": right}, epochs=2, limit=3, where="level == 1", seed=4)
+    assert sorted((row.row, row.epoch) for row in run.rows) == [
+        (f"evaltest:Sums/q{number}", epoch) for number in (1, 4, 7) for epoch in (0, 1)
+    ]
+    assert run.info["seed"] == 4
+    fewer = evaluate(suite({"id": "evaltest:Sums", "limit": 3}, epochs=2), {"a": right}, limit=1, epochs=1)
+    assert len(fewer.rows) == 1
+    with pytest.raises(ArgumentError, match=r"epoch: .*Did you mean 'epochs'"):
+        evaluate(["evaltest:Sums"], {"a": right}, epoch=4)  # type: ignore[call-arg]
+
+
 def test_each_row_has_its_mean_and_spread() -> None:
     """Where it is played more than once."""
     answers = iter(["\\boxed{1}", "no", "\\boxed{1}"])
@@ -171,13 +184,6 @@ def test_the_same_call_finds_the_run_that_was_stopped() -> None:
     first = evaluate(tasks, {"a": guesses})
     assert len(list(Path("runs").iterdir())) == 1
     assert evaluate(tasks, {"a": guesses}).path != first.path
-
-
-def test_another_run_in_the_folder_is_refused() -> None:
-    """Its episodes would be mixed with those of this one."""
-    evaluate(suite({"id": GAME, "episodes": 1}), {"a": guesses}, out="run")
-    with pytest.raises(ArgumentError, match="holds another run"):
-        evaluate(suite({"id": GAME, "episodes": 2}), {"a": guesses}, out="run")
 
 
 def test_a_file_in_the_place_of_the_folder_is_refused() -> None:
@@ -347,6 +353,8 @@ def test_the_record_says_what_was_run() -> None:
         "rows": 1,
         "rows_in_all": 1,
         "data_sha256": info["tasks"][0]["data_sha256"],
+        "rows_sha256": info["tasks"][0]["rows_sha256"],
+        "code": info["tasks"][0]["code"],
     }
     assert len(info["tasks"][0]["data_sha256"]) == 64
     assert (info["seed"], info["epochs"], info["episodes"], info["status"]) == (0, 1, 1, "finished")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -58,9 +61,53 @@ def test_what_was_played_again_counts_against_a_limit_of_the_run() -> None:
 def test_a_run_goes_on_with_the_same_limits_of_an_episode_only() -> None:
     """Its scores depend on them."""
     evaluate(suite(2), {"a": answers}, out="run", limits=Limits(episode_tokens=5, run_tokens=12))
-    with pytest.raises(ArgumentError, match="limits of an episode or seed differ"):
+    with pytest.raises(ArgumentError, match=r"another run: limits\.episode_tokens 5 and 500;"):
         evaluate(suite(2), {"a": answers}, out="run", limits=Limits(episode_tokens=500))
     assert len(evaluate(suite(2), {"a": answers}, out="run", limits=Limits(episode_tokens=5)).rows) == 2
+
+
+CODE = {
+    "stoptest_env.py": "import gem_core\nfrom stoptest_helper import ROWS\n\nEnv = gem_core.DatasetEnv\n",
+    "stoptest_helper.py": "ROWS = []\n",
+    "stoptest_agent.py": """
+from gem_core import Response
+
+def act(observation):
+    return Response("1", usage={"prompt_tokens": 10, "completion_tokens": 2})
+""",
+}
+
+
+@pytest.mark.parametrize(
+    ("file", "told"),
+    [
+        ("stoptest_helper.py", "the code of stoptest_env (the task stoptest:Code)"),
+        ("stoptest_agent.py", "the code of stoptest_agent (the model stoptest_agent:act)"),
+    ],
+)
+def test_a_run_does_not_go_on_quietly_with_other_code(monkeypatch: pytest.MonkeyPatch, file: str, told: str) -> None:
+    """Of an environment, with what it imports from its folder, or of an agent; and leaves nothing behind."""
+    for name, source in CODE.items():
+        Path(name).write_text(source)
+        monkeypatch.delitem(sys.modules, name.removesuffix(".py"), raising=False)
+    monkeypatch.syspath_prepend(".")
+    gem.register("stoptest:Code", "stoptest_env:Env", rows=ROWS[:4])
+    arguments: Any = (["stoptest:Code"], "stoptest_agent:act")
+    first = evaluate(*arguments, limits=Limits(run_tokens=1), max_concurrency=1)
+    Path(file).write_text(f"{CODE[file]}# changed\n")
+    with pytest.raises(ArgumentError, match=rf"1 of 4 episodes are there, .*: {re.escape(told)}\. --go-on-anyway"):
+        evaluate(*arguments)
+    run = evaluate(*arguments, go_on_anyway=True)
+    assert (run.path, len(run.rows), run.info["sessions"][-1]["changed"]) == (first.path, 4, [told])
+
+
+def test_another_run_in_the_folder_is_told_by_what_differs() -> None:
+    """By name, with the value of both."""
+    evaluate(suite(2), {"a": answers}, out="run")
+    with pytest.raises(ArgumentError) as told:
+        evaluate(suite(3), {"a": answers, "b": answers}, out="run", epochs=2, kwargs={"prompt_template": "{question}"})
+    assert 'run holds another run: models ["a"] and ["a", "b"]; epochs 1 and 2' in str(told.value)
+    assert "task.stoptest:Rows.kwargs.prompt_template null and {question}; choose" in str(told.value)
 
 
 def test_a_run_that_cannot_begin_leaves_no_folder() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,12 +9,11 @@ from gem_core import Episode
 from gem_core.cli import counted
 from gem_core.errors import EpisodeFileError
 from gem_core.records import to_plain
+from gem_eval.settings import differing, short
 
 if TYPE_CHECKING:
     from gem_eval.comparing.sides import Side, Task
 
-_MOST = 8
-_LONGEST = 60
 _SKEWED = 4
 
 _STARTS = {"kwargs": "arguments", "wrappers": "wrappers", "tools": "tools", "system": "system prompt"}
@@ -24,9 +22,9 @@ _STARTS = {"kwargs": "arguments", "wrappers": "wrappers", "tools": "tools", "sys
 def cautions_of(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
     """Return in words what two sides differ in besides their models.
 
-    Compared are, where there is a ``run.json``, arguments and hash of the data of the tasks that both have, the limits,
-    the roles of models and how the models were sampled; and of the records the seeds of all rows and, of one row of
-    each task, versions, arguments, wrappers, tools, system prompt and the first observation.
+    Compared are, where there is a ``run.json``, arguments, code and hash of the data of the tasks that both have, the
+    limits, the roles of models and how the models were sampled; and of the records the seeds of all rows and, of one
+    row of each task, versions, arguments, wrappers, tools, system prompt and the first observation.
 
     Args:
         a: The first side.
@@ -50,7 +48,7 @@ def _settings(side: Side) -> dict[str, Any] | None:
         return None
     tasks = {}
     for task in _mappings(info.get("tasks")):
-        tasks[str(task.get("id"))] = {name: task.get(name) for name in ("env", "kwargs", "rows", "data_sha256")}
+        tasks[str(task.get("id"))] = {name: task.get(name) for name in ("env", "kwargs", "rows", "data_sha256", "code")}
     suite = info.get("suite")
     roles = suite.get("roles") if isinstance(suite, Mapping) else None
     return {"limits": info.get("limits"), "roles": roles, "tasks": tasks}
@@ -78,21 +76,8 @@ def _of_settings(what: str, one: dict[str, Any] | None, other: dict[str, Any] | 
     if "tasks" in one:
         both = [name for name in one["tasks"] if name in other["tasks"]]
         one, other = ({**each, "tasks": {name: each["tasks"][name] for name in both}} for each in (one, other))
-    first, second = (dict(_leaves(each)) for each in (one, other))
-    differing = [name for name in dict.fromkeys([*first, *second]) if first.get(name) != second.get(name)]
-    if not differing:
-        return []
-    told = [f"{name} {_short(first.get(name))} and {_short(second.get(name))}" for name in differing[:_MOST]]
-    more = f"; and {len(differing) - _MOST} more" if len(differing) > _MOST else ""
-    return [f"{what} differ{'s' if what.startswith('the') else ''}: {'; '.join(told)}{more}"]
-
-
-def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    if isinstance(value, Mapping):
-        for name, part in value.items():
-            yield from _leaves(part, f"{path}.{name}".strip("."))
-    else:
-        yield path, value
+    told = differing(one, other)
+    return [f"{what} differ{'s' if what.startswith('the') else ''}: {told}"] if told else []
 
 
 def _of_epochs(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
@@ -151,7 +136,7 @@ def _record_differences(one: Episode, other: Episode, *, told: bool) -> Iterator
         if first != second:
             alike = False
             if not told:
-                yield f"{called} differ: {_short(first)} and {_short(second)}"
+                yield f"{called} differ: {short(first)} and {short(second)}"
     if alike and one.seed == other.seed and to_plain(one.observation) != to_plain(other.observation):
         yield "the first observation of a row differs: its data or its prompt was changed"
 
@@ -162,8 +147,3 @@ def _record(side: Side, task: Task) -> Episode | None:
         return side.run.episode(row)
     except EpisodeFileError:
         return None  # whoever opens its transcript is told
-
-
-def _short(value: Any) -> str:
-    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"

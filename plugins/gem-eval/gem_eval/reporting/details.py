@@ -35,7 +35,7 @@ _FIRST_FACTS = (
     "versions",
     "host",
 )
-_NOT_FACTS = ("schema_version", "fingerprint", "status")
+_NOT_FACTS = ("schema_version", "status")
 
 
 def examples(chosen: Sequence[tuple[Entrant, Row]]) -> str:

@@ -53,6 +53,7 @@ Examples:
 The same command goes on with a run that was stopped, and begins another once it is finished; --new
 begins another in any case. Rows and seeds are the same in every run of a suite, so that two runs
 can be compared row by row: 'gem compare'. 'gem view', 'gem report' and 'gem show' read the folder.
+Where the code of an environment or an agent was changed, it says what, and asks for --go-on-anyway.
 \b
 Each score stands with its 95 % interval, clustered by row. An episode that was cut off by a limit
 is not solved; where leaving such episodes out changes the score, it is shown as well. Episodes with
@@ -111,6 +112,7 @@ wrong argument, 130 after Ctrl-C.
 @click.option("--step-timeout", type=click.FloatRange(min=0, min_open=True), help="Most seconds of a step or a reset.")
 @click.option("-o", "--out", metavar="FOLDER", help="Folder of the run.  [default: a new one in runs/]")
 @click.option("--new", is_flag=True, help="Begin another run, also where one was stopped.")
+@click.option("--go-on-anyway", is_flag=True, help="Go on with a run although code of it was changed.")
 @click.option("--json", "as_json", is_flag=True, help="Write the scores as JSON.")
 @agent_options
 @click.pass_context
@@ -128,6 +130,7 @@ def command(
     cache: str | None,
     out: str | None,
     new: bool,
+    go_on_anyway: bool,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -161,7 +164,8 @@ def command(
         max_concurrency=num_envs,
         step_timeout=step_timeout,
         new=new,
-        command=shlex.join(without_secrets(shlex.split(call_again(ctx, {"new", "retry_errors"})))),
+        go_on_anyway=go_on_anyway,
+        command=shlex.join(without_secrets(shlex.split(call_again(ctx, {"new", "go_on_anyway", "retry_errors"})))),
     )
     counts = _Counts(session)
     _begin(session, counts)
@@ -199,6 +203,8 @@ def _begin(session: EvaluationSession, counts: _Counts) -> None:
     if counts.before:
         done = f"{counts.before} of {counts.total} episodes are there"
         click.echo(f"gem: going on with {session.path}, where {done}; --new begins another run", err=True)
+    if session.changed:
+        click.echo(f"gem: changed since the last session: {'; '.join(session.changed)}", err=True)
 
 
 def _finish(ctx: click.Context, session: EvaluationSession, rows: list[Row], stopped_by: BaseException | None) -> None:
@@ -248,30 +254,19 @@ class _Counts:
 
 def _suite(targets: tuple[str, ...], options: dict[str, Any]) -> Suite:
     """Return the suite of the targets, with what the options say of it."""
-    from gem_eval.suites import combined_suite
+    from gem_eval.suites import changed_suite, combined_suite
 
     suite = combined_suite(targets)
-    own: dict[str, Any] = {
-        name: options.pop(name) for name in ("limit", "shuffle", "where", "episodes", "max_turns", "max_tool_uses")
-    }
+    names = ("limit", "shuffle", "where", "episodes", "max_turns", "max_tool_uses", "epochs", "seed")
+    own: dict[str, Any] = {name: options.pop(name) for name in names}
     sample_ids = options.pop("sample_ids")
     own["sample_ids"] = None if sample_ids is None else tuple(each.strip() for each in sample_ids.split(","))
     for name in ("tools", "wrappers"):
         own[name] = tuple(choice for text in options.pop(name) for choice in parsed_choices(text, f"--{name}")) or None
-    changes = {name: value for name, value in own.items() if value is not None}
-    arguments = env_arguments(options.pop("arguments"))
-    tasks = []
-    for task in suite.with_defaults():
-        kwargs = {"kwargs": {**task.kwargs, **arguments}} if arguments else {}
-        tasks.append(task.model_copy(update={**changes, **kwargs}))
-    update: dict[str, Any] = {"tasks": tuple(tasks), "defaults": type(suite.defaults)()}
-    for name in ("epochs", "seed"):
-        value = options.pop(name)
-        if value is not None:
-            update[name] = value
-    update["roles"] = {**suite.roles, **_roles(options.pop("roles"))}
-    update["sampling"] = {**suite.sampling, **given(options)}
-    return suite.model_copy(update=update)
+    own["kwargs"] = env_arguments(options.pop("arguments"))
+    own["roles"] = _roles(options.pop("roles"))
+    own["sampling"] = given(options)
+    return changed_suite(suite, {name: value for name, value in own.items() if value not in (None, {})})  # type: ignore[arg-type]
 
 
 def _roles(given_roles: tuple[str, ...]) -> dict[str, str]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, Unpack
 
 import gem_core as gem
 from gem_core import Episode, PlanItem
@@ -21,9 +22,10 @@ from gem_eval.running.cache import ResponseCache
 from gem_eval.running.limits import RUN_LIMITS, Limits, MeteredAgent, RunMeter, metered
 from gem_eval.running.planning import Evaluation, digest, plan_evaluation
 from gem_eval.running.prices import load_prices
-from gem_eval.running.provenance import code_hash, host, versions
+from gem_eval.running.provenance import code_of_agent, code_of_env, host, versions
 from gem_eval.scores import Score, compute_row_scores, compute_scores
-from gem_eval.suites import Model, Suite, combined_suite
+from gem_eval.settings import asked_differently, asked_of, code_in
+from gem_eval.suites import Model, Suite, SuiteChanges, changed_suite, combined_suite
 
 DEFAULT_REQUESTS = 8
 LEAST_FOR_THRESHOLD = 20
@@ -36,8 +38,8 @@ class TooManyErrorsError(GemError):
     """More episodes than allowed ended in an error; the run was stopped."""
 
 
-class EvaluationOptions(TypedDict, total=False):
-    """The keyword arguments of ``evaluate`` that say how it is played; see there."""
+class EvaluationOptions(SuiteChanges, total=False):
+    """The keyword arguments of ``evaluate`` that say what is played, and how; see there."""
 
     out: str | Path | None
     limits: Limits | None
@@ -48,6 +50,7 @@ class EvaluationOptions(TypedDict, total=False):
     max_concurrency: int | None
     step_timeout: float | None
     new: bool
+    go_on_anyway: bool
 
 
 def evaluate(
@@ -72,7 +75,10 @@ def evaluate(
             be asked at once.
         step_timeout: Seconds that a step or a reset of an environment may take; None for no limit.
         new: Begin another run, also where one of the same suite and models was stopped.
+        go_on_anyway: Go on with a run although the code of its environments or agents was changed.
         on_episode: Called with the row of each episode when it has been written.
+        options: Also what the suite says otherwise, for all of its tasks: ``epochs``, ``seed``, ``limit``, ``episodes``
+            and so on; see ``SuiteChanges``.
 
     Returns:
         The run; ``compute_scores(run.rows)`` has its scores.
@@ -109,9 +115,11 @@ class EvaluationSession:
         max_concurrency: int | None = None,
         step_timeout: float | None = None,
         new: bool = False,
+        go_on_anyway: bool = False,
         command: str | None = None,
+        **changes: Unpack[SuiteChanges],
     ) -> None:
-        self.suite = as_suite(suite)
+        self.suite = changed_suite(as_suite(suite), changes)
         self.limits = limits or Limits()
         self._prices, self._prices_file = load_prices(prices), prices
         self._cache_folder = cache
@@ -121,20 +129,23 @@ class EvaluationSession:
         self._step_timeout = step_timeout
         self._command = command
         self._scores: list[Score] | None = None
-        self._agents, self._models = _load_models(models or self.suite.models, self.suite.sampling)
+        self._given = models or self.suite.models
+        self._agents, self._models = _load_models(self._given, self.suite.sampling)
         self.plan: Evaluation = plan_evaluation(self.suite, list(self._agents))
-        self.fingerprint = digest(
-            [
-                self.plan.fingerprint,
-                [self._described(model) for model in self._models],
-                self.suite.seed,
-                dict(self.suite.roles),
-                *filter(None, [self.limits.of_episodes]),
-            ]
-        )
+        self._settings: dict[str, Any] = json.loads(json.dumps(self._described_run()))
         self._check_prices()
         self.path, self.goes_on = self._find_folder(out, new)
         self._run: Run | None = None
+        self.changed: list[str] = []
+        """What was changed of the code since the session before."""
+        if self.goes_on and self.already_done() < self.plan.episodes:
+            self.changed = self._changes()
+        if self.changed and not go_on_anyway:
+            there = f"{self.path}, where {self.already_done()} of {self.plan.episodes} episodes are there"
+            raise ArgumentError(
+                f"{there}, was begun with other code: {'; '.join(self.changed)}. --go-on-anyway goes on, and mixes the "
+                "two; --new begins another run"
+            )
 
     @property
     def run(self) -> Run:
@@ -297,17 +308,14 @@ class EvaluationSession:
             "agent": model.agent,
             "options": {**self.suite.sampling, **model.options},
             "base_url": getattr(agent, "base_url", None),
-            "code": code_hash(model),
+            "code": code_of_agent(self._given[model.label] if isinstance(self._given, Mapping) else model.agent),
         }
         plain: dict[str, Any] = without_secrets(to_plain(told))
         return plain
 
-    def _info(self) -> dict[str, Any]:
-        """Return what ``run.json`` says."""
-        info: dict[str, Any] = {
-            "schema_version": 1,
-            "status": "running",
-            "command": self._command,
+    def _described_run(self) -> dict[str, Any]:
+        """Return what is played, as ``run.json`` says it."""
+        return {
             "suite": without_secrets(to_plain(self.suite.model_dump(mode="json", exclude_unset=True))),
             "models": [self._described(model) for model in self._models],
             "epochs": self.suite.epochs,
@@ -321,13 +329,23 @@ class EvaluationSession:
                     "rows": len(task.rows),
                     "rows_in_all": task.total,
                     "data_sha256": task.data_hash,
+                    "rows_sha256": digest([row.name for row in task.rows])[:16],
+                    "code": code_of_env(task.env_id, task.kwargs),
                 }
                 for task in self.plan.tasks
             ],
             "limits": {name: limit for name, limit in vars(self.limits).items() if limit is not None},
+        }
+
+    def _info(self) -> dict[str, Any]:
+        """Return what ``run.json`` says."""
+        info: dict[str, Any] = {
+            "schema_version": 1,
+            "status": "running",
+            "command": self._command,
+            **self._settings,
             "prices": {"file": self._prices_file and str(self._prices_file), "as_of": self._prices.as_of},
             "cache": self._cache_folder and str(self._cache_folder),
-            "fingerprint": self.fingerprint,
             "versions": versions(),
             "host": host(),
             "sessions": [],
@@ -335,7 +353,8 @@ class EvaluationSession:
         if self.goes_on:
             earlier = self.run.info
             info["sessions"] = list(earlier.get("sessions", []))
-        info["sessions"].append({"started": time.time(), "ended": None})
+        changed = {"changed": self.changed} if self.changed else {}
+        info["sessions"].append({"started": time.time(), "ended": None, **changed})
         return info
 
     # The folder.
@@ -351,30 +370,35 @@ class EvaluationSession:
                 return path, False
             if new:
                 raise ArgumentError(f"{path} holds a run; --new begins another, so choose another folder for --out")
-            if found.get("fingerprint") != self.fingerprint:
-                raise ArgumentError(
-                    f"{path} holds another run (its tasks, rows, models, sampling, limits of an episode or seed differ)"
-                    "; choose another folder for --out"
-                )
-            self._check_versions(path, found)
+            differs = asked_differently(asked_of(found), asked_of(self._settings))
+            if differs:
+                raise ArgumentError(f"{path} holds another run: {differs}; choose another folder for --out")
             return path, True
         for path in [] if new else sorted(Path("runs").glob("*/run.json"), key=_changed, reverse=True):
             found = _read_info(path.parent)
-            if found is not None and found.get("fingerprint") == self.fingerprint:
+            if found is not None and not asked_differently(asked_of(found), asked_of(self._settings)):
                 if found.get("status") == "finished" and not self._retry:
                     break  # the same command after a finished run asks for another one
-                self._check_versions(path.parent, found)
                 return path.parent, True
         return new_run_folder(self.suite.name), False
 
-    def _check_versions(self, path: Path, found: Mapping[str, Any]) -> None:
-        """Raise an error where a run was begun with other versions, whose episodes would be mixed with those of now."""
-        before, now = found.get("versions", {}), versions()
-        for name, version in now.items():
-            if name.startswith("gem-") and before.get(name, version) != version:
-                raise ArgumentError(
-                    f"{path} was begun with {name} {before[name]}, and this is {version}: --new begins another run"
-                )
+    def _changes(self) -> list[str]:
+        """Return what of the code was changed since: sources, and versions of GEM's distributions."""
+        found = self.run.info
+        before, now = code_in(found), code_in(self._settings)
+        users: dict[str, list[str]] = {}
+        for user, code in now.items():
+            was = before.get(user)
+            if code is not None and was is not None:
+                for name in {**was, **code}:
+                    if was.get(name) != code.get(name):
+                        users.setdefault(name, []).append(user)
+        changes = [f"the code of {name} ({', '.join(each)})" for name, each in users.items()]
+        earlier = found.get("versions", {})
+        for name, version in versions().items():
+            if name.startswith("gem-") and earlier.get(name, version) != version:
+                changes.append(f"{name} {earlier[name]}, which is {version} now")
+        return changes
 
     def _check_prices(self) -> None:
         if self.limits.of_cost:

@@ -84,15 +84,6 @@ class Evaluation:
         """Number of episodes."""
         return len(self.items) * self.epochs
 
-    @property
-    def fingerprint(self) -> str:
-        """SHA-256 of all that is played."""
-        told = [
-            [task.label, task.env_id, to_plain(task.kwargs), task.data_hash, [row.name for row in task.rows]]
-            for task in self.tasks
-        ]
-        return digest([told, self.models, self.epochs])
-
 
 def plan_evaluation(suite: Suite, models: Sequence[str]) -> Evaluation:
     """Return what an evaluation of a suite plays.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypedDict
 
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema
@@ -146,6 +146,54 @@ class Suite(_Form):
             joined = {**given, **own, "kwargs": {**given.get("kwargs", {}), **own.get("kwargs", {})}}
             tasks.append(SuiteTask.model_validate(joined))
         return tasks
+
+
+class SuiteChanges(TypedDict, total=False):
+    """What may be said in place of what a suite says: ``epochs`` and ``seed``, and of all tasks what a task may say.
+
+    ``kwargs``, ``roles`` and ``sampling`` are joined with those of the suite.
+    """
+
+    epochs: int
+    seed: int
+    roles: Mapping[str, str]
+    sampling: Mapping[str, Any]
+    kwargs: Mapping[str, Any]
+    tools: Sequence[Any]
+    wrappers: Sequence[Any]
+    max_turns: int | None
+    max_tool_uses: int | Literal["none"] | None
+    limit: int | None
+    sample_ids: Sequence[str] | None
+    shuffle: int | None
+    where: str | None
+    episodes: int
+
+
+def changed_suite(suite: Suite, changes: SuiteChanges) -> Suite:
+    """Return a suite with changes that hold for all of its tasks.
+
+    Raises:
+        ArgumentError: There is no such setting, or its value cannot be.
+    """
+    if not changes:
+        return suite
+    given: dict[str, Any] = dict(changes)
+    of_run = {name: given.pop(name) for name in ("epochs", "seed") if name in given}
+    joined = {name: {**getattr(suite, name), **given.pop(name, {})} for name in ("roles", "sampling")}
+    kwargs = given.pop("kwargs", {})
+    try:
+        tasks = tuple(
+            SuiteTask.model_validate(
+                {**task.model_dump(exclude_unset=True), **given, "kwargs": {**task.kwargs, **kwargs}}
+            )
+            for task in suite.with_defaults()
+        )
+        own = {name: getattr(suite, name) for name in suite.model_fields_set - {"defaults"}}
+        return Suite.model_validate({**own, **of_run, **joined, "tasks": tasks})
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ArgumentError(f"{first['loc'][0]}: {first['msg']}.{_hint(first)}") from None
 
 
 def builtin_suites() -> dict[str, Path]:
