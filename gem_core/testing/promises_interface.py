@@ -144,15 +144,22 @@ def info_json(subject: Subject) -> Iterator[str]:
 @promise("give the keys with one meaning everywhere the form that DESIGN.md names, section 3.")
 def info_keys(subject: Subject) -> Iterator[str]:
     """The keys of info that mean the same everywhere have their form, and an error ends the episode as truncated."""
+    over = told = False
     for where, result, _ in subject.results:
         info = result[-1]
         if not isinstance(info, Mapping):
             continue
+        over, told = over or bool(len(result) == 5 and result[2]), told or "correct" in info
         for key, accepted in _FORMS.items():
             if key in info and not accepted(info[key]):
                 yield f"info[{key!r}] of {where} is {shown(info[key])}"
         if info.get("error") is not None and len(result) == 5 and not result[3]:
             yield f"{where} has info['error'] and is not truncated"
+    if over and not told:
+        subject.notes.append(
+            "info-keys: no info says 'correct', so success stays unknown and has no rate. Say it at the end, or "
+            "None from reset on if no answer is right"
+        )
 
 
 @promise("return feedback + suffix as the observation, or leave both keys out.")
@@ -269,7 +276,7 @@ def problems_of(space: Any, result: Any) -> Iterator[str]:
         yield f"the reward {shown(reward)}, which is not a finite number"
     for name, flag in (("terminated", terminated), ("truncated", truncated)):
         if not isinstance(flag, bool):
-            yield f"{name} = {shown(flag)}, which is a {type(flag).__name__} and not a bool"
+            yield f"{name} = {shown(flag)}, which is a {type(flag).__module__}.{type(flag).__qualname__} and not a bool"
 
 
 def _stepping(subject: Subject, env: Any, when: str) -> Iterator[str]:

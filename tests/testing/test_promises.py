@@ -197,6 +197,34 @@ def test_foreign_environment_is_refused() -> None:
         check_env(lambda: gymnasium.make("CartPole-v1"))
 
 
+class UngradedEnv(GoodEnv):
+    """It never says whether an answer was right."""
+
+    def step(self, action: str) -> Any:
+        *result, info = super().step(action)
+        return *result, {key: value for key, value in info.items() if key != "correct"}
+
+
+def test_an_environment_that_never_says_correct_gets_a_note() -> None:
+    """Success is unknown there, which may be meant."""
+    (note,) = check_env(UngradedEnv).notes
+    assert note.startswith("info-keys: ")
+
+
+class NumpyFlagsEnv(GoodEnv):
+    """It ends with a truth value of NumPy's."""
+
+    def step(self, action: str) -> Any:
+        observation, reward, terminated, truncated, info = super().step(action)
+        return observation, reward, np.bool_(terminated), truncated, info
+
+
+def test_a_flag_of_another_type_is_named_with_its_module() -> None:
+    """NumPy's is called bool as well."""
+    seen = broken_by(NumpyFlagsEnv)["types"]
+    assert f"numpy.{np.bool_.__name__} and not a bool" in seen
+
+
 def test_gymnasium_wrapper_outside_is_taken_off_and_noted() -> None:
     report = check_env(gymnasium.wrappers.TimeLimit(GoodEnv(), max_episode_steps=3))
     assert report.notes == ("checked inside Gymnasium's TimeLimit, which has none of GEM's methods",)
