@@ -28,8 +28,8 @@ class CodeEnv(DatasetEnv):
     """Asks for a program and runs it against the tests of the problem, in the sandbox of gem-tools.
 
     The answer is the last fenced block of the response that is marked ``python`` or ``py``; without one, the last that
-    is not marked. Tests come in either form: standard input and output, or functions with assertions; see
-    ``gem_code.cases.read_tests``. None of what is expected is ever in reach of the program.
+    is not marked; thinking is left out. Tests come in either form: standard input and output, or functions with
+    assertions; see ``gem_code.cases.read_tests``. None of what is expected is ever in reach of the program.
 
     ``info`` says ``correct``, ``status`` (``"passed"``, or why the first test that failed did: ``"wrong_answer"``,
     ``"timeout"``, ``"memory"``, ``"output_limit"``, ``"runtime_error"``, ``"compile_error"``; or ``"no_code"``),

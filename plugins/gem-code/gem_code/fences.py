@@ -4,33 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gem_core.parsing import extract_code_blocks
+from gem_core.parsing import extract_code_blocks, without_thinking
 
-_THOUGHT_END = "</think>"
 _FENCE = "```"
 
 
 def last_program(response: str, languages: Sequence[str]) -> str | None:
     """Return the last fenced block that is marked with one of some languages, or else the last one; None without one.
 
-    What a response shows behind its program, as an example's output, is rarely marked as a program.
-    What follows the thinking of a model is looked at first. Fences stand at the beginnings of lines, as in Markdown; if
-    there are none of that kind, those are taken that models glue to a tag or to text, as in ``<answer>```python``.
+    What a response shows behind its program, as an example's output, is rarely marked as a program. Thinking is left
+    out. Fences stand at the beginnings of lines, as in Markdown; if there are none of that kind, those are taken that
+    models glue to a tag or to text, as in ``<answer>```python``.
 
     Args:
         response: Any text.
         languages: In small letters; ``""`` stands for blocks that name none.
     """
-    thought, end, answer = response.rpartition(_THOUGHT_END)
-    texts = [answer, thought] if end else [response]
-    for text in texts:
-        blocks = extract_code_blocks(text, *languages)
-        if blocks:
-            return next((block for block in reversed(blocks) if block.language), blocks[-1]).code
-        glued = _last_glued(text, languages)
-        if glued is not None:
-            return glued
-    return None
+    text = without_thinking(response)
+    blocks = extract_code_blocks(text, *languages)
+    if blocks:
+        return next((block for block in reversed(blocks) if block.language), blocks[-1]).code
+    return _last_glued(text, languages)
 
 
 def _last_glued(text: str, languages: Sequence[str]) -> str | None:

@@ -93,7 +93,7 @@ def test_a_wrong_program() -> None:
         ("<answer>```python\nb\n```</answer>", "b"),
         ("<answer>```python\nb```</answer> and ```c", "b"),
         ("It is ```py\nb\n``` then.", "b"),
-        ("<think>I try\n```python\na\n```\n</think>No program.", "a"),
+        ("<think>I try\n```python\na\n```\n</think>No program.", None),
         ("<think>I try\n```python\na\n</think>\n```python\nb\n```", "b"),
         ("inline ```python``` only", None),
         ("1. Like this:\n   ```python\n   if a:\n       b\n   ```", "if a:\n    b"),
