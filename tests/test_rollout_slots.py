@@ -13,7 +13,6 @@ from held_envs import BEGUN, GATES, KINDS, LONG_S, register_held
 from toys import CountdownEnv, sampling_agent
 
 import gem_core as gem
-from gem_core.docs import page_url
 from gem_core.errors import ArgumentError, EnvFaultError, FaultBudgetError, RequestError, SamplingNotSupported
 from gem_core.records.plans import PlanItem
 from gem_core.rollouts.agent import Context
@@ -158,23 +157,22 @@ def test_an_action_that_cannot_be_sampled_costs_its_episode_alone(backend: str, 
     with gem.make_vec("slots:Unsampled-v0", 2, backend=backend, fail_seeds=(1, 4), seed=0) as vector:
         episodes = by_key(gem.rollout(vector, agent, plan=plan))
         assert vector.faults == 2
-    error = {"kind": "exception", "message": "sample_random_action raised RuntimeError: no idea"}
-    assert [episode.error for episode in episodes] == [None, error, None, None, error, None]
+    errors = [episode.error and episode.error["message"] for episode in episodes]
+    error = "sample_random_action raised RuntimeError: no idea"
+    assert errors == [None, error, None, None, error, None]
     assert [episode.turns for episode in episodes] == [3, 1, 3, 3, 1, 3]
     assert episodes[1].transitions[-1].truncated
 
 
 def test_actions_that_can_never_be_sampled_stop_the_run() -> None:
-    """Under the budget of faults, whose advice is about the environment."""
+    """Under the budget of faults, whose advice is about the environment, and whose cause is the last fault."""
     gem.register("slots:Unsampled-v0", Unsampled)
     plan = [PlanItem(options={"left": 3})] * 50
     with pytest.raises(FaultBudgetError) as caught:
         list(gem.rollout("slots:Unsampled-v0", sampling_agent, plan=plan, seed=0))
-    assert str(caught.value) == (
-        "17 faults in a row without one finished episode; the last, in slots:Unsampled-v0: sample_random_action raised "
-        "RuntimeError: no idea. Mend the environment, or use on_error='raise' to see where it fails. "
-        f"See {page_url('vector-environments/#faults')}"
-    )
+    assert str(caught.value).startswith("17 faults in a row without one finished episode; the last, in slots:Unsampled")
+    assert "Mend the environment" in str(caught.value)
+    assert isinstance(caught.value.__cause__, EnvFaultError)
 
 
 def test_action_that_cannot_be_sampled_is_raised_where_that_was_asked_for() -> None:

@@ -179,7 +179,8 @@ def test_a_run_that_fails_says_how_to_go_on_as_well(run_gem: RunGem) -> None:
     assert failed.code == 1
     assert failed.err.splitlines() == [
         f"gem: go on with: gem run {COUNTDOWN} --agent raising:act --episodes 4 --num-envs 1 --resume a.jsonl",
-        "gem: ValueError: mine. Run 'gem --traceback …' for the whole",
+        "gem: ValueError: mine (raising.py:2, in act: if context.episode == '2.0': raise ValueError('mine')). "
+        "Run 'gem --traceback …' for the whole",
     ]
 
 
@@ -201,3 +202,17 @@ def test_a_step_that_takes_too_long_is_an_error_of_its_episode(run_gem: RunGem) 
     assert done.code == 1
     error = {"kind": "timeout", "message": "a step or reset took longer than step_timeout, 0.5 s"}
     assert [episode.error for episode in by_key("a.jsonl")] == [error] * 2
+
+
+@pytest.mark.parametrize("backend", ["auto", "process"])
+def test_an_exception_in_an_environment_names_file_and_line(run_gem: RunGem, backend: str) -> None:
+    """In the record, and on standard error for the first that failed, wherever the environment ran."""
+    Path("fragile_env.py").write_text(
+        "from echo_env import EchoEnv\nclass FragileEnv(EchoEnv):\n    def step(self, action):\n        return {}[1]\n"
+    )
+    gem.register("fragile:Env-v0", "fragile_env:FragileEnv")
+    done = run_gem("run", "fragile:Env-v0", "-n", "2", "--backend", backend, "-o", "a.jsonl")
+    frame = "fragile_env.py:4, in step: return {}[1]"
+    assert [episode.error["frames"] for episode in by_key("a.jsonl") if episode.error] == [[frame]] * 2
+    assert done.code == 1
+    assert done.err.splitlines()[-1].strip() == frame

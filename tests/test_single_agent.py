@@ -230,7 +230,8 @@ def test_a_failing_opponent_is_an_error_and_no_loss(kind: Any, error: Any, messa
     env = single_agent(AuctionEnv(["a", "b"], "sequential"), "b", kind(error))
     env.reset(seed=0)
     observation, reward, terminated, truncated, info = env.step("3")
-    assert info["error"] == {"kind": "opponent", "message": f"the agent at 'a' failed: {message}"}
+    told = info["error"]["kind"], info["error"]["message"]
+    assert told == ("opponent", f"the agent at 'a' failed: {message}")
     assert (observation, reward, terminated, truncated) == ("You are b. Bids: 5 3", -2.0, False, True)
     with pytest.raises(ResetNeededError, match=r"^AuctionEnv: the episode is over or has not begun; call reset"):
         env.step("1")

@@ -218,7 +218,10 @@ def _complain(message: str) -> None:
 def _line_of(error: Exception) -> str:
     if isinstance(error, GemError):
         return str(error)
-    return f"{type(error).__name__}: {error}. Run 'gem --traceback …' for the whole"
+    from gem_core.failures import author_frames
+
+    where = "".join(f" ({frame})" for frame in author_frames(error)[-1:])
+    return f"{type(error).__name__}: {error}{where}. Run 'gem --traceback …' for the whole"
 
 
 def _click_message(error: click.ClickException, arguments: Sequence[str]) -> str:

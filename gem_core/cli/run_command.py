@@ -247,6 +247,8 @@ def _refuse_beside_resume(given: dict[str, bool]) -> None:
 def _tell_errors(summary: RunSummary) -> None:
     if summary.first_error is not None:
         echo_line(f"gem: {counted(summary.errors, 'episode')} had an error; the first: {summary.first_error}", err=True)
+        for frame in summary.first_frames:
+            echo_line(f"     {frame}", err=True)
 
 
 def _where(path: Path, already: int | None) -> str:

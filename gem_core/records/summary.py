@@ -171,14 +171,17 @@ class RunSummary:
         self.episodes = 0
         self.errors = 0
         self.first_error: str | None = None
+        self.first_frames: list[str] = []
+        """Where the first error passed through the author's code."""
 
     def add(self, episode: Record) -> None:
         """Count an episode; of several agents, that of each seat in a row of its own."""
         self.episodes += 1
         if episode.error is not None:
             self.errors += 1
-            told = f"{episode.id}, seed {episode.seed}: {episode.error.get('message', episode.error)}"
-            self.first_error = self.first_error or told
+            if self.first_error is None:
+                self.first_error = f"{episode.id}, seed {episode.seed}: {episode.error.get('message', episode.error)}"
+                self.first_frames = list(map(str, episode.error.get("frames") or ()))
         row = self.by_env.setdefault(episode.id, EnvSummary(episode.id))
         if isinstance(episode, Episode):
             self._add(episode, row)

@@ -13,6 +13,7 @@ from gem_core.errors import (
     GemError,
     RequestError,
 )
+from gem_core.failures import author_frames, failure_info
 from gem_core.records.joint import JointEpisode, Record
 from gem_core.records.plans import EpisodeQueue, EpisodeStart, PlanItem
 from gem_core.rollouts.agent import Agent
@@ -143,13 +144,13 @@ class EpisodeLoop:
                 reported["context_overflow"] = True
         else:
             message = str(failure).removeprefix(f"{running.record.id}: ")
-            error = {"kind": "exception" if of_env else "agent", "message": message}
+            error = failure_info("exception" if of_env else "agent", message, author_frames(failure) if of_env else [])
             if isinstance(failure, RequestError) and failure.cause is not None:
                 error["cause"] = failure.cause
             reported = {"error": error}
         running.cut_off(seat, reported)
         self._finished.append(running.record)
-        self._vector.give_up(running.slot, error)
+        self._vector.give_up(running.slot, error, failure)
         self._requests.forget(running)
 
 

@@ -19,6 +19,7 @@ from gem_core.env.seat_stack import restored_response, saved_response
 from gem_core.env.seeding import stable_hash
 from gem_core.env.wrapper import concurrency_of, most_demanding
 from gem_core.errors import AgentError, ArgumentError, EnvFaultError
+from gem_core.failures import author_frames, failure_info
 from gem_core.making.environment import make_from
 from gem_core.records.episode import Episode
 from gem_core.records.plans import EpisodeStart, PlanItem
@@ -258,7 +259,7 @@ class SingleAgentEnv(AroundEnv, Env):
         """End an episode in which one of the others failed."""
         observation, reward, _, _, info = result_of(await calls.truncate_all(self.env), self.seat)
         reward, self._reward = self._reward + reward, 0.0
-        info["error"] = {"kind": "opponent", "message": str(error)}
+        info["error"] = failure_info("opponent", str(error), author_frames(error))
         return observation, reward, False, True, info
 
     async def _prepare(self, calls: PlainCalls) -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import traceback
 from collections.abc import Callable
 
 from gem_core.errors import GemError
+from gem_core.failures import shown_place
 
 _LONGEST_SHOWN = 80
 _NOT_THE_AUTHORS = ("gem_core", "importlib", "gymnasium")
@@ -95,12 +95,3 @@ def place_of(error: BaseException, package: str) -> str:
         elif top not in _NOT_THE_AUTHORS:
             by_others = shown_place(frame.f_code.co_filename, line)
     return by_author or by_others
-
-
-def shown_place(path: str, line: int) -> str:
-    """Return ``file:line``, with a path below the current folder written from there on."""
-    try:
-        relative = os.path.relpath(path)
-    except (OSError, ValueError):  # the current folder is gone, or on another drive
-        relative = path
-    return f"{path if relative.startswith(os.pardir) else relative}:{line}"

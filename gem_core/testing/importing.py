@@ -14,13 +14,14 @@ from typing import IO, Any
 
 from gem_core.arguments import check_arguments
 from gem_core.errors import GemError, RegistrationError
+from gem_core.failures import shown_place
 from gem_core.registry import specs
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.hookspecs import ENTRY_POINT_GROUP
 from gem_core.registry.plugins import Record, one_line
 from gem_core.registry.requirements import RequirementStatus, unmet
 from gem_core.registry.specs import EnvSpec, NamedSpec, RequirementSpec, ToolSpec
-from gem_core.testing.findings import place_of, shown_place
+from gem_core.testing.findings import place_of
 from gem_core.testing.interpreter import CallError, Interpreter, InterpreterLostError
 
 TIMEOUT_S = 60.0

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from gem_core.errors import (
     DatasetError,
     EntryPointError,
+    EnvFaultError,
     GemError,
     MissingRequirementError,
     RegistrationError,
     UsageError,
 )
+from gem_core.failures import author_frames, failure_info
 from gem_core.types import Action, Observation, ResetResult, StepResult
 
 _PERMANENT = (UsageError, RegistrationError, MissingRequirementError, EntryPointError, DatasetError)
@@ -65,6 +67,7 @@ class Failure:
         error: The exception, if there is one and it can be pickled.
         details: Its traceback, if it comes from another process.
         permanent: Whether another attempt, or another episode, would fail the same way.
+        frames: Where the exception passed through the author's code; see ``author_frames``.
     """
 
     kind: str
@@ -72,6 +75,7 @@ class Failure:
     error: BaseException | None = None
     details: str = ""
     permanent: bool = False
+    frames: list[str] = field(default_factory=list)
 
     @classmethod
     def of(cls, error: BaseException, where: str, *, making: bool = False) -> Failure:
@@ -80,11 +84,20 @@ class Failure:
             message = f"{where} raised {type(error).__name__}: {error}" if str(error) else f"{where} raised {error!r}"
         except Exception:  # noqa: BLE001 - an exception's own text may raise anything
             message = f"{where} raised {type(error).__name__}, which cannot be shown"
-        return cls("exception", message[:_LONGEST_MESSAGE], error, permanent=making and isinstance(error, _PERMANENT))
+        permanent = making and isinstance(error, _PERMANENT)
+        return cls("exception", message[:_LONGEST_MESSAGE], error, permanent=permanent, frames=author_frames(error))
 
     def info(self) -> dict[str, Any]:
         """Return what ``info["error"]`` says."""
-        return {"kind": self.kind, "message": self.message}
+        return failure_info(self.kind, self.message, self.frames)
+
+    def raised(self, name: str) -> EnvFaultError:
+        """Return it as the error of an environment, whose cause is the exception."""
+        error = EnvFaultError(f"{name}: {self.message}")
+        if self.details:
+            error.add_note(self.details)
+        error.__cause__ = self.error
+        return error
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Only errors of GEM are raised again in the other process; others may need modules that it cannot import.
@@ -94,7 +107,7 @@ class Failure:
             import traceback
 
             details = "".join(traceback.format_exception(self.error))[-_LONGEST_MESSAGE:]
-        return Failure, (self.kind, self.message, error, details, self.permanent)
+        return Failure, (self.kind, self.message, error, details, self.permanent, self.frames)
 
 
 Command = Action | Reset | Rebuild

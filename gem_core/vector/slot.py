@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, cast, get_args
 
 from gem_core.docs import page_url
-from gem_core.errors import ArgumentError, EnvFaultError, FaultBudgetError, ResetNeededError
+from gem_core.errors import ArgumentError, FaultBudgetError, ResetNeededError
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
 from gem_core.types import TERMINAL_STATE, Action, Info, Observation, StepResult
 from gem_core.vector.commands import Command, Failure, Reset
@@ -54,23 +54,24 @@ class FaultBudget:
         """Record an episode that ended without a fault."""
         self._in_a_row = 0
 
-    def spend(self, error: dict[str, Any], what: str) -> None:
+    def spend(self, error: dict[str, Any], what: str, cause: BaseException | None = None) -> None:
         """Count a fault.
 
         Raises:
-            FaultBudgetError: The limit is exceeded.
+            FaultBudgetError: The limit is exceeded; its cause is the exception of the last fault.
         """
         with self._lock:
             self.total += 1
             self._in_a_row += 1
             if self._in_a_row > self.limit:
-                advice = "Mend the environment, or use on_error='raise' to see where it fails"
+                advice = "Mend the environment; each episode says where it failed in episode.error['frames']"
                 if error.get("kind") == "agent":
                     advice = "It is the agent that fails, or the server that it asks, not the environment"
+                where = f" ({error['frames'][-1]})" if error.get("frames") else ""
                 raise FaultBudgetError(
                     f"{self._in_a_row} faults in a row without one finished episode; the last, in {what}: "
-                    f"{error.get('message', error)}. {advice}. See {page_url('vector-environments/#faults')}"
-                )
+                    f"{error.get('message', error)}{where}. {advice}. See {page_url('vector-environments/#faults')}"
+                ) from cause
 
 
 @dataclass
@@ -168,12 +169,12 @@ class Slot:
         self.check_steppable()
         return self.begin()  # next_step: this call begins the next episode, and its action is ignored
 
-    def give_up(self, error: dict[str, Any] | None) -> Command:
+    def give_up(self, error: dict[str, Any] | None, cause: BaseException | None = None) -> Command:
         """Begin the next episode in the middle of one; an error counts as a fault, None does not."""
         if error is None:
             self.rules.budget.finished()
         else:
-            self.rules.budget.spend(error, self.name())
+            self.rules.budget.spend(error, self.name(), cause)
         return self.begin()
 
     def check_steppable(self) -> None:
@@ -296,11 +297,8 @@ class Slot:
         """Count a failure as a fault and return its ``info["error"]``; raise it if ``on_error`` says so."""
         if self.rules.on_error == "raise":
             self.phase = BROKEN
-            raised = EnvFaultError(f"{self.name()}: {failure.message}")
-            if failure.details:
-                raised.add_note(failure.details)
-            raise raised from failure.error
+            raise failure.raised(self.name())
         error = failure.info()
         if failure.kind != "collateral":
-            self.rules.budget.spend(error, self.name())
+            self.rules.budget.spend(error, self.name(), failure.error or failure.raised(self.name()))
         return error

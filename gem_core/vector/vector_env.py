@@ -288,15 +288,16 @@ class VectorEnv(VectorAttributes):
         """Begin the next episode of a slot; ``recv`` returns its first observation, with reward 0 and flags false."""
         self._begin_one(slot, self._slots[slot].begin)
 
-    def give_up(self, slot: int, error: dict[str, Any] | None) -> None:
+    def give_up(self, slot: int, error: dict[str, Any] | None, cause: BaseException | None = None) -> None:
         """``begin_next`` in the middle of an episode.
 
         Args:
             slot: Number of the slot.
             error: What failed outside the environment, in the form of ``info["error"]``, counted as a fault; None if
                 nothing failed, as when the history is longer than the model's context.
+            cause: The exception, if there was one.
         """
-        self._begin_one(slot, partial(self._slots[slot].give_up, error))
+        self._begin_one(slot, partial(self._slots[slot].give_up, error, cause))
 
     def _begin_one(self, slot: int, first: First) -> None:
         with self._call():

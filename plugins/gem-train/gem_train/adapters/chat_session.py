@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Self
 from gem_core import Episode, MultiAgentEnv, PlanItem, Response, Transition, make
 from gem_core.env import AnyEnv, checked_reset, checked_result, reset_async, step_async
 from gem_core.errors import ArgumentError, EnvFaultError, NotSupportedError, ResetNeededError
+from gem_core.failures import author_frames, failure_info
 from gem_core.records import EpisodeStart
 from gem_core.rollouts import new_episode
 from gem_core.types import TERMINAL_STATE, Info, ResetResult, StepResult
@@ -264,7 +265,7 @@ class ChatSession:
 
     def _failed_step(self, error: Exception) -> StepResult:
         self._discard()
-        failure = {"kind": "exception", "message": f"step raised {type(error).__name__}: {error}"}
+        failure = failure_info("exception", f"step raised {type(error).__name__}: {error}", author_frames(error))
         return TERMINAL_STATE, 0.0, False, True, {"error": failure}
 
     def _discard(self) -> None:
