@@ -8,8 +8,8 @@ from importlib.metadata import version
 
 def main() -> None:
     """Print the module."""
-    import reasoning_gym  # type: ignore[import-untyped]  # it has no types; fills the table
-    from reasoning_gym.factory import DATASETS  # type: ignore[import-untyped]  # it has no types
+    import reasoning_gym  # fills the table
+    from reasoning_gym.factory import DATASETS
 
     lines = [
         f'"""The tasks of reasoning-gym {version(reasoning_gym.__name__)}; made by scripts/list_reasoning_tasks.py."""',

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import textwrap
 from typing import Any
 
 import pytest
@@ -352,8 +354,8 @@ def test_what_is_no_selector_is_refused() -> None:
 
 def test_documented_example_runs() -> None:
     """The example in the docstring of ``MultiAgentEnv`` plays as it says."""
-    lines = (MultiAgentEnv.__doc__ or "").split("class Guess", 1)[1].split("\n\n    It draws", 1)[0]
-    code = "class Guess" + lines.replace("\n        ", "\n")
+    documentation = inspect.getdoc(MultiAgentEnv) or ""
+    code = textwrap.dedent("    class Guess" + documentation.split("class Guess", 1)[1].split("\n\nIt draws", 1)[0])
     names: dict[str, Any] = {
         "MultiAgentEnv": MultiAgentEnv,
         "extract_last_boxed_answer": extract_last_boxed_answer,

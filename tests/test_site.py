@@ -25,6 +25,8 @@ def script(name: str) -> ModuleType:
 
 def test_commands_are_described_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     """In a narrow terminal too; after a change of a command, `make docs-pages` writes the page again."""
+    for plugin in ROOT.glob("plugins/*/gem_*"):
+        pytest.importorskip(plugin.name, reason="the page has the commands of all plugins")
     monkeypatch.setenv("COLUMNS", "40")
     page = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
     assert page == script("command_reference").page()

@@ -28,6 +28,7 @@ NEEDS = {
     "model": ("gem_games", "gem_openai", "gem_eval"),
     "terminal-tasks": ("gem_terminal",),
     "training": ("gem_train", "torch"),
+    "first-episode": ("gem_games", "gem_eval"),
 }
 """Packages that a tutorial uses; the others need the games."""
 QUICK = {"first-episode"}

@@ -20,9 +20,10 @@ from gem_core import __version__
 from gem_core.background import in_thread, run_sync
 from gem_core.cli.layout import counted
 from gem_core.progress import Progress
+from gem_core.registry.distributions import extras_of, installed_version
 from gem_core.registry.lookup import Registry, registry
 from gem_core.registry.plugins import Plugin, Record, one_line
-from gem_core.registry.requirements import RequirementStatus, extras_of, find, installed_version
+from gem_core.registry.requirements import RequirementStatus, find
 from gem_core.registry.specs import EnvSpec, RequirementSpec, ToolSpec
 from gem_core.testing.importing import TIMEOUT_S, imported
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 from gem_core.arguments import check_arguments
 from gem_core.errors import EntryPointError
+from gem_core.registry.distributions import extras_of
 from gem_core.registry.specs import EntryPoint, NamedSpec
 from gem_core.suggestions import did_you_mean
 
@@ -33,7 +35,7 @@ def load_entry_point(entry_point: EntryPoint, owner: str) -> Callable[..., Any]:
         missing = f"{owner}: {module_name!r} needs the module {error.name!r}, which is not "
         if package == module_name.partition(".")[0]:
             raise EntryPointError(f"{missing}there; correct the import, or add the module") from error
-        raise EntryPointError(f"{missing}installed; try 'pip install {package.replace('_', '-')}'") from error
+        raise EntryPointError(f"{missing}installed; try 'pip install {_provider(package, module_name)}'") from error
     except (Exception, SystemExit) as error:  # third-party code may raise anything while it is imported
         raise EntryPointError(f"{owner}: importing {module_name!r} failed: {type(error).__name__}: {error}") from error
     for part in path.split("."):
@@ -48,6 +50,17 @@ def load_entry_point(entry_point: EntryPoint, owner: str) -> Callable[..., Any]:
     if not callable(target):
         raise EntryPointError(f"{owner}: {entry_point!r} is a {type(target).__name__}, which cannot be called")
     return cast("Callable[..., Any]", target)
+
+
+def _provider(package: str, module_name: str) -> str:
+    """Return what to install for a package that a module needs: an extra of the plugin that has the module, if any."""
+    wanted, home = package.replace("_", "-"), module_name.partition(".")[0]
+    for point in importlib.metadata.entry_points(group="gem.plugins"):
+        if point.dist is not None and point.value.partition(".")[0] == home:
+            for extra, added in extras_of(point.dist.name).items():
+                if wanted in added:
+                    return f'"{point.dist.name}[{extra}]"'
+    return wanted
 
 
 def construct(record: NamedSpec, *args: Any, **options: Any) -> Any:

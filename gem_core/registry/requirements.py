@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import importlib.util
 import os
-import re
 import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import cast
 
 from gem_core.errors import MissingRequirementError
+from gem_core.registry.distributions import extras_of, installed_version
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import EnvSpec, RequirementSpec
 
 _ON = {"1", "ON", "YES", "TRUE"}
-# A line of a distribution's metadata that belongs to an extra: the package and the extra.
-_OF_EXTRA = re.compile(r"""([\w.-]+).*;.*\bextra\s*==\s*["']([\w.-]+)["']""")
 
 
 @dataclass(frozen=True)
@@ -77,26 +74,6 @@ def check_requirements(record: EnvSpec, given: Iterable[str] = ()) -> None:
     missing = unmet(word for word in record.requires if word not in met) if record.requires else {}
     if missing:
         raise MissingRequirementError(f"{record.id} cannot run here: {'; '.join(missing.values())}")
-
-
-def installed_version(name: str) -> str | None:
-    """Return the version of a distribution, or None where it is not installed."""
-    try:
-        return importlib.metadata.version(name)
-    except (importlib.metadata.PackageNotFoundError, ValueError):
-        return None
-
-
-def extras_of(distribution: str) -> dict[str, list[str]]:
-    """Return the extras of a distribution, each with the packages that it adds; none where it is not installed."""
-    try:
-        lines = importlib.metadata.requires(distribution) or []
-    except (importlib.metadata.PackageNotFoundError, ValueError):
-        lines = []
-    extras: dict[str, list[str]] = {}
-    for match in filter(None, map(_OF_EXTRA.match, lines)):
-        extras.setdefault(match[2], []).append(match[1])
-    return extras
 
 
 def _key(name: str) -> RequirementStatus:

@@ -26,6 +26,8 @@ from gem_math.reasoning.env import LONGEST_ANSWER, PROMPT
 from gem_math.reasoning.library import EndedError, LibraryError, ask, end_processes
 from gem_math.reasoning.tasks import TASKS
 
+pytest.importorskip("reasoning_gym", reason="rg:* needs gem-math[reasoning-gym], which needs a C compiler")
+
 EVERY = bool(os.environ.get("GEM_EVERY_REASONING_TASK"))
 SAMPLE = ["boxnet", "countdown", "gsm_symbolic", "isomorphic_strings", "leg_counting", "pool_matrix", "composite"]
 ROOT = Path(__file__).parents[3]
@@ -388,10 +390,10 @@ def test_a_row_that_cannot_be_made_is_a_fault(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_process_that_cannot_start_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With what to install."""
+    """With the reason."""
     end_processes()
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    with pytest.raises(LibraryError, match=r"cannot be loaded \(its process ended at once\): pip install gem-math"):
+    with pytest.raises(LibraryError, match=r"cannot be loaded \(its process ended at once\)"):
         ask({"do": "check", "spec": {}}, 1)
 
 

@@ -14,6 +14,7 @@ import gem_core as gem
 from gem_math.reasoning.mending import READ_AS_FORMULAS, READ_AS_LITERALS, formula, literal
 from gem_math.reasoning.tasks import TASKS
 
+pytest.importorskip("reasoning_gym", reason="rg:* needs gem-math[reasoning-gym], which needs a C compiler")
 pytestmark = pytest.mark.thorough
 
 READERS = {"eval", "exec", "parse_expr", "sympify", "compile", "__import__", "literal_eval", "loads", "system", "Popen"}

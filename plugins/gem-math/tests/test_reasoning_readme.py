@@ -5,7 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from gem_core.parsing import extract_code_blocks
+
+pytest.importorskip("reasoning_gym", reason="rg:* needs gem-math[reasoning-gym], which needs a C compiler")
 
 GUIDE = Path(__file__).parents[3] / "docs" / "reasoning-gym.md"
 

@@ -64,7 +64,7 @@ class _Worker:
             raise
         if "ready" not in greeting:
             self.end()
-            raise WireError(f"cannot be loaded ({greeting.get('failed')}): pip install gem-math")
+            raise WireError(f"cannot be loaded ({greeting.get('failed')})")
 
     @property
     def _outgoing(self) -> int:

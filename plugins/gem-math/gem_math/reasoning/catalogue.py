@@ -14,7 +14,7 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-import reasoning_gym  # type: ignore[import-untyped]  # it has no types
+import reasoning_gym
 
 from gem_math.reasoning import mending
 from gem_math.reasoning.answers import example

@@ -8,6 +8,7 @@ from gem_core.registry import EnvSpec
 from gem_math.reasoning.tasks import TASKS
 
 _ENTRY_POINT = "gem_math.reasoning.env:ReasoningGymEnv"
+_REQUIRES = ("package:gem-math[reasoning-gym]",)
 
 
 def reasoning_specs() -> Iterator[EnvSpec]:
@@ -19,6 +20,7 @@ def reasoning_specs() -> Iterator[EnvSpec]:
             kwargs={"task": name},
             summary=f"ReasoningGym's {name.replace('_', ' ')}, of its category {category}.",
             tags=("reasoning", "text", category),
+            requires=_REQUIRES,
         )
     yield EnvSpec(
         id="rg:composite",
@@ -26,4 +28,5 @@ def reasoning_specs() -> Iterator[EnvSpec]:
         kwargs={"task": "composite"},
         summary="Several tasks of ReasoningGym mixed by weight; all of them unless told.",
         tags=("reasoning", "text", "mixture"),
+        requires=_REQUIRES,
     )

@@ -8,7 +8,7 @@ import enum
 from collections.abc import Mapping
 from typing import Any
 
-from reasoning_gym.factory import CURRICULA, DATASETS  # type: ignore[import-untyped]  # it has no types
+from reasoning_gym.factory import CURRICULA, DATASETS
 
 from gem_core.suggestions import did_you_mean
 

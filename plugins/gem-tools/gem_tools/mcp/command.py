@@ -10,7 +10,9 @@ from typing import Any
 
 import click
 
-from gem_core.errors import ArgumentError, GemError
+from gem_core.errors import ArgumentError, GemError, MissingRequirementError
+
+_INSTALL = "pip install 'gem-tools[mcp]'"
 
 
 @click.group("mcp")
@@ -53,8 +55,11 @@ def list_servers(as_json: bool, **choice: Any) -> None:
 def _report(
     config: str | None, command_line: str | None, url: str | None, transport: str | None, timeout: float
 ) -> list[dict[str, Any]]:
+    try:
+        from gem_tools.mcp.listing import asked
+    except ModuleNotFoundError as missing:
+        raise MissingRequirementError(f"gem mcp needs the package {missing.name}: {_INSTALL}") from missing
     from gem_tools.mcp.config import from_keywords, read_config
-    from gem_tools.mcp.listing import asked
     from gem_tools.mcp.names import tool_names
 
     if sum(choice is not None for choice in (config, command_line, url)) != 1:
@@ -94,4 +99,8 @@ def _show(report: list[dict[str, Any]]) -> None:
 def status() -> dict[str, str]:
     """Return what ``gem doctor`` says: the client's version, and which launchers of servers this machine has."""
     launchers = [name for name in ("npx", "uvx", "pipx", "docker") if shutil.which(name)]
-    return {"client": f"mcp {importlib.metadata.version('mcp')}", "launchers": ", ".join(launchers) or "none"}
+    try:
+        client = f"mcp {importlib.metadata.version('mcp')}"
+    except importlib.metadata.PackageNotFoundError:
+        client = f"is not installed: {_INSTALL}"
+    return {"client": client, "launchers": ", ".join(launchers) or "none"}

@@ -7,7 +7,7 @@ import os
 
 import click
 
-from gem_core.errors import GemError
+from gem_core.errors import GemError, MissingRequirementError
 
 
 @click.command(
@@ -42,8 +42,12 @@ Ctrl-C ends it: what is under way is still answered, and the exit code is 0.
 @click.option("--cache-dir", type=click.Path(file_okay=False), help="Where indices are kept.")
 def command(corpus: str, host: str, port: int, workers: int | None, max_pending: int, cache_dir: str | None) -> None:
     """Serve a CORPUS to many trainers, in the form of Search-R1's retrieval server."""
-    from gem_tools.search.index import open_index
-    from gem_tools.search.server import RetrievalServer, serve
+    try:
+        from gem_tools.search.index import open_index
+        from gem_tools.search.server import RetrievalServer, serve
+    except ModuleNotFoundError as error:
+        message = f"gem serve-search needs the package {error.name}: pip install 'gem-tools[search]'"
+        raise MissingRequirementError(message) from error
 
     index = open_index(corpus, cache_dir)
     server = RetrievalServer(index, workers=workers or os.cpu_count() or 1, max_pending=max_pending)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from importlib.util import find_spec
 from pathlib import Path
 
 ARTICLES = Path(__file__).parent / "articles.jsonl"
@@ -12,6 +13,8 @@ KEYS = {"serper": "SERPER_API_KEY", "serpapi": "SERPAPI_API_KEY", "tavily": "TAV
 
 def status() -> dict[str, str]:
     """Return which engines can be used here; of keys only whether they are set."""
+    if find_spec("bm25s") is None or find_spec("aiohttp") is None:
+        return {"engines": "are not installed: pip install 'gem-tools[search]'"}
     with ARTICLES.open("rb") as file:
         count = sum(1 for _ in file)
     web = ", ".join(engine for engine, name in KEYS.items() if os.environ.get(name, "").strip())
