@@ -12,7 +12,7 @@ import click
 
 from gem_core import __version__
 from gem_core._plugin import gem_add_commands
-from gem_core.cli.layout import Layout, echo_line, output_width
+from gem_core.cli.layout import Column, counted, echo_line, output_width, print_table, table_lines, wrapped
 from gem_core.errors import GemError
 from gem_core.registry.specs import CommandSpec
 from gem_core.suggestions import did_you_mean
@@ -21,12 +21,11 @@ if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
     from gem_core.cli.completion import AGENTS, ENVS, Words, env_ids
-    from gem_core.cli.layout import counted
     from gem_core.cli.list_command import matching
     from gem_core.cli.model_options import agent_options, given
     from gem_core.cli.play_session import PlaySession
     from gem_core.cli.play_view import PlayView
-    from gem_core.cli.report import Column, print_table, shown, shown_count
+    from gem_core.cli.report import shown, shown_count
     from gem_core.cli.targets import find_env, find_envs
     from gem_core.cli.tool_options import (
         AtLeast,
@@ -44,7 +43,6 @@ __all__ = [
     "INTERRUPTED",
     "AtLeast",
     "Column",
-    "Layout",
     "PlaySession",
     "PlayView",
     "Words",
@@ -67,6 +65,8 @@ __all__ = [
     "shown",
     "shown_count",
     "stack_options",
+    "table_lines",
+    "wrapped",
     "wrapper_stack",
 ]
 
@@ -74,14 +74,12 @@ _HOME = {
     "AGENTS": "completion",
     "ENVS": "completion",
     "AtLeast": "tool_options",
-    "Column": "report",
     "PlaySession": "play_session",
     "PlayView": "play_view",
     "Words": "completion",
     "agent_options": "model_options",
     "arguments_option": "tool_options",
     "call_again": "tool_options",
-    "counted": "layout",
     "env_arguments": "tool_options",
     "env_ids": "completion",
     "find_env": "targets",
@@ -89,7 +87,6 @@ _HOME = {
     "given": "model_options",
     "matching": "list_command",
     "parsed_choices": "tool_options",
-    "print_table": "report",
     "shown": "report",
     "shown_count": "report",
     "stack_options": "tool_options",

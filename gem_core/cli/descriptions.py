@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -14,6 +15,9 @@ from gem_core.registry.known_distributions import KNOWN_DISTRIBUTIONS
 from gem_core.registry.lookup import registry
 from gem_core.registry.plugins import Record
 from gem_core.registry.specs import AgentSpec, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
+
+_ROLE = re.compile(r"(?::[\w:]+:`|``)([^`]+)`{1,2}")
+_ITEM = re.compile(r"\s*(- |[*\w, ]+: )")
 
 KINDS: dict[str, type[NamedSpec]] = {
     "tools": ToolSpec,
@@ -104,6 +108,31 @@ def own_documentation(maker: Callable[..., Any]) -> str | None:
     """Return the docstring of a class or function; not that of a base class, which is about something else."""
     own = vars(maker).get("__doc__") if isinstance(maker, type) else getattr(maker, "__doc__", None)
     return inspect.cleandoc(own) if isinstance(own, str) else None
+
+
+def paragraphs(documentation: str) -> list[str]:
+    """Return a docstring without its markup, each of its paragraphs and arguments as one line."""
+    lines: list[str] = []
+    example = False
+    for line in _ROLE.sub(r"\1", documentation).splitlines():
+        indent, before = _indent(line), lines[-1] if lines else ""
+        example = example and (not line.strip() or indent > 0)
+        follows = indent == _indent(before) and not _ITEM.match(line) and not before.endswith(":")
+        if (
+            line.strip()
+            and before.strip()
+            and not example
+            and (follows or (indent > _indent(before) and _ITEM.match(before)))
+        ):
+            line = f"{before} {line.strip()}"
+            lines.pop()
+        example = example or line.endswith("::")
+        lines.append(line.replace("::", ":") if line.endswith("::") else line)
+    return lines
+
+
+def _indent(line: str) -> int:
+    return len(line) - len(line.lstrip())
 
 
 def _option(parameter: inspect.Parameter) -> str:

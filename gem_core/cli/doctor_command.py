@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import textwrap
 from typing import Any
 
 import click
 
 from gem_core.cli.diagnosis import diagnose, offers_in_words, status_line
-from gem_core.cli.layout import counted, output_width
+from gem_core.cli.layout import counted, output_width, wrapped
 
 _WIDTH = 80  # at most
 _INDENT = 4
@@ -140,7 +139,7 @@ def _row(text: str, state: str = "", *, plain: bool = False) -> None:
     """Print a row after its state, which is coloured unless ``plain``."""
     label = state.ljust(_LABEL)
     width = min(output_width() or _WIDTH, _WIDTH) - _INDENT - _LABEL
-    first, *rest = textwrap.wrap(text, width, break_on_hyphens=False, break_long_words=False) or [""]
+    first, *rest = wrapped(text, width)
     colour = None if plain else _COLOURS.get(state)
     click.echo(f"{'':{_INDENT}}{click.style(label, fg=colour) if colour else label}{first}")
     for line in rest:

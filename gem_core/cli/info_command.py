@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import json
-import textwrap
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from gem_core.cli.completion import ENVS_AND_NAMES
-from gem_core.cli.descriptions import describe_in_full, describe_record, find_named, option_lines, own_documentation
-from gem_core.cli.layout import output_width
+from gem_core.cli.descriptions import (
+    describe_in_full,
+    describe_record,
+    find_named,
+    option_lines,
+    own_documentation,
+    paragraphs,
+)
+from gem_core.cli.layout import output_width, wrapped
 from gem_core.cli.targets import find_env
 from gem_core.cli.tool_options import import_option
 from gem_core.errors import GemError
@@ -85,7 +91,7 @@ def _print_class(record: EnvSpec) -> None:
     _print_field("accepts", option_lines(maker) or "no arguments")
     documented = own_documentation(maker)
     if documented:
-        click.echo("\n" + documented)
+        _print_text("", *paragraphs(documented))
     try:
         env = make(record)
         try:
@@ -94,12 +100,12 @@ def _print_class(record: EnvSpec) -> None:
         finally:
             env.close()
     except GemError as error:  # print the rest even without its data or engine
-        click.echo(f"\nThere is no observation to show: {error}")
+        _print_text("", f"There is no observation to show: {error}")
         return
     if not acts:
         _print_observation("The first observation", observation)
         return
-    click.echo(f"\n{acts}")
+    _print_text("", acts)
     for seat, seen in observation.items():
         _print_observation(f"The first observation of {seat}", seen)
 
@@ -115,7 +121,8 @@ def _how_they_act(env: MultiAgentEnv) -> str:
 
 def _print_observation(title: str, observation: Observation) -> None:
     click.echo(click.style(f"\n{title}, with seed 0:", bold=True))
-    click.echo(observation if isinstance(observation, str) else json.dumps(observation, default=repr, indent=1))
+    text = observation if isinstance(observation, str) else json.dumps(observation, default=repr, indent=1)
+    _print_text(*text.splitlines())
 
 
 def _print_named(facts: dict[str, Any]) -> None:
@@ -131,27 +138,25 @@ def _print_named(facts: dict[str, Any]) -> None:
     _print_field("here", status_line(facts.get("status")))
     _print_field("missing", facts.get("problem"))
     if facts["documentation"]:
-        click.echo(f"\n{facts['documentation']}")
+        _print_text("", *paragraphs(facts["documentation"]))
     if facts.get("instructions"):
         click.echo(click.style("\nWhat an agent is told, without options:", bold=True))
-        for line in facts["instructions"]:
-            click.echo(line)
+        _print_text(*facts["instructions"])
 
 
 def _print_title(name: str, summary: str) -> None:
-    click.echo(click.style(name, bold=True) + (f" · {summary}" if summary else ""))
+    _print_text(click.style(name, bold=True) + (f" · {summary}" if summary else ""))
+
+
+def _print_text(*lines: str, indent: int | None = None) -> None:
+    for line in lines:
+        for piece in wrapped(line, output_width(), indent):
+            click.echo(piece)
 
 
 def _print_field(label: str, value: str | list[str] | None) -> None:
     """Print a label and its value, a list with a line for each item; nothing if there is no value."""
     lines = [value] if isinstance(value, str) and value else value or []
-    width = output_width()
-    if width is not None:
-        lines = [
-            piece
-            for line in lines
-            for piece in textwrap.wrap(line, max(width - 16, 20), break_long_words=False, break_on_hyphens=False)
-        ]
     for number, line in enumerate(lines):
         head = f"{label}:" if number == 0 else ""
-        click.echo(f"  {head:<14}{line}")
+        _print_text(f"  {head:<14}{line}", indent=16)

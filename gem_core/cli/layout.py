@@ -1,18 +1,22 @@
-"""``Layout``: tables that fit a terminal; less important columns are left out first."""
+"""Tables and lines that fit a terminal."""
 
 from __future__ import annotations
 
+import io
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import islice
+from typing import Any, NamedTuple
 
 import click
 
-_GAP = "  "
-
-Style = Callable[[str], str]
-"""Colours a cell that is already padded to its width."""
+_GAP = 2
+_LEAST_TEXT = 24
+_LEAST_COLUMN = 6
+_ROWS_AHEAD = 200
+_ANY_WIDTH = 100_000
 
 
 def output_width() -> int | None:
@@ -23,10 +27,32 @@ def output_width() -> int | None:
 def echo_line(text: str, *, err: bool = False) -> None:
     """Write a line; a terminal that is too narrow for it gets it wrapped between words."""
     if (sys.stderr if err else sys.stdout).isatty():
-        indent = " " * (len(text) - len(text.lstrip(" ")))
-        width = max(shutil.get_terminal_size().columns, len(indent) + 20)
-        text = textwrap.fill(text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+        text = "\n".join(wrapped(text, shutil.get_terminal_size().columns))
     click.echo(text, err=err)
+
+
+def wrapped(text: str, width: int | None, indent: int | None = None) -> list[str]:
+    """Return a line as lines that fit a width, broken between words.
+
+    Args:
+        text: It may have colours.
+        width: None for any width.
+        indent: Spaces before the second line and all others; by default those of the first.
+    """
+    if width is None or len(click.unstyle(text)) <= width:
+        return [text]
+    if "\x1b" not in text:
+        before = " " * (len(text) - len(text.lstrip(" ")) if indent is None else indent)
+        room = max(width, len(before) + 20)
+        return textwrap.wrap(text, room, subsequent_indent=before, break_long_words=False, break_on_hyphens=False)
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(
+        file=io.StringIO(), width=width, force_terminal=True, color_system="standard", legacy_windows=False
+    )
+    console.print(Text.from_ansi(text), soft_wrap=False, highlight=False)
+    return str(console.file.getvalue()).splitlines()  # type: ignore[attr-defined]
 
 
 def counted(number: int, noun: str) -> str:
@@ -44,110 +70,110 @@ def cut_at_word(text: str, width: int) -> str:
     return f"{kept.rstrip(' ,;:')}…" if kept.strip() else "…"[:width]
 
 
-class Layout:
-    """How rows of cells are laid out.
-
-    If there is room, each row is a line. Otherwise headers are wrapped, then columns are left out, and if even the rest
-    does not fit, each row becomes a paragraph with all columns.
+class Column(NamedTuple):
+    """A column of a table.
 
     Args:
-        headers: Name of each column.
-        rows: Rows by which the columns are measured; later ones may be wider.
-        width: Characters in a line; None for any number.
-        left: Columns that stand to the left; the others are figures.
-        names: Number of columns, from the first, that name the row; they head its paragraph.
-        dispensable: Columns in the order in which they are left out.
-        tail: A last column that is cut at a word, so long as there is room for ``least_tail`` characters of it.
+        header: What stands above it.
+        cell: Returns what it shows of a row.
+        dispensable: When it is left out of a table that is too wide: the lowest number first; None for never.
+        alarm: Whether everything but 0 is shown in red.
+        name: Whether it names the row.
+        text: Whether it is text, which stands to the left and is cut at a word.
+        colour: Returns the colour of a row's cell.
     """
 
-    least_tail = 24
+    header: str
+    cell: Callable[[Any], str]
+    dispensable: int | None = None
+    alarm: bool = False
+    name: bool = False
+    text: bool = False
+    colour: Callable[[Any], str] | None = None
 
-    def __init__(
-        self,
-        headers: Sequence[str],
-        rows: Sequence[Sequence[str]],
-        width: int | None,
-        *,
-        left: Iterable[int] = (0,),
-        names: int = 1,
-        dispensable: Sequence[int] = (),
-        tail: int | None = None,
-    ) -> None:
-        self._headers, self._width, self._tail = headers, width, tail
-        self._left, self._names = set(left), names
-        self._cells = [max((len(row[place]) for row in rows), default=0) for place in range(len(headers))]
-        self.columns = list(range(len(headers)))
-        """Columns that are shown; none where each row is a paragraph."""
-        self.left_out: list[str] = []
-        """Headers of the columns that were left out."""
-        self._widths = [max(cell, len(header)) for cell, header in zip(self._cells, headers, strict=True)]
-        if not self._fits():
-            self._widths = [
-                max([cell, *map(len, header.split())]) for cell, header in zip(self._cells, headers, strict=True)
-            ]
-        for place in dispensable:
-            if not self._fits():
-                self.columns.remove(place)
-                self.left_out.append(headers[place])
-        if not self._fits():
-            self.columns, self.left_out = [], []
+    def style(self, row: Any, cell: str) -> str:
+        """Return the style of a cell, in the words of rich."""
+        if self.colour is not None:
+            return self.colour(row)
+        return "cyan" if self.name else "red" if self.alarm and cell != "0" else ""
 
-    def _fits(self) -> bool:
-        if self._width is None:
-            return True
-        used = [
-            min(self._widths[place], self.least_tail) if place == self._tail else self._widths[place]
-            for place in self.columns
-        ]
-        return sum(used) + len(_GAP) * (len(used) - 1) <= self._width
 
-    def header(self) -> list[str]:
-        """Return the lines of the header; none above paragraphs."""
-        wrapped = {
-            place: textwrap.wrap(self._headers[place], self._widths[place], break_long_words=False) or [""]
-            for place in self.columns
-        }
-        depth = max(map(len, wrapped.values()), default=0)
-        below = {place: [""] * (depth - len(lines)) + lines for place, lines in wrapped.items()}
-        return [self._line({place: lines[number] for place, lines in below.items()}, {}) for number in range(depth)]
+def print_table(columns: Sequence[Column], rows: Iterable[Any]) -> None:
+    """Write a table to standard output, as wide as a terminal is."""
+    for line in table_lines(columns, rows, output_width()):
+        click.echo(line)
 
-    def row(self, cells: Sequence[str], styles: Mapping[int, Style] | None = None) -> list[str]:
-        """Return the lines of a row."""
-        styles = styles or {}
-        if self.columns:
-            return [self._line({place: cells[place] for place in self.columns}, styles)]
-        name = " ".join(styles.get(place, str)(cells[place]) for place in range(self._names))
-        return [name, *self._paragraph(cells, styles)]
 
-    def _paragraph(self, cells: Sequence[str], styles: Mapping[int, Style]) -> list[str]:
-        """Return the lines of a paragraph: the name, then each value beside its header."""
-        width = max((self._width or 0) - len(_GAP), 10)
-        lines: list[str] = []
-        taken = width
-        for place in range(self._names, len(cells)):
-            if not cells[place]:
-                continue
-            first, *more = textwrap.wrap(f"{self._headers[place]} {cells[place]}", width, break_on_hyphens=False)
-            if not more:
-                first = f"{self._headers[place]} {styles.get(place, str)(cells[place])}"
-            plain = len(self._headers[place]) + 1 + len(cells[place])
-            if lines and not more and taken + 2 + plain <= width:
-                lines[-1] += f", {first}"
-                taken += 2 + plain
-            else:
-                lines += [first, *more]
-                taken = width if more else plain
-        return [f"{_GAP}{line}" for line in lines]
+def table_lines(columns: Sequence[Column], rows: Iterable[Any], width: int | None) -> Iterator[str]:
+    """Yield the lines of a table as its rows come, and a note of the columns that are left out.
 
-    def _line(self, cells: Mapping[int, str], styles: Mapping[int, Style]) -> str:
-        parts: list[str] = []
-        for place, cell in cells.items():
-            width = self._widths[place]
-            if place == self._tail and self._width is not None:
-                before = sum(self._widths[other] + len(_GAP) for other in self.columns if other != place)
-                cell = cut_at_word(cell, self._width - before)
-            padded = cell.ljust(width) if place in self._left else cell.rjust(width)
-            if place == self.columns[-1]:
-                padded = padded.rstrip()
-            parts.append(styles[place](padded) if place in styles and cell else padded)
-        return _GAP.join(parts).rstrip()
+    Args:
+        columns: Those that name rows come first.
+        rows: What the cells are made from; columns are as wide as the first few hundred need.
+        width: Characters in a line: columns are left out to fit, then the widest are folded; None for any number.
+    """
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    rest = iter(rows)
+    block = list(islice(rest, _ROWS_AHEAD))
+    widths = _fitting_widths(columns, block, width)
+    shown = [column for column in columns if column in widths]
+    console = Console(
+        file=io.StringIO(), width=_ANY_WIDTH, force_terminal=True, color_system=None if width is None else "standard"
+    )
+    first = True
+    while block or first:
+        table = Table(box=None, pad_edge=False, show_header=first, header_style="bold")
+        for column in shown:
+            left = column.name or column.text
+            table.add_column(
+                Text(column.header), justify="left" if left else "right", width=widths[column], overflow="fold"
+            )
+        for row in block:
+            cells = [(column, column.cell(row)) for column in shown]
+            table.add_row(
+                *(
+                    Text(cut_at_word(cell, widths[column]) if column.text else cell, column.style(row, cell))
+                    for column, cell in cells
+                )
+            )
+        with console.capture() as captured:
+            console.print(table)
+        yield from (line.rstrip() for line in captured.get().splitlines())
+        block, first = list(islice(rest, _ROWS_AHEAD)), False
+    left_out = [column.header for column in columns if column not in widths]
+    if left_out:
+        note = f"Too wide for this terminal: {', '.join(left_out)}."
+        yield from (click.style(line, dim=True) for line in wrapped(note, width))
+
+
+def _fitting_widths(columns: Sequence[Column], rows: Sequence[Any], width: int | None) -> dict[Column, int]:
+    """Return the columns that are shown, each with its width."""
+    from rich.cells import cell_len
+
+    wanted = {column: max((cell_len(column.cell(row)) for row in rows), default=0) for column in columns}
+    whole = {column: max(cells, len(column.header)) for column, cells in wanted.items()}
+    if width is None or sum(whole.values()) + _GAP * (len(whole) - 1) <= width:
+        return whole
+    widths = {
+        column: max(
+            min(cells, _LEAST_TEXT) if column.text else cells, *(len(word) for word in (column.header or " ").split())
+        )
+        for column, cells in wanted.items()
+    }
+
+    def room() -> int:
+        return width - sum(widths.values()) - _GAP * (len(widths) - 1)
+
+    ranked = [(column.dispensable, place) for place, column in enumerate(columns) if column.dispensable is not None]
+    for _, place in sorted(ranked):
+        if room() < 0:
+            del widths[columns[place]]
+    while room() < 0 and max(widths.values()) > _LEAST_COLUMN:
+        widths[max(widths, key=lambda column: widths[column])] -= 1
+    for column in widths:
+        if room() > 0:
+            widths[column] = min(widths[column] + room(), whole[column])
+    return widths

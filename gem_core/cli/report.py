@@ -2,88 +2,31 @@
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any, NamedTuple
-
-import click
-
-from gem_core.cli.layout import Layout, Style, output_width
+from gem_core.cli.layout import Column
 from gem_core.records.summary import EnvSummary, RunSummary
 
 
-class Column(NamedTuple):
-    """A column of a table of scores.
-
-    Args:
-        header: What stands above it.
-        cell: Returns what it shows of a row.
-        dispensable: When it is left out of a table that is too wide: the lowest number first; None for never.
-        alarm: Whether everything but 0 is shown in red.
-        name: Whether it names the row.
-    """
-
-    header: str
-    cell: Callable[[Any], str]
-    dispensable: int | None = None
-    alarm: bool = False
-    name: bool = False
-
-
-def print_table(columns: Sequence[Column], rows: Sequence[Any]) -> None:
-    """Write a table to standard output, as wide as a terminal is; columns that name rows come first."""
-    cells = [[column.cell(row) for column in columns] for row in rows]
-    ranks = [(column.dispensable, place) for place, column in enumerate(columns) if column.dispensable is not None]
-    names = sum(column.name for column in columns)
-    layout = Layout(
-        [column.header for column in columns],
-        cells,
-        output_width(),
-        left=range(names),
-        names=names,
-        dispensable=[place for _, place in sorted(ranks)],
-    )
-    for line in layout.header():
-        click.echo(click.style(line, bold=True))
-    for row in cells:
-        styles: dict[int, Style] = {}
-        for place, column in enumerate(columns):
-            if column.name:
-                styles[place] = partial(click.style, fg="cyan")
-            elif column.alarm and row[place] != "0":
-                styles[place] = partial(click.style, fg="red")
-        for line in layout.row(row, styles):
-            click.echo(line)
-    if layout.left_out:
-        missing = f"Too wide for this terminal: {', '.join(layout.left_out)}."
-        for line in textwrap.wrap(missing, output_width() or len(missing), break_on_hyphens=False):
-            click.echo(click.style(line, dim=True))
-
-
 def run_columns(summary: RunSummary, seconds: float) -> list[Column]:
-    """Return the columns of the table of ``gem run``.
-
-    The tokens that a model read and wrote have columns where its server reports them, and so have limits where one cut
-    an episode off.
-    """
+    """Return the columns of the table of ``gem run``; counts that are 0 in every row have none."""
     total = summary.total
     columns = [
         Column("environment", lambda row: str(row.label), name=True),
         Column("episodes", lambda row: str(row.episodes), 7),
-        Column("judged", lambda row: str(row.judged), 8),
         Column("success", lambda row: _with_error(row.success_rate, row.success_standard_error, ".1%")),
-        Column("mean return", lambda row: _with_error(row.mean_return, row.return_standard_error, ".3f"), 4),
+        Column("mean return", lambda row: _with_error(row.mean_return, row.return_standard_error, ".3f")),
         Column("mean turns", lambda row: shown(row.mean_turns, ".1f"), 1),
-        Column("out of turns", lambda row: str(row.cut_off_by_turns), 6),
-        Column("out of tokens", lambda row: str(row.cut_off_by_tokens), 5),
-    ]
-    if total.cut_off_by_limits:
-        columns.append(Column("out of limits", lambda row: str(row.cut_off_by_limits)))
-    columns += [
-        Column("errors", lambda row: str(row.errors), alarm=True),
         Column("turns/s", lambda row: shown(row.turns_per_second(seconds), ",.0f"), 0),
     ]
+    if total.judged != total.episodes:
+        columns.insert(2, Column("judged", lambda row: str(row.judged), 6))
+    if total.cut_off_by_turns:
+        columns.append(Column("out of turns", lambda row: str(row.cut_off_by_turns), 5))
+    if total.cut_off_by_tokens:
+        columns.append(Column("out of tokens", lambda row: str(row.cut_off_by_tokens), 4))
+    if total.cut_off_by_limits:
+        columns.append(Column("out of limits", lambda row: str(row.cut_off_by_limits)))
+    if total.errors:
+        columns.append(Column("errors", lambda row: str(row.errors), alarm=True))
     if total.prompt_tokens is not None or total.completion_tokens is not None:
         columns += [
             Column("tokens in", lambda row: shown_count(row.prompt_tokens), 2),

@@ -17,7 +17,7 @@ import click
 from gem_core.api import make_vec
 from gem_core.cli import INTERRUPTED
 from gem_core.cli.completion import AGENTS, BACKENDS, ENVS
-from gem_core.cli.layout import counted, echo_line
+from gem_core.cli.layout import counted, echo_line, print_table
 from gem_core.cli.model_options import agent_options, given
 from gem_core.cli.targets import find_envs
 from gem_core.cli.tool_options import (
@@ -156,7 +156,7 @@ def command(
     """
     # Imported here, so that help and the completion of options need not wait for them.
     from gem_core.cli.acting import load_acting, several_agents
-    from gem_core.cli.report import print_table, run_columns, status_of
+    from gem_core.cli.report import run_columns, status_of
     from gem_core.cli.resumed_run import ResumedRun, file_to_resume
     from gem_core.progress import Progress
     from gem_core.records.files import EpisodeWriter

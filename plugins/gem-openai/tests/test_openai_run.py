@@ -44,7 +44,7 @@ def test_token_usage_is_in_the_table_and_in_the_json(run: Run) -> None:
     turns = sum(episode.turns for episode in read_episodes("a.jsonl"))
     header, row = out.splitlines()[:2]
     assert code == 0
-    assert header.endswith("errors  turns/s  tokens in  tokens out")
+    assert header.endswith("turns/s  tokens in  tokens out")
     assert row.split()[-2:] == [str(7 * turns), str(3 * turns)]
     report = json.loads(run(COUNTDOWN, "-n", "3", "--agent", "openai:toy-model", "--json")[1])
     counted = report["environments"][0]

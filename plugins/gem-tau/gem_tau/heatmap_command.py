@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from itertools import chain
 from pathlib import Path
 
 import click
 
-from gem_core.cli import Layout, output_width
+from gem_core.cli import Column, print_table
 from gem_core.errors import ArgumentError
 from gem_core.records import EnvSummary
 from gem_tau import scripted_assistants, scripted_users
@@ -90,12 +89,11 @@ def _names(given: str, option: str) -> list[str]:
 
 
 def _print(rows: list[list[EnvSummary]]) -> None:
-    headers = ["user", *(str(cell.agent) for cell in rows[0])]
-    lines = [[row[0].id, *map(_figures, row)] for row in rows]
-    layout = Layout(headers, lines, width=output_width(), left=(0,), names=1)
+    columns = [Column("user", lambda row: str(row[0].id), name=True)]
+    for place, cell in enumerate(rows[0]):
+        columns.append(Column(str(cell.agent), lambda row, place=place: _figures(row[place])))  # type: ignore[misc]
     click.echo("Success of the assistant in %, ± standard error, and the number of episodes")
-    for line in [*layout.header(), *chain.from_iterable(map(layout.row, lines))]:
-        click.echo(line)
+    print_table(columns, rows)
 
 
 def _figures(cell: EnvSummary) -> str:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 
 import click
 
-from gem_core.cli import Layout
+from gem_core.cli import Column, wrapped
+from gem_core.cli import table_lines as lines_of_table
 from gem_eval.auditing.results import KINDS, EnvAudit, Problem
 from gem_eval.show.text import one_line
 
@@ -27,20 +27,22 @@ def table_lines(found: Sequence[EnvAudit], threshold: float, width: int | None) 
         threshold: Share above which a problem counts.
         width: Characters in a line; None for any number.
     """
+    ranks = {"rows": 0, "chance": 1, "other": 2, "echo": 3}
     headers = ["environment", "rows", *KINDS, "chance", "problems"]
     headers += ["unreadable"] if any(each.unreadable is not None for each in found) else []
-    rows = [_cells(each, threshold)[: len(headers)] for each in found]
-    dispensable = [headers.index(name) for name in ("rows", "chance", "other", "echo")]
-    layout = Layout(headers, rows, width, dispensable=dispensable)
-    for line in layout.header():
-        yield click.style(line, bold=True)
-    for each, row in zip(found, rows, strict=True):
-        red = partial(click.style, fg="red")
-        styles = {0: partial(click.style, fg="cyan")}
-        if each.fails(threshold):
-            styles[headers.index("problems")] = red
-        yield from layout.row(row, styles)
-    yield _LEGEND if width is None else click.wrap_text(_LEGEND, width)
+    cells = {id(each): dict(zip(headers, _cells(each, threshold), strict=False)) for each in found}
+    columns = [
+        Column(
+            name,
+            lambda each, name=name: cells[id(each)][name],  # type: ignore[misc]  # bound early
+            ranks.get(name),
+            name=name == "environment",
+            colour=(lambda each: "red" if each.fails(threshold) else "") if name == "problems" else None,
+        )
+        for name in headers
+    ]
+    yield from lines_of_table(columns, found, width)
+    yield from wrapped(_LEGEND, width)
     unknown = [each.id for each in found if any(problem.kind == "unknown" for problem in each.problems)]
     if unknown:
         yield f"No gold answers are known (gold_action() returns None): {', '.join(unknown)}"

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
 from itertools import chain, islice
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 from click import style
 
 from gem_core import Episode
-from gem_core.cli import Layout
+from gem_core.cli import Column, table_lines
 from gem_core.records import Record
 from gem_eval.show.text import dim, heading, highlighted, one_line, rule
 from gem_eval.turns import (
@@ -45,7 +45,7 @@ _COLUMNS: dict[str, tuple[int, Callable[[Row], object]]] = {
 _TO_THE_LEFT = ("environment", "model", "outcome", "cut off", "group", "agents and returns", "error")
 _IF_ANY = ("model", "return", "cut off", "group", "agents and returns", "error")
 _DISPENSABLE = ("group", "seed", "turns", "cut off", "return", "model")
-# Columns get the width of the first so many rows; a later cell may be wider.
+# Columns that are empty in the first so many rows are left out.
 _ROWS_AHEAD = 200
 _LONGEST_VALUE = 300
 
@@ -61,22 +61,19 @@ def list_lines(episodes: Iterable[Row], width: int | None = None) -> Iterator[st
     """
     rows = map(_cells, episodes)
     first = list(islice(rows, _ROWS_AHEAD))
-    if not first:
-        return
-    headers = [name for name in _COLUMNS if name not in _IF_ANY or any(row[name] for row in first)]
-    layout = Layout(
-        headers,
-        [[row[name] for name in headers] for row in first],
-        width,
-        left=[headers.index(name) for name in _TO_THE_LEFT if name in headers],
-        names=2,
-        dispensable=[headers.index(name) for name in _DISPENSABLE if name in headers],
-        tail=headers.index("error") if "error" in headers else None,
-    )
-    yield from map(heading, layout.header())
-    for row in chain(first, rows):
-        coloured = partial(style, fg=_OUTCOME_COLOURS[row["outcome"]])
-        yield from layout.row([row[name] for name in headers], {headers.index("outcome"): coloured})
+    columns = [
+        Column(
+            name,
+            itemgetter(name),
+            _DISPENSABLE.index(name) if name in _DISPENSABLE else None,
+            text=name in _TO_THE_LEFT,
+            colour=(lambda row: _OUTCOME_COLOURS[row["outcome"]]) if name == "outcome" else lambda row: "",
+        )
+        for name in _COLUMNS
+        if name not in _IF_ANY or any(row[name] for row in first)
+    ]
+    if first:
+        yield from table_lines(columns, chain(first, rows), width)
 
 
 def episode_lines(episode: Record, number: int, *, full: bool = False) -> Iterator[str]:

@@ -8,6 +8,8 @@ from collections.abc import Iterable
 
 import click
 
+from gem_core.cli import output_width, wrapped
+
 
 def write_lines(lines: Iterable[str]) -> None:
     """Write lines: paged in a terminal, else plain and as they come."""
@@ -15,6 +17,9 @@ def write_lines(lines: Iterable[str]) -> None:
         # click.echo would flush each line, at the cost of a system call.
         sys.stdout.writelines(f"{click.unstyle(line)}\n" for line in lines)
         return
+    # Wrapped between words, which a terminal breaks.
+    width = output_width()
+    lines = (piece for line in lines for piece in wrapped(line, width))
     # F: what fits the screen stays there without a pager. R: colours, and no other codes. X: no clearing.
     os.environ.setdefault("LESS", "-FRX")
     colours = not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
