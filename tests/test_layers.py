@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 CORE = ROOT / "gem_core"
 
 LAYERS = [
-    {"errors", "types", "parsing", "suggestions", "progress", "arguments", "background", "docs", "terminal"},
+    {"errors", "types", "parsing", "judging", "suggestions", "progress", "arguments", "background", "docs", "terminal"},
     {"registry"},
     {"_plugin"},
     {"env"},

@@ -6,13 +6,13 @@ import asyncio
 import hashlib
 import inspect
 import json
-import re
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
 from gem_core.background import in_thread, on_background_loop, run_sync
 from gem_core.errors import ArgumentError, GemError, GradingError
+from gem_core.judging import json_line, read_verdict
 from gem_core.registry import load_entry_point
 from gem_core.rollouts import Context, load_agent
 
@@ -22,7 +22,6 @@ Judge = Callable[[str, Sequence[str], str], Verdict | Awaitable[Verdict]]
 
 _MODEL_PREFIX = "openai:"
 _MAX_ANSWER_CHARS = 2000
-_VERDICT = re.compile(r"[*_`\s]*VERDICT:[*_`\s]*(CORRECT|INCORRECT)[*_`.\s]*")
 
 _SYSTEM = (
     "You decide whether an answer to a question says the same as one of the accepted answers. Wording, spelling "
@@ -157,10 +156,10 @@ def asked(question: str, accepted: Sequence[str], answer: str) -> str:
     # An answer cannot contain the hash of itself, so it cannot close its own mark.
     mark = hashlib.sha256(whole.encode()).hexdigest()[:16]
     return (
-        f"Question: {_line(question)}\n"
-        f"Accepted answers: {_line(list(accepted))}\n"
+        f"Question: {json_line(question)}\n"
+        f"Accepted answers: {json_line(list(accepted))}\n"
         f"Answer to decide on, between the marks {mark}:\n"
-        f"<{mark}>\n{_line(shown)}\n</{mark}>\n"
+        f"<{mark}>\n{json_line(shown)}\n</{mark}>\n"
         "Does it say the same as an accepted answer? End with VERDICT: CORRECT or VERDICT: INCORRECT."
     )
 
@@ -171,16 +170,10 @@ def parsed_verdict(reply: str) -> bool:
     Raises:
         GradingError: There is none, or the reply contains both verdicts.
     """
-    lines = [line for line in reply.strip().splitlines() if line.strip()]
-    found = {match[1] for line in lines if (match := _VERDICT.fullmatch(line))}
-    if not lines or len(found) != 1 or not _VERDICT.fullmatch(lines[-1]):
-        ending = lines[-1][:100] if lines else ""
-        raise GradingError(f"the judge's reply does not end with one clear verdict, but with {ending!r}")
-    return found == {"CORRECT"}
-
-
-def _line(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False)
+    verdict = read_verdict(reply, "CORRECT", "INCORRECT")
+    if verdict is None:
+        raise GradingError(f"the judge's reply does not end with one clear verdict, but with {reply.strip()[-100:]!r}")
+    return verdict == "CORRECT"
 
 
 @lru_cache(maxsize=16)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import inspect
 import json
-import re
 import secrets
 from typing import TYPE_CHECKING, Any
 
 from gem_core import Episode
 from gem_core.errors import GemError, GradingError
+from gem_core.judging import json_line, read_verdict
 from gem_core.rollouts import Context
 from gem_eval.turns import parts_of, text_of
 
@@ -31,7 +31,6 @@ SYSTEM = (
     "VERDICT: UNKNOWN."
 )
 
-_VERDICT = re.compile(r"[*_`\s]*VERDICT:[*_`\s]*(PASS|FAIL|UNKNOWN)[*_`.\s]*")
 _MEANING = {"PASS": True, "FAIL": False, "UNKNOWN": None}
 _LONGEST_MESSAGE = 10_000
 _LONGEST_TRANSCRIPT = 100_000
@@ -88,19 +87,18 @@ def parsed_verdict(reply: str) -> bool | None:
     Raises:
         GradingError: There is none, or the reply contains several that differ.
     """
-    lines = [line for line in reply.strip().splitlines() if line.strip()]
-    found = {match[1] for line in lines if (match := _VERDICT.fullmatch(line))}
-    if not lines or len(found) != 1 or not _VERDICT.fullmatch(lines[-1]):
-        ending = lines[-1][:100] if lines else ""
+    verdict = read_verdict(reply, *_MEANING)
+    if verdict is None:
+        ending = reply.strip()[-100:]
         raise GradingError(
             f"the judge's reply does not end with one of VERDICT: PASS, FAIL or UNKNOWN, but with {ending!r}"
         )
-    return _MEANING[found.pop()]
+    return _MEANING[verdict]
 
 
 def _transcript(episode: Episode) -> list[str]:
     """Return the conversation and how it ended, each a line of JSON; the middle of one that is long is left out."""
-    lines = [json.dumps(_message(message), ensure_ascii=False) for message in episode.messages]
+    lines = [json_line(_message(message)) for message in episode.messages]
     lines.append(json.dumps({"end": "the task was over" if episode.cut_off is None else f"cut off: {episode.cut_off}"}))
     first, last, room = 0, len(lines), _LONGEST_TRANSCRIPT
     while first < last and room > 0:
