@@ -19,7 +19,7 @@ def program(name: str) -> str:
 
     Where it is sent there is no folder to import from; so the imports of each other are cut out.
     """
-    modules = ("codec", "pipe", "solution", "checks")
+    modules = ("codec", "pipe", "solution", "names", "checks")
     wanted = modules[: modules.index(name) + 1]
     text = "".join((_HERE / f"{module}.py").read_text(encoding="utf-8") for module in wanted)
     future = "from __future__ import annotations\n"
