@@ -78,6 +78,7 @@ def _print(task_set: TaskSet, checks: list[Check], drop_one_write: bool) -> None
         click.echo(f"{len(task_set.left_out)} tasks are left out:")
         for task_id, reason in task_set.left_out.items():
             click.echo(f"  {task_id}: {reason}")
+    click.echo(f"The assistant reads the tools' descriptions of {task_set.tools_from}")
 
 
 def _print_dropped(checks: list[Check]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,7 +14,7 @@ from gem_core.errors import DatasetError
 from gem_tau.database import Database, Digest
 from gem_tau.domains import SAMPLE, TAU2_AIRLINE, TAU2_RETAIL, TAU_RETAIL, Domain
 from gem_tau.records import Airline, Order, Product, Shop, TauUser
-from gem_tau.tasks import Task, Tau2Task, TauTask, read_python_tasks
+from gem_tau.tasks import Task, Tau2Task, TauTask, read_python_tasks, read_python_tool
 
 T = TypeVar("T")
 
@@ -60,6 +60,9 @@ class TaskSet:
     tools: list[dict[str, Any]]
     """Descriptions of the tools, as chat servers take them."""
 
+    tools_from: str
+    """Where these are from: a file of the folder, or ``gem-tau`` where it has none."""
+
     tasks: tuple[Task, ...]
     """The tasks whose reward can be computed, in the file's order."""
 
@@ -78,8 +81,8 @@ def read_folder(folder: str | Path, split: str | None = None) -> TaskSet:
 
     Args:
         folder: The folder, in the form of tau-bench's retail domain, or tau2-bench's retail or airline. A checkout of
-            tau-bench's repository will do: its Python files of tasks are read, never run. ``gem_tau:sample`` is the
-            shop that comes with this plugin.
+            tau-bench's repository will do: its Python files of tasks and tools are read, never run. ``gem_tau:sample``
+            is the shop that comes with this plugin.
         split: Only the tasks of this split, such as ``test``; without it, all that the folder has.
 
     Raises:
@@ -108,6 +111,7 @@ def _read_sample(split: str | None) -> TaskSet:
         database=_json(path / "database.json"),
         policy=_text(path / "policy.md"),
         tools=SAMPLE.schemas(),
+        tools_from="gem-tau",
         tasks=tuple(each.task(f"sample-{number}") for number, each in enumerate(tasks)),
     )
 
@@ -126,30 +130,46 @@ def _read_tau(path: Path, split: str | None) -> TaskSet:
         for name in ([split] if split else sorted(files))
         for number, each in enumerate(_checked(list[TauTask], _tasks(files[name]), files[name]))
     ]
-    tools, wiki = path / "tools.json", path / "wiki.md"
+    wiki = path / "wiki.md"
+    tools, tools_from = _tools(path)
     return TaskSet(
         domain=TAU_RETAIL,
         database=database,
         policy=_text(wiki if wiki.is_file() else path / "policy.md"),
-        tools=_tools(tools) if tools.is_file() else TAU_RETAIL.schemas(),
+        tools=tools,
+        tools_from=tools_from,
         tasks=tuple(tasks),
     )
 
 
-def _tools(path: Path) -> list[dict[str, Any]]:
-    tools: list[dict[str, Any]] = _json(path)
-    _checked(list[ToolSchema], tools, path)
-    return tools
+def _tools(path: Path) -> tuple[list[dict[str, Any]], str]:
+    """Return the tools' descriptions, and where they are from; the Python files of a checkout are read, never run."""
+    tools: list[dict[str, Any]]
+    if (path / "tools.json").is_file():
+        tools = _json(path / "tools.json")
+        _checked(list[ToolSchema], tools, path / "tools.json")
+        return tools, "tools.json"
+    files = {name: path / "tools" / f"{name}.py" for name in TAU_RETAIL.tools}
+    if not (path / "tools").is_dir():
+        return TAU_RETAIL.schemas(), "gem-tau"
+    tools = [_python(read_python_tool, file, "get_info() with a literal") for file in files.values()]
+    for schema, file in zip(tools, files.values(), strict=True):
+        _checked(ToolSchema, schema, file)
+    return tools, "tools/*.py"
 
 
 def _tasks(path: Path) -> Any:
     if path.suffix == ".json":
         return _json(path)
+    return _python(read_python_tasks, path, "a list of Task(...)")
+
+
+def _python(read: Callable[[str], T], path: Path, expected: str) -> T:
     text = _text(path)
     try:
-        return read_python_tasks(text)
+        return read(text)
     except (ValueError, TypeError, SyntaxError, RecursionError, MemoryError) as error:
-        raise DatasetError(f"{path} has other code than a list of Task(...): {error}") from error
+        raise DatasetError(f"{path} has other code than {expected}: {error}") from error
 
 
 def _read_tau2(path: Path, split: str | None) -> TaskSet:
@@ -166,6 +186,7 @@ def _read_tau2(path: Path, split: str | None) -> TaskSet:
         database=_checked(form, raw, path / "db.json").model_dump(),
         policy=_text(path / "policy.md"),
         tools=domain.schemas(),
+        tools_from="gem-tau",
         tasks=tuple(task.task() for task in tasks if not task.left_out()),
         left_out={task.id: reason for task in tasks if (reason := task.left_out())},
     )

@@ -89,6 +89,19 @@ def read_python_tasks(code: str) -> list[Any]:
     return tasks
 
 
+def read_python_tool(code: str) -> Any:
+    """Return what ``get_info`` of one of tau-bench's Python files of tools returns, without running it.
+
+    Raises:
+        ValueError: There is no such function, or it returns something else than a literal.
+        SyntaxError: It is no Python.
+    """
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.FunctionDef) and node.name == "get_info" and isinstance(node.body[-1], ast.Return):
+            return ast.literal_eval(node.body[-1].value or ast.Constant(None))
+    raise ValueError("no function get_info that returns")
+
+
 def _plain(node: ast.expr) -> Any:
     match node:
         case ast.Call(func=ast.Name(id="Task" | "Action"), args=[]):

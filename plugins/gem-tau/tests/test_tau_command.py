@@ -21,10 +21,14 @@ def check(*words: str | Path) -> Result:
     return CliRunner().invoke(command, ["check", *map(str, words)], catch_exceptions=False)
 
 
+OURS = "The assistant reads the tools' descriptions of gem-tau"
+
+
 def test_reference_actions_get_1(tmp_path: Path) -> None:
     """And the exit code is 0."""
     done = check(write_tau(tmp_path, tau_task(CANCEL), tau_task(outputs=("red",))))
-    assert (done.exit_code, done.output) == (0, "2 of 2 tasks get reward 1 by their reference actions\n")
+    assert done.exit_code == 0
+    assert done.output == f"2 of 2 tasks get reward 1 by their reference actions\n{OURS}\n"
 
 
 def test_the_tasks_of_the_sample_hold() -> None:
@@ -48,6 +52,7 @@ def test_without_one_write_they_do_not(tmp_path: Path) -> None:
         "  test-1, action 0, modify_user_address: the other actions lead there too",
         "  test-1, action 1, modify_user_address: the other actions lead there too",
         "  test-1, action 3, modify_pending_order_address: nothing is new in it",
+        OURS,
     ]
 
 
@@ -55,7 +60,7 @@ def test_a_task_that_its_own_actions_do_not_solve(tmp_path: Path) -> None:
     """It is named, and the exit code is 1."""
     done = check(write_tau(tmp_path, tau_task(CANCEL, outputs=("1,234",))))
     assert done.exit_code == 1
-    assert done.output == "0 of 1 tasks get reward 1 by their reference actions\n  test-0 does not\n"
+    assert done.output == f"0 of 1 tasks get reward 1 by their reference actions\n  test-0 does not\n{OURS}\n"
 
 
 def test_a_reward_that_does_not_see_a_write(tmp_path: Path) -> None:
@@ -65,6 +70,7 @@ def test_a_reward_that_does_not_see_a_write(tmp_path: Path) -> None:
     assert done.output.splitlines()[1:] == [
         "1 of 1 still do with one write left out",
         "  a without action 0, modify_user_address",
+        OURS,
     ]
 
 

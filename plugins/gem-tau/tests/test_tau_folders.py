@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -45,8 +46,20 @@ def test_a_checkout_of_tau_bench_is_read_and_not_run(tmp_path: Path) -> None:
         '"cancel_pending_order", kwargs={"order_id": "#W1", "reason": "no longer needed"})], outputs=["30.1"])'
     )
     (retail / "tasks_test.py").write_text(f"from nowhere import Task, Action\nTASKS = [{task}]\n")
+    (retail / "tools").mkdir()
+    for tool in plain.tools:
+        words = {**tool, "function": {**tool["function"], "description": "Theirs."}}
+        code = f"class Tool(Base):\n    @staticmethod\n    def get_info():\n        return {words!r}\n\nnowhere()\n"
+        (retail / "tools" / f"{tool['function']['name']}.py").write_text(code)
     read = read_folder(tmp_path)
     assert (read.tasks, read.policy, read.database) == (plain.tasks, plain.policy, plain.database)
+    assert {tool["function"]["description"] for tool in read.tools} == {"Theirs."}
+    assert (plain.tools_from, read.tools_from, len(read.tools)) == ("gem-tau", "tools/*.py", 16)
+
+    (retail / "tools" / "think.py").write_text("def get_info():\n    return input()\n")
+    with pytest.raises(DatasetError, match=r"think\.py has other code than get_info\(\) with a literal: malformed"):
+        read_folder(tmp_path)
+    shutil.rmtree(retail / "tools")
 
     (retail / "tasks_test.py").write_text("TASKS = [Task(user_id=input())]\n")
     with pytest.raises(DatasetError, match=r"tasks_test\.py has other code than a list of Task\(\.\.\.\): malformed"):
