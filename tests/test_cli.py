@@ -262,7 +262,8 @@ def test_unexpected_errors_are_one_line_and_whole_with_traceback(tmp_path: Path)
     """An agent that raises is the program's mistake; the line names it, behind the table of what was finished."""
     (tmp_path / "bad.py").write_text("def act(observation): raise RuntimeError('my bug')\n")
     done = subprocess_gem("run", COUNTDOWN, "-a", "bad:act", cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (1, "gem: RuntimeError: my bug. Run 'gem --traceback …' for the whole\n")
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert done.stderr.startswith("gem: RuntimeError: my bug (bad.py:1, in act: ")
     assert done.stdout.splitlines()[1].split()[:2] == [COUNTDOWN, "0"]
     done = subprocess_gem("--traceback", "run", COUNTDOWN, "-a", "bad:act", cwd=tmp_path)
     assert done.returncode == 1
@@ -287,7 +288,8 @@ def test_an_agent_at_the_end_of_its_input_is_no_interruption(run_gem) -> None:
     """EOFError is the agent's, and not Ctrl-C."""
     Path("asking.py").write_text("def act(observation): raise EOFError('no more lines')\n")
     outcome = run_gem("run", COUNTDOWN, "-a", "asking:act")
-    assert (outcome.code, outcome.err) == (1, "gem: EOFError: no more lines. Run 'gem --traceback …' for the whole\n")
+    assert outcome.code == 1
+    assert outcome.err.startswith("gem: EOFError: no more lines")
 
 
 def test_no_color_is_heeded_in_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

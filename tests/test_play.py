@@ -417,8 +417,6 @@ def test_an_environment_that_fails_ends_play_with_what_was_finished(play) -> Non
     """One line on standard error, exit code 1."""
     gem.register("play:Fails-v0", "toys:CountdownEnv", fail="step")
     outcome = play("play:Fails-v0", typed="a\n")
-    assert (outcome.code, outcome.err) == (
-        1,
-        "gem: RuntimeError: broken in step. Run 'gem --traceback …' for the whole\n",
-    )
+    assert (outcome.code, outcome.err.count("\n")) == (1, 1)
+    assert outcome.err.startswith("gem: RuntimeError: broken in step (")
     assert "Left unfinished after 0 turns" in outcome.out

@@ -216,3 +216,47 @@ def test_an_exception_in_an_environment_names_file_and_line(run_gem: RunGem, bac
     assert [episode.error["frames"] for episode in by_key("a.jsonl") if episode.error] == [[frame]] * 2
     assert done.code == 1
     assert done.err.splitlines()[-1].strip() == frame
+
+
+FIRST = ("run", COUNTDOWN, "-s", "1", "-a", "mine:act", "--set", "longest=3", "-w", "concat:max_turns=2", "-t", "9")
+
+
+@pytest.mark.parametrize(
+    ("other", "told"),
+    [
+        (["-a", "random"], '["mine:act"], and now it is ["random"]'),
+        (["--set", "longest=4"], '{"longest": 3}, and now it is {"longest": 4}'),
+        (["--set", "longest=3", "--set", "fail=step"], "--set"),
+        (["-w", "concat:max_turns=3", "-t", "9"], '["concat", {"max_turns": 2}]'),
+        (["--max-turns", "9"], "--wrappers, --tools or limits"),
+    ],
+)
+def test_a_resumed_run_is_not_mixed_with_another(run_gem: RunGem, other: list[str], told: str) -> None:
+    """Another agent, argument or wrapper is refused, with what differs; the file stays as it is."""
+    Path("mine.py").write_text("def act(observation, context): return context.sample_random_action()\n")
+    assert run_gem(*FIRST, "-n", "2", "-o", "a.jsonl").code == 0
+    content = Path("a.jsonl").read_bytes()
+    refused = run_gem("run", COUNTDOWN, "-n", "4", *other, "--resume", "a.jsonl")
+    assert (refused.code, refused.out, refused.err.count("\n")) == (2, "", 1)
+    assert told in refused.err
+    assert Path("a.jsonl").read_bytes() == content
+
+
+@pytest.mark.parametrize("said", [[], list(FIRST[4:])], ids=["nothing said", "the same said"])
+def test_a_resumed_run_is_what_its_file_says(run_gem: RunGem, said: list[str]) -> None:
+    """Agent, arguments, wrappers and limits need not be said again; the result is the run in one go."""
+    Path("mine.py").write_text("def act(observation, context): return context.sample_random_action()\n")
+    assert run_gem(*FIRST, "-n", "5", "-o", "whole.jsonl").code == 0
+    assert run_gem(*FIRST, "-n", "2", "-o", "a.jsonl").code == 0
+    resumed = run_gem("run", COUNTDOWN, "-n", "5", *said, "--resume", "a.jsonl")
+    assert (resumed.code, resumed.err) == (0, "")
+    assert by_key("a.jsonl") == by_key("whole.jsonl")
+    assert {episode.agent for episode in by_key("a.jsonl")} == {"mine:act"}
+
+
+def test_a_file_of_an_earlier_version_wants_its_agent_named(run_gem: RunGem) -> None:
+    """Its records do not name it, so nothing is taken for granted."""
+    run_gem("run", COUNTDOWN, "-n", "2", "-o", "a.jsonl")
+    Path("a.jsonl").write_text(Path("a.jsonl").read_text().replace('"agent": "random"', '"agent": null'))
+    assert run_gem("run", COUNTDOWN, "-n", "3", "--resume", "a.jsonl").code == 2
+    assert run_gem("run", COUNTDOWN, "-n", "3", "-a", "random", "--resume", "a.jsonl").code == 0

@@ -279,8 +279,9 @@ def test_resumed_run_has_the_same_agents(run_gem: RunGem) -> None:
     """Games of others would be counted as finished ones of these."""
     run_gem("run", HEAP, "-n", "2", "-s", "1", "-a", "random", "-a", "seat_agents:one", "-o", "a.jsonl")
     outcome = run_gem("run", HEAP, "-n", "3", "-a", "random", "--resume", "a.jsonl")
-    message = "--resume: a.jsonl has games of random, seat_agents:one, and the agents given are random: name the same"
-    assert (outcome.code, outcome.out, outcome.err) == (2, "", f"gem: {message}\n")
+    assert (outcome.code, outcome.out, outcome.err.count("\n")) == (2, "", 1)
+    assert '["random", "seat_agents:one"], and now it is ["random"]' in outcome.err
+    assert run_gem("run", HEAP, "-n", "3", "--resume", "a.jsonl").code == 2  # the file does not tell who is to begin
     assert len(played("a.jsonl")) == 2
 
 

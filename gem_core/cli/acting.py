@@ -59,7 +59,7 @@ def load_acting(
 
     if not any(env.seats for env in envs):
         agents = load_agents([_only_agent(given, envs[0].id, swap_seats=swap_seats)], **agent_options)
-        return Acting(agents, {"agent": next(iter(agents.values()))})
+        return Acting(agents, {"agent": Seated(*next(iter(agents.items())))})
     alone = next((env for env in envs if not env.seats), None)
     if alone is not None:
         several = next(env for env in envs if env.seats)

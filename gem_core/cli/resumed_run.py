@@ -1,56 +1,134 @@
-"""``ResumedRun``: the episodes in a file that ``gem run --resume`` keeps, and those that it runs again."""
+"""``ResumedRun``: the episodes that ``gem run --resume`` keeps, those that it runs again, and how they were run."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from gem_core.cli.layout import counted
 from gem_core.errors import ArgumentError
+from gem_core.making.layers import layers_of
+from gem_core.records.episode import Episode
 from gem_core.records.files import EpisodeLine, EpisodeWriter, episode_lines
-from gem_core.records.joint import JointEpisode
+from gem_core.records.joint import Record
 from gem_core.records.plans import EpisodeQueue
+from gem_core.records.redaction import BLOT
 from gem_core.records.summary import RunSummary
+from gem_core.registry.entry_points import load_entry_point
+from gem_core.registry.specs import EnvSpec
 from gem_core.rollouts.resume import FinishedEpisodes
+
+if TYPE_CHECKING:
+    from gem_core.cli.acting import Acting
+    from gem_core.making.layers import Stack, Wrappers
+
+Envs = Sequence[tuple[EnvSpec, Mapping[str, Any]]]
+"""Environments, each with keyword arguments."""
 
 
 class ResumedRun:
-    """The recorded episodes of a run that is resumed.
+    """The recorded episodes of a run that is resumed, and with which agents, arguments and wrappers they were run.
 
     Args:
         writer: Writes the file.
-        agents: Names of the agents that act now.
 
     Raises:
-        ArgumentError: It does not say of which run it is, or has games of other agents. Records of one
-            agent do not name it.
+        ArgumentError: It does not say from which seed its run was started.
         EpisodeFileError: It cannot be read.
     """
 
-    def __init__(self, writer: EpisodeWriter, agents: Collection[str]) -> None:
+    def __init__(self, writer: EpisodeWriter) -> None:
         self.writer = writer
         self.path = path = writer.path
         self.done = FinishedEpisodes()
         self._again = 0
-        seated: set[str] = set()
+        kept: dict[str, Record] = {}
+        failed: dict[str, Record] = {}
         for line in episode_lines(path):
+            self._again += not _stays(line)
             if line.episode is not None:
                 self.done.add(line.episode)
-            self._again += not _stays(line)
-            if _stays(line) and isinstance(line.episode, JointEpisode):
-                seated.update(line.episode.agents.values())
+                (kept if _stays(line) else failed).setdefault(_setting(line.episode), line.episode)
+        self._kept = list(kept.values())
+        """One episode of each setting: environment, agents, arguments and wrappers."""
+        self._told = self._kept or list(failed.values())
         if self.done and not self.done.run_seeds:
             raise ArgumentError(
                 f"--resume: {path} does not say from which seed its run was started, since an earlier version wrote it"
             )
 
-        if seated and seated != set(agents):
-            found, given = (", ".join(sorted(names)) for names in (seated, agents))
-            raise ArgumentError(
-                f"--resume: {path} has games of {found}, and the agents given are {given}: name the same"
-            )
+    # What the file says where the command line does not.
+
+    def agents(self) -> tuple[str, ...]:
+        """Return the values of ``--agent``; none for an empty file.
+
+        Raises:
+            ArgumentError: The records do not name the agent, or several took part.
+        """
+        names = sorted({str(name) for episode in self._told for name in _agents_of(episode).values()})
+        if len(names) > 1 or names == ["None"]:
+            told = f"has games of {', '.join(names)}" if len(names) > 1 else "does not name its agent"
+            raise ArgumentError(f"--resume: {self.path} {told}: name the same by --agent")
+        return tuple(names)
+
+    def arguments(self, envs: Envs) -> dict[str, Any]:
+        """Return what ``--set`` gave to the environments, beside the keyword arguments that they have here.
+
+        Raises:
+            ArgumentError: A secret among it is not in the file.
+        """
+        own = {name for _, kwargs in envs for name in kwargs}
+        given = {name: value for episode in self._told for name, value in episode.kwargs.items() if name not in own}
+        self._refuse_blots(given, "--set")
+        return given
+
+    def wrappers(self) -> Wrappers:
+        """Return the wrappers and tools.
+
+        Raises:
+            ArgumentError: A secret among their options is not in the file.
+        """
+        wrappers: Any = self._told[0].wrappers if self._told else []
+        self._refuse_blots(wrappers, "--wrappers and --tools")
+        return wrappers  # type: ignore[no-any-return]
+
+    def _refuse_blots(self, given: Any, option: str) -> None:
+        if BLOT in json.dumps(given, default=str):
+            raise ArgumentError(f"--resume: {self.path} does not hold the secrets of {option}: give them again")
+
+    def check(self, acting: Acting, envs: Envs, wrappers: Wrappers) -> None:
+        """Raise an error if episodes that stay were run in another way than those that are to come.
+
+        Raises:
+            ArgumentError: It says in what they differ.
+        """
+        agent, agents = acting.options.get("agent"), acting.options.get("agents")
+        by_seat = {seat: one.name for seat, one in agents.items()} if isinstance(agents, Mapping) else None
+        names = {*acting.agents} if agent is None else {agent.name}
+        for episode in self._kept:
+            found = _agents_of(episode)
+            if {*found.values()} not in (names, {None}) or (by_seat is not None and found != by_seat):
+                self._refuse(
+                    "--agent", found if by_seat else sorted(map(str, found.values())), by_seat or sorted(names)
+                )
+            same_id = [(spec, kwargs) for spec, kwargs in envs if spec.id == episode.id]
+            if same_id and not any(_arguments(*each) == _arguments(each[0], episode.kwargs) for each in same_id):
+                self._refuse("--set", dict(episode.kwargs), same_id[0][1])
+            for seat, layers in _layers_by_seat(episode):
+                now = wrappers.get(seat, ()) if isinstance(wrappers, Mapping) else wrappers
+                if same_id and layers != _listed(now):
+                    self._refuse("--wrappers, --tools or limits", layers, _listed(now))
+
+    def _refuse(self, option: str, found: Any, now: Any) -> None:
+        before, after = (json.dumps(value, default=str)[:500] for value in (found, now))
+        raise ArgumentError(
+            f"--resume: {self.path} was run with another {option}: {before}, and now it is {after}; leave the option "
+            "out to go on as before, or begin another file"
+        )
 
     @property
     def seed(self) -> int | None:
@@ -88,6 +166,42 @@ def file_to_resume(path: Path) -> EpisodeWriter:
     if not path.exists():
         raise ArgumentError(f"--resume: there is no file {path}; a run that begins takes --out")
     return EpisodeWriter(path, append=True)
+
+
+def _setting(episode: Record) -> str:
+    """Return a text that is the same for episodes that were run in the same way."""
+    return json.dumps([episode.id, _agents_of(episode), episode.kwargs, episode.wrappers], default=str)
+
+
+def _agents_of(episode: Record) -> dict[str, str | None]:
+    """Return the name of the agent at each seat; of one agent, under ``""``."""
+    return {"": episode.agent} if isinstance(episode, Episode) else {**episode.agents}
+
+
+def _arguments(spec: EnvSpec, kwargs: Mapping[str, Any]) -> Any:
+    """Return the keyword arguments of an environment as a record has them, with those that were registered."""
+    limit = {} if spec.max_turns is None else {"max_turns": spec.max_turns}
+    return Episode("", None, "", {}, kwargs={**limit, **spec.kwargs, **kwargs}).to_dict()["kwargs"]
+
+
+def _layers_by_seat(episode: Record) -> Iterator[tuple[str, list[Any]]]:
+    if isinstance(episode, Episode):
+        yield "", episode.wrappers
+        return
+    for seat in episode.agents:
+        yield seat, episode.wrappers_of(seat)
+
+
+def _listed(wrappers: Stack) -> Any:
+    """Return wrappers as a record lists them."""
+    listed = []
+    for layer in layers_of(wrappers):
+        name = layer.name
+        if name is None:
+            target: Any = load_entry_point(layer.entry_point, layer.owner)
+            name = f"{target.__module__}:{target.__qualname__}"
+        listed.append([name, layer.options])
+    return Episode("", None, "", {}, wrappers=listed).to_dict()["wrappers"]
 
 
 def _stays(line: EpisodeLine) -> bool:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
+from click.core import ParameterSource
 
 from gem_core.api import make_vec
 from gem_core.cli import INTERRUPTED
@@ -32,9 +33,15 @@ from gem_core.errors import ArgumentError, EpisodeFileError
 
 if TYPE_CHECKING:
     from gem_core.cli.acting import Acting
+    from gem_core.cli.resumed_run import ResumedRun
+    from gem_core.making.layers import Wrappers
     from gem_core.records.summary import RunSummary
+    from gem_core.registry.specs import EnvSpec
 
 _DEFAULT_SLOTS = 8
+
+_WHAT_RUNS = ("agents", "swap_seats", "arguments", "max_turns", "wrappers", "tools", "max_tool_uses")
+"""Options that say what runs; see ``_what_runs``."""
 
 
 @click.command(
@@ -121,7 +128,8 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     "--resume",
     metavar="FILE",
     type=click.Path(dir_okay=False),
-    help="Go on with the run in FILE: the same command, but for its seed and file. Errors are run again.",
+    help="Go on with the run in FILE. Agents, --set, wrappers and tools are the file's where you name none; others "
+    "are refused. Errors are run again.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Write the table as JSON.")
 @agent_options
@@ -130,16 +138,9 @@ def command(
     ctx: click.Context,
     /,
     ids: tuple[str, ...],
-    agents: tuple[str, ...],
-    swap_seats: bool,
     episodes: int | None,
     num_envs: int | None,
     seed: int | None,
-    arguments: tuple[str, ...],
-    max_turns: int | None,
-    wrappers: tuple[str, ...],
-    tools: tuple[str, ...],
-    max_tool_uses: int | str | None,
     backend: str,
     step_timeout: float | None,
     out: str | None,
@@ -155,7 +156,6 @@ def command(
     cut off is not solved. Behind ± stands the standard error, for success Wilson's.
     """
     # Imported here, so that help and the completion of options need not wait for them.
-    from gem_core.cli.acting import load_acting, several_agents
     from gem_core.cli.report import run_columns, status_of
     from gem_core.cli.resumed_run import ResumedRun, file_to_resume
     from gem_core.progress import Progress
@@ -167,16 +167,15 @@ def command(
 
     if resume is not None:
         _refuse_beside_resume({"--seed": seed is not None, "--out": out is not None, "--overwrite": overwrite})
-    envs = find_envs(ids, several=several_agents(agents))
-    chosen = [(record.id, {**kwargs, **env_arguments(arguments)}) for record, kwargs in envs]
-    env_ids = list(dict.fromkeys(env_id for env_id, _ in chosen))
     ctx.with_resource(current_folder_importable())  # an agent may import what stands beside it when it first acts
-    acting = load_acting(agents, [record for record, _ in envs], given(options), swap_seats=swap_seats)
-    stack = wrapper_stacks(wrappers, tools, max_tool_uses, max_turns, envs[0][0])
-    slots = _slots(acting, num_envs, len(chosen), episodes)
     # It is locked before it is read, so that nobody adds to it meanwhile.
     writer = None if resume is None else ctx.with_resource(file_to_resume(Path(resume)))
-    resumed = None if writer is None else ResumedRun(writer, acting.agents)
+    resumed = None if writer is None else ResumedRun(writer)
+    of_agent = {name: value for name, value in options.items() if name not in _WHAT_RUNS}
+    envs, acting, stack = _what_runs(ctx, resumed, given(of_agent))
+    chosen = [(record.id, kwargs) for record, kwargs in envs]
+    env_ids = list(dict.fromkeys(env_id for env_id, _ in chosen))
+    slots = _slots(acting, num_envs, len(chosen), episodes)
     run_seed = seed if resumed is None else resumed.seed
     for agent in acting.agents.values():
         prepare_agent(agent)  # it says at the start what would fail later
@@ -223,6 +222,34 @@ def command(
     if stopped_by is not None:
         _stop(ctx, stopped_by, before + writer.count, len(plan), path)
     ctx.exit(1 if summary.first_error is not None else 0)
+
+
+def _what_runs(
+    ctx: click.Context, resumed: ResumedRun | None, agent_options: dict[str, Any]
+) -> tuple[list[tuple[EnvSpec, dict[str, Any]]], Acting, Wrappers]:
+    """Return environments with their arguments, agents and wrappers, as said, or as the file of a resumed run says."""
+    from gem_core.cli.acting import load_acting, several_agents
+
+    said = {name for name in ctx.params if ctx.get_parameter_source(name) is not ParameterSource.DEFAULT}
+    words = ctx.params
+    agents: tuple[str, ...] = words["agents"]
+    if resumed is not None and "agents" not in said:
+        agents = resumed.agents() or agents
+    found = find_envs(words["ids"], several=several_agents(agents))
+    arguments = env_arguments(words["arguments"])
+    if resumed is not None and "arguments" not in said:
+        arguments = resumed.arguments(found)
+    envs = [(record, {**kwargs, **arguments}) for record, kwargs in found]
+    acting = load_acting(agents, [record for record, _ in envs], agent_options, swap_seats=words["swap_seats"])
+    stack: Wrappers
+    if resumed is not None and not said & {"wrappers", "tools", "max_tool_uses", "max_turns"}:
+        stack = resumed.wrappers()
+    else:
+        limits = words["max_tool_uses"], words["max_turns"]
+        stack = wrapper_stacks(words["wrappers"], words["tools"], *limits, envs[0][0])
+    if resumed is not None:
+        resumed.check(acting, envs, stack)
+    return envs, acting, stack
 
 
 def _stop(ctx: click.Context, stopped_by: BaseException, count: int, total: int, path: Path) -> NoReturn:

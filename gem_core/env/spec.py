@@ -60,7 +60,9 @@ class EnvRecipe(GymnasiumSpec):
 
     def overrides(self) -> dict[str, Any]:
         """Return the keyword arguments that differ from the registered ones."""
-        registered = cast("EnvSpec", self.record).kwargs
+        record = cast("EnvSpec", self.record)
+        limit = {} if record.max_turns is None else {"max_turns": record.max_turns}
+        registered = {**limit, **record.kwargs}
         return {name: value for name, value in self.kwargs.items() if registered.get(name, _ABSENT) is not value}
 
     def with_kwargs(self, overrides: Mapping[str, Any]) -> Self:

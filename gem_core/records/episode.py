@@ -65,7 +65,7 @@ class Episode:
         run_seed: Seed of the run.
         versions: Version of each distribution that took part.
         seat: Name of the agent's seat among several; None where it was alone. See ``JointEpisode``.
-        agent: Name of the agent that acted, where there are several in the run; None where there is but one.
+        agent: Name of the agent that acted. None where that is not known, as in files of earlier versions.
         first_reward: Reward that came with the first observation, for what others had done; 0 for an agent alone.
         ended_first: Whether the task was over for a seat among several before it ever acted.
         schema_version: Version of this record's form.
@@ -230,7 +230,7 @@ class Episode:
                 raise EpisodeFileError(f"the record of an episode is damaged: {name} is {getattr(self, name)!r:.100}")
 
     def __eq__(self, other: object) -> bool:
-        """Compare all but durations (``info["episode"]["t"]``) and the run that it belongs to."""
+        """Compare all but durations (``info["episode"]["t"]``), the run that it belongs to, and who acted."""
         return same_record(self.to_dict(), other.to_dict()) if isinstance(other, Episode) else NotImplemented
 
     __hash__ = None  # type: ignore[assignment]  # records are mutable
@@ -267,8 +267,8 @@ def _has_many_parts(value: object) -> bool:
 
 
 def same_record(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
-    """Tell whether two plain records are the same but for durations and the run that they belong to."""
-    records = [{**_without_durations(each), "run_seed": None} for each in (first, second)]
+    """Tell whether two plain records are the same but for durations, their run, and who acted alone."""
+    records = [{**_without_durations(each), "run_seed": None, "agent": None} for each in (first, second)]
     return bool(records[0] == records[1])
 
 

@@ -24,7 +24,7 @@ from gem_core.rollouts.agent import Agent, as_agent, close_agent, is_asynchronou
 from gem_core.rollouts.loop import Acting, EpisodeLoop
 from gem_core.rollouts.requests import AgentRequests
 from gem_core.rollouts.resume import FinishedEpisodes, finished_episodes
-from gem_core.rollouts.seating import Seating, as_seating
+from gem_core.rollouts.seating import Seated, Seating, as_seating, seated
 from gem_core.vector.backends import make_vector
 from gem_core.vector.setup import IdOrIds
 from gem_core.vector.vector_env import VectorEnv
@@ -207,7 +207,7 @@ class _Run:
         if isinstance(self.acting, Seating):
             everyone = self.acting.everyone()
         else:
-            everyone = [self.acting] if callable(self.acting) else self.acting.values()
+            everyone = [self.acting.agent] if isinstance(self.acting, Seated) else self.acting.values()
         return list({id(agent): agent for agent in everyone}.values())
 
     def vector(self, *, plain: bool) -> VectorEnv:
@@ -306,13 +306,13 @@ def _who_acts(agent: Any, agents: Any) -> tuple[Acting, list[Agent]]:
     if (agent is None) == (agents is None):
         raise ArgumentError("give either agent, who acts alone, or agents, where several act")
     if isinstance(agent, str):
-        loaded = load_agent(agent)
-        return loaded, [loaded]
+        one = seated(agent)
+        return one, [one.agent]
     if isinstance(agent, Mapping):
         by_item = {name: load_agent(each) if isinstance(each, str) else as_agent(each) for name, each in agent.items()}
         return by_item, [by_item[name] for name, each in agent.items() if isinstance(each, str)]
     if agents is None:
-        return as_agent(agent), []
+        return seated(agent), []
     acting = as_seating(agents)
     if acting is agents:
         return acting, []

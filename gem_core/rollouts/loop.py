@@ -20,11 +20,11 @@ from gem_core.rollouts.agent import Agent
 from gem_core.rollouts.requests import AgentRequests
 from gem_core.rollouts.running import RunningEpisode, SharedEpisode, SoloEpisode
 from gem_core.rollouts.seat import common_fields, new_episode
-from gem_core.rollouts.seating import Seating
+from gem_core.rollouts.seating import Seated, Seating
 from gem_core.types import TERMINAL_STATE, Action, Info, Observation, Response
 from gem_core.vector.vector_env import VectorEnv
 
-Acting = Agent | Mapping[str, Agent] | Seating
+Acting = Seated | Mapping[str, Agent] | Seating
 """The agent that acts alone; several by name, of which each item of the plan names one; or who sits where."""
 
 
@@ -120,15 +120,16 @@ class EpisodeLoop:
 
     def _begin(self, slot: int, observation: Observation, info: Info) -> None:
         joint = isinstance(self._acting, Seating)
-        self._finished += [_failed_reset(failed, joint=joint) for failed in info.pop("failed_resets", ())]
+        alone = self._acting.name if isinstance(self._acting, Seated) else None
+        self._finished += [_failed_reset(failed, alone, joint=joint) for failed in info.pop("failed_resets", ())]
         start = self._vector.start_of(slot)
         if start is None:
             return
         if isinstance(self._acting, Seating):
             self._running[slot] = SharedEpisode(self._vector, slot, start, observation, info, self._acting)
         else:
-            agent = self._acting if callable(self._acting) else _of_item(self._acting, start.item)
-            self._running[slot] = SoloEpisode(self._vector, slot, start, observation, info, agent)
+            one = self._acting if isinstance(self._acting, Seated) else _of_item(self._acting, start.item)
+            self._running[slot] = SoloEpisode(self._vector, slot, start, observation, info, one)
         self._unasked.append(slot)
 
     def _give_up(self, running: RunningEpisode, seat: str, failure: GemError) -> None:
@@ -154,17 +155,17 @@ class EpisodeLoop:
         self._requests.forget(running)
 
 
-def _of_item(agents: Mapping[str, Agent], item: PlanItem) -> Agent:
+def _of_item(agents: Mapping[str, Agent], item: PlanItem) -> Seated:
     """Return the agent that an item of the plan names."""
     if item.agent is None or item.agent not in agents:
         names = ", ".join(map(repr, agents))
         raise ArgumentError(f"an item of the plan has agent={item.agent!r}, and the agents given are {names}")
-    return agents[item.agent]
+    return Seated(item.agent, agents[item.agent])
 
 
-def _failed_reset(failed: Mapping[str, Any], *, joint: bool) -> Record:
+def _failed_reset(failed: Mapping[str, Any], alone: str | None, *, joint: bool) -> Record:
     """Return the episode of a reset that failed, from what ``info["failed_resets"]`` tells of it."""
-    item = PlanItem(options=failed["options"], group=failed["group"], agent=failed["agent"])
+    item = PlanItem(options=failed["options"], group=failed["group"], agent=failed["agent"] or alone)
     place = tuple(map(int, failed["key"].split(".")))
     start = EpisodeStart(item, place, failed["repeat"], failed["seed"], failed["run_seed"])
     described = {"id": failed["id"] or "unknown", "kwargs": failed["kwargs"]}

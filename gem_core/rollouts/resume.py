@@ -106,7 +106,7 @@ class FinishedEpisodes:
         env_id, options = start.item.id, to_plain(start.item.options) or None
         if env_id is not None and started.id != env_id:
             raise _other_run(start.key, f"is of {started.id!r}, and the plan asks for {env_id!r}")
-        if started.agent != start.item.agent:
+        if start.item.agent is not None and started.agent != start.item.agent:
             raise _other_run(start.key, f"is of {started.agent!r}, and the plan names {start.item.agent!r}")
         if started.options != options:
             raise _other_run(start.key, f"was started with options {started.options}, and the plan gives it {options}")

@@ -11,7 +11,7 @@ from gem_core.records.joint import JointEpisode
 from gem_core.records.plans import EpisodeStart
 from gem_core.rollouts.agent import Agent, Reading
 from gem_core.rollouts.seat import RunningSeat, common_fields, new_episode
-from gem_core.rollouts.seating import Seating
+from gem_core.rollouts.seating import Seated, Seating
 from gem_core.types import TERMINAL_STATE, Action, Info, Observation, Response
 from gem_core.vector.vector_env import VectorEnv
 
@@ -28,14 +28,14 @@ class SoloEpisode:
         start: What it starts from.
         observation: What the slot was reset to.
         info: The info of that reset.
-        agent: Who acts.
+        one: Who acts.
 
     Raises:
         ArgumentError: Several agents act in the environment.
     """
 
     def __init__(
-        self, vector: VectorEnv, slot: int, start: EpisodeStart, observation: Observation, info: Info, agent: Agent
+        self, vector: VectorEnv, slot: int, start: EpisodeStart, observation: Observation, info: Info, one: Seated
     ) -> None:
         described = vector.describe(slot)
         if "possible_agents" in info:
@@ -46,8 +46,9 @@ class SoloEpisode:
             )
         self.slot = slot
         self.record = new_episode(described, start, observation, info)
-        self._seat = RunningSeat(self.record, Reading.of(agent), partial(vector.sample_random_action, slot))
-        self._questions: list[Question] = [("", agent, self._seat)]
+        self.record.agent = one.name
+        self._seat = RunningSeat(self.record, Reading.of(one.agent), partial(vector.sample_random_action, slot))
+        self._questions: list[Question] = [("", one.agent, self._seat)]
 
     def questions(self) -> list[Question]:
         """Return whom to ask about the last result."""

@@ -73,7 +73,7 @@ def test_an_exception_ends_one_episode(vec: Callable[..., gem.VectorEnv]) -> Non
     vector.reset()
     step = vector.step(["raise it", "a", "a"])
     assert step.truncated.tolist() == [True, False, False]
-    assert step.infos[0]["final_info"]["error"] == {"kind": "exception", "message": "step raised ValueError: it"}
+    assert step.infos[0]["final_info"]["error"]["message"] == "step raised ValueError: it"
     assert step.infos[0]["final_obs"] == TERMINAL_STATE
     assert vector.faults == 1
 
