@@ -22,7 +22,8 @@ from gem_math.grading.forms import (
 )
 from gem_math.grading.quantities import Leaf, equal_pairs, exact, is_numeric, number_of
 from gem_math.grading.regions import is_interval, is_region, name_of
-from gem_math.grading.structure import read
+from gem_math.grading.structure import read, read_words
+from gem_math.grading.text import text_inside
 
 _MAX_PARTS = 60
 # An answer that has so many more characters than the gold one is no formula that equals it.
@@ -52,6 +53,8 @@ class Comparison:
 
     def same(self, gold: Form, answer: Form) -> bool:
         """Return whether the answer is the gold one."""
+        if isinstance(gold, Opaque) and isinstance(answer, Opaque) and _bare(gold.text) == _bare(answer.text):
+            return True
         if isinstance(gold, Choice) or isinstance(answer, Choice):
             return self.choices(gold, answer)
         if isinstance(gold, Equality) or isinstance(answer, Equality):
@@ -106,14 +109,17 @@ class Comparison:
         return len(answer) <= _MAX_MORE + 2 * len(gold) and self.ask(formulas.same, gold, answer)
 
     def choices(self, gold: Form, answer: Form) -> bool:
-        """Compare where one is the letter of a multiple choice."""
-        if isinstance(gold, Choice) and isinstance(answer, Choice):
-            return gold.letter == answer.letter
-        if isinstance(gold, Choice):
-            return letter_of(answer) == gold.letter or (gold.rest is not None and self.same(gold.rest, answer))
-        if isinstance(answer, Choice) and letter_of(gold) in set("ABCDEFGHIJ"):
-            return letter_of(gold) == answer.letter
-        return isinstance(answer, Choice) and answer.rest is not None and self.same(gold, answer.rest)
+        """Compare where one is the letter of a multiple choice, or a label: it, and what stands behind it."""
+        choice, other = (gold, answer) if isinstance(gold, Choice) else (answer, gold)
+        if not isinstance(choice, Choice):
+            return False
+        if isinstance(other, Choice):
+            rests = choice.rest is None or other.rest is None or self.same(choice.rest, other.rest)
+            return rests and choice.letter == other.letter
+        if letter_of(other) == choice.letter and choice.letter <= "J":
+            return True
+        value = other.value if isinstance(other, Equality) and other.name == choice.letter else other
+        return choice.rest is not None and self.same(choice.rest, value)
 
     def equalities(self, gold: Form, answer: Form) -> bool:
         """Compare where one is an equation, or a value with its name."""
@@ -211,9 +217,8 @@ class Comparison:
         ordered, several = (answer, gold) if isinstance(gold, Parts) and gold.kind in _UNORDERED else (gold, answer)
         if isinstance(ordered, Parts) and isinstance(several, Parts) and ordered.kind[0] in "([":
             return self.named_parts(ordered, several)
-        if isinstance(gold, Words) or isinstance(answer, Words):
-            return False
         golds, answers = _members(gold), _members(answer)
+        golds, answers = _letters(golds, answers), _letters(answers, golds)
         if len(golds) > _MAX_PARTS or len(answers) > _MAX_PARTS:
             return False
         # Bare answers to a = 2, b = 3 stand in that order, unless names tell, or name one thing.
@@ -321,12 +326,16 @@ class Comparison:
 
     def words(self, gold: Form, answer: Form) -> bool:
         """Compare words, letters and products; letters side by side may be either: RC is CR."""
-        if isinstance(gold, Words) and isinstance(answer, Words) and gold.words == answer.words:
-            return bool(gold.words) or gold.text == answer.text
         if letter_of(gold) is not None or not isinstance(gold, Words | Leaf) or not isinstance(answer, Words | Leaf):
             return letter_of(gold) is not None and letter_of(gold) == letter_of(answer)
-        one, other = (_product_of(form) if isinstance(form, Words) else form for form in (gold, answer))
-        return one is not None and other is not None and self.leaves(one, other)
+        one, other = (
+            form if isinstance(form, Words) else read_words(form.text) if form.unit is None else None
+            for form in (gold, answer)
+        )
+        if one is not None and other is not None and one.words == other.words:
+            return self.in_order(one.formulas, other.formulas) and (one.words != "" or one.text == other.text)
+        first, second = (_product_of(form) if isinstance(form, Words) else form for form in (gold, answer))
+        return first is not None and second is not None and self.leaves(first, second)
 
     def opaques(self, gold: Form, answer: Form) -> bool:
         """Compare what only sympy can read."""
@@ -364,8 +373,9 @@ def letter_of(form: Form) -> str | None:
 
 def same_name(first: str, second: str) -> bool:
     """Return whether two names may name one thing: words name nothing that a formula needs, as in "Area = 5"."""
-    if first == second:
-        return True
+    one, other = sorted((first, second), key=len)
+    if one == other or (one and re.fullmatch(re.escape(one) + r"\([A-Za-z](?:,[A-Za-z])*\)", other)):
+        return True  # y is y(x)
     found = [_NAME_WORD.match(re.sub(r"\\(?:angle|triangle|measuredangle)", "", name)) for name in (first, second)]
     words = sorted((match[0].lower() for match in found if match is not None), key=len)
     return len(words) == 1 or (len(words) == 2 and (bool(set(words) & _ANY_NAME) or words[1].startswith(words[0])))
@@ -441,6 +451,14 @@ def _items(form: Form) -> tuple[Form, ...]:
 
 def _members(form: Form) -> tuple[Form, ...]:
     return form.items if isinstance(form, Parts) and form.kind in _UNORDERED else (form,)
+
+
+def _letters(items: tuple[Form, ...], others: tuple[Form, ...]) -> tuple[Form, ...]:
+    """Return the choices that letters name side by side, as ABD, beside others that name one each."""
+    word = items[0] if len(items) == 1 < len(others) else None
+    text = text_inside(word.text) if isinstance(word, Words | Leaf) else ""
+    several = re.fullmatch("[A-J]+", text) and list(text) == sorted(set(text)) and None not in map(letter_of, others)
+    return tuple(map(Leaf, text)) if several else items
 
 
 def _named_parts(form: Form) -> Form:

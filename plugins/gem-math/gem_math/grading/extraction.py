@@ -18,6 +18,8 @@ _DENIAL = re.compile(
 )
 _BOX = re.compile(r"\\boxed\s*\{")
 _SEPARATION = re.compile(r"\\text\s*\{\s*(?:,?\s*(?:and|or)|,)\s*\}|\\q?quad|\b(?:and|or)\b|[,;\s$&]|\\[\[\](), ;]")
+# A name before a box, as in x = \boxed{1} or x = \boxed{2}.
+_NAMED = re.compile(r"(?<![^\s$(,;])(?:[A-Za-z]|\\[a-z]{2,})(?:_\{?\w\}?)?\s*=\s*$")
 _JOINING = re.compile(r"\b(?:and|or)\b|[,;]")
 _SENTENCE_END = re.compile(r"[.!?]\s|[.!?]$|\n\s*\n|\\\\\[")
 _MAX_BETWEEN = 120
@@ -32,8 +34,8 @@ class Boxes(NamedTuple):
     """The contents of the last boxes of a text, where they belong together.
 
     Args:
-        beside: Those with nothing but commas, 'and' and white space between them, joined by commas; None where there
-            are no two.
+        beside: Those with nothing but commas, 'and', names and white space between them, joined by commas, each with
+            the name before it; None where there are no two.
         joined: Whether a comma or 'and' stands between all of them: then they are one answer together. Others may be
             the same answer twice.
         sentence: All of one sentence that enumerates them, with words between, joined by commas; None likewise.
@@ -100,14 +102,15 @@ def boxes_of(text: str) -> Boxes:
         if end < 0:
             break
         between = text[position : match.start()]
-        if beside and _SEPARATION.sub("", between):
+        name = _NAMED.search(between[-40:])
+        if beside and _SEPARATION.sub("", between[: len(between) - len(name[0])] if name else between):
             beside, joined = [], True
         elif beside:
             joined = joined and _JOINING.search(between) is not None
         if sentence and not _enumerates(between):
             sentence = []
         content = text[match.end() : end]
-        beside.append(content)
+        beside.append(name[0] + content if name else content)
         sentence.append(content)
         position = end + 1
     together = _together(beside)

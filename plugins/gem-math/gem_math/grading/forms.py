@@ -9,15 +9,22 @@ from gem_math.grading.quantities import Leaf, Unit
 
 @dataclass(frozen=True)
 class Words:
-    """Text, compared word by word."""
+    """Text, compared word by word.
+
+    Args:
+        words: In lower case, with # for each formula.
+        text: As it was written.
+        formulas: What stands among the words, in order.
+    """
 
     words: str
     text: str
+    formulas: tuple[Form, ...] = ()
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A letter of a multiple choice, and what stands behind it."""
+    """A letter of a multiple choice, or another label of one letter, and what stands behind it."""
 
     letter: str
     rest: Form | None

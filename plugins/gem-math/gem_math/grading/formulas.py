@@ -26,16 +26,17 @@ from sympy.core.function import AppliedUndef  # type: ignore[import-untyped]
 _DIGITS = mpmath.mp.dps = 50
 _EQUAL = mpmath.mpf(10) ** -35
 _NEAR, _FAR, _WHOLE = range(4), range(4, 10), range(64)
-_UNFINISHED = (AppliedUndef, sympy.Sum, sympy.Product, sympy.Integral, sympy.Limit, sympy.Derivative)
+_UNFINISHED = (sympy.Sum, sympy.Product, sympy.Integral, sympy.Limit, sympy.Derivative)
 _WHOLE_ONLY = (sympy.factorial, sympy.binomial, sympy.floor, sympy.ceiling)
 _UNDEFINED = (sympy.nan, sympy.zoo)
+_NO_NUMBER = (*_UNFINISHED, AppliedUndef, sympy.oo, -sympy.oo)
 
 _MATRICES = NormalizationConfig(
     basic_latex=True, units=False, malformed_operators=False, nits=False, boxed="none", equations=False
 )
 # What the grammar would read wrongly: 5 3 as 8, x' as x; or has no sign of mathematics.
 _MISREAD = re.compile(
-    r"(?<!_)\d\s+[\d.]|(?<![\d_^c])\d+\s*\{\s*\d|\\frac\s*\{[^{}]*\}\d{2}|[^\x20-\x7e]|[\"'#;@?`]|__|\\ldots|\\text"
+    r"(?<!_)\d\s+[\d.]|(?<![\d_^c])\d+\s*\{\s*\d|\\frac\s*\{[^{}]*\}\d{2}|[^\x20-\x7e]|[\"#;@?`]|__|\\ldots|\\text"
     r"|\^\s*\{?\s*T(?![a-zA-Z_])|\|\s*\\begin"
 )
 _DECIMAL = re.compile(r"(\d*)\.(\d+)")
@@ -52,12 +53,22 @@ _ARGUMENTS = [
     (re.compile(r"\\cosec(?![a-zA-Z])"), r"\\csc"),
     (re.compile(r"(\d+(?:\.\d+)?|[a-zA-Z]|\([^()]*\))\s*\^\{?\s*\\circ\s*\}?"), r"(\1\\cdot\\frac{\\pi}{180})"),
 ]
-# A number, a letter or a bracket before a bracket is a factor: the grammar takes 2(3) for 5, and x(3) for a function.
-_FACTOR = re.compile(
-    r"\\(?!(?:pi|alpha|beta|gamma|delta|theta|lambda|mu|phi|omega|sigma|tau|rho|epsilon)(?![a-zA-Z]))[a-zA-Z]+"
-    r"|((?<![\d_^.])\d[\d.]*|\\[a-z]+|(?<!_)[a-zA-Z]|\))\s*(?=\()|\)\s*(?=\d)"
+_GREEK = (
+    r"\\(?:alpha|beta|gamma|delta|theta|lambda|mu|phi|omega|sigma|tau|rho|epsilon|zeta|eta|kappa|nu|xi|chi|psi"
+    r"|Gamma|Delta|Theta|Lambda|Phi|Omega|Sigma|Psi|Xi)(?![a-zA-Z])"
 )
-_LETTER = re.compile(r"\\(?:begin|end)\s*\{[a-z]+\}|\\[a-zA-Z]+|[iI](?!\s*_)")
+_ATOM = rf"\s*-?\s*(?:[\d.]+|{_GREEK}|\\(?:pi|infty)(?![a-zA-Z])|[a-zA-Z](?:_\s*\{{\w+\}})?)\s*"
+# A letter with its index and primes; and what else has letters, with its index: that is no name. Behind a name may
+# stand what a function is applied to, which a power of -1 is not.
+_NAME = re.compile(
+    rf"(?P<name>{_GREEK}|(?<!\\)[a-zA-Z])\s*(?:_\s*\{{(?P<index>[^{{}}]*)\}})?(?P<primes>'*)"
+    rf"(?P<inverse>\^\s*\{{\s*-\s*1\s*\}}(?=\({_ATOM}\)))?"
+    rf"(?P<bracket>\s*(?=\()(?P<applied>(?!\(\s*-\s*1\s*\)\s*\^)(?=\({_ATOM}(?:,{_ATOM})*\)))?)?"
+    r"|\\(?:begin|end)\s*\{[a-z]+\}|\\[a-zA-Z]+(?:\s*_\s*\{[^{}]*\})?"
+)
+# A number or a bracket before a bracket is a factor: the grammar takes 2(3) for 5.
+_FACTOR = re.compile(r"((?<![\d_^.])\d[\d.]*|\\pi(?![a-zA-Z])|\))\s*(?=\()|\)\s*(?=\d)")
+_LETTER = re.compile(r"\\(?:begin|end)\s*\{[a-z]+\}|\\[a-zA-Z]+|q_\{\w+\}|[iI](?!\s*_)")
 _AMBIGUOUS_LOG = re.compile(r"\\log(?!\s*_)")
 
 
@@ -68,19 +79,28 @@ def same(gold: str, answer: str) -> bool:
         Exception: Of any kind, where one of them cannot be read.
     """
     bases = (False, True) if _AMBIGUOUS_LOG.search(gold + answer) else (False,)
-    return any(_same(parse(gold, base), parse(answer, base)) for base in bases)
+    functions = functions_in(gold, answer)
+    return any(_same(parse(gold, base, functions), parse(answer, base, functions)) for base in bases)
+
+
+def functions_in(gold: str, *others: str) -> frozenset[str]:
+    """Return the names that are functions: applied to numbers and names alone, as f(0), and never alone in the gold."""
+    names = [(_spelled(match), match) for text in (gold, *others) for match in _NAME.finditer(text) if match["name"]]
+    alone = {_spelled(match) for match in _NAME.finditer(gold) if match["name"] and match["bracket"] is None}
+    return frozenset(name for name, match in names if match["applied"] is not None) - alone - {"e", "i"}
 
 
 @lru_cache(maxsize=2000)  # a gold answer is compared with many answers
-def parse(text: str, natural_log: bool = False) -> Any:
-    """Return sympy's tree of a formula.
+def parse(text: str, natural_log: bool = False, functions: frozenset[str] | None = None) -> Any:
+    """Return sympy's tree of a formula, whose ``functions`` are those of another as well.
 
     Raises:
         Exception: Of any kind, where it cannot be read or has no value.
     """
     if _MISREAD.search(text):
         raise ValueError(f"there is no formula in {text!r:.80}")
-    text = _prepared(_AMBIGUOUS_LOG.sub(r"\\ln", text) if natural_log else text)
+    functions = functions_in(text) if functions is None else functions
+    text = _prepared(_AMBIGUOUS_LOG.sub(r"\\ln", text) if natural_log else text, functions)
     tree = latex2sympy(
         text,
         is_real=True,
@@ -96,14 +116,34 @@ def parse(text: str, natural_log: bool = False) -> Any:
     return tree
 
 
-def _prepared(text: str) -> str:
+def _spelled(match: re.Match[str]) -> str:
+    """Return a name as the grammar is given it: one with an index or primes as q_{…}, since E_1 is none to it."""
+    name, index, primes, inverse = match.group("name", "index", "primes", "inverse")
+    if index is None and not primes and inverse is None:
+        return name
+    index = re.sub(r"\W", lambda sign: f"u{ord(sign[0])}", re.sub(r"\s", "", index or ""))
+    return f"q_{{{name.lstrip(chr(92))}{index}{'prime' * len(primes)}{'inverse' if inverse else ''}}}"
+
+
+def _prepared(text: str, functions: frozenset[str]) -> str:
     if r"\begin" in text:
         text = normalize_latex(text, _MATRICES)
+
+    def name(match: re.Match[str]) -> str:
+        if not match["name"]:
+            return match[0]
+        spelled = _spelled(match)
+        factor = match["bracket"] is not None and spelled not in functions
+        return spelled + (r"\cdot " if factor else " " if spelled[0] == "\\" else "")
+
+    text = _NAME.sub(name, text)
+    if "'" in text:
+        raise ValueError("there are primes behind what is no name")
     for pattern, replacement in _ARGUMENTS:
         text = pattern.sub(replacement, text)
     # Exact fractions instead of floats.
     text = _DECIMAL.sub(lambda match: rf"(\frac{{{int(match[1] + match[2])}}}{{{10 ** len(match[2])}}})", text)
-    text = _FACTOR.sub(lambda match: match[0] if match[0][0] == "\\" and not match[1] else match[0] + r"\cdot ", text)
+    text = _FACTOR.sub(r"\g<0>\\cdot ", text)
     # The index of a sum is not the imaginary unit.
     if re.search(r"_\s*\{?\s*i\s*=", text):
         return text
@@ -125,14 +165,15 @@ def value(text: str) -> Any:
         tree = parse(text)
     except Exception:  # noqa: BLE001  # the grammar and sympy raise whatever
         return None
-    if not isinstance(tree, sympy.Expr) or tree.free_symbols or tree.has(*_UNFINISHED, sympy.oo, -sympy.oo):
+    if not isinstance(tree, sympy.Expr) or tree.free_symbols or tree.has(*_NO_NUMBER):
         return None
     return tree if tree.is_Rational else tree.evalf(_DIGITS)
 
 
 def same_equation(gold: tuple[str, str], answer: tuple[str, str]) -> bool:
     """Return whether two equations, each with its two sides, are the same: turned, moved and multiplied."""
-    one, other = (parse(left) - parse(right) for left, right in (gold, answer))
+    functions = functions_in(" = ".join(gold), *answer)
+    one, other = (parse(left, False, functions) - parse(right, False, functions) for left, right in (gold, answer))
     # x = 5 and y = 5 have nothing to do with each other, and 5 = 5 says nothing.
     if one.free_symbols != other.free_symbols or not one.free_symbols:
         return False
@@ -163,6 +204,7 @@ def _is_zero(number: Any) -> bool:
 
 
 def _same(one: Any, other: Any) -> bool:
+    other = _with_constant(one, other)
     if one == other:
         return True
     trees = (one, other)
@@ -174,6 +216,17 @@ def _same(one: Any, other: Any) -> bool:
         if (verdict := _vanishes(one - other)) is not None:
             return verdict
     return bool(verify(one, other, timeout_seconds=None, raise_on_error=True))
+
+
+def _with_constant(gold: Any, answer: Any) -> Any:
+    """Return an answer with the gold's spelling of a constant of integration, c or C: both are linear in it."""
+    ours, theirs = gold.free_symbols - answer.free_symbols, answer.free_symbols - gold.free_symbols
+    spelled = {re.sub(r"^(q_\{)?c", r"\1C", letter.name): letter for letter in ours}
+    for letter in theirs if gold.free_symbols - ours else ():
+        own = spelled.get(re.sub(r"^(q_\{)?c", r"\1C", letter.name))
+        if own is not None and not gold.diff(own, 2) and not answer.diff(letter, 2):
+            answer = answer.xreplace({letter: own})
+    return answer
 
 
 def _vanishes(difference: Any) -> bool | None:
@@ -233,7 +286,9 @@ def _values(trees: Iterable[Any], letters: Sequence[Any], points: Iterable[tuple
     """Return the values of formulas at each point where all of them have one."""
     # With letters of our own, so that no text of an answer stands in what lambdify compiles.
     dummies = [sympy.Dummy() for _ in letters]
-    renamed = [tree.xreplace(dict(zip(letters, dummies, strict=True))) for tree in trees]
+    renamed = [
+        tree.xreplace(dict(zip(letters, dummies, strict=True))).replace(_is_applied, _stand_in) for tree in trees
+    ]
     found = []
     evaluate = sympy.lambdify(dummies, renamed, modules="mpmath")
     for point, whole in points:
@@ -244,6 +299,17 @@ def _values(trees: Iterable[Any], letters: Sequence[Any], points: Iterable[tuple
         if all(mpmath.isfinite(value) for value in values):
             found.append(values)
     return found
+
+
+def _is_applied(tree: Any) -> bool:
+    return isinstance(tree, AppliedUndef)
+
+
+def _stand_in(tree: Any) -> Any:
+    """Return some function of the arguments, that the name of an unknown one decides, so that it can be evaluated."""
+    seed = zlib.crc32(type(tree).__name__.encode())
+    shifts = [(place + 1 + (seed >> place) % 97) * argument for place, argument in enumerate(tree.args)]
+    return sympy.cos(sympy.Add(sympy.Rational(seed % 7919, 1009), *shifts) / 53) + 2
 
 
 def _letter_value(name: str, point: int, whole: bool) -> Any:

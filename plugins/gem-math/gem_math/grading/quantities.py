@@ -86,7 +86,7 @@ _TABLE: dict[str, tuple[str, Fraction]] = {}
 for _dimension, _names in {
     "length": "1 m meter metre|1/100 cm centimeter centimetre|1/1000 mm millimeter millimetre"
     "|1000 km kilometer kilometre|127/5000 inch in|381/1250 foot feet ft|1143/1250 yard yd|201168/125 mile mi"
-    "|1/1000000 micrometer micrometre micron microm|1/10000000000 angstrom",
+    "|1/1000000 micrometer micrometre micron microm|1/1000000000 nm nanometer nanometre|1/10000000000 angstrom",
     "time": "1 s sec second|60 min minute|3600 h hr hour|86400 day|604800 week",
     "months": "1 month|12 year yr",
     "mass": "1 g gram gm|1000 kg kilogram|1/1000 mg milligram|45359237/100000 lb pound lbs|1000000 tonne",
@@ -131,7 +131,8 @@ _ARTICLES = {"each", "a", "an"}
 
 def read_unit(text: str) -> Unit | None:
     """Return the unit that a text names, as in ``square cm`` or ``km/h``; None where it is more than a unit."""
-    text = re.sub(r"\\text\s*\{([^{}]*)\}", r" \1 ", text).replace("\\cdot", " ").replace("-", " ")
+    text = re.sub(r"\\text\s*\{([^{}]*)\}", r" \1 ", text).replace("\\cdot", " ")
+    text = re.sub(r"-(?!\d)", " ", text)
     reading = _UnitReading()
     if all(reading.take(match[0], match[1], match[2]) for match in _PIECE.finditer(text)):
         return reading.unit()

@@ -30,6 +30,7 @@ from gem_math.grading.text import (
     split,
     text_inside,
     walk,
+    worded,
     words_of,
 )
 
@@ -56,8 +57,10 @@ _ENDLESS = re.compile(
     r"(?:there are )?infinitely many(?: solutions)?|infinite(?: solutions)?|(?:an )?infinite number of solutions"
 )
 _REALS = {r"\mathbb{R}", "all real numbers", "all reals", "the real numbers", "all real x", "real numbers"}
+_SIGNS_ALONE = re.compile(r"[^\w]+|\^.*")
 _DIFFERENCE = re.compile(r"(?<![A-Za-z])[A-Za-z]\s*-\s*[A-Za-z](?![A-Za-z])|^\s*-\s*[A-Za-z](?![A-Za-z])")
 _ARTICLE = re.compile(r"^(?:an|the) (?=\w{2})|^a (?=\w{3})")
+_FORMULA_IN_TEXT = re.compile(r"\\text\s*\{[^{}]*[\d+=<>]")
 _QUANTITY_IN_TEXT = re.compile(r"^\\text\s*\{\s*(-?\d+(?:\.\d+|/\d+)?)\s+([A-Za-z][A-Za-z /.^\d]*)\}$")
 _TO = re.compile(r"(\d+)\s*(?:to|\\text\s*\{\s*to\s*\})\s*(\d+)")
 _BUILDER = re.compile(r"^\s*([A-Za-z])\s*(?:\\in\s*\\mathbb\s*\{R\}\s*)?(?:\\mid|\||:)(.*)$", re.DOTALL)
@@ -67,6 +70,7 @@ _SPACED_THOUSANDS = re.compile(r"(?<![\d.,])(\d{1,3}(?: \d{3})+)(?![\d,])")
 _CHOICE = re.compile(
     r"^(?:(?i:option|choice|answer)\s*)?(?:\(\s*([A-Za-z])\s*\)|([A-Z])\s*[.):](?=\s|$|\())\s*(.*)$", re.DOTALL
 )
+_LABEL = re.compile(r"(?<![^\s,;])\(([a-h]|i{1,3}|iv|v)\)(?=\s)")
 _CHOICE_WORD = re.compile(r"^(?i:option|choice)\s*\(?([A-Za-z])\)?$")
 _MOD_IN_TEXT = re.compile(r"\\text\s*\{([^{}]*(?<![a-z])mod(?:ulo)?(?![a-z])[^{}]*)\}")
 _MODULO = re.compile(
@@ -100,6 +104,11 @@ def read(text: str, *, join_thousands: bool = True, loose_units: bool = False) -
         return Opaque(text, has_words=True)
 
 
+def read_words(text: str) -> Words | None:
+    """Return an answer as words with formulas among them; None where it has no words."""
+    return _Reading(True, False).worded(text, 0)
+
+
 class _Reading:
     """One reading of an answer, with its options; each method returns None for what has another form."""
 
@@ -126,7 +135,11 @@ class _Reading:
         inside = text_inside(text)
         if rest != text and not rest.strip(" .,:;!?'\"-()") and re.fullmatch(r"[-+.,\d\s]+", inside):
             return self.read(inside, _MAX_NESTING)
-        if re.search(r"[\d\\+*/=<>^_|:$]", rest) or _DIFFERENCE.search(rest) or re.search(r"\\text\s*\{[^{}]*\d", text):
+        if (
+            re.search(r"[\d\\+*/=<>^_|:$]", rest)
+            or _DIFFERENCE.search(inside)
+            or re.search(r"\\text\s*\{[^{}]*[\d+=<>]", text)
+        ):
             return None
         if words in NUMBER_WORDS:
             return Leaf(str(NUMBER_WORDS[words]))
@@ -145,12 +158,18 @@ class _Reading:
         flat = re.sub(r"^\\text\s*\{\s*(\(?[A-Z][).:])\s+([^{}]+)\}$", r"\1 \\text{\2}", flat)
         if match := _CHOICE_WORD.match(flat):
             return Choice(match[1].upper(), None)
+        if [match[1] for match in _LABEL.finditer(flat)][:2] in (["a", "b"], ["i", "ii"]) and flat[0] == "(":
+            parts = _LABEL.split(flat)[1:]  # a label, what stands behind it, and so on
+            rests = (self.read(rest.strip(" ,;.:"), depth + 1) for rest in parts[1::2])
+            return Parts("list", tuple(map(Choice, map(str.upper, parts[::2]), rests)))
         match = _CHOICE.match(flat)
         if match is None or (match[3] and match[3][0] in "+-*/^_=<>!,&"):
             return None
         rest = match[3].strip(" :.")
         if rest and match[1] and match[1].islower():
             return None  # (x) 2 may be a product
+        if any(_CHOICE.match(piece.strip()) for piece in split(rest, _SEPARATORS)[1:]):
+            return None  # A: 1, B: 3 has two labels
         return Choice((match[1] or match[2]).upper(), self.read(rest, depth + 1) if rest else None)
 
     def several(self, text: str, depth: int) -> Form | None:
@@ -220,7 +239,21 @@ class _Reading:
                 return form
         if any(level == 0 and _STRANGE.fullmatch(token) for token, level in walk(text)):
             return Opaque(text, has_words(text))
-        return read_quantity(text, loose_units=self.loose_units) or Words(words_of(text), text)
+        return read_quantity(text, loose_units=self.loose_units) or self.worded(text, depth) or Opaque(text)
+
+    def worded(self, text: str, depth: int) -> Words | None:
+        """Words, and the formulas among them."""
+        words, formulas = worded(text)
+        if words == "#":
+            return None
+        return Words(_ARTICLE.sub("", words), text, tuple(self.formula(formula, depth) for formula in formulas))
+
+    def formula(self, text: str, depth: int) -> Form:
+        """A formula among words; what is none, as a sign alone, is compared as it is written."""
+        try:
+            return Opaque(text) if _SIGNS_ALONE.fullmatch(text) else self.read(text, depth + 1)
+        except UnreadableError:
+            return Opaque(text)
 
     def flat(self, texts: list[str], depth: int) -> tuple[Form, ...]:
         return tuple(item for text in texts for item in spread(self.read(text, depth + 1)))

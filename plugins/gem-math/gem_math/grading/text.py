@@ -26,6 +26,7 @@ _SYMBOLS = {
     "¾": r"\frac{3}{4}", "⅓": r"\frac{1}{3}", "⅔": r"\frac{2}{3}", "⅕": r"\frac{1}{5}", "⅛": r"\frac{1}{8}",
     "⅜": r"\frac{3}{8}", "⅝": r"\frac{5}{8}", "⅞": r"\frac{7}{8}", "⅙": r"\frac{1}{6}", "⅚": r"\frac{5}{6}",
     "’": "'", "‘": "'", "′": "'", "“": '"', "”": '"', "…": r"\ldots ", "⋯": r"\ldots ", "\u00a0": " ",
+    "″": "''", "Å": r"\text{ angstrom}", "\u212b": r"\text{ angstrom}",
     "或": r"\text{ or }", "和": r"\text{ and }", "、": ",", "\u2009": " ", "\u202f": " ", "\u200b": "", "\ufeff": "",
 }  # fmt: skip
 _TRANSLATION = str.maketrans(_SYMBOLS)
@@ -69,8 +70,19 @@ _UNIT_SIGN = re.compile(
 _MICRO = re.compile(rf"(?<=[\d}} ])(?:{_GROUP}\\mu\s*(?:\}}\s*{_GROUP})?|\\mu\s*{_GROUP})([a-zA-Z]{{1,3}})\s*\}}\s*$")
 _CHOOSE = re.compile(r"\{([^{}]{1,40})\\choose(?![a-zA-Z])([^{}]{1,40})\}")
 _UNIT_FRACTION = re.compile(r"\\frac\s*\{\s*\\text\s*\{([^{}]*)\}\s*\}\s*\{\s*\\text\s*\{([^{}]*)\}\s*\}")
+# One spelling for E_1 and E_{1}, x_{\max} and x_\text{max}, behind what may be a name.
+_INDEX = re.compile(
+    r"(?<=[A-Za-z}'])\s*_\s*(?:\\text\s*\{([^{}]*)\}|\{\s*\\(?:text\s*\{([^{}]*)\}|(max|min|inf|sup))\s*\}|\\(max|min|inf|sup)(?![a-zA-Z])|(\w))"
+)
+_PRIME = re.compile(r"\^\s*(?:\\prime(?![a-zA-Z])|\{\s*(?:\\prime\s*)+\})")
+_ORDINAL = re.compile(
+    r"(?<=\d)\s*(?:\^\s*)?(?:\{\s*\\text\s*\{\s*(?:st|nd|rd|th)\s*\}\s*\}|\\text\s*\{\s*(?:st|nd|rd|th)\s*\}"
+    r"|\{\s*(?:st|nd|rd|th)\s*\}|(?:st|nd|rd|th)(?=\s+[A-Za-z]{3}))"
+)
 _JOINED_FUNCTION = re.compile(r"(?<![\\a-zA-Z])(sin|cos|tan|cot|sec|csc|ln|log)(?=[xy](?![a-zA-Z]))")
 _SHORT_FRACTION = re.compile(r"\\frac\s*(\d)\s*(\d)")
+# Formulas on lines of their own are several, unless one goes on with a relation.
+_LINES = re.compile(r"(\$|\\\)|\\\])[ \t]*\n\s*(\$\$?|\\\(|\\\[)(?!\s*(?:[=<>&]|\\(?:le|ge|approx|quad)))")
 _NOT = re.compile(r"\\not\s*=")
 # A brace on the left alone, and rows behind it.
 _ONE_BRACE = re.compile(
@@ -81,6 +93,8 @@ _ONE_BRACE = re.compile(
 _BRACED_COMMA = re.compile(r"(?<![\d}.])(\d+)\{,\}(\d+)(?![\d{])")
 _UNIT_VECTOR = re.compile(r"\\hat\s*\{\s*(?:\\mathbf\s*\{\s*)?\\?([ijk])(?:math)?\s*(?:\}\s*)?\}")
 _TAG = re.compile(r"</?(?:b|i|em|strong|u|span|p|code|math|mark)>")
+# Words of two letters or more, with hyphens: not commands, and not what follows a hyphen that may be a minus.
+_PROSE = re.compile(r"(?<![\\A-Za-z_^])[^\W\d_]{2,}(?:(?:[-'\s]\s*)?[^\W\d_]{2,})*(?:'s)?")
 _WORD = re.compile(r"[^\W_]+", re.UNICODE)
 
 
@@ -100,20 +114,23 @@ def clean(text: str) -> str:
         .replace("{,}", ",")
         .replace("{:}", ":")
         .replace("``", '"')
-        .replace("''", '"')
     )
+    if '"' in text or re.search(r"[A-Za-z}]''", text) is None:  # y'' is a derivative
+        text = text.replace("''", '"')
     if "\\\\" in text and "matrix" not in text and "array" not in text and "cases" not in text:
         text = re.sub(r"\\\\(?=[a-zA-Z({\[%$])", r"\\", text)  # models escape twice: \\frac is \frac
     text = _LINE_ENDS.sub("", text)
     text = _NOT.sub(r"\\ne ", text) if "\\not" in text else text
-    text = _dollars(text)
+    text = _dollars(_LINES.sub(r"\1, \2", text) if "\n" in text else text)
     text = _SIZES.sub("", text)
     text = re.sub(r"\\big(cup|cap)(?![a-zA-Z]|\s*_)", r"\\\1", text)
     text = _MATH_MARKS.sub(" ", text)
     text = _SPACES.sub(" ", text)
     text = _unit_signs(text)
     text = _COMMAND.sub(_command, text)
+    text = _PRIME.sub(lambda match: "'" * match[0].count("prime"), text) if r"\prime" in text else text
     text = _text_groups(_UNIT_COMMAND.sub(r"\\text{\1}", text))
+    text = _ORDINAL.sub(" ", _INDEX.sub(_index, text) if "_" in text else text)
     text = _BARE_FUNCTION.sub(lambda match: "\\" + {"infinity": "infty", "inf": "infty"}.get(match[1], match[1]), text)
     text = _CHOOSE.sub(r"\\binom{\1}{\2}", text) if r"\choose" in text else text
     text = _UNIT_FRACTION.sub(r"\\text{\1/\2}", text) if r"\text" in text else text
@@ -121,6 +138,10 @@ def clean(text: str) -> str:
     text = _UNIT_VECTOR.sub(r"\1", text) if r"\hat" in text else text
     text = text.replace(r"\text{\infty}", r"\infty ")
     return _strip(_SHORT_FRACTION.sub(r"\\frac{\1}{\2}", text) if r"\frac" in text else text)
+
+
+def _index(match: re.Match[str]) -> str:
+    return f"_{{{next(group for group in match.groups() if group is not None).strip()}}}"
 
 
 def _unit_signs(text: str) -> str:
@@ -138,6 +159,24 @@ def _without_markup(text: str) -> str:
     if len(text) > 2 and text[0] == text[-1] and text[0] in '"`' and text[0] not in text[1:-1]:
         text = text[1:-1].strip()
     return text
+
+
+def worded(text: str) -> tuple[str, list[str]]:
+    """Return what a text says in words, with # for each formula between them, and the formulas.
+
+    What is no word belongs to a formula: signs, brackets and single letters; marks at its ends do not.
+    """
+    words, formulas, position = [], [], 0
+    flat = re.sub(r"\\text\s*\{([^{}]*)\}", r" \1 ", text)
+    for match in [*_PROSE.finditer(flat), None]:
+        between = flat[position : match.start() if match else None].strip(" .,:;!?\"'")
+        if between:
+            words.append("#")
+            formulas.append(between)
+        if match:
+            words += _WORD.findall(unicodedata.normalize("NFKC", match[0]).casefold())
+            position = match.end()
+    return " ".join(words), formulas
 
 
 def words_of(text: str) -> str:
@@ -170,7 +209,8 @@ def _braced_comma(match: re.Match[str]) -> str:
 def _scripts(match: re.Match[str]) -> str:
     if match[0][0] in _SUBSCRIPTS:
         return "_{" + "".join(_SUBSCRIPTS[sign] for sign in match[0]) + "}"
-    return "^{" + "".join(_SUPERSCRIPTS[sign] for sign in match[0]) + "}"
+    power = "".join(_SUPERSCRIPTS[sign] for sign in match[0])
+    return f"^{power}" if len(power) == 1 else f"^{{{power}}}"
 
 
 def _root(match: re.Match[str]) -> str:
@@ -220,6 +260,7 @@ def _text_groups(text: str) -> str:
 
 def _text_group(command: str, inner: str, behind: str) -> str:
     body = inner.strip()
+    body = _COMMANDS.get(body, body) if command.startswith(r"\operatorname") else body
     if re.match(r"\\(?:boxed|fbox|framebox|underline|ensuremath|mathbin|mathord|mathop)", command):
         return f" {clean(inner)} " if len(inner) < 10_000 else inner
     if (
@@ -228,7 +269,7 @@ def _text_group(command: str, inner: str, behind: str) -> str:
         and _ARGUMENT.match(behind)
     ):
         # Without anything that it could be a function of it is a word, as in 18 \\mathrm{~min}.
-        return f"\\{body} " if inner == body else f"\\text{{{body}}}"
+        return f"\\{body} " if " " not in inner else f"\\text{{{body}}}"
     fonts = command.startswith((r"\mathbf", r"\bold", r"\bm", r"\mathit"))
     is_word = re.search(r"[^\W\d_]{2}|[^\W\d_]\s+[^\W\d_]", re.sub(r"\\[a-zA-Z]+", "", body)) is not None
     if (fonts and not is_word) or not _LETTER.search(body) or (not is_word and re.search(r"[=^_+*\\<>]", body)):
