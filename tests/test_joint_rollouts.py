@@ -303,6 +303,18 @@ class ClosedAgent:
         type(self).closed += 1
 
 
+def test_agents_named_in_a_league_are_closed_after_each_run() -> None:
+    """Those that were added while it ran, too; the learner that was given stays open."""
+    before = ClosedAgent.closed
+    league = League(ClosedAgent(), {"old": f"{__name__}:ClosedAgent"})
+    for number, _ in enumerate(rollout(CountdownEnv(), agents=league, episodes=2, seed=1)):
+        if number == 0:
+            league.add("new", f"{__name__}:ClosedAgent")
+    assert ClosedAgent.closed == before + 2
+    list(rollout(CountdownEnv(), agents=league, episodes=1, seed=1))
+    assert ClosedAgent.closed == before + 4
+
+
 @pytest.mark.parametrize("many", [lambda name: name, lambda name: [name, name], lambda name: {"second": name}])
 def test_agents_given_by_name_are_closed(many: Any) -> None:
     """What the run made is closed at its end; an agent that was given stays open."""

@@ -184,7 +184,7 @@ class _Run:
     env: Environments
     acting: Acting
     loaded: list[Agent]
-    """Agents that were given by name, which are closed at the end."""
+    """Agents that act alone and were given by name, which are closed at the end."""
     plan: Iterable[PlanItem] | None
     episodes: int | None
     seed: int | None
@@ -209,6 +209,12 @@ class _Run:
         else:
             everyone = [self.acting.agent] if isinstance(self.acting, Seated) else self.acting.values()
         return list({id(agent): agent for agent in everyone}.values())
+
+    def close_loaded(self) -> None:
+        """Close the agents that were given by name, those that a league was given meanwhile included."""
+        with ExitStack() as closing:
+            for agent in (*self.loaded, *(self.acting.loaded if isinstance(self.acting, Seating) else ())):
+                closing.callback(close_agent, agent)
 
     def vector(self, *, plain: bool) -> VectorEnv:
         """Return the vector environment in which the episodes run: the one given, or a new one.
@@ -260,8 +266,7 @@ def _drive(run: _Run) -> Iterator[Record]:
     with ExitStack() as at_end:
         if vector is not run.env:
             at_end.callback(vector.close)
-        for agent in run.loaded:
-            at_end.callback(close_agent, agent)
+        at_end.callback(run.close_loaded)
         at_end.callback(requests.close)
         for agent in run.agents:
             prepare_agent(agent)
@@ -283,8 +288,7 @@ async def _drive_async(run: _Run) -> AsyncIterator[Record]:
     async with AsyncExitStack() as at_end:
         if vector is not run.env:
             at_end.push_async_callback(in_thread, vector.close)
-        for agent in run.loaded:
-            at_end.push_async_callback(in_thread, close_agent, agent)
+        at_end.push_async_callback(in_thread, run.close_loaded)
         at_end.push_async_callback(requests.aclose)
         for agent in run.agents:
             prepared = getattr(agent, "prepare", lambda: None)()
@@ -313,12 +317,7 @@ def _who_acts(agent: Any, agents: Any) -> tuple[Acting, list[Agent]]:
         return by_item, [by_item[name] for name, each in agent.items() if isinstance(each, str)]
     if agents is None:
         return seated(agent), []
-    acting = as_seating(agents)
-    if acting is agents:
-        return acting, []
-    given = agents.values() if isinstance(agents, Mapping) else agents if isinstance(agents, list | tuple) else [agents]
-    by_name = [one for name, one in zip(given, acting.everyone(), strict=False) if isinstance(name, str)]
-    return acting, by_name
+    return as_seating(agents), []
 
 
 def _asked_at_once(agents: Iterable[Agent], max_requests: int | None) -> int | None:

@@ -29,6 +29,16 @@ class Seated(NamedTuple):
 class Seating(ABC):
     """Decides which agents act in each episode; a subclass is taken as the ``agents`` of ``rollout``."""
 
+    loaded: tuple[Agent, ...] = ()
+    """Agents that were given by name, which ``rollout`` closes at its end."""
+
+    def _seated(self, agent: Any) -> Seated:
+        """Return ``seated(agent)``, and remember it if it was loaded here."""
+        one = seated(agent)
+        if isinstance(agent, str):
+            self.loaded = (*self.loaded, one.agent)
+        return one
+
     @abstractmethod
     def everyone(self) -> Iterable[Agent]:
         """Return every agent that may act, to be prepared before the first episode."""
@@ -54,7 +64,7 @@ class NamedSeats(Seating):
     """
 
     def __init__(self, agents: Mapping[str, Any]) -> None:
-        self._agents = {seat: seated(agent) for seat, agent in agents.items()}
+        self._agents = {seat: self._seated(agent) for seat, agent in agents.items()}
 
     def everyone(self) -> Iterable[Agent]:
         """Return the agents."""
@@ -77,7 +87,7 @@ class TakingTurns(Seating):
     """
 
     def __init__(self, agents: Sequence[Any]) -> None:
-        self._agents = [seated(agent) for agent in agents]
+        self._agents = [self._seated(agent) for agent in agents]
 
     def everyone(self) -> Iterable[Agent]:
         """Return the agents."""
@@ -94,7 +104,8 @@ class TakingTurns(Seating):
 class League(Seating):
     """A learner, which changes seats from item to item, against opponents that are drawn for each item of the plan.
 
-    The opponents are a pool that may grow: ``add`` a past self of the learner now and then. The repeats of an item, as
+    The opponents are a pool that may grow: ``add`` a past self of the learner now and then. Agents that are given by
+    name are closed at the end of each run, and prepared again at the beginning of the next. The repeats of an item, as
     those of a group, meet the same opponents. The same run seed and pool give the same ones.
 
     Args:
@@ -121,12 +132,12 @@ class League(Seating):
         latest: float = 1.0,
         name: str = "learner",
     ) -> None:
-        self._learner = Seated(name, seated(learner).agent)
+        self._learner = Seated(name, self._seated(learner).agent)
         self._pool: dict[str, tuple[Seated, float]] = {}
         self._put(Seated(self.LATEST, self._learner.agent), latest)
         weights = dict(weights or {})
         for each, agent in (opponents or {}).items():
-            self._put(Seated(each, seated(agent).agent), weights.pop(each, 1.0))
+            self._put(Seated(each, self._seated(agent).agent), weights.pop(each, 1.0))
         if weights:
             raise ArgumentError(f"weights names {_named(weights)}, and the opponents are {_named(opponents or {})}")
         self._check_weights()
@@ -139,7 +150,7 @@ class League(Seating):
         Raises:
             ArgumentError: Its weight is negative, or all are 0.
         """
-        self._put(Seated(name, seated(agent).agent), weight)
+        self._put(Seated(name, self._seated(agent).agent), weight)
         self._check_weights()
 
     def _put(self, one: Seated, weight: float) -> None:
