@@ -148,6 +148,13 @@ def test_run_prints_a_table_and_writes_the_episodes(run_gem) -> None:
     assert len(list(read_episodes(path))) == 10
 
 
+def test_the_default_seed_is_0(run_gem) -> None:
+    """As in ``gem eval``: the same command plays the same episodes."""
+    for options in (["-o", "a.jsonl"], ["-o", "b.jsonl", "--seed", "0"]):
+        assert run_gem("run", COUNTDOWN, "-n", "3", "--num-envs", "1", *options).code == 0
+    assert [episode.seed for episode in read_episodes("a.jsonl")] == [e.seed for e in read_episodes("b.jsonl")]
+
+
 def test_same_seed_gives_the_same_episodes_whatever_num_envs_is(run_gem) -> None:
     """Sorted by place, the files are equal."""
     files = []

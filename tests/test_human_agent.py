@@ -18,7 +18,7 @@ SUMS = "toy:Sums-v0"
 def test_human_answers_a_run_in_a_terminal(terminal, tmp_path: Path) -> None:
     """One environment, without being asked; no bar that overwrites the prompt; plain answers in their form."""
     session = terminal("run", SUMS, "--agent", "human", "-n", "2", "-o", "a.jsonl")
-    session.wait_for("episode 0.0 · turn 1")
+    session.wait_for("episode 1 · turn 1")
     session.wait_for("0+1")
     session.wait_for("turn 1> ")
     session.type("1\n")
@@ -53,7 +53,7 @@ def test_human_reads_a_pipe(monkeypatch, capsys, tmp_path: Path) -> None:
     assert piped(monkeypatch, "1\n3\n", SUMS, "-a", "human", "-n", "2", "--json") == 0
     captured = capsys.readouterr()
     assert captured.out.startswith("{")
-    assert "──── toy:Sums-v0 · episode 1.0 · turn 1 ────\n1+1\n" in captured.err
+    assert "──── toy:Sums-v0 · episode 2 · turn 1 ────\n1+1\n" in captured.err
     assert ">" not in captured.err
 
 
@@ -62,12 +62,12 @@ def test_human_without_input_says_where_to_run_it(monkeypatch, capsys, tmp_path:
     monkeypatch.chdir(tmp_path)
     assert piped(monkeypatch, "", SUMS, "-a", "human", "-n", "2") == 1
     assert capsys.readouterr().err.splitlines()[-1] == (
-        "gem: the agent 'human' reads standard input, which ended while episode 0.0 of toy:Sums-v0 waited for the "
+        "gem: the agent 'human' reads standard input, which ended while episode 1 of toy:Sums-v0 waited for the "
         "answer of turn 1; run it in a terminal"
     )
     assert piped(monkeypatch, "1\n", SUMS, "-a", "human", "-n", "2") == 1
     assert capsys.readouterr().err.splitlines()[-1] == (
-        "gem: the input ended while episode 1.0 of toy:Sums-v0 waited for the answer of turn 1"
+        "gem: the input ended while episode 2 of toy:Sums-v0 waited for the answer of turn 1"
     )
 
 

@@ -74,14 +74,20 @@ class HumanAgent:
             self._terminal.show(f"reward {turn.reward:.4g} · return {total:.4g}{ending}", bold=True)
         self._previous[context.seat] = context
         seat = "" if context.seat is None else f" · {context.seat}"
-        title = f"{context.env_id} · episode {context.episode}{seat} · turn {context.turn + 1}"
+        title = f"{context.env_id} · episode {_number(context)}{seat} · turn {context.turn + 1}"
         self._terminal.show(f"──── {title} ────", dim=True)
         self._terminal.show_exactly(observation_text(observation))
 
     def _ended(self, context: Context) -> AgentError:
-        where = f"episode {context.episode} of {context.env_id} waited for the answer of turn {context.turn + 1}"
+        where = f"episode {_number(context)} of {context.env_id} waited for the answer of turn {context.turn + 1}"
         if not self._has_read and not self._terminal.interactive:
             return AgentError(
                 f"the agent 'human' reads standard input, which ended while {where}; run it in a terminal"
             )
         return AgentError(f"the input ended while {where}")
+
+
+def _number(context: Context) -> str:
+    """Return the number of an episode, from 1, and of its repeat if it has some."""
+    item, _, repeat = context.episode.partition(".")
+    return f"{int(item) + 1}{f'.{int(repeat) + 1}' if context.group is not None else ''}" if item.isdigit() else item

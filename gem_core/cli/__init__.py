@@ -161,7 +161,7 @@ class _Commands(click.Group):
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.version_option(__version__, prog_name="gem-core", message="%(prog)s %(version)s")
-@click.option("--traceback", is_flag=True, help="Show the whole traceback of an error. Stands before the command.")
+@click.option("--traceback", is_flag=True, help="Show the whole traceback of an error.")
 @click.pass_context
 def cli(ctx: click.Context, traceback: bool) -> None:
     """GEM: a gym for language-model agents."""

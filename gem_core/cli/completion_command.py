@@ -20,11 +20,11 @@ To switch it on, once:
   zsh   echo 'eval "$(gem completion zsh)"' >> ~/.zshrc
   fish  gem completion fish > ~/.config/fish/completions/gem.fish
 \b
-Completed are commands, options, the ids of environments, agents, wrappers and tools (also behind a
-comma), and the names of plugins. Start a new shell, then try:
+It completes commands, options, ids, agents, suites, wrappers and tools (also after a comma), plugins and
+files. Start a new shell, then try:
   gem info <Tab>
 \b
-Where another program is called gem, complete gem-core instead:
+If another program is called gem, complete gem-core instead:
   eval "$(gem-core completion bash --program gem-core)"
 """,
 )
@@ -33,7 +33,7 @@ Where another program is called gem, complete gem-core instead:
 def command(shell: str | None, program: str | None) -> None:
     """Print the script that completes words in bash, zsh or fish.
 
-    SHELL is by default the one that $SHELL names.
+    Without an argument it is the shell that $SHELL names.
     """
     if shell is None:
         shell = os.path.basename(os.environ.get("SHELL", ""))

@@ -25,28 +25,27 @@ _COLOURS = {
     epilog="""\b
 Examples:
   gem doctor
-  gem doctor --json > report.json     what a report of a bug should have with it
+  gem doctor --json > report.json     to send with a report of a bug
 \b
-A requirement is met, unmet, untried (known only when it is used, as the network) or unknown (a word
-of a plugin's own). Of keys only the presence is looked at, and nothing is sent anywhere but a ping to
-the container engine.
+A requirement is met, unmet, untried (as the network, which is known only when it is used) or unknown (a
+plugin's own word). Keys are only looked for. Nothing is sent but a ping to the container engine.
 \b
-Tools say what is in force here, as the level of a sandbox. All that plugins point to is imported, each
-plugin in an interpreter of its own, which takes some seconds; --quick leaves that out. That an environment
-keeps its promises is shown by 'pytest --gem-envs ID'.
+Tools show what is in force here, such as the level of a sandbox. What plugins offer is imported, each plugin
+in its own process, which takes some seconds; --quick skips that. 'pytest --gem-envs ID' checks that an
+environment keeps its promises.
 
 \b
-Exit code: 1 when something installed is broken, 0 otherwise, whatever requirements are unmet.
+Exit code: 1 if something installed is broken, else 0; unmet requirements do not count.
 """,
 )
-@click.option("--quick", is_flag=True, help="Do not import what plugins point to.")
+@click.option("--quick", is_flag=True, help="Do not import what plugins offer.")
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON object.")
 @click.pass_context
 def command(ctx: click.Context, quick: bool, as_json: bool) -> None:
     """Find out what is installed, what is broken and why, and what is missing to run the rest.
 
-    Shows versions, every plugin with the time that it takes to load, the traceback of each that failed, how the tools
-    stand on this machine, and what the environments require of it with the way to get it.
+    Shows versions, plugins with their load times, the traceback of each failure, the state of tools on this machine,
+    and what environments require, with what to type to get it.
     """
     found = diagnose(quick=quick)
     if as_json:

@@ -47,7 +47,8 @@ Examples:
 def command(env_id: str, as_json: bool) -> None:
     """Describe one environment: its task, its arguments, what it needs, and what an agent sees first.
 
-    Or one tool, wrapper, agent or vector backend, with its options. ID may be a folder that belongs to an environment.
+    ID is an environment, a class in a file, a file of questions, or a folder, as in 'gem run'. The name of a tool,
+    wrapper, agent or backend describes that instead, with its options.
     """
     named = [describe_in_full(record) for record in find_named(env_id)]
     if not named:

@@ -33,13 +33,13 @@ Examples:
 """,
 )
 @click.argument("pattern", required=False, type=ENVS)
-@click.option("--all", "show_all", is_flag=True, help="Show every id in a terminal too, as in a pipe.")
-@click.option("--json", "as_json", is_flag=True, help="Write one JSON list, with all that is known of each.")
+@click.option("--all", "show_all", is_flag=True, help="Show every id, as in a pipe.")
+@click.option("--json", "as_json", is_flag=True, help="Write one JSON list, with all fields.")
 def command(pattern: str | None, show_all: bool, as_json: bool) -> None:
     """List the environments that can be made; in a terminal, a line for each namespace.
 
-    PATTERN is a namespace, a part of an id, or a glob in quotes; or one of tools, wrappers, agents and backends; or the
-    name of a plugin, for all that it offers.
+    PATTERN is a namespace, a part of an id, or a glob in quotes. The words tools, wrappers, agents and backends list
+    these; the name of a plugin lists all that it offers.
     """
     kind = None if pattern in {record.namespace for record in registry().envs()} else KINDS.get(pattern or "")
     records: Sequence[Record]

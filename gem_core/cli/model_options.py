@@ -15,10 +15,17 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 _OPTIONS = [
     click.option("--base-url", metavar="URL", help="Address of the model server, as in http://localhost:8000/v1."),
-    click.option("--max-concurrency", type=click.IntRange(min=1), help="Requests at once.  [default: 64]"),
-    click.option("--temperature", type=click.FloatRange(min=0), help="Temperature of sampling."),
-    click.option("--top-p", type=click.FloatRange(min=0, max=1), help="Share of probability to sample from."),
-    click.option("--max-tokens", type=click.IntRange(min=1), help="Longest answer, in tokens."),
+    click.option(
+        "--max-concurrency", metavar="INTEGER", type=click.IntRange(min=1), help="Requests at once.  [default: 64]"
+    ),
+    click.option("--temperature", metavar="NUMBER", type=click.FloatRange(min=0), help="Temperature of sampling."),
+    click.option(
+        "--top-p",
+        metavar="NUMBER",
+        type=click.FloatRange(min=0, max=1),
+        help="Nucleus sampling: share of probability to sample from.",
+    ),
+    click.option("--max-tokens", metavar="INTEGER", type=click.IntRange(min=1), help="Longest answer, in tokens."),
     click.option("--stop", multiple=True, metavar="TEXT", help="Text at which the model stops. Can be repeated."),
     click.option("--sampling-seed", type=int, help="Seed of sampling, the same for every request."),
     click.option("--system", metavar="TEXT|@FILE", help="System prompt, or the file that holds it."),
@@ -27,7 +34,7 @@ _OPTIONS = [
         "--request-timeout",
         type=click.FloatRange(min=0, min_open=True),
         metavar="SECONDS",
-        help="Limit of a request, all its attempts included.  [default: 1800]",
+        help="Limit of a request with all its attempts.  [default: 1800]",
     ),
     click.option(
         "--attempt-timeout",
@@ -35,10 +42,12 @@ _OPTIONS = [
         metavar="SECONDS",
         help="Limit of one attempt, after which it is tried again.  [default: 600]",
     ),
-    click.option("--max-retries", type=click.IntRange(min=0), help="Attempts after the first.  [default: 8]"),
-    click.option("--stream", is_flag=True, help="Let the server send answers in pieces."),
+    click.option(
+        "--max-retries", metavar="INTEGER", type=click.IntRange(min=0), help="Attempts after the first.  [default: 8]"
+    ),
+    click.option("--stream", is_flag=True, help="Receive answers as a stream."),
     click.option("--token-ids", is_flag=True, help="Record token ids and log-probabilities, if the server has them."),
-    click.option("--no-native-tools", is_flag=True, help="Let the model call tools in its text only."),
+    click.option("--no-native-tools", is_flag=True, help="Read tool calls from the model's text only."),
 ]
 
 _KEYWORDS = {

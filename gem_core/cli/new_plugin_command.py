@@ -21,9 +21,9 @@ Examples:
   gem new-plugin riddles --dataset --into ~/projects/riddles
 \b
 NAME becomes the namespace of the ids (riddles:Letters-v0), the distribution gem-NAME and the package
-gem_NAME. What is written is small, and made to be changed.
+gem_NAME. The files are small, and meant to be changed.
 \b
-Exit code: 0 if it was written, 2 where NAME or the folder cannot be used. Nothing is overwritten.
+Exit code: 0 if it was written, 2 if NAME or the folder cannot be used. Nothing is overwritten.
 """,
 )
 @click.argument("name")
@@ -39,7 +39,7 @@ Exit code: 0 if it was written, 2 where NAME or the folder cannot be used. Nothi
 def command(name: str, kinds: tuple[str, ...], into: Path | None, license_name: str) -> None:
     """Start a plugin: a distribution that installs, registers, and passes its own conformance tests.
 
-    Several kinds may be combined. Prints the three commands to go on with.
+    Kinds can be combined. Prints the three commands to type next.
     """
     names = names_of(name)
     chosen = [kind for kind in KINDS if kind in kinds] or ["env"]

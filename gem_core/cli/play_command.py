@@ -36,31 +36,30 @@ Examples:
 
 \b
 Answers:
-  25           is sent as \\boxed{25} where the environment expects a box; likewise a tag or a fenced
-               block. What is in its form already, or calls a tool, is sent as it is; so is
-               everything with --raw.
+  25           is sent as \\boxed{25} if the environment expects a box, and likewise in a tag or a fenced
+               block. An answer in that form, a tool call, and all with --raw are sent unchanged.
   two lines    End a line with a backslash, or write a block between two lines of triple quotes.
-  (nothing)    An empty line is passed over. Six quotes in a row are the empty answer.
-  a typo       What the environment could not read does not end an episode, but for --raw: answer again.
+  (nothing)    An empty line is ignored. Six quotes in a row are the empty answer.
+  a typo       If the environment cannot read an answer, you answer again. With --raw it counts.
 
 \b
-Commands, which may be cut short as in !u:
+Commands; their first letters are enough, as in !u:
   ?            the keys, the rules, and an example of a valid action
-  !undo        take the last turn back, where a seed and the actions repeat an episode; also behind the end
+  !undo        take the last turn back, also after the end, if a seed and the actions repeat the episode
   !random      play a random valid action
   !restart     begin this episode again from the same start
   !next        leave this episode, and begin the next
   !quit        end, as Ctrl-D does
-  !!text       is no command but the answer '!text'
+  !!text       send the answer '!text'
 
 \b
-Without a terminal, the input is played line by line: one episode, or as many as --episodes says.
-Colours are left out without a terminal, and where NO_COLOR is set.
+In a pipe, each line is an answer: to one episode, or to as many as --episodes says.
+There are no colours in a pipe, or if NO_COLOR is set.
 Exit code: 0 at the end or at the end of input, 2 for a wrong argument, 130 after Ctrl-C.
 """,
 )
 @click.argument("env_id", metavar="ID", type=ENVS)
-@click.option("--seat", type=SEATS, help="Where several agents act, your seat.  [default: the first]")
+@click.option("--seat", type=SEATS, help="Your seat in a game of several agents.  [default: the first]")
 @click.option(
     "-a",
     "--agent",
@@ -68,20 +67,22 @@ Exit code: 0 at the end or at the end of input, 2 for a wrong argument, 130 afte
     multiple=True,
     metavar="[SEAT=]AGENT",
     type=AGENTS,
-    help="Who plays the other seats: one agent, or one for each seat.  [default: random]",
+    help="Who plays the other seats: one agent for all, or one for each.  [default: random]",
 )
-@click.option("-s", "--seed", type=AtLeast(min=0), help="The same episodes as 'gem run' with this seed.")
+@click.option(
+    "-s", "--seed", type=AtLeast(min=0), help="The same episodes as 'gem run' with this seed.  [default: drawn]"
+)
 @click.option(
     "-n",
     "--episodes",
     type=AtLeast(min=1),
-    help="Play so many without asking.  [default: ask after each; 1 when piped]",
+    help="Play this many without asking.  [default: ask after each; 1 in a pipe]",
 )
 @arguments_option
-@stack_options("Each observation is then shown exactly as a model gets it; with '' it is that of the bare environment.")
-@click.option("-r", "--raw", is_flag=True, help="Send answers as they are typed, without the expected form.")
+@stack_options("Observations are then shown exactly as a model reads them; '' shows those of the bare environment.")
+@click.option("-r", "--raw", is_flag=True, help="Send answers as you type them, without the expected form.")
 @click.option("-o", "--out", type=click.Path(dir_okay=False), help="Record the finished episodes in this file.")
-@click.option("--overwrite", is_flag=True, help="Write the file anew if it is there.")
+@click.option("--overwrite", is_flag=True, help="Replace the file if it exists.")
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -101,9 +102,8 @@ def command(
 ) -> None:
     """Play an environment yourself: you are the agent.
 
-    ID is an environment, or a folder that belongs to one, such as that of a terminal task. Shows each observation and
-    reads your answer, with the reward of each turn. Where several agents act you have one seat, and what the others do
-    you learn by what that seat is shown.
+    ID is an environment, a class in a file, a file of questions, or a folder, as in 'gem run'. You read an observation,
+    type an answer, and see the reward. In a game of several agents you have one seat, and see only what it sees.
     """
     # Imported here, so that help and the completion of options need not wait for them.
     from gem_core.cli.play_session import PlaySession

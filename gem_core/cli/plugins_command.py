@@ -20,14 +20,14 @@ from gem_core.testing.importing import TIMEOUT_S
 Examples:
   gem plugins
   gem plugins games
-  gem plugins --check     exit code 1 when one is broken, or claims what is another's
+  gem plugins --check     exit code 1 if one is broken, or claims an id of another
 \b
---check imports what every record points to, each plugin in an interpreter of its own, and says file and
-line of what cannot be imported.
+--check imports all that plugins offer, each plugin in its own process, and names file and line of what
+cannot be imported.
 """,
 )
 @click.argument("name", required=False, type=PLUGINS)
-@click.option("--check", is_flag=True, help="Import all that they offer; exit with 1 when something is wrong.")
+@click.option("--check", is_flag=True, help="Import all that they offer; exit with 1 if something is wrong.")
 @click.option(
     "--timeout",
     "timeout_s",
@@ -35,7 +35,7 @@ line of what cannot be imported.
     default=TIMEOUT_S,
     show_default=True,
     metavar="SECONDS",
-    help="How long the import of one entry point may take, with --check.",
+    help="Longest time to import one entry point, with --check.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON list.")
 @click.pass_context

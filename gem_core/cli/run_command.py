@@ -60,10 +60,10 @@ Examples:
   gem run game:TicTacToe-v0 --agent openai:gpt-5-mini --agent random --episodes 20
   gem run game:Negotiation-v0 --agent openai:gpt-5-mini --tools first=python --wrappers concat
 \b
-Where several agents act, one --agent plays all seats against itself; SEAT=AGENT for each seat fixes
-who sits where; as many --agent as seats, without seats, move on by one seat from episode to episode.
-'gem info ID' names the seats. The table has a row for each agent at each seat, and success is its
-rate of wins; of agents that change seats, there is one for each agent at all its seats as well.
+Several agents: one --agent plays all seats against itself. --agent SEAT=AGENT for each seat fixes
+who sits where. As many --agent as seats, without the names of seats, change seats after each episode.
+'gem info ID' names the seats. The table has a row for each agent at each seat; success is its share
+of games won.
 \b
 An agent is a callable of (observation, context), or of the observation alone, plain or async,
 that returns text:
@@ -71,12 +71,12 @@ that returns text:
   def my_agent(observation, context):
       return context.sample_random_action()
 \b
-It is sent the observation; with tools and without a view, the conversation so far as text. With
-my_agent.reads = "messages", as openai:MODEL has it, it is sent chat messages; with "observation",
-always the observation. A view named by --wrappers decides for all. context.messages has them, too.
+It reads the observation, or with tools the conversation so far as text. With my_agent.reads =
+"messages" it reads chat messages, as openai:MODEL does; with "observation" always the observation.
+A view in --wrappers decides for all agents. context.messages has the chat messages in any case.
 \b
 openai:MODEL asks any OpenAI-compatible server; its key is read from OPENAI_API_KEY. Options from
---base-url on are passed to the agent, which may be a class of your own, by keyword.
+--base-url on go to the agent as keyword arguments; a class of your own may take them as well.
 \b
 Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument, 130 after Ctrl-C.
 """,
@@ -91,9 +91,9 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     show_default=True,
     metavar="[SEAT=]AGENT",
     type=AGENTS,
-    help="A built-in agent, openai:MODEL, or MODULE:CALLABLE. Repeated where several agents act.",
+    help="A built-in agent, openai:MODEL, or MODULE:CALLABLE. Can be repeated for several agents.",
 )
-@click.option("--swap-seats", is_flag=True, help="Let agents given by seat change seats from episode to episode.")
+@click.option("--swap-seats", is_flag=True, help="Let agents given by seat change seats after each episode.")
 @click.option(
     "-n",
     "--episodes",
@@ -106,9 +106,9 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     type=AtLeast(min=1),
     help="Environments at once.  [default: 8, or one for each ID, or --max-concurrency; 1 for 'human']",
 )
-@click.option("-s", "--seed", type=AtLeast(min=0), help="Seed of the run: the same seed, the same episodes.")
+@click.option("-s", "--seed", type=AtLeast(min=0), help="The same seed gives the same episodes.  [default: 0]")
 @arguments_option
-@stack_options("A view says what the agent is sent. SEAT=NAMES, as tools too, are for one seat.")
+@stack_options("A view decides what the agent reads. SEAT=NAMES is for one seat, here and in --tools.")
 @click.option(
     "--backend",
     default="auto",
@@ -120,16 +120,16 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     "--step-timeout",
     type=click.FloatRange(min=0, min_open=True),
     metavar="SECONDS",
-    help="Give up a step or a reset that takes longer, as an error of its episode.",
+    help="Longest time of a step or a reset; a longer one is an error of its episode.",
 )
 @click.option("-o", "--out", type=click.Path(dir_okay=False), help="File of episodes.  [default: runs/TIME-SEED.jsonl]")
-@click.option("--overwrite", is_flag=True, help="Write the file anew if it is there.")
+@click.option("--overwrite", is_flag=True, help="Replace the file if it exists.")
 @click.option(
     "--resume",
     metavar="FILE",
     type=click.Path(dir_okay=False),
-    help="Go on with the run in FILE. Agents, --set, wrappers and tools are the file's where you name none; others "
-    "are refused. Errors are run again.",
+    help="Go on with the run in FILE, with its agents, --set, wrappers and tools; others are refused. Episodes with an "
+    "error are run again.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Write the table as JSON.")
 @agent_options
@@ -151,9 +151,11 @@ def command(
 ) -> None:
     """Let an agent act in environments, or several agents together, and record the episodes.
 
-    Each ID is an environment, a glob in quotes such as 'game:*', or a folder that belongs to an environment, such as
-    that of a terminal task. Prints a table; episodes with an error are counted apart, and are in no mean. One that was
-    cut off is not solved. Behind ± stands the standard error, for success Wilson's.
+    Each ID is an environment, a glob in quotes such as 'game:*', a class in a file such as my_env.py:MyEnv, a file of
+    questions such as questions.jsonl, or a folder, as of a terminal task.
+
+    Prints a table. An episode with an error is counted apart and is in no mean; one that was cut off is not solved. The
+    number after ± is the standard error, for success Wilson's.
     """
     # Imported here, so that help and the completion of options need not wait for them.
     from gem_core.cli.report import run_columns, status_of
@@ -176,7 +178,7 @@ def command(
     chosen = [(record.id, kwargs) for record, kwargs in envs]
     env_ids = list(dict.fromkeys(env_id for env_id, _ in chosen))
     slots = _slots(acting, num_envs, len(chosen), episodes)
-    run_seed = seed if resumed is None else resumed.seed
+    run_seed = (seed if resumed is None else resumed.seed) or 0
     for agent in acting.agents.values():
         prepare_agent(agent)  # it says at the start what would fail later
         ctx.call_on_close(partial(close_agent, agent))

@@ -50,11 +50,11 @@ def stack_options(view: str) -> Callable[[Command], Command]:
         view: What a view among the wrappers means to the command, for its help.
     """
     wrappers_help = (
-        "Wrappers and tools, innermost first, with options behind a colon: 'concat:max_turns=2,episode_stats'. "
+        "Wrappers and tools, innermost first, with options after a colon: 'concat:max_turns=2,episode_stats'. "
         f"Can be repeated; 'gem info NAME' shows the options. {view}"
     )
     options = [
-        click.option("-t", "--max-turns", type=AtLeast(min=1), help="Truncate an episode after so many turns."),
+        click.option("-t", "--max-turns", type=AtLeast(min=1), help="Cut off an episode after this many turns."),
         click.option(
             "-w",
             "--wrappers",
@@ -68,14 +68,13 @@ def stack_options(view: str) -> Callable[[Command], Command]:
             multiple=True,
             metavar="NAMES",
             type=TOOLS,
-            help="Tools that the agent may call, with options behind a colon: 'python,search:top_k=2'. "
-            "Can be repeated.",
+            help="Tools that the agent may call, with options after a colon: 'python,search:top_k=2'. Can be repeated.",
         ),
         click.option(
             "--max-tool-uses",
             callback=_uses,
             metavar="INTEGER",
-            help=f"Tool calls in an episode, or '{NO_LIMIT}' for no limit.  [default: 5]",
+            help=f"Most tool calls of an episode, or '{NO_LIMIT}' for no limit.  [default: 5]",
         ),
     ]
 

@@ -22,14 +22,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         default=[],
         metavar="PATTERN",
         help="Run check_env on each environment that matches: an id, a namespace, or a glob such as 'mine:*'. "
-        "May be given several times; select by '-m gem_envs' or '-k ID'.",
+        "Can be repeated; select by '-m gem_envs' or '-k ID'.",
     )
     group.addoption(
         "--gem-skip",
         action="append",
         default=[],
         metavar="SLUG=REASON",
-        help="Do not try one promise of the contract, for this reason. May be given several times.",
+        help="Do not try one promise of the contract, for this reason. Can be repeated.",
     )
     parser.addini("gem_envs", "Patterns as of --gem-envs, one on each line.", type="linelist", default=[])
     parser.addini("gem_skip", "Promises not to try as of --gem-skip, one on each line.", type="linelist", default=[])

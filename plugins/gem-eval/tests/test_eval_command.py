@@ -47,6 +47,15 @@ def test_the_scores_are_printed_as_the_table_of_gem_run() -> None:
     assert command == f"eval {GAME} --model random --epochs 2 --episodes 10 --out run"
 
 
+def test_episodes_count_for_each_id_and_are_10_by_default() -> None:
+    """As in ``gem run``, whether an environment has rows or seeds alone."""
+    for options, counts in (((), [10, 2]), (("-n", "1"), [1, 1])):
+        Path("two.jsonl").write_text('{"question": "1", "answer": "1"}\n' * 2)
+        done = gem_eval(GAME, "two.jsonl", "--model", "random", "--new", "--json", *options)
+        scores = json.loads(done.stdout)["scores"]
+        assert [score["rows"] for score in scores if score["metric"] == "success"][:2] == counts
+
+
 def test_json_has_the_form_that_is_promised() -> None:
     """For each task, model and metric."""
     done = gem_eval(GAME, "math:Sample", "--limit", "4", "--model", "random", "--json")

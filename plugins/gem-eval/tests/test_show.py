@@ -125,7 +125,7 @@ def test_filters_and_order(show, arguments: list[str], expected: list[int]) -> N
 
 def test_a_filter_that_nothing_fits_says_so(show) -> None:
     """On standard error; as JSON it is an empty list."""
-    assert show("--group", "none") == (0, "", "gem: none of the 5 episodes of run.jsonl fits\n")
+    assert show("--group", "none") == (0, "", "gem: no episode of run.jsonl fits, of 5\n")
     assert show("--group", "none", "--json") == (0, "[]\n", "")
 
 
@@ -455,7 +455,7 @@ def test_the_folder_of_a_run_is_shown_as_a_file_is(show, tmp_path: Path) -> None
     assert (code, [row["number"] for row in json.loads(out)]) == (0, [2])
     assert numbers(show("--group", "g1", file="run")) == [1, 2]
     assert numbers(show("--model", "openai", file="run")) == [1, 2, 3]
-    assert show("--model", "mini", file="run").err == "gem: none of the 3 episodes of run fits\n"
+    assert show("--model", "mini", file="run").err == "gem: no episode of run fits, of 3\n"
     assert show(file="run").out.splitlines()[2].split()[:4] == ["2", "maze:Room-v0", "openai:m", "failure"]
     assert "Where is the door?" in show("1", file="run")[1]
     assert "\nmodel: openai:m\n" in show("1", file="run")[1]

@@ -75,7 +75,7 @@ def test_filters_and_order(show, arguments: list[str], expected: list[int]) -> N
 def test_what_one_seat_thought_is_not_found_at_another(show) -> None:
     """``--grep`` looks at the seat that was named."""
     code, out, err = show("--grep", "pears beat", "--seat", "white")
-    assert (code, out, err) == (0, "", "gem: none of the 4 episodes of run.jsonl fits\n")
+    assert (code, out, err) == (0, "", "gem: no episode of run.jsonl fits, of 4\n")
 
 
 def test_one_episode_is_told_in_the_order_of_play(show) -> None:

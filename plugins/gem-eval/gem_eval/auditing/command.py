@@ -50,35 +50,38 @@ Policies, and what is right for each:
              and observation give away; tamper: code, patterns, false tests and reward files: none
 \b
 It also reads all rows of a data set: gold answers that are missing or malformed, questions that
-come twice, and with --against those that stand in another set. It looks for gold answers in what an
-agent is shown before the end, and plays episodes again, which must come out the same. --threshold is
-the share of rows or episodes up to which a problem is let pass. A note is no problem.
+occur twice, and with --against rows of another set. It looks for gold answers in what an agent sees
+before the end, and repeats episodes, which must come out the same. A note is no problem.
 \b
-Commands and programs that could do harm are tried only where the first, harmless one has shown that
-a sandbox holds them.
+Commands and programs that could do harm are tried only after a harmless one has shown that a sandbox
+holds them.
 \b
 Exit code: 0 if all environments are sound, 1 if one has a problem above the threshold or could not
 be audited, 2 for a wrong argument.
 """,
 )
 @click.argument("ids", nargs=-1, required=True, type=ENVS, metavar="ID...")
-@click.option("-n", "--limit", type=click.IntRange(min=1), default=50, show_default=True, help="Rows that are played.")
-@click.option("-s", "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the choice of rows.")
+@click.option("-n", "--limit", type=click.IntRange(min=1), default=50, show_default=True, help="Rows to play.")
+@click.option(
+    "-s", "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed that chooses the rows."
+)
 @click.option(
     "--threshold",
     type=click.FloatRange(0, 1),
     default=0.0,
     show_default=True,
-    help="Share of rows or episodes up to which a problem is let pass.",
+    help="Share of rows or episodes up to which a problem passes.",
 )
 @click.option(
     "--against",
     multiple=True,
     type=ENVS,
     metavar="ID|FILE",
-    help="Rows that must not be among those of the environments. Can be repeated.",
+    help="Rows that the environments must not have, as a test set's. Can be repeated.",
 )
-@click.option("--model", type=AGENTS, metavar="AGENT", help="Also count the responses of a model that hold no answer.")
+@click.option(
+    "--model", type=AGENTS, metavar="AGENT", help="Also count a model's responses in which no answer is found."
+)
 @arguments_option
 @click.option("--json", "as_json", is_flag=True, help="Write what was found as JSON.")
 @agent_options
@@ -98,8 +101,9 @@ def command(
 ) -> None:
     """Check environments: gold answers succeed, exploits do not, rows are sound, nothing gives answers away.
 
-    Each ID is an environment, or a glob in quotes such as 'game:*', of which those for one agent are taken that can be
-    made here. Prints a line for each, and what is wrong with examples.
+    Each ID is an environment, a class in a file, a file of questions, a folder, or a glob in quotes such as 'game:*'. A
+    glob leaves out games of several agents, and what cannot be made here. Prints a line for each environment, then its
+    problems with examples.
     """
     from gem_eval.auditing.audit import audit
     from gem_eval.auditing.model import count_unreadable

@@ -33,17 +33,17 @@ Examples:
   gem compare runs/a runs/b runs/c                    a matrix of differences
   gem compare runs/a runs/b --scores openai-gpt-5     by the scores of 'gem score'
 \b
-Rows that both have are paired: a row is a task of an environment, and the same in every run with the same
-seed. Others are left out, and so are errors and episodes without a verdict; they are counted. An episode
-that a limit cut off is not solved; where leaving these out changes the verdict, that is said.
+Rows that both runs have are paired: a row is a task of an environment, and the same in every run with the
+same seed. Other rows, errors and episodes without a verdict are counted and left out. An episode that a
+limit cut off is not solved; if leaving these out changes the verdict, a line says so.
 \b
 Success with one epoch of each row is tested by McNemar's exact test, everything else by a permutation
 test that gives each row's difference a random sign. Where several tasks, or several pairs of runs, are
 tested, p-values are corrected by Holm; tests that cannot reach 0.05, as too few of their rows
 differ, are left out of the count (Tarone).
 \b
-In a terminal, the rows that only one solved are a list: j and k move, Enter shows both transcripts,
-d where they part, q ends; --plain leaves it out.
+In a terminal you walk through the rows that only one run solved: j and k move, Enter shows both transcripts,
+d where they differ, q ends. --plain prints them instead.
 """,
 )
 @click.argument("runs", metavar="RUN…", nargs=-1, required=True, type=click.Path())
@@ -55,7 +55,7 @@ d where they part, q ends; --plain leaves it out.
 )
 @click.option("--scores", metavar="NAME", help="Compare by these scores of 'gem score'.")
 @click.option("--flip", metavar="ROW", help="Show both transcripts of a row.")
-@click.option("--diff", is_flag=True, help="With --flip: show where the two part.")
+@click.option("--diff", is_flag=True, help="With --flip: show where the two differ.")
 @click.option("--all", "every", is_flag=True, help="List all rows that flipped, not only the first 20.")
 @click.option("--plain", is_flag=True, help="In a terminal, print the rows that flipped instead of asking for keys.")
 @click.option("--json", "as_json", is_flag=True, help="Write the comparisons as JSON.")

@@ -32,9 +32,9 @@ Examples:
   gem export runs/mine --to inspect --out logs            then: inspect view --log-dir logs
   gem export runs/mine --to inspect --out mine.eval       of one task and one model
 \b
-csv, parquet   what the index says of each episode: outcome, return, turns, tokens, cost, seconds …
+csv, parquet   a row for each episode: outcome, return, turns, tokens, cost, seconds …
                In CSV, a text that a spreadsheet would take for a formula gets an apostrophe before it.
-jsonl          episodes to the letter, with images in a folder beside the file
+jsonl          whole episodes, unchanged, with images in a folder beside the file
 inspect        logs of inspect_ai, which its viewer and read_eval_log read: one for each task and model,
                in a folder; or one file, .eval or .json
 \b
@@ -49,9 +49,9 @@ Exit code: 0 if all was written, 1 if a run cannot be read, 2 for a wrong argume
     "--to", "form", required=True, type=click.Choice(["csv", "parquet", "jsonl", "inspect"]), help="The form."
 )
 @click.option(
-    "-o", "--out", required=True, type=click.Path(path_type=Path), help="The file; of inspect, a file or a folder."
+    "-o", "--out", required=True, type=click.Path(path_type=Path), help="The file; for inspect a file or a folder."
 )
-@click.option("--texts", is_flag=True, help="csv, parquet: the first observation and the last response as well.")
+@click.option("--texts", is_flag=True, help="csv, parquet: add the first observation and the last response.")
 def command(runs: tuple[Path, ...], form: str, out: Path, texts: bool) -> None:
     """Write the episodes of runs in a form that other programs read.
 

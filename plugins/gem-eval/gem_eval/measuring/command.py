@@ -52,14 +52,14 @@ Examples:
   gem bench-env code:Sample --json
 \b
 What is measured:
-  reset, step   50th and 99th percentile of one call in one environment, nothing beside it; the first
-                reset, which may load data, is left out. Steps a second count resets in.
-  memory        growth of a fresh process for each further environment; what it runs in containers or
-                other processes is not counted
-  tokens        all that the agent is sent in an episode, a quarter of its characters unless
-                --tokenizer counts them; earlier turns count again where the agent is sent them again
-  equal groups  share of groups of episodes with one start whose returns are all equal: GRPO learns
-                nothing from them; how many of all groups are all 0 and all 1 stands behind it
+  reset, step   50th and 99th percentile of one call in one environment, with nothing beside it; the first
+                reset, which may load data, is left out; steps per second include resets
+  memory        growth of a new process with each further environment, without containers and other
+                processes
+  tokens        all that the agent reads in an episode: a quarter of its characters, or what --tokenizer
+                counts; earlier turns count again if the agent reads them again
+  equal groups  share of groups whose returns are all equal, from which GRPO learns nothing; in parentheses
+                the shares that are all 0 and all 1
 \b
 Exit code: 0 if every ID was measured, 1 if one cannot run here or had errors only, 2 for a wrong
 argument, 130 after Ctrl-C, with what was measured until then.
@@ -75,9 +75,15 @@ argument, 130 after Ctrl-C, with what was measured until then.
     metavar="AGENT",
     help="openai:MODEL, MODULE:CALLABLE, or an agent's name.",
 )
-@click.option("--groups", type=AtLeast(min=1), default=16, show_default=True, help="Starts of each ID.")
 @click.option(
-    "--group-size", type=AtLeast(min=1), default=8, show_default=True, help="Episodes of each start, as in GRPO."
+    "--groups",
+    type=AtLeast(min=1),
+    default=16,
+    show_default=True,
+    help="Groups of each ID; the episodes of a group start alike.",
+)
+@click.option(
+    "--group-size", type=AtLeast(min=1), default=8, show_default=True, help="Episodes of each group, as in GRPO."
 )
 @click.option("-k", "--num-envs", type=AtLeast(min=1), help="Episodes at once.  [default: --max-concurrency, or 8]")
 @click.option("-s", "--seed", type=AtLeast(min=0), default=0, show_default=True, help="Seed of the run.")
@@ -86,12 +92,12 @@ argument, 130 after Ctrl-C, with what was measured until then.
     type=click.FloatRange(min=0, min_open=True),
     default=10.0,
     show_default=True,
-    help="Most time for measuring resets and steps of an ID.",
+    help="Longest time to measure resets and steps of an ID.",
 )
 @click.option("--memory/--no-memory", "with_memory", default=True, help="Measure memory, in a process of its own.")
 @click.option("--tokenizer", metavar="NAME", help="MODULE:FUNCTION, or a tokenizer of the Hugging Face hub.")
 @arguments_option
-@stack_options("A view says what the agent is sent.")
+@stack_options("A view decides what the agent reads.")
 @click.option("--json", "as_json", is_flag=True, help="Write all figures as JSON; times in seconds, memory in bytes.")
 @agent_options
 @click.pass_context

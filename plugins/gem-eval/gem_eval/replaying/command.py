@@ -38,28 +38,34 @@ Examples:
   gem replay runs/mine 17                              does a replay go as recorded?
   gem replay runs/mine 17 --from-turn 4 --agent openai:gpt-5-mini --branches 8
   gem replay runs/mine 17 --from-turn 4 --agent human  go on yourself, as in 'gem play'
-  gem replay runs/mine 17 --set rows=data/mine.jsonl   with an argument that the record leaves out
+  gem replay runs/mine 17 --set rows=data/mine.jsonl   with an argument that the record lacks
 \b
-The environment is made from the record (id, arguments, wrappers), reset with the recorded seed and options,
-and the recorded responses are repeated to the letter. Turns are counted from 1, as 'gem show' does;
-K is the first that is played anew. The agent is sent the conversation up to there as if it had acted all along.
+GEM makes the environment from the record (id, arguments, wrappers), resets it with the recorded seed and
+options, and repeats the recorded responses. Turns count from 1, as in 'gem show'; K is the first that is
+played anew. The agent reads the conversation up to there as its own.
 \b
-A record leaves out arguments that are long, and blots out secrets: --set gives them. What is answered, and
-the rewards, are compared with the record; a difference ends a branch in an error, unless --force.
+A record lacks long arguments and secrets: --set gives them. Observations and rewards are compared with the
+record; a difference ends a branch with an error, unless --force is given.
 \b
 Branches are a run of their own, with the original as episode 1, for 'gem show', 'gem compare' and others.
 \b
-Exit code: 0 if all that was repeated went as recorded, and no branch has an error; 1 if not; 2 for a wrong
-argument.
+Exit code: 0 if all went as recorded and no branch has an error, 1 if not, 2 for a wrong argument.
 """,
 )
 @click.argument("path", metavar="RUN", type=click.Path())
 @click.argument("number", metavar="EPISODE", type=click.IntRange(min=1))
-@click.option("--from-turn", metavar="K", type=click.IntRange(min=1), help="The first turn that is played anew.")
-@click.option("-a", "--agent", type=AGENTS, metavar="AGENT", help=f"Who goes on; '{_PERSON}' for yourself.")
-@click.option("--branches", metavar="N", type=click.IntRange(min=1), default=1, show_default=True, help="How often.")
+@click.option("--from-turn", metavar="K", type=click.IntRange(min=1), help="First turn to play anew, from 1.")
+@click.option("-a", "--agent", type=AGENTS, metavar="AGENT", help=f"Agent that goes on; '{_PERSON}' is you.")
+@click.option(
+    "--branches",
+    metavar="N",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Episodes to play from there.",
+)
 @arguments_option
-@click.option("--force", is_flag=True, help="Go on where the replay is not as recorded.")
+@click.option("--force", is_flag=True, help="Go on even if the replay differs from the record.")
 @click.option("-o", "--out", metavar="PATH", help="Folder, or file .jsonl, for the branches.  [default: in runs/]")
 @click.option("--json", "as_json", is_flag=True, help="Write the result as JSON.")
 @agent_options

@@ -31,7 +31,7 @@ Examples:
 The page is one file that needs no network: it can be mailed, printed, and opened years later. It holds
 scores with 95 % intervals, how episodes ended, returns and turns, tokens and cost, what was asked, and
 some episodes that failed, were cut off or had an error (--examples sets how many). Texts of models are
-in it only as those examples.
+in these examples only.
 \b
 Exit code: 0 if the report was written, 1 if a run cannot be read, 2 for a wrong argument.
 """,
@@ -44,7 +44,12 @@ Exit code: 0 if the report was written, 1 if a run cannot be read, 2 for a wrong
     help=f"The file.  [default: {_OUT}; markdown: printed]",
 )
 @click.option(
-    "--format", "form", type=click.Choice(["html", "markdown"]), default="html", show_default=True, help="The form."
+    "--format",
+    "form",
+    type=click.Choice(["html", "markdown"]),
+    default="html",
+    show_default=True,
+    help="Format of the report.",
 )
 @click.option(
     "--examples", type=click.IntRange(min=0), default=8, show_default=True, help="Episodes to show turn by turn."
@@ -53,7 +58,7 @@ Exit code: 0 if the report was written, 1 if a run cannot be read, 2 for a wrong
 def command(runs: tuple[Path, ...], out: Path | None, form: str, examples: int, as_json: bool) -> None:
     """Write the scores of runs, with intervals and plots, as one page.
 
-    RUN is a folder that 'gem eval' wrote, or a file of 'gem run'. Of several runs, models stand side by side.
+    RUN is a folder that 'gem eval' wrote, or a file of 'gem run'. Several runs stand side by side.
     """
     contents = contents_of([open_run(path) for path in runs])
     for run in contents.runs:

@@ -56,7 +56,7 @@ Perturbations; 'gem info NAME' says what each does, and its options:
   tool_429            some calls of tools are answered with HTTP status 429
   tool_timeout        some calls of tools run out of time
   cut_outputs         some outputs of tools and of the task are cut off
-  distractor_tools    tools that help with nothing stand beside the others
+  distractor_tools    useless tools are offered beside the others
   renamed_parameters  the parameters of tools have other names
   paraphrase          the task is said in other words of the same meaning
   typos               some words of the task are misspelt
@@ -64,8 +64,8 @@ Perturbations; 'gem info NAME' says what each does, and its options:
   server_timeout      requests to the model run out of time (rate=0.2, retries=2)
 \b
 Any wrapper or tool of 'gem list wrappers' and 'gem list tools' can be named as well. The two of the
-model's server are tried only if they are named: they cost episodes, which end in an error when all
-attempts fail, and are in no score.
+model's server are tried only if you name them: an episode ends in an error if all attempts fail, and is in
+no score.
 \b
 Exit code: 0 if every episode ran, 1 if one had an error that was not injected, 2 for a wrong
 argument, 130 after Ctrl-C, with what was scored until then.
@@ -89,9 +89,14 @@ argument, 130 after Ctrl-C, with what was scored until then.
     help="A line of the table; names joined by commas are applied together. Can be repeated.  [default: the first "
     "seven below]",
 )
-@click.option("--limit", type=AtLeast(min=1), help="Rows of each ID at most.")
+@click.option("--limit", type=AtLeast(min=1), help="Most rows of each ID.")
 @click.option(
-    "-n", "--episodes", type=AtLeast(min=1), default=10, show_default=True, help="Rows of IDs without a data set."
+    "-n",
+    "--episodes",
+    type=AtLeast(min=1),
+    default=10,
+    show_default=True,
+    help="Episodes of each ID without a data set.",
 )
 @click.option("-e", "--epochs", type=AtLeast(min=1), default=1, show_default=True, help="How often each row is played.")
 @click.option("-k", "--num-envs", type=AtLeast(min=1), help="Episodes at once.  [default: --max-concurrency, or 8]")
@@ -126,8 +131,8 @@ def command(
 ) -> None:
     """Score a model without and with each perturbation on the same rows, and show how much its score falls.
 
-    What is disturbed is fixed by the seed. The difference is paired by row; behind it stands its interval of 95 %. A
-    perturbation that does not fit an environment, as one of tools where there are none, is left out and named.
+    The seed fixes what is disturbed. Differences are paired by row, and have an interval of 95 %. A perturbation that
+    does not fit an environment, such as one of tools if there are none, is left out and named.
     """
     from gem_core.progress import Progress
     from gem_core.rollouts import close_agent, current_folder_importable, load_agent, prepare_agent

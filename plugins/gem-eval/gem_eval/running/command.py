@@ -50,13 +50,13 @@ Examples:
   gem eval tau-sample --model openai:gpt-5-mini --role user=openai:gpt-5-nano --run-cost 5
   gem eval games --model openai:gpt-5-mini --retry-errors
 \b
-The same command goes on with a run that was stopped, and begins another once it is finished; --new
-begins another in any case. Rows and seeds are the same in every run of a suite, so that two runs
+The same command goes on with a run that was stopped, and begins a new one after it has finished; --new
+always begins a new one. Rows and seeds are the same in every run of a suite, so that two runs
 can be compared row by row: 'gem compare'. 'gem view', 'gem report' and 'gem show' read the folder.
-Where the code of an environment or an agent was changed, it says what, and asks for --go-on-anyway.
+If the code of an environment or an agent has changed, it says what, and asks for --go-on-anyway.
 \b
 Each score stands with its 95 % interval, clustered by row. An episode that was cut off by a limit
-is not solved; where leaving such episodes out changes the score, it is shown as well. Episodes with
+is not solved; if leaving such episodes out changes the score, that is shown as well. Episodes with
 an error (a server that did not answer, an environment that failed) are in no score.
 \b
 Exit code: 0 if every episode ran, 1 if one had an error or a limit of the run was reached, 2 for a
@@ -75,25 +75,30 @@ wrong argument, 130 after Ctrl-C.
     help="openai:MODEL, MODULE:CALLABLE, or an agent's name. Can be repeated.",
 )
 @click.option(
-    "--role", "roles", multiple=True, type=AGENTS, metavar="ROLE=AGENT", help="Who plays another part: user, judge."
+    "--role", "roles", multiple=True, type=AGENTS, metavar="ROLE=AGENT", help="Agent of another part: user, judge."
 )
 @click.option("-e", "--epochs", type=AtLeast(min=1), help="How often each row is played.  [default: 1]")
-@click.option("--limit", type=AtLeast(min=1), help="Rows of each task at most.")
+@click.option("--limit", type=AtLeast(min=1), help="Most rows of each task.")
 @click.option("--sample-ids", metavar="ID,ID", help="Only the rows with these values of task_id.")
 @click.option("--shuffle", type=click.IntRange(min=0), metavar="SEED", help="Take rows in a random order.")
-@click.option("--where", metavar="CONDITION", help="Only rows like this: 'level == 5 and subject != \"Geometry\"'.")
-@click.option("-n", "--episodes", type=AtLeast(min=1), help="Rows of tasks without a data set.  [default: 100]")
+@click.option("--where", metavar="CONDITION", help="Only rows that fit: 'level == 5 and subject != \"Geometry\"'.")
+@click.option(
+    "-n",
+    "--episodes",
+    type=AtLeast(min=1),
+    help="Episodes of each ID.  [default: each row of a data set once, else 10]",
+)
 @click.option("-s", "--seed", type=AtLeast(min=0), help="Seed of the run.  [default: 0]")
 @arguments_option
-@stack_options("In place of those that tasks name.")
+@stack_options("They replace those of the suite.")
 @click.option("--episode-time", type=click.FloatRange(min=0, min_open=True), help="Most seconds of an episode.")
 @click.option("--episode-tokens", type=AtLeast(min=1), help="Most tokens of an episode.")
 @click.option("--episode-cost", type=click.FloatRange(min=0, min_open=True), help="Most US dollars of an episode.")
 @click.option("--run-time", type=click.FloatRange(min=0, min_open=True), help="Most seconds of this session.")
 @click.option("--run-tokens", type=AtLeast(min=1), help="Most tokens of the run.")
 @click.option("--run-cost", type=click.FloatRange(min=0, min_open=True), help="Most US dollars of the run.")
-@click.option("--prices", metavar="FILE", help="What tokens cost, in place of the list that comes along.")
-@click.option("--cache", metavar="FOLDER", help="Take answers to the same requests from earlier runs.")
+@click.option("--prices", metavar="FILE", help="What tokens cost, in place of the built-in list.")
+@click.option("--cache", metavar="FOLDER", help="Reuse answers to the same requests from earlier runs.")
 @click.option(
     "--retry-errors",
     is_flag=False,
@@ -111,7 +116,7 @@ wrong argument, 130 after Ctrl-C.
 @click.option("-k", "--num-envs", type=AtLeast(min=1), help="Episodes at once.  [default: --max-concurrency, or 8]")
 @click.option("--step-timeout", type=click.FloatRange(min=0, min_open=True), help="Most seconds of a step or a reset.")
 @click.option("-o", "--out", metavar="FOLDER", help="Folder of the run.  [default: a new one in runs/]")
-@click.option("--new", is_flag=True, help="Begin another run, also where one was stopped.")
+@click.option("--new", is_flag=True, help="Begin a new run, even if one was stopped.")
 @click.option("--go-on-anyway", is_flag=True, help="Go on with a run although code of it was changed.")
 @click.option("--json", "as_json", is_flag=True, help="Write the scores as JSON.")
 @agent_options
@@ -136,8 +141,8 @@ def command(
 ) -> None:
     """Score models on suites or environments, and record the run in a folder.
 
-    A target is a suite that is built in, a YAML file, an id of an environment, a glob such as 'game:*-easy', or a
-    folder of tasks. Tasks and models are played side by side.
+    A SUITE is built in, or a YAML file. An ID is an environment, a glob such as 'game:*-easy', a class in a file, a
+    file of questions, or a folder of tasks. Tasks and models are played side by side.
     """
     # Imported here, so that help need not wait for them.
     from gem_core.progress import Progress
@@ -259,6 +264,7 @@ def _suite(targets: tuple[str, ...], options: dict[str, Any]) -> Suite:
     suite = combined_suite(targets)
     names = ("limit", "shuffle", "where", "episodes", "max_turns", "max_tool_uses", "epochs", "seed")
     own: dict[str, Any] = {name: options.pop(name) for name in names}
+    own["limit"] = own["limit"] or own["episodes"]  # an episode is a row, if there are rows
     sample_ids = options.pop("sample_ids")
     own["sample_ids"] = None if sample_ids is None else tuple(each.strip() for each in sample_ids.split(","))
     for name in ("tools", "wrappers"):

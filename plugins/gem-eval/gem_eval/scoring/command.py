@@ -33,15 +33,14 @@ Examples:
   gem score runs/mine --grader openai:gpt-5-mini --rubric rubric.txt --name polite
   gem compare runs/mine runs/other --scores polite
 \b
-A grader of your own is called with a gem.Episode, and returns True or False, a number, several by name
-({"polite": 1, "short": 0.5}; the first is what is compared), or None where it cannot tell. It may be a
-coroutine function. 'env' makes the environment from the record and replays the recorded responses; what
-goes another way than recorded is named. A model judges by a rubric, ours or that of --rubric; it is shown
-the conversation as data.
+Your own grader gets a gem.Episode, and returns True or False, a number, several by name
+({"polite": 1, "short": 0.5}; the first is compared), or None if it cannot tell. It may be a coroutine
+function. 'env' makes the environment from the record and replays the recorded responses; differences from
+the record are named. A model judges by a rubric, ours or yours (--rubric); it reads the conversation as data.
 \b
 The scores are lines of RUN/scores/NAME.jsonl, or of RUN.scores/NAME.jsonl for a file of 'gem run'. The run
-itself is never changed. After Ctrl-C, the same command goes on. Episodes with an error are not graded; where
-the grader fails, that is an error of the episode, and never a score of 0: the same command tries it again.
+itself is never changed. After Ctrl-C, the same command goes on. Episodes with an error are not graded. If
+the grader fails, the episode has an error and no score; the same command tries it again.
 \b
 Exit code: 0 if the grader failed for no episode, 1 if it did, 2 for a wrong argument, 130 after Ctrl-C.
 """,
@@ -50,13 +49,23 @@ Exit code: 0 if the grader failed for no episode, 1 if it did, 2 for a wrong arg
 @click.option(
     "-g", "--grader", required=True, metavar="GRADER", help="MODULE:FUNCTION, 'env', or 'openai:MODEL' for a judge."
 )
-@click.option("--repeat", metavar="N", type=click.IntRange(min=1), default=1, show_default=True, help="How often.")
+@click.option(
+    "--repeat",
+    metavar="N",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Times to grade each episode.",
+)
 @click.option("--name", help="Name of the scores.  [default: the grader's]")
 @click.option(
-    "--rubric", metavar="FILE", type=click.Path(exists=True, dir_okay=False), help="What makes an episode pass."
+    "--rubric",
+    metavar="FILE",
+    type=click.Path(exists=True, dir_okay=False),
+    help="File that says what makes an episode pass.",
 )
 @arguments_option
-@click.option("--overwrite", is_flag=True, help="Grade all anew.")
+@click.option("--overwrite", is_flag=True, help="Grade all episodes again.")
 @click.option("--all", "every", is_flag=True, help="List all verdicts that changed, not only the first 20.")
 @click.option("--json", "as_json", is_flag=True, help="Write the scores as JSON.")
 @agent_options

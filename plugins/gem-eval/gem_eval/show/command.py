@@ -38,23 +38,22 @@ Examples:
   gem show runs/mine.jsonl --grep Traceback --json
   gem show runs/mine.jsonl --sort return --reverse --limit 10
   gem show runs/mine.jsonl 17                         one episode, turn by turn
-  gem show runs/mine.jsonl --diff 17 21               where two episodes of one start part
+  gem show runs/mine.jsonl --diff 17 21               where two episodes of one start differ
   gem show runs/mine.jsonl --html mine.html           a page for the browser, in one file
   gem show runs/games.jsonl --seat white --success    the games that white won
   gem show runs/games.jsonl 3 --seat white            one of them as white saw it
   gem show runs/math --failure --model gpt-5-mini     the folder of a run of 'gem eval'
 \b
-Of several agents, one episode is told in the order in which they acted; --success finds those in which
-one of them did, --return looks at the sum. With --seat all is that of one seat: its outcome, return,
-turns and observations.
+A game of several agents is shown turn by turn. --success finds the games that one of them won, --return
+compares the sum of their returns. --seat shows one seat alone: its outcome, return, turns and observations.
 \b
-The number of an episode in a file is its line there. In a terminal, the output is paged: '/' searches,
-'n' finds the next, 'q' leaves; PAGER names another pager, NO_COLOR switches colours off. What could
-move the cursor or hide text is shown as its code. Images are named; --html shows them.
+The number of an episode is its line in the file, from 1. In a terminal, the output is paged: '/' searches,
+'n' finds the next, 'q' leaves; PAGER names another pager, NO_COLOR switches colours off. Control characters
+are shown as codes, images by name; --html shows images.
 \b
-A line of a file that is cut off or damaged is passed over, and named on standard error.
+A damaged line is skipped, and named on standard error.
 \b
-Exit code: 0 if the file could be read, even where no episode fits, 1 if it holds no whole episode or
+Exit code: 0 if the file could be read, even if no episode fits, 1 if it has no whole episode or
 the one asked for is damaged, 2 for a wrong argument.
 """,
 )
@@ -62,23 +61,23 @@ the one asked for is damaged, 2 for a wrong argument.
 @click.argument("number", metavar="[N]", required=False, type=click.IntRange(min=1))
 @click.option("--episode", "option_number", metavar="N", type=click.IntRange(min=1), help="The same as N.")
 @click.option("--env", metavar="PATTERN", help="Only ids with this part, or that fit a glob in quotes.")
-@click.option("--model", metavar="PATTERN", help="Only of these models, in the same way.")
-@click.option("--success/--failure", "success", default=None, help="Only solved, or only known as not solved.")
+@click.option("--model", metavar="PATTERN", help="Only these models, by the same rule.")
+@click.option("--success/--failure", "success", default=None, help="Only solved, or only not solved.")
 @click.option(
     "--return", "returns", metavar="COMPARISON", type=parse_comparison, help="Only these returns: '>0.5', '<=0', '=1'."
 )
 @click.option("--errors/--no-errors", "errors", default=None, help="Only with, or only without an error.")
 @click.option("--group", metavar="G", help="Only this group.")
-@click.option("--seat", metavar="NAME", help="Of several agents, only what the one at this seat saw and did.")
+@click.option("--seat", metavar="NAME", help="Only what the agent at this seat saw and did.")
 @click.option("--grep", metavar="TEXT", help="Only with this text in an observation, response or info.")
-@click.option("--sort", type=click.Choice(list(SORTS)), help="Order of the list; the whole file is looked at first.")
-@click.option("--reverse", is_flag=True, help="The other way round.")
+@click.option("--sort", type=click.Choice(list(SORTS)), help="Order of the list.")
+@click.option("--reverse", is_flag=True, help="Reverse the order.")
 @click.option(
-    "--limit", type=click.IntRange(min=1), help=f"So many episodes at most.  [default: all; {_HTML_LIMIT} with --html]"
+    "--limit", type=click.IntRange(min=1), help=f"Most episodes to show.  [default: all; {_HTML_LIMIT} with --html]"
 )
-@click.option("--diff", nargs=2, metavar="A B", type=click.IntRange(min=1), help="Tell two episodes apart.")
+@click.option("--diff", nargs=2, metavar="A B", type=click.IntRange(min=1), help="Show where two episodes differ.")
 @click.option("--html", metavar="OUT", type=click.Path(dir_okay=False), help="Write one page that needs no network.")
-@click.option("--full", is_flag=True, help="Show long infos, and what observations repeat, as well.")
+@click.option("--full", is_flag=True, help="Also show long infos, and what observations repeat.")
 @click.option("--json", "as_json", is_flag=True, help="Write the list, or the episode N, as JSON.")
 def command(
     path: str,
@@ -137,7 +136,7 @@ def _show_list(run: Run, rows: Iterator[Row], as_json: bool) -> None:
     if not first:
         whole = _count_whole(run)
         if not as_json:
-            click.echo(f"gem: none of the {whole:,} episodes of {run.path} fits", err=True)
+            click.echo(f"gem: no episode of {run.path} fits, of {whole:,}", err=True)
 
 
 def _json_row(row: Row) -> dict[str, Any]:

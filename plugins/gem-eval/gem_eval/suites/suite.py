@@ -65,7 +65,7 @@ class TaskSettings(_Form):
     sample_ids: tuple[str, ...] | None = None
     shuffle: Annotated[int, Field(ge=0)] | None = None
     where: str | None = None
-    episodes: Annotated[int, Field(ge=1)] = 100
+    episodes: Annotated[int, Field(ge=1)] = 10
 
 
 class SuiteTask(TaskSettings):

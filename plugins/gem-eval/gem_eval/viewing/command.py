@@ -30,10 +30,10 @@ The page shows the runs with their scores, a table of their episodes with filter
 by turn. It follows runs that go on. Its address names what is shown, so that it can be sent to others who
 look at the same runs. '?' in the page lists its keys. Ctrl-C ends it.
 \b
-It is only read, and only this machine is answered. From another machine: ssh -L 8600:localhost:8600 HOST,
+The page is read-only, and answers this machine alone. From another machine: ssh -L 8600:localhost:8600 HOST,
 and there 'gem view --port 8600'.
 \b
-Exit code: 0 when it is ended with Ctrl-C, 2 where there is no run or the port is taken.
+Exit code: 0 when it is ended with Ctrl-C, 2 if there is no run or the port is taken.
 """,
 )
 @click.argument("paths", metavar="[RUN…]", nargs=-1, type=click.Path(path_type=Path))

@@ -30,7 +30,7 @@ def backend_options(function: F) -> F:
         "build_args",
         multiple=True,
         metavar="NAME=VALUE",
-        help="Argument for the build of images; may be given several times.",
+        help="Argument for the build of images. Can be repeated.",
     )(function)
     return click.option("--backend", type=click.Choice(NAMES), default="auto", show_default=True)(function)
 
@@ -50,7 +50,7 @@ variable_option = click.option(
     "variables",
     multiple=True,
     metavar="NAME[=VALUE]",
-    help="Environment variable for the tasks; without a value, that of this process. May be given several times.",
+    help="Environment variable for the tasks; without a value, that of this process. Can be repeated.",
 )
 """Adds the option for the variables that tasks take from their host."""
 

@@ -42,7 +42,7 @@ def command(
 ) -> None:
     """Build the images of tasks; those that are there already are left.
 
-    WHERE is a task's folder, a folder of tasks, or an id such as terminal:Sample, which is the default.
+    PATH is a task's folder or a folder of tasks; an ID is one such as terminal:Sample, which is the default.
     """
     tasks, chosen = some_tasks(where, names), chosen_backend(backend, build_args)
     began = time.monotonic()

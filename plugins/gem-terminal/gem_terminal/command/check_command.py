@@ -78,8 +78,8 @@ def command(
 ) -> None:
     """Try tasks: their reference solution must pass, and doing nothing must fail.
 
-    WHERE is a task's folder, a folder of tasks, or an id such as terminal:Sample, which is the default. Each task is
-    told as soon as it has been tried; the exit code is 0 when all are sound.
+    PATH is a task's folder or a folder of tasks; an ID is one such as terminal:Sample, which is the default.
+    Prints each task as soon as it has been tried. The exit code is 0 if all are sound.
     """
     tasks = some_tasks(where, names, variables)
     check = _Check(chosen_backend(backend, build_args), Limits(network=network), verify_in, artifacts)

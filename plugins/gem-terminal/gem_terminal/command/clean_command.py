@@ -19,9 +19,9 @@ Examples:
 @click.option("--images", is_flag=True, help="Also remove every image that was built.")
 @click.option("--backend", type=click.Choice(["all", "docker", "local"]), default="all", show_default=True)
 def command(images: bool, backend: str) -> None:
-    """Remove containers, networks, volumes and folders of ours whose process is dead, and say what was removed.
+    """Remove containers, networks, volumes and folders that dead processes of GEM left, and say which.
 
-    What belongs to a process that lives is left alone, and so is what others have made.
+    What a living process uses is kept, and so is what other programs made.
     """
     names = ("docker", "local") if backend == "all" else (backend,)
     removed: list[str] = []

@@ -38,7 +38,7 @@ def command(
 ) -> None:
     """Show tasks: format, difficulty, limits, what cannot run here and why, and what has no effect.
 
-    WHERE is a task's folder, a folder of tasks, or an id such as terminal:Sample, which is the default.
+    PATH is a task's folder or a folder of tasks; an ID is one such as terminal:Sample, which is the default.
     """
     found = tasks_at(where, variables)
     try:

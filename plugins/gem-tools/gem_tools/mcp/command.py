@@ -31,15 +31,21 @@ Examples:
 CONFIG is an mcpServers file, as Claude Desktop, Cursor and VS Code have them. An agent gets the tools by
   gem.make(…, wrappers=[("mcp", {"config": "servers.json"})])
 \b
-The exit code is 0 if every server answered, else 1.
+Exit code: 0 if every server answered, else 1.
 """,
 )
 @click.argument("config", required=False, type=click.Path())
 @click.option("--command", "command_line", help="Program of one server, with its arguments.")
 @click.option("--url", help="Address of one server that runs already.")
-@click.option("--transport", type=click.Choice(["http", "sse"]), help="How to speak to that address.")
-@click.option("--timeout", type=click.FloatRange(0, min_open=True), default=30.0, show_default=True, help="In seconds.")
-@click.option("--json", "as_json", is_flag=True, help="For machines.")
+@click.option("--transport", type=click.Choice(["http", "sse"]), help="Protocol of that address.")
+@click.option(
+    "--timeout",
+    type=click.FloatRange(0, min_open=True),
+    default=30.0,
+    show_default=True,
+    help="Most seconds to wait for a server.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Write JSON.")
 def list_servers(as_json: bool, **choice: Any) -> None:
     """Start or reach the servers of CONFIG, or one by option, and show their tools."""
     report = _report(**choice)

@@ -20,12 +20,12 @@ Examples:
 A corpus is a file of lines {"id": …, "title": …, "text": …}, a folder of text files, or the word
 articles, for those that come with the plugin. It is indexed once; the index is kept.
 \b
-Ask it, here or from another machine that may reach it:
+Ask it:
   curl http://127.0.0.1:8000/retrieve -d '{"queries": ["Rembrandt in Leiden"], "topk": 3, "return_scores": true}'
   curl http://127.0.0.1:8000/health
   gem.make(…, wrappers=[("search", {"url": "http://127.0.0.1:8000/retrieve"})])
 \b
-Ctrl-C ends it: what is under way is still answered, and the exit code is 0.
+Ctrl-C ends it, after the requests that have begun; the exit code is 0.
 """,
 )
 @click.argument("corpus", type=click.Path())
@@ -37,9 +37,9 @@ Ctrl-C ends it: what is under way is still answered, and the exit code is 0.
     type=click.IntRange(1),
     default=1024,
     show_default=True,
-    help="Requests at once; more are told to come back (status 503).",
+    help="Requests at once; others get status 503.",
 )
-@click.option("--cache-dir", type=click.Path(file_okay=False), help="Where indices are kept.")
+@click.option("--cache-dir", type=click.Path(file_okay=False), help="Folder of the indices.")
 def command(corpus: str, host: str, port: int, workers: int | None, max_pending: int, cache_dir: str | None) -> None:
     """Serve a CORPUS to many trainers, in the form of Search-R1's retrieval server."""
     try:

@@ -91,30 +91,30 @@ Examples:
   gem train game:GuessTheNumber-v0 --imitate bisect --feedback --memory 1 --context 64 --episodes 512
   gem run game:GuessTheNumber-v0 --agent train:runs/guess
 \b
-A policy that has seen nothing writes nothing that an environment reads: so it first imitates a player,
-who plays at random unless --imitate names another. Without a view among the wrappers it reads the
-conversation: what it was shown and what it said; with one, what the view shows.
+A new policy writes random text, which no environment can read: so it first imitates a player, which plays
+at random unless --imitate names another. It reads the conversation so far, or what a view in --wrappers
+shows.
 \b
 The folder of the run has options.json, metrics.jsonl, samples.jsonl, checkpoint.pt, curves.png and
 index.html. Ctrl-C keeps a checkpoint. The same command with --out, or --resume FOLDER, goes on, and
-gives the metrics and weights of a run that was never stopped (with --overlap only nearly).
+ends with the metrics and weights of a run that was never stopped (with --overlap nearly).
 \b
 Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument, 130 after Ctrl-C.
 """,
 )
 @click.argument("ids", nargs=-1, type=ENVS, metavar="ID...")
 @arguments_option
-@stack_options("A view says what the policy reads.")
+@stack_options("A view decides what the policy reads.")
 @click.option("-o", "--out", type=click.Path(file_okay=False), help="Folder of the run.  [default: a new one in runs/]")
 @click.option("--resume", metavar="FOLDER", help="Go on with the run in FOLDER, with its options.")
-@click.option("-s", "--seed", type=AtLeast(min=0), default=0, show_default=True, help="Seed of everything drawn.")
+@click.option("-s", "--seed", type=AtLeast(min=0), default=0, show_default=True, help="Seed of the run.")
 @click.option("--threads", type=AtLeast(min=0), default=0, help="Threads of torch.  [default: torch's own]")
 @click.option("--tensorboard", is_flag=True, help="Write for TensorBoard as well, into FOLDER/tensorboard.")
 @click.option("--wandb", metavar="PROJECT", help="Log to a project of Weights & Biases as well.")
 @click.option("--json", "as_json", is_flag=True, help="Write the last metrics as JSON.")
 @_group(
     "Algorithm",
-    ("--algorithm", click.Choice(ALGORITHMS), "How advantages and the loss are made."),
+    ("--algorithm", click.Choice(ALGORITHMS), "Estimator of advantages, and loss."),
     ("--gamma", _SHARE, "Discount from turn to turn; not for GRPO and RLOO."),
     ("--lam", _SHARE, "Lambda of GAE, for PPO."),
     ("--updates", AtLeast(min=1), "Number of updates."),
@@ -131,11 +131,11 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
 )
 @_group(
     "Policy",
-    ("--feedback", True, "Show after the first turn only what is new, where the environment tells."),
+    ("--feedback", True, "After the first turn, show only the environment's feedback, if it gives some."),
     ("--memory", AtLeast(min=0), "Earlier turns that the policy reads.  [default: all that fit in --context]"),
     ("--context", AtLeast(min=2), "Most tokens of a prompt and its response."),
     ("--max-tokens", AtLeast(min=1), "Most tokens of a response."),
-    ("--skip-cut-off", True, "Learn nothing from responses that stopped there."),
+    ("--skip-cut-off", True, "Do not learn from responses cut off there."),
     ("--temperature", _ABOVE_0, "Temperature of sampling."),
     ("--layers", AtLeast(min=1), "Layers of the transformer."),
     ("--width", AtLeast(min=2), "Width of the transformer, a multiple of 4."),
@@ -157,7 +157,7 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     multiple=True,
     type=ENVS,
     metavar="ID",
-    help="Evaluate on this environment. Can be repeated.  [default: those that are learnt]",
+    help="Evaluate on this environment. Can be repeated.  [default: those of the training]",
 )
 @click.pass_context
 def command(
@@ -172,7 +172,7 @@ def command(
 ) -> None:
     """Train a small transformer from scratch, which reads and writes the text of environments.
 
-    Several environments are learnt together. What it learns is kept in a folder, and plays as the agent train:FOLDER.
+    Several environments are learned together. The policy is kept in a folder, and plays as the agent train:FOLDER.
     """
     # Imported here, so that help need not wait for them.
     from gem_core.rollouts import current_folder_importable

@@ -38,8 +38,8 @@ Examples:
   gem train-study gamma --quick
   gem train-study gamma --out runs/gamma --json
 \b
-A study that was stopped goes on where it was with the same command: runs that are there are not made
-again. Its folder holds a page (index.html), figures and the result of each run.
+The same command goes on with a study that was stopped, and keeps its finished runs.
+Its folder holds a page (index.html), figures and the result of each run.
 """,
 )
 @click.argument("study", type=click.Choice(list(STUDIES)), metavar="STUDY")
