@@ -2,8 +2,9 @@
 
 ``python mcp_bad_server.py WAY…``; without a way it behaves. Its tools: ``echo`` gives its text back, ``count`` counts
 the calls of this process, ``slow`` waits until it is cancelled, ``die`` ends the process, ``blob`` gives as many
-characters as it is asked for, ``pid`` gives ids of processes, ``shapes`` gives each kind of content, ``ask`` asks the
-client for a completion, ``cancelled`` counts the calls given up.
+characters as it is asked for, ``error`` answers with a code, ``note`` writes to the file ``NOTES`` and counts what is
+there, ``pid`` gives ids of processes, ``shapes`` gives each kind of content, ``ask`` asks the client for a completion,
+``cancelled`` counts the calls given up.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import time
 from pathlib import Path
 
 WAYS = set(sys.argv[1:])
-TOOLS = ("echo", "count", "slow", "die", "blob", "pid", "shapes", "ask", "cancelled")
+TOOLS = ("echo", "count", "slow", "die", "blob", "pid", "shapes", "ask", "error", "note", "cancelled")
 state = {"count": 0, "cancelled": 0}
 waiting: dict[str, object] = {}
 PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mP8z8BQDwAEhQGAhKmMIQAAAABJRU5ErkJggg=="
@@ -54,6 +55,7 @@ def tool(name: str) -> dict[str, object]:
     properties: dict[str, object] = {
         "echo": {"text": {"type": "string"}},
         "blob": {"size": {"type": "integer", "minimum": 1}},
+        "error": {"code": {"type": "integer"}},
     }.get(name, {})
     schema = {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
     return {"name": name, "description": f"Does {name}.", "inputSchema": schema}
@@ -96,6 +98,8 @@ def call(request: object, name: str, arguments: dict[str, object]) -> None:
             time.sleep(1000)
     elif name == "slow":
         waiting[str(request)] = request
+    elif name == "error":
+        send({"id": request, "error": {"code": arguments["code"], "message": "as asked"}})
     elif name == "shapes":
         shapes(request)
     elif name == "ask":
@@ -109,6 +113,11 @@ def effect(request: object, name: str, arguments: dict[str, object]) -> None:
     """Answer a call that does something."""
     if name == "echo":
         text(request, str(arguments.get("text")))
+    elif name == "note":
+        notes = Path(os.environ["NOTES"])
+        with notes.open("a") as file:
+            file.write("x")
+        text(request, f"{len(notes.read_text())} {Path.cwd() == notes.parent}")
     elif name == "blob":
         text(request, "x" * int(str(arguments["size"])))
     elif name == "die":

@@ -33,10 +33,10 @@ def test_the_mcp_example_runs(tmp_path: Path) -> None:
 
 def test_the_configuration_is_read(monkeypatch, tmp_path):
     monkeypatch.setenv("TICKETS_TOKEN", "t")
-    (example,) = (block.code for block in extract_code_blocks(GUIDE, "json"))
+    example, memory = (block.code for block in extract_code_blocks(GUIDE, "json"))
     path = tmp_path / "servers.json"
     path.write_text(example, encoding="utf-8")
     files, tickets = read_config(path)
     assert files.args[-1] == str(tmp_path)
     assert tickets.headers == (("Authorization", "Bearer t"),)
-    assert json.loads(example)
+    assert dict(read_config(json.loads(memory))[0].in_folder("x").env) == {"MEMORY_FILE_PATH": "x/memory.jsonl"}

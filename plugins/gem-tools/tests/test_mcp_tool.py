@@ -158,14 +158,62 @@ def test_a_server_that_dies_is_restarted_and_the_agent_is_told():
         env.close()
 
 
+def test_a_code_of_a_server_says_nothing_of_the_connection():
+    """Servers answer with the codes by which the library tells of lost connections and of its clock."""
+    env = around(bad())
+    try:
+        for code in (-32000, -32001, -32700, -32600):
+            observation, info = step(env, "error", code=code)
+            assert observation == "The server bad refused the call: as asked"
+            assert "fault" not in info
+        assert step(env, "count")[0] == "5"  # nothing was restarted
+    finally:
+        env.close()
+
+
+def test_a_server_that_hangs_is_restarted_and_given_up_in_time(tmp_path):
+    """It answers no ping either; a third call in the episode does not wait for it."""
+    log = tmp_path / "calls"
+    env = around(bad("deaf", "log", env={"CALLS": str(log)}, call_timeout_s=0.5))
+    try:
+        for _ in range(2):
+            assert step(env, "count")[0].endswith("1")
+            observation, info = step(env, "echo", text="x")
+            assert "The server bad hangs: it did not answer within 0.5 s, nor a ping within 1 s." in observation
+            assert info["fault"].startswith("hung: ")
+        observation, info = step(env, "echo", text="x")
+        assert "is not asked again" in observation
+        assert info["fault"].startswith("hung: ")
+        assert log.read_text().split() == ["count", "count"]
+    finally:
+        env.close()
+
+
+def test_a_session_has_a_folder_of_its_own(tmp_path):
+    """It outlives a restart of the server, is empty in the next episode, and is deleted."""
+    folder = tmp_path / "tmp"
+    folder.mkdir()
+    options = {"env": {"NOTES": "{episode_dir}/notes"}, "cwd": "{episode_dir}"}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tempfile.tempdir", str(folder))
+        env = around(bad(**options))
+        assert step(env, "note")[0] == "1 True"
+        step(env, "die")
+        assert step(env, "note")[0].endswith("\n2 True")
+        env.reset(seed=1)
+        assert step(env, "note")[0] == "1 True"
+        env.close()
+    assert list(folder.iterdir()) == []
+
+
 @pytest.mark.thorough
 def test_a_server_that_reads_nothing_any_more_is_restarted():
     env = around(bad("deaf", call_timeout_s=3.0))
     try:
         assert step(env, "count")[0] == "1"
         observation, info = step(env, "echo", text="x" * 1_000_000)  # more than a pipe holds
-        assert "The server bad was lost during the call: it did not even take the request within 3 s." in observation
-        assert info["fault"].startswith("died: ")
+        assert "The server bad hangs: it did not answer within 3 s, nor a ping within 3 s." in observation
+        assert info["fault"].startswith("hung: ")
         assert step(env, "count")[0].endswith("what the server remembered may be lost.]\n1")
     finally:
         env.close()

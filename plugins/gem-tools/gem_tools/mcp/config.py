@@ -12,7 +12,7 @@ import shlex
 import shutil
 import urllib.parse
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -21,6 +21,8 @@ import pydantic
 from gem_core.errors import ArgumentError
 
 STDIO, HTTP, SSE = "stdio", "http", "sse"
+EPISODE_DIR = "{episode_dir}"
+"""Stands for a folder that each session has for itself."""
 
 _FORMS = {STDIO: STDIO, HTTP: HTTP, SSE: SSE, "streamable-http": HTTP, "streamable_http": HTTP, "streamableHttp": HTTP}
 _FORMS["local"] = STDIO
@@ -57,6 +59,12 @@ class Server:
     def __repr__(self) -> str:
         # Arguments, variables, headers and the rest of an address may hold secrets.
         return f"Server({self.name!r}, {self.place!r})"
+
+    def in_folder(self, folder: str) -> Server:
+        """Return the server with a folder in the place of ``{episode_dir}``."""
+        args = tuple(each.replace(EPISODE_DIR, folder) for each in self.args)
+        env = tuple((name, value.replace(EPISODE_DIR, folder)) for name, value in self.env)
+        return replace(self, args=args, env=env, cwd=self.cwd and self.cwd.replace(EPISODE_DIR, folder))
 
     @property
     def place(self) -> str:
@@ -148,7 +156,9 @@ class _Entry(pydantic.BaseModel):
             name = name or parts.netloc.rpartition("@")[2]
             return Server(name, url=self.url, headers=headers, transport=transport or (SSE if sse else HTTP))
         program, *first = _words(self.command or "")
-        cwd = str(folder / Path(self.cwd).expanduser()) if self.cwd is not None and folder is not None else self.cwd
+        cwd = self.cwd
+        if cwd is not None and folder is not None and not cwd.startswith(EPISODE_DIR):
+            cwd = str(folder / Path(cwd).expanduser())
         args, env = (*first, *self.args), tuple(self.env.items())
         return Server(name or Path(program).name, program, args=args, env=env, cwd=cwd)
 
@@ -185,8 +195,8 @@ def read_config(config: str | os.PathLike[str] | Mapping[str, Any]) -> list[Serv
     Read as Claude Desktop, Cursor and VS Code write it: ``{"mcpServers": {name: {…}}}`` (VS Code: ``"servers"``), with
     ``command``, ``args``, ``env``, ``cwd``, or ``url`` and ``headers``, ``type`` or ``transport``, and ``disabled``.
     ``${NAME}``, ``${env:NAME}`` and ``${NAME:-default}`` stand for environment variables, ``${workspaceFolder}`` for
-    the file's folder and ``${userHome}`` for the user's. Keys that only matter to other clients are ignored. An
-    ArgumentError names the file, the server and the key.
+    the file's folder, ``${userHome}`` for the user's and ``{episode_dir}`` for one of the episode's own. Keys that only
+    matter to other clients are ignored. An ArgumentError names the file, the server and the key.
     """
     if isinstance(config, Mapping):
         return _servers("the configuration", config, Path.cwd())

@@ -4,21 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from mcp import ClientSession, MCPError
 from mcp.shared.jsonrpc_dispatcher import JSONRPCDispatcher
-from mcp.types import (
-    CONNECTION_CLOSED,
-    INVALID_REQUEST,
-    METHOD_NOT_FOUND,
-    PARSE_ERROR,
-    REQUEST_TIMEOUT,
-    UNSUPPORTED_PROTOCOL_VERSION,
-    Implementation,
-    Request,
-)
+from mcp.types import METHOD_NOT_FOUND, UNSUPPORTED_PROTOCOL_VERSION, Implementation, Request
 from pydantic import TypeAdapter, ValidationError
 
 from gem_core import __version__
@@ -33,6 +24,9 @@ for _name in ("mcp", "client"):
     logging.getLogger(_name).addHandler(logging.NullHandler())
 
 _OBJECT: TypeAdapter[dict[str, Any]] = TypeAdapter(dict[str, Any])
+_PING_S = (1.0, 5.0)
+"""A server that did not answer a request has as long for a ping, within these limits."""
+
 _CLOSE_S = 15.0
 """Longer than closing a transport may take; after that its task is cancelled."""
 
@@ -44,8 +38,9 @@ class ServerFault(GemError):
     """A server that gave no result.
 
     Args:
-        kind: ``"unreachable"`` (it did not receive the request), ``"timeout"``, ``"died"`` (the connection is lost),
-            ``"error"`` (a JSON-RPC error), ``"too_long"`` (the answer) or ``"protocol"``.
+        kind: ``"unreachable"`` (it did not receive the request), ``"timeout"`` (of this request; it answers others),
+            ``"hung"`` (it answers nothing), ``"died"`` (the connection is lost), ``"error"`` (a JSON-RPC error),
+            ``"too_long"`` (the answer) or ``"protocol"``.
         message: What happened.
     """
 
@@ -54,19 +49,34 @@ class ServerFault(GemError):
         self.kind = kind
 
 
-class _Dispatcher(JSONRPCDispatcher[Any]):
-    """The library's, which tells when the server's messages have ended."""
+class _Messages:
+    """The stream of a server's messages, which calls a function at its end.
 
-    def __init__(self, reading: Any, writing: Any, ended: asyncio.Event) -> None:
-        super().__init__(reading, writing)
-        self._messages_ended = ended
+    The library answers for a server that has ended by an error with a code, which a server may send as well.
+    """
 
-    async def run(self, *args: Any, **options: Any) -> None:
-        """Read messages until there are no more."""
+    def __init__(self, stream: Any, at_end: Callable[[], None]) -> None:
+        self._stream, self._at_end = stream, at_end
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    async def __aenter__(self) -> _Messages:
+        await self._stream.__aenter__()
+        return self
+
+    async def __aexit__(self, *reason: object) -> None:
+        await self._stream.__aexit__(*reason)
+
+    def __aiter__(self) -> _Messages:
+        return self
+
+    async def __anext__(self) -> Any:
         try:
-            await super().run(*args, **options)
-        finally:
-            self._messages_ended.set()
+            return await self._stream.__anext__()
+        except BaseException:  # also where the transport fails, which cancels who reads
+            self._at_end()
+            raise
 
 
 class Connection:
@@ -77,11 +87,14 @@ class Connection:
         self.has_tools = False
         self._remarks = Remarks()
         self._session: ClientSession | None = None
-        self._dispatcher: _Dispatcher | None = None
+        self._dispatcher: JSONRPCDispatcher[Any] | None = None
         self._modern = False
         self._owner: asyncio.Task[None] | None = None
         self._stop, self._ready = asyncio.Event(), asyncio.Event()
+        self._ended = False
+        """Whether the server's messages have ended."""
         self._cause: BaseException | None = None
+        self._refusal = ""
 
     @property
     def alive(self) -> bool:
@@ -108,26 +121,25 @@ class Connection:
     async def request(self, method: str, params: Mapping[str, Any], timeout_s: float) -> dict[str, Any]:
         """Send a request and return its result, as the server wrote it; raise a ServerFault where there is none.
 
-        On a timeout the server is told that nobody waits any more; the session stays usable.
+        On a timeout the server is told that nobody waits any more; if it still answers a ping, the session goes on.
         """
         session, dispatcher = self._session, self._dispatcher
         if session is None or dispatcher is None:
             raise ServerFault("died", self._death())
         try:
-            # The library's clock starts once the request is written; a server that reads nothing is met by the outer.
-            async with asyncio.timeout(timeout_s + 1):
+            # This clock and no other: an error of a server may look as one of the library's clock.
+            async with asyncio.timeout(timeout_s):
                 if self._modern:
                     asked = Request[dict[str, Any], str](method=method, params=dict(params))
                     answer: Any = _OBJECT  # the annotation knows of models alone
-                    return await session.send_request(asked, answer, request_read_timeout_seconds=timeout_s)  # type: ignore[no-any-return]
+                    return await session.send_request(asked, answer)  # type: ignore[no-any-return]
                 # Not through the session: one tool that is malformed would cost the whole list, and the session holds
                 # results to output schemas in ways that a hostile one can draw out for ever.
-                return await dispatcher.send_raw_request(method, params, {"timeout": timeout_s})
-        except MCPError as error:
-            raise await self._fault(error, timeout_s) from None
+                return await dispatcher.send_raw_request(method, params)
         except TimeoutError:
-            self.stop()
-            raise ServerFault("died", f"it did not even take the request within {timeout_s:g} s") from None
+            raise await self._lateness(dispatcher, timeout_s) from None
+        except MCPError as error:
+            raise await self._fault(error) from None
         except (ValidationError, RuntimeError, ValueError) as error:
             message = f"the answer is not of the protocol's form: {self._shown(str(error))}"
             raise ServerFault("protocol", message) from None
@@ -154,7 +166,7 @@ class Connection:
     async def _own(self) -> None:
         try:
             async with transport(self.server, self._remarks) as (reading, writing):
-                self._dispatcher = _Dispatcher(reading, writing, self._stop)
+                self._dispatcher = JSONRPCDispatcher(_Messages(reading, self._end), writing)
                 session = ClientSession(
                     dispatcher=self._dispatcher,
                     client_info=Implementation(name="gem", version=__version__),
@@ -181,6 +193,7 @@ class Connection:
             await session.initialize()
         except MCPError as error:
             if error.code not in (UNSUPPORTED_PROTOCOL_VERSION, METHOD_NOT_FOUND):
+                self._refusal = "" if self._lost(error) else error.message
                 raise
             await session.discover()
             self._modern = True
@@ -192,23 +205,44 @@ class Connection:
 
     # What went wrong.
 
-    async def _fault(self, error: MCPError, timeout_s: float) -> ServerFault:
-        message = self._shown(error.message) or "no reason given"
-        if error.code == CONNECTION_CLOSED:
+    def _end(self) -> None:
+        self._ended = True
+        self.stop()
+
+    def _lost(self, error: MCPError) -> bool:
+        """Tell whether an error is that messages have ended: all, or over HTTP those that would answer the request."""
+        return self._ended or (self.server.transport != STDIO and error.message.startswith("SSE stream "))
+
+    async def _lateness(self, dispatcher: JSONRPCDispatcher[Any], timeout_s: float) -> ServerFault:
+        """Tell a call that is slow from a server that hangs, by a ping."""
+        late = f"it did not answer within {timeout_s:g} s"
+        limit_s = min(max(timeout_s, _PING_S[0]), _PING_S[1])
+        try:
+            async with asyncio.timeout(limit_s):
+                await dispatcher.send_raw_request("ping", None)
+        except MCPError as error:  # an answer, too, unless there will be none
+            if self._lost(error):
+                return await self._fault(error)
+        except TimeoutError:
             self.stop()
-            if error.message == "Connection closed":  # else, over HTTP, the answer's stream alone has ended
+            return ServerFault("hung", f"{late}, nor a ping within {limit_s:g} s")
+        return ServerFault("timeout", late)
+
+    async def _fault(self, error: MCPError) -> ServerFault:
+        message = self._shown(error.message) or "no reason given"
+        if self._lost(error):
+            self.stop()
+            if self._ended:  # else, over HTTP, the answer's stream alone has ended
                 await self.close()  # to learn the exit code
                 message = self._death()
             return ServerFault("died", message)
-        if error.code == REQUEST_TIMEOUT:
-            return ServerFault("timeout", f"it did not answer within {timeout_s:g} s")
         if TOO_LONG in message:
             return ServerFault("too_long", message[message.index(TOO_LONG) :])
         if self.server.transport != STDIO:
-            if (error.code, message) == (INVALID_REQUEST, "Session terminated"):
+            if message == "Session terminated":
                 self.stop()
                 return ServerFault("unreachable", "the server does not know the session any more")
-            if error.code == PARSE_ERROR:
+            if message.startswith("Failed to parse "):
                 return ServerFault("protocol", message)
         return ServerFault("error", message)
 
@@ -224,8 +258,8 @@ class Connection:
             return self._cause
         if timed_out:
             text = f"did not answer within {self.server.connect_s:g} s; give it more with connect_timeout_s"
-        elif isinstance(self._cause, MCPError) and self._cause.code != CONNECTION_CLOSED:
-            text = f"refused the connection: {self._shown(self._cause.message)}"
+        elif self._refusal:
+            text = f"refused the connection: {self._shown(self._refusal)}"
         elif self.server.transport == STDIO:
             text = "ended before it had answered"
         else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import tempfile
 import threading
 from collections.abc import Coroutine, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -76,6 +77,11 @@ async def _ask_all(servers: Sequence[Server]) -> list[Listing]:
 
 
 async def _ask(server: Server) -> Listing:
+    with tempfile.TemporaryDirectory(prefix="gem-mcp-", ignore_cleanup_errors=True) as folder:
+        return await _told_by(server.in_folder(folder))
+
+
+async def _told_by(server: Server) -> Listing:
     connection = Connection(server)
     try:
         await connection.open()

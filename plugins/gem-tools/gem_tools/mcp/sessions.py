@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import os
+import shutil
+import tempfile
 import weakref
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -28,7 +30,9 @@ class ServerSession:
         self._process = os.getpid()
         self._connecting = asyncio.Lock()
         self._open: list[Connection] = []  # the connection, where there is one
-        weakref.finalize(self, _stop, self._open, self._process)  # when nobody refers to the session any more
+        self._folders: list[str] = []  # what ``{episode_dir}`` stands for, where it was made
+        # When nobody refers to the session any more:
+        weakref.finalize(self, _stop, self._open, self._folders, self._process)
 
     async def request(self, method: str, params: Mapping[str, Any]) -> dict[str, Any]:
         """Send a request, once; connect first where there is no connection. Raises as ``Connection`` does."""
@@ -36,8 +40,10 @@ class ServerSession:
             self._begin()  # in a forked child, whose parent goes on with the connection
         async with self._connecting:
             if not self._open or not self._open[0].alive:
-                await self.close()
-                connection = Connection(self.server)
+                await self._disconnect()
+                if self.server.in_folder(".") != self.server and not self._folders:
+                    self._folders.append(tempfile.mkdtemp(prefix="gem-mcp-"))
+                connection = Connection(self.server.in_folder(*self._folders) if self._folders else self.server)
                 await connection.open()
                 self._open.append(connection)
                 self.generation += 1
@@ -45,7 +51,12 @@ class ServerSession:
         return await connection.request(method, params, self.server.call_s)
 
     async def close(self) -> None:
-        """Close the connection."""
+        """Close the connection, and delete the folder of the session."""
+        await self._disconnect()
+        while self._process == os.getpid() and self._folders:
+            shutil.rmtree(self._folders.pop(), ignore_errors=True)
+
+    async def _disconnect(self) -> None:
         while self._process == os.getpid() and self._open:
             await self._open.pop().close()
 
@@ -56,6 +67,8 @@ class Handle:
     def __init__(self, session: ServerSession, shared: bool) -> None:
         self.session, self.shared = session, shared
         self._seen: int | None = None
+        self.hangs = 0
+        """How often the server has hung in this episode."""
 
     def restarted(self) -> bool:
         """Tell, once, whether the connection is another than at the episode's last call."""
@@ -79,8 +92,10 @@ def shared_session(server: Server) -> ServerSession:
     return session
 
 
-def _stop(connections: list[Connection], process: int) -> None:
+def _stop(connections: list[Connection], folders: list[str], process: int) -> None:
     # This may be the garbage collector, in any thread, at any point; or a forked child of the process.
     if process == os.getpid():
         for connection in connections:
             background_loop().call_soon_threadsafe(connection.stop)
+        for folder in folders:
+            shutil.rmtree(folder, ignore_errors=True)

@@ -23,6 +23,9 @@ from gem_tools.mcp.schemas import ArgumentChecker
 from gem_tools.mcp.sessions import Handle, ServerSession, shared_session
 from gem_tools.mcp.text import shortened
 
+MAX_HANGS = 2
+"""After so many a server is not asked again in the episode: each costs the whole limit of a call."""
+
 MAX_DESCRIPTION_CHARS = 2000
 MAX_SHOWN_SCHEMA_CHARS = 4000
 MAX_BRIEF_CHARS = 100
@@ -55,7 +58,8 @@ def make_mcp(
     Args:
         config: An ``mcpServers`` file as other clients read it, or a mapping of that form. Or, for one server:
         command: Program to start.
-        args: Its arguments.
+        args: Its arguments. In these, in ``env`` and in ``cwd``, ``{episode_dir}`` stands for an empty folder that each
+            session has for itself, and that is deleted with it.
         env: Variables that it gets besides the harmless ones (``HOME``, ``PATH``, ``LANG`` and their like).
         cwd: Folder to start it in.
         url: Address of a server that runs already.
@@ -200,12 +204,16 @@ class McpTool(Tool):
         """Ask the server; what it answers, or why it does not, is for the agent."""
         name = self.server.name
         info: dict[str, Any] = {"server": name}
+        if session.hangs >= MAX_HANGS:
+            message = f"The server {name} has hung {MAX_HANGS} times in this episode, and is not asked again."
+            return ToolResult(message, failed=True, info={**info, "fault": f"hung: {message}"})
         try:
             params = {"name": self._offer.name, "arguments": arguments}
             result = await session.session.request("tools/call", params)
         except ServerFault as fault:
             session.restarted()
-            if fault.kind in ("protocol", "unreachable", "died"):
+            session.hangs += fault.kind == "hung"
+            if fault.kind in ("protocol", "unreachable", "died", "hung"):
                 info["fault"] = f"{fault.kind}: {fault}"  # for trainers: a machine failed, not the agent
             return ToolResult(_explained(fault, self.server), failed=True, info=info)
         except GemError as error:
@@ -257,6 +265,8 @@ def _explained(fault: ServerFault, server: Server) -> str:
         "unreachable": f"The server {name} cannot be reached: {fault}. {no_fault}",
         "timeout": f"The server {name} was too slow: {fault}. The call was given up; it may have had its effect all "
         "the same.",
+        "hung": f"The server {name} hangs: {fault}. Whether the call had its effect is not known. At the next call "
+        f"{then}; what the server remembered may be lost.",
         "died": f"The {lost} {name} was lost during the call: {fault}. Whether the call had its effect is not known. "
         f"At the next call {then}; what the server remembered may be lost.",
     }[fault.kind]
