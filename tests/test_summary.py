@@ -63,22 +63,27 @@ def test_a_task_that_ends_in_silence_never_tells() -> None:
 @pytest.mark.parametrize(
     ("solved", "judged", "rate_error", "return_error"),
     [
-        (11, 50, 0.0583, 0.0592),
-        (50, 50, 0.0098, 0.0),
-        (0, 50, 0.0098, 0.0),
+        (11, 50, 0.0583, 0.1184),
+        (50, 50, 0.0098, None),
         (1, 1, 0.25, None),
-        (5, 10, 0.1508, 0.1667),
+        (5, 10, 0.1508, 0.3333),
     ],
 )
 def test_rates_and_means_come_with_a_standard_error(
     solved: int, judged: int, rate_error: float, return_error: float | None
 ) -> None:
-    """Wilson's for the rate, which is certain of nothing; the sample's own for returns, where there are two."""
-    summary = RunSummary([])
+    """Wilson's for the rate, and for a return that is the success; the sample's own for others, if it has a spread."""
+    summaries = [RunSummary([]) for _ in range(3)]
     for number in range(judged):
-        summary.add(episode("a:A", float(number < solved), correct=number < solved))
-    row = summary.to_dict(1.0)["environments"][0]
+        won = number < solved
+        for summary, reward in zip(summaries, (float(won), 2.0 * won, 2.0 * won), strict=True):
+            played = episode("a:A", reward, correct=won)
+            played.return_range = (0.0, 2.0) if summary is summaries[2] else None
+            summary.add(played)
+    paid, row, ranged = (summary.to_dict(1.0)["environments"][0] for summary in summaries)
     assert row["success_standard_error"] == pytest.approx(rate_error, abs=5e-5)
+    assert paid["return_standard_error"] == paid["success_standard_error"]
+    assert ranged["return_standard_error"] == pytest.approx(2 * rate_error, abs=1e-4)
     found = row["return_standard_error"]
     assert found is return_error is None or found == pytest.approx(return_error, abs=5e-5)
 

@@ -80,6 +80,12 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
     endless_tasks: bool = False
     """Whether ``options={"index": i}`` also takes numbers from ``num_tasks`` up, for fresh tasks of later epochs."""
 
+    return_range: tuple[float, float] | None = None
+    """The lowest and the highest return that an episode can have; None where that is not known.
+
+    Standard errors and intervals of scores stay within it. A wrapper that changes rewards declares its own.
+    """
+
     # Frames a second: what Gymnasium's checker asks of whatever can be rendered; text has none.
     metadata: dict[str, Any] = {"render_modes": ["ansi", "human"], "render_fps": 4}  # noqa: RUF012 - as in Gymnasium
     """The render modes that ``make`` offers: a text of the state, returned by ``render`` or printed at every step."""

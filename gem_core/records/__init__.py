@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gem_core.parsing import without_thinking
-from gem_core.records.episode import Episode, Transition
+from gem_core.records.episode import Episode, Transition, return_range_of
 from gem_core.records.files import (
     EpisodeFileWarning,
     EpisodeLine,
@@ -19,6 +19,7 @@ from gem_core.records.plans import EpisodeStart, PlanItem, count_plan, cover_pla
 from gem_core.records.redaction import without_secrets
 from gem_core.records.summary import EnvSummary, RunSummary
 from gem_core.records.turns import Turn
+from gem_core.records.uncertainty import Range, effective_size, shared_range, standard_error, wilson
 
 __all__ = [
     "EnvSummary",
@@ -30,12 +31,14 @@ __all__ = [
     "ImageFolder",
     "JointEpisode",
     "PlanItem",
+    "Range",
     "Record",
     "RunSummary",
     "Transition",
     "Turn",
     "count_plan",
     "cover_plan",
+    "effective_size",
     "episode_lines",
     "from_plain",
     "group_plan",
@@ -43,7 +46,11 @@ __all__ = [
     "read_episodes",
     "read_records",
     "record_from_dict",
+    "return_range_of",
+    "shared_range",
+    "standard_error",
     "to_plain",
+    "wilson",
     "without_secrets",
     "without_thinking",
     "write_episodes",

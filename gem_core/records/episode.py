@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sized
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from gem_core.errors import EpisodeFileError
+from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records.conversation import Conversation
 from gem_core.records.folding import folded, unfolded
 from gem_core.records.plain_json import ImageFolder, from_plain, to_plain
@@ -68,6 +69,7 @@ class Episode:
         agent: Name of the agent that acted. None where that is not known, as in files of earlier versions.
         first_reward: Reward that came with the first observation, for what others had done; 0 for an agent alone.
         ended_first: Whether the task was over for a seat among several before it ever acted.
+        return_range: The lowest and the highest return that the environment declares; None where it declares none.
         schema_version: Version of this record's form.
     """
 
@@ -93,6 +95,7 @@ class Episode:
     agent: str | None = None
     first_reward: float = 0.0
     ended_first: bool = False
+    return_range: tuple[float, float] | None = None
     schema_version: int = SCHEMA_VERSION
 
     @property
@@ -218,6 +221,7 @@ class Episode:
             turns = [_transition(turn, images) for turn in record["transitions"]]
             fields = {name: from_plain(record[name], images) for name in _FIELDS if name in record}
             episode = cls(**fields, transitions=turns)
+            episode.return_range = return_range_of(episode.return_range)
             unfold(episode)
         except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
             raise EpisodeFileError(f"the record of an episode is damaged ({type(error).__name__}: {error})") from error
@@ -260,6 +264,23 @@ def unfold(episode: Episode) -> None:
     for turn in episode.transitions:
         before = turn.observation = unfolded(turn.observation, before)
     episode.final_observation = unfolded(episode.final_observation, before)
+
+
+def return_range_of(declared: Any) -> tuple[float, float] | None:
+    """Return the range of returns that an environment or a record declares.
+
+    Raises:
+        ArgumentError: It is no pair of finite numbers, the lower one first.
+    """
+    if declared is None:
+        return None
+    try:
+        low, high = map(float, declared)
+    except (TypeError, ValueError):
+        low = high = math.nan
+    if not -math.inf < low < high < math.inf:
+        raise ArgumentError(f"return_range must be (lowest, highest), two numbers, not {declared!r:.100}")
+    return low, high
 
 
 def _has_many_parts(value: object) -> bool:

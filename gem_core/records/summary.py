@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from gem_core.records.episode import Episode
 from gem_core.records.joint import Record
+from gem_core.records.uncertainty import Range, shared_range, standard_error
 
 
 @dataclass
@@ -54,6 +54,10 @@ class EnvSummary:
     _silent: int = field(default=0, repr=False)
     _cut_off: int = field(default=0, repr=False)
     _spread: float = field(default=0.0, repr=False)
+    _ranges: set[Range | None] = field(default_factory=set, repr=False)
+    _lowest: float = field(default=float("inf"), repr=False)
+    _highest: float = field(default=-float("inf"), repr=False)
+    _pays_success: bool = field(default=True, repr=False)
 
     @property
     def label(self) -> str:
@@ -76,6 +80,8 @@ class EnvSummary:
         self.cut_off_by_limits += episode.cut_off not in (None, "turns", "tokens")
         self.turns += episode.turns
         self._add_return(episode.episode_return)
+        self._ranges.add(episode.return_range)
+        self._pays_success &= episode.success is not None and episode.episode_return == episode.success
         self._judge(episode)
 
     def _add_return(self, episode_return: float) -> None:
@@ -83,6 +89,7 @@ class EnvSummary:
         count = self.episodes
         distance = episode_return - (self.total_return / (count - 1) if count > 1 else 0.0)
         self.total_return += episode_return
+        self._lowest, self._highest = min(self._lowest, episode_return), max(self._highest, episode_return)
         self._spread += distance * (episode_return - self.total_return / count)
 
     def _judge(self, episode: Episode) -> None:
@@ -108,17 +115,11 @@ class EnvSummary:
 
     @property
     def success_standard_error(self) -> float | None:
-        """Standard error of the success rate, after Wilson; None where none was judged.
-
-        It is half the width of the score interval of one standard error, so that neither a single episode nor a rate
-        of 0 or 1 looks certain.
-
-        Source: E. B. Wilson, JASA 22 (1927), 209-212, with z = 1.
-        """
+        """Standard error of the success rate, after Wilson; None where none was judged. See ``standard_error``."""
         if not self.judged:
             return None
-        count, rate = self.judged, self.successes / self.judged
-        return math.sqrt(rate * (1 - rate) * count + 0.25) / (count + 1)
+        rate = self.successes / self.judged
+        return standard_error(self.judged, rate, self.judged * rate * (1 - rate), (0.0, 1.0))
 
     @property
     def mean_return(self) -> float | None:
@@ -127,10 +128,16 @@ class EnvSummary:
 
     @property
     def return_standard_error(self) -> float | None:
-        """Standard error of the mean return, from the spread in this sample; None with fewer than two episodes."""
-        if self.episodes < 2:
+        """Standard error of the mean return; None where the sample does not tell. See ``standard_error``.
+
+        Returns that are 1 for success and else 0 have that of the success rate.
+        """
+        if not self.episodes:
             return None
-        return math.sqrt(max(self._spread, 0.0) / (self.episodes - 1) / self.episodes)
+        if self._pays_success:
+            return self.success_standard_error
+        within = shared_range(self._ranges, self._lowest, self._highest)
+        return standard_error(self.episodes, self.total_return / self.episodes, max(self._spread, 0.0), within)
 
     @property
     def mean_turns(self) -> float | None:

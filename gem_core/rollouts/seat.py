@@ -81,7 +81,7 @@ def new_episode(described: Mapping[str, Any], start: EpisodeStart, observation: 
     """Return the record of an episode that begins, of an agent that reads observations.
 
     Args:
-        described: ``id``, ``kwargs`` and ``wrappers`` of its environment.
+        described: ``id``, ``kwargs``, ``wrappers`` and, if it has one, ``return_range`` of its environment.
         start: What it starts from.
         observation: What ``reset`` returned.
         info: What ``reset`` returned with it.
@@ -95,6 +95,7 @@ def new_episode(described: Mapping[str, Any], start: EpisodeStart, observation: 
         tools=tools,
         reads="observation",
         agent=start.item.agent,
+        return_range=described.get("return_range"),
     )
 
 

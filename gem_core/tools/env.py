@@ -75,6 +75,8 @@ class ToolEnv(Wrapper):
     ) -> None:
         super().__init__(env)
         _check(env, max_tool_uses, call_timeout_s)
+        if tool_reward or tool_success_reward or tool_error_reward:
+            self.return_range = None
         self.tool_reward = tool_reward
         self.tool_success_reward = tool_success_reward
         self.tool_error_reward = tool_error_reward

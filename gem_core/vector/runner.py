@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any, cast
 
 from gem_core.background import in_thread
+from gem_core.env.base import Env
 from gem_core.env.guard import Guard
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.results import checked_reset, checked_result
@@ -16,6 +17,7 @@ from gem_core.env.seeding import checked_seed, stable_hash
 from gem_core.env.spec import EnvRecipe
 from gem_core.env.wrapper import AnyEnv, concurrency_of, reset_async, step_async
 from gem_core.errors import ArgumentError
+from gem_core.records.episode import return_range_of
 from gem_core.types import Action, Concurrency, ResetResult, StepResult
 from gem_core.vector.commands import Command, Failure, Outcome, Rebuild, Reset
 from gem_core.vector.joint import joint_reset, joint_step
@@ -182,7 +184,10 @@ class EnvRunner:
         return cast("str", env.get_wrapper_attr("sample_random_action")(*([] if agent is None else [agent])))
 
     def describe(self) -> dict[str, Any]:
-        """Return ``id``, ``kwargs`` (over the registered ones) and ``wrappers``; the id is None if there is none."""
+        """Return ``id``, ``kwargs`` (over the registered ones), ``wrappers`` and, if it declares one, ``return_range``.
+
+        The id is None if there is no environment.
+        """
         env: Any = self.env
         spec = None if env is None else env.spec
         if spec is None:
@@ -191,7 +196,9 @@ class EnvRunner:
             raise ArgumentError(
                 f"{spec.id} was made by gymnasium.make; a record needs what gem_core.make returns, or the id alone"
             )
-        return {"id": spec.id, "kwargs": spec.overrides(), "wrappers": spec.listed_wrappers()}
+        described = {"id": spec.id, "kwargs": spec.overrides(), "wrappers": spec.listed_wrappers()}
+        declared = return_range_of(env.get_wrapper_attr("return_range") if isinstance(env.unwrapped, Env) else None)
+        return described if declared is None else {**described, "return_range": declared}
 
     def tasks(self, env_id: str | None, kwargs: Mapping[str, Any]) -> tuple[int | None, bool]:
         """Return ``num_tasks`` and ``endless_tasks`` of an environment; make it unless it is present."""

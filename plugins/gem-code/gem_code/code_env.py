@@ -97,6 +97,7 @@ class CodeEnv(DatasetEnv):
         self.solution_key = solution_key
         self.reward: RewardRule = reward
         self.format_error_reward = float(format_error_reward)
+        self.return_range = (min(0.0, self.format_error_reward), max(1.0, self.format_error_reward))
         self.max_tests = max_tests
         self.grading = Grading(
             limits=ProgramLimits(timeout_s, timeout_s, memory_mb, max_output_bytes),

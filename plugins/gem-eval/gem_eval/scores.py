@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from gem_eval.statistics import Estimate, mean, pass_at, pass_hat, rate
+from gem_core.records import Range, shared_range
+from gem_eval.statistics import Estimate, mean, pass_at, pass_hat, row_means
 
 if TYPE_CHECKING:
     from gem_core import Episode
@@ -168,21 +169,22 @@ def _score(env_id: str, model: str, metric: Metric, played: Sequence[Row]) -> Sc
     errors = [episode for episode in played if episode.error is not None]
     unscored = [episode for episode in counted if episode.success is None]
     rows = _rows(metric, counted)
-    estimate = _estimate(metric, rows)
+    within = _range(metric, counted)
+    estimate = _estimate(rows, within)
     counts = [(len(row), int(sum(row))) for row in rows]
     ks = _ks(max((count for count, _ in counts), default=0)) if metric == "success" else []
     asked = len({(episode.id, episode.row) for episode in played})
 
     def without(left_out: Callable[[Row], bool]) -> Estimate | None:
         kept = [episode for episode in counted if not left_out(episode)]
-        other = _estimate(metric, _rows(metric, kept)) if len(kept) < len(counted) else None
+        other = _estimate(_rows(metric, kept), within) if len(kept) < len(counted) else None
         if other is None or estimate is None or math.isclose(other.mean, estimate.mean, abs_tol=1e-12):
             return None
         return other
 
     def with_zeros(failed: list[Row]) -> float | None:
-        changed = _estimate(metric, _rows(metric, counted, failed)) if failed else None
-        return None if changed is None else changed.mean
+        changed = _rows(metric, counted, failed) if failed else []
+        return float(row_means(changed).mean()) if changed else None
 
     center, stderr, low, high = estimate or (None, None, None, None)
     return Score(
@@ -221,10 +223,16 @@ def _rows(metric: Metric, counted: Iterable[Row], zeros: Iterable[Row] = ()) -> 
     return list(rows.values())
 
 
-def _estimate(metric: Metric, rows: list[list[float]]) -> Estimate | None:
-    if not rows:
-        return None
-    return rate(rows) if metric == "success" else mean(rows)
+def _range(metric: Metric, counted: Sequence[Row]) -> Range | None:
+    """Return the range of values: of returns that are 1 for success and else 0, that of successes."""
+    if metric == "success" or all(row.success is not None and row.episode_return == row.success for row in counted):
+        return (0.0, 1.0)
+    returns = [row.episode_return for row in counted if math.isfinite(row.episode_return)] or [0.0]
+    return shared_range([row.return_range for row in counted], min(returns), max(returns))
+
+
+def _estimate(rows: list[list[float]], within: Range | None) -> Estimate | None:
+    return mean(rows, within=within) if rows else None
 
 
 def _ks(epochs: int) -> list[int]:

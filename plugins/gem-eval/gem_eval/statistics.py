@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import lru_cache
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -17,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gem_core.errors import ArgumentError
+from gem_core.records import Range, effective_size, shared_range, standard_error, wilson
 
 Rows = Sequence[Sequence[float]]
 """Values by row: one inner sequence for each row, with a value for each epoch."""
@@ -24,13 +24,9 @@ Counts = Sequence[tuple[int, int]]
 """For each row, its number of epochs and how many of them succeeded."""
 _Floats = npt.NDArray[np.float64]
 
-# A resample of few rows may show no spread at all; its standard error counts as at least this share of the sample's. By
-# simulation: of rows that are mostly 0, the intervals that there are cover 94 % with 1/8, 90 % with 1/4.
-_LEAST_SPREAD = 1 / 8
-# More rows than this are bootstrapped in groups, to bound time and memory.
-_MOST_GROUPS = 1_000
-# Bootstrap samples that are in memory at a time.
-_SAMPLES_AT_ONCE = 100
+# Values of no declared range may lie beyond those seen by this share of their range. By simulation of 4 to 100 rows,
+# intervals then cover more often than Student's t where returns are skewed or mostly 0, and are as wide for 4 rows.
+_SEEN_BEYOND = 0.5
 # Up to so many differences other than 0, all 2**n assignments of signs are tried.
 _MOST_EXACT = 16
 
@@ -40,7 +36,8 @@ class Estimate(NamedTuple):
 
     Args:
         mean: The mean of the means of rows.
-        stderr: Its standard error, clustered by row; None where the sample does not tell.
+        stderr: Its standard error, clustered by row; None where the sample does not tell. It is that of the table
+            of ``gem run``; see ``gem_core.records.standard_error``.
         low: Lower end of the interval; None where the sample does not tell.
         high: Upper end of the interval.
     """
@@ -68,16 +65,7 @@ class Agreement(NamedTuple):
 
 
 def rate(rows: Rows, confidence: float = 0.95) -> Estimate:
-    """Estimate a rate from values between 0 and 1, such as successes.
-
-    The interval is Wilson's, with the number of independent observations that would have the variance seen between rows
-    (the effective sample size). With one epoch a row, with one row, or where the epochs of every row agree, that is the
-    number of rows. Otherwise it is larger, but for few rows reduced as Korn and Graubard do, by the squared ratio of
-    the quantiles of the normal and the t distribution, never below the number of rows. The variance counts one
-    imaginary row more whose epochs agree, so that few rows, or rare successes, do not seem more certain than they are.
-
-    The standard error is the clustered one. Where all rows have the same mean that would be 0, and with one row
-    unknown; it is then half the width of this interval for one standard error, as in the table of ``gem run``.
+    """Estimate a rate from values between 0 and 1, such as successes: the ``mean`` within 0 and 1.
 
     Args:
         rows: Values by row, each from 0 to 1.
@@ -85,40 +73,39 @@ def rate(rows: Rows, confidence: float = 0.95) -> Estimate:
 
     Raises:
         ArgumentError: There are no values, or some lie outside of 0 to 1.
+    """
+    return mean(rows, confidence, within=(0.0, 1.0))
+
+
+def mean(rows: Rows, confidence: float = 0.95, *, within: Range | None = None) -> Estimate:
+    """Estimate the mean of any values, such as returns.
+
+    Of values in a declared range, the interval is Wilson's, moved from 0 … 1 to that range, with the number of
+    independent observations that would have the variance seen between rows (the effective sample size). For values at
+    the two ends with one epoch a row, with one row, or where all epochs are alike, that is the number of rows.
+    Otherwise it is larger, but for few rows reduced as Korn and Graubard do, by the squared ratio of the quantiles of
+    the normal and the t distribution, never below the number of rows. The variance counts one imaginary row more whose
+    epochs agree, so that few rows, or rare successes, do not seem more certain than they are.
+
+    Of other values, the range is taken to be twice that of the rows seen. Where all rows have the same mean, or there
+    is one, the sample does not tell its uncertainty: the estimate has the mean alone.
+
+    Args:
+        rows: Values by row.
+        confidence: Probability that the interval covers.
+        within: The range that values can have; None where it is not known.
+
+    Raises:
+        ArgumentError: There are no values, or some lie outside of the range.
 
     Source: E. B. Wilson, JASA 22 (1927), 209-212; E. L. Korn and B. I. Graubard, Survey Methodology 24 (1998), 193-201;
     C. Franco et al., J. Survey Statistics and Methodology 7 (2019), 334-364, who recommend Wilson's form.
     """
     means = row_means(rows)
-    if means[0] < 0 or means[-1] > 1:
-        outside = means[0] if means[0] < 0 else means[-1]
-        raise ArgumentError(f"a rate takes values from 0 to 1, not {outside:g}; use mean() for returns")
-    return Estimate(*_rate_of(means, confidence))
-
-
-def mean(rows: Rows, confidence: float = 0.95, *, seed: int = 0, resamples: int = 2_000) -> Estimate:
-    """Estimate the mean of any values, such as returns.
-
-    The interval is the symmetric studentized bootstrap by row: in simulations with few, skewed or heavy-tailed rows it
-    covers more often than BCa, Student's t, and the studentized bootstrap with equal tails. Where all rows have the
-    same mean, or there is one, the sample does not tell its uncertainty: the estimate has the mean alone. Values that
-    are 0 and 1, and both occur, are a rate, and get the interval of ``rate``.
-
-    Args:
-        rows: Values by row.
-        confidence: Probability that the interval covers.
-        seed: Seed of the bootstrap.
-        resamples: Number of its samples.
-
-    Raises:
-        ArgumentError: There are no values.
-
-    Source: P. Hall, Journal of the Royal Statistical Society B 50 (1988), 35-45.
-    """
-    means = row_means(rows)
-    if {value for row in rows for value in row} == {0, 1}:
-        return Estimate(*_rate_of(means, confidence))
-    return _bootstrapped(means, confidence, seed, resamples)
+    if within is not None and shared_range([within], means[0], means[-1]) is None:
+        outside = means[0] if means[0] < within[0] else means[-1]
+        raise ArgumentError(f"values from {within[0]:g} to {within[1]:g} were expected, not {outside:g}")
+    return _estimate(means, confidence, within)
 
 
 def pass_at(counts: Counts, k: int, confidence: float = 0.95) -> Estimate:
@@ -165,30 +152,22 @@ def differences(a: Rows, b: Rows) -> list[float]:
     return [_mean_of(one) - _mean_of(other) for one, other in zip(a, b, strict=True) if len(one) and len(other)]
 
 
-def paired_difference(
-    a: Rows, b: Rows, confidence: float = 0.95, *, rates: bool = False, seed: int = 0, resamples: int = 2_000
-) -> Estimate:
+def paired_difference(a: Rows, b: Rows, confidence: float = 0.95, *, within: Range | None = None) -> Estimate:
     """Estimate the mean of ``a - b`` over the rows that both have, as a pair for each row.
 
     Args:
         a: Values by row.
         b: Values of the same rows in the same order.
         confidence: Probability that the interval covers.
-        rates: The values are from 0 to 1, as successes are. The interval is then that of ``rate``, for differences
-            moved from -1 … 1 to 0 … 1: it stays within -1 and 1, and has a width also where no row differs. Otherwise
-            it is the bootstrap interval of ``mean``.
-        seed: Seed of the bootstrap.
-        resamples: Number of its samples.
+        within: The range that values can have, as ``(0, 1)`` for successes; None where it is not known. See ``mean``:
+            with a range, the interval stays within what two values can differ by, and has a width also where no row
+            differs.
 
     Raises:
         ArgumentError: The numbers of rows differ, or there are no values in common.
     """
     apart = row_means([[value] for value in differences(a, b)])
-    if not rates:
-        return _bootstrapped(apart, confidence, seed, resamples)
-    _, stderr, low, high = _rate_of((apart + 1) / 2, confidence)
-    center = _mean_of(apart)
-    return Estimate(center, 2 * stderr, min(2 * low - 1, center), max(2 * high - 1, center))
+    return _estimate(apart, confidence, within and (within[0] - within[1], within[1] - within[0]))
 
 
 def mcnemar(only_a: int, only_b: int) -> float:
@@ -203,12 +182,9 @@ def mcnemar(only_a: int, only_b: int) -> float:
 
     Source: Q. McNemar, Psychometrika 12 (1947), 153-157.
     """
-    count = only_a + only_b
-    term = tail = 1
-    for successes in range(1, min(only_a, only_b) + 1):
-        term = term * (count - successes + 1) // successes
-        tail += term
-    return min(1.0, 2 * tail / (1 << count))
+    from scipy.special import bdtr  # type: ignore[import-untyped]
+
+    return min(1.0, 2 * float(bdtr(min(only_a, only_b), only_a + only_b, 0.5)))
 
 
 def permutation_test(differences: Sequence[float], seed: int = 0, resamples: int = 9_999) -> float:
@@ -317,64 +293,28 @@ def _mean_of(values: Sequence[float] | _Floats) -> float:
     return math.fsum(values) / len(values)
 
 
-def _stderr_of(means: _Floats) -> float:
-    return float(np.std(means, ddof=1)) / math.sqrt(len(means))
+def _estimate(means: _Floats, confidence: float, within: Range | None) -> Estimate:
+    """Return the estimate from the means of rows; see ``mean``."""
+    from scipy.special import ndtri, stdtrit
 
-
-def _rate_of(means: _Floats, confidence: float) -> tuple[float, float, float, float]:
-    """Return the mean, standard error and interval of rows whose means are from 0 to 1."""
     center, rows = _mean_of(means), len(means)
-    normal = NormalDist().inv_cdf((1 + confidence) / 2)
-    size = float(rows)
-    if rows > 1:
-        # One imaginary row more, whose epochs agree: of variance 1/4 both between rows and between single values.
-        between = float(np.sum((means - center) ** 2)) + 0.25
-        single = rows * center * (1 - center) + 0.25
-        size = max(size, rows * single / between * (normal / _t_quantile((1 + confidence) / 2, rows - 1)) ** 2)
-    stderr = _stderr_of(means) if means[0] < means[-1] else _wilson(center, size, 1.0)[1]
-    middle, half = _wilson(center, size, normal)
-    # Rounding alone could leave these bounds.
-    return center, stderr, max(0.0, min(center, middle - half)), min(1.0, max(center, middle + half))
-
-
-def _wilson(share: float, size: float, normal: float) -> tuple[float, float]:
-    """Return the middle of Wilson's interval and half its width."""
-    weight = 1 + normal**2 / size
-    half = normal * math.sqrt(share * (1 - share) / size + (normal / size / 2) ** 2) / weight
-    return (share + normal**2 / size / 2) / weight, half
-
-
-def _bootstrapped(means: _Floats, confidence: float, seed: int, resamples: int) -> Estimate:
-    center = _mean_of(means)
-    if math.isclose(means[0], means[-1], rel_tol=1e-12, abs_tol=1e-100):  # but for rounding, equal
+    squares = float(np.sum((means - center) ** 2))
+    stderr = standard_error(rows, center, squares, within)
+    probability = (1 + confidence) / 2
+    if stderr is None:
         return Estimate(center, None, None, None)
-    stderr = _stderr_of(means)
-    half = stderr * float(np.quantile(np.abs(_studentized(means, seed, resamples)), confidence))
-    return Estimate(center, stderr, center - half, center + half)
-
-
-def _studentized(means: _Floats, seed: int, resamples: int) -> _Floats:
-    """Return the distances of bootstrap means from the mean, in standard errors of each sample: ``(resamples,)``.
-
-    Many rows are put into groups at random. The mean of a group's means has the skewness and variance of that of its
-    rows, so that the distances are distributed alike.
-    """
-    generator = np.random.default_rng(seed)
-    each = -(-len(means) // _MOST_GROUPS)
-    groups = len(means) // each
-    if each > 1:
-        means = generator.permutation(means)[: groups * each].reshape(groups, each).mean(axis=1)
-    means = means - means.mean()
-    least = _LEAST_SPREAD**2 * np.sum(means**2)
-    distances: _Floats = np.empty(resamples)
-    for first in range(0, resamples, _SAMPLES_AT_ONCE):
-        part = distances[first : first + _SAMPLES_AT_ONCE]
-        samples = means[generator.integers(0, groups, (len(part), groups), dtype=np.int32)]
-        totals = samples.sum(axis=1)
-        squares = np.einsum("ij,ij->i", samples, samples) - totals**2 / groups
-        spreads = np.sqrt(np.maximum(squares, least) / (groups - 1))
-        part[:] = totals / groups / spreads * math.sqrt(groups)
-    return distances
+    if within is None:
+        beyond = _SEEN_BEYOND * float(means[-1] - means[0])
+        within = (float(means[0]) - beyond, float(means[-1]) + beyond)
+    least, width = within[0], within[1] - within[0]
+    share, normal, size = min(1.0, max(0.0, (center - least) / width)), float(ndtri(probability)), float(rows)
+    if rows > 1:
+        few = (normal / float(stdtrit(rows - 1, probability))) ** 2
+        size = max(size, effective_size(rows, share, squares / width**2) * few)
+    middle, half = wilson(share, size, normal)
+    # Rounding alone could leave these bounds.
+    low, high = max(0.0, min(share, middle - half)), min(1.0, max(share, middle + half))
+    return Estimate(center, stderr, min(center, least + width * low), max(center, least + width * high))
 
 
 def _of_counts(counts: Counts, k: int, confidence: float, share: Callable[[int, int], float]) -> Estimate:
@@ -389,16 +329,3 @@ def _of_counts(counts: Counts, k: int, confidence: float, share: Callable[[int, 
 def _share_of_equal_pairs(ratings: _Floats) -> float:
     counts = np.unique(ratings, return_counts=True)[1]
     return float(np.sum(counts * (counts - 1))) / (len(ratings) * (len(ratings) - 1))
-
-
-@lru_cache(maxsize=256)
-def _t_quantile(probability: float, freedom: int) -> float:
-    """Return a quantile above 1/2 of Student's t distribution; its relative error is below 1e-6.
-
-    With t = sqrt(freedom) tan(angle), the density is proportional to cos(angle) ** (freedom - 1).
-    """
-    angles = np.linspace(0, min(math.pi / 2, 12 / math.sqrt(freedom)), 20_001)
-    density = np.cos(angles) ** (freedom - 1)
-    areas = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
-    angle = float(np.interp(2 * probability - 1, areas / areas[-1], angles))
-    return math.sqrt(freedom) * math.tan(angle)

@@ -40,7 +40,7 @@ def test_rows_of_one_epoch_are_tested_by_mcnemar(tmp_path: Path) -> None:
     assert (found.rows, found.a, found.b, found.only_a, found.only_b) == (10, 0.3, 0.7, 2, 6)
     assert (found.test, found.p) == ("mcnemar", mcnemar(2, 6))
     rows = [[[float(letter)] for letter in solved] for solved in ("0011111110", "1110000000")]
-    assert found.difference == paired_difference(*rows, rates=True)
+    assert found.difference == paired_difference(*rows, within=(0, 1))
     assert found.verdict == "undecided"
     assert found.more_rows
 

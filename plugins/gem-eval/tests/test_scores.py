@@ -10,6 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gem_core import Episode, Response
+from gem_core.records import RunSummary, Transition
+from gem_eval.records import Row
 from gem_eval.scores import Score, compute_scores
 from gem_eval.statistics import mean, pass_at, pass_hat, rate
 
@@ -30,6 +33,7 @@ class Played:
     error: str | None = None
     cut_off: str | None = None
     unreadable: bool = False
+    return_range: tuple[float, float] | None = None
 
 
 def successes(*episodes: Played) -> Score:
@@ -95,6 +99,43 @@ def test_errors_count_apart_and_the_mean_with_them_is_told() -> None:
     assert (score.mean, score.episodes, score.rows, score.errors, score.unscored) == (1.0, 2, 2, 1, 0)
     assert score.with_errors == pytest.approx(2 / 3)
     assert successes(Played("a", True)).with_errors is None
+
+
+def test_a_return_has_an_interval_within_the_declared_range() -> None:
+    """Where success is what is paid, it is that of success; where nothing is declared, or wrongly, no range holds."""
+    wins = [Played(row, True, 1.0) for row in "abcd"]
+    solved, paid = compute_scores(wins)
+    assert (paid.mean, paid.stderr, paid.low, paid.high) == (solved.mean, solved.stderr, solved.low, solved.high)
+    four = [
+        Played(row, None, value, return_range=(-0.1, 1.0)) for row, value in zip("abcd", (0, 0.3, 1, 0.9), strict=True)
+    ]
+    (within,) = compute_scores(four)
+    assert (within.mean, within.stderr, within.low, within.high) == mean([[0], [0.3], [1], [0.9]], within=(-0.1, 1.0))
+    assert -0.1 <= (within.low or -1) < (within.high or 2) <= 1
+    for wrong in (replace(four[0], episode_return=2.0), replace(four[0], return_range=None)):
+        (free,) = compute_scores([wrong, *four[1:]])
+        assert free.low == mean([[wrong.episode_return], [0.3], [1], [0.9]]).low
+
+
+@pytest.mark.parametrize("declared", [None, (-0.1, 1.0)])
+@pytest.mark.parametrize("rewards", [(1.0,) * 5, (0.0, 1.0, 1.0), (0.25, 0.5, 0.75, 0.5), (0.5, 0.5)])
+def test_gem_run_and_gem_eval_have_one_standard_error(
+    rewards: tuple[float, ...], declared: tuple[float, float] | None
+) -> None:
+    """Of the same episodes: five wins are not sure in one command, and open in the other."""
+    summary, rows = RunSummary([]), []
+    for seed, reward in enumerate(rewards):
+        turn = Transition("o", Response("a"), reward, True, False, {"correct": reward == 1.0})
+        episode = Episode("t:A", seed, "o", {}, [turn], return_range=declared)
+        summary.add(episode)
+        rows.append(Row.of(episode.to_dict(), seed + 1, 0, 1))
+    found = {score.metric: score.stderr for score in compute_scores(rows)}
+    told = summary.rows()[0]
+    assert (found["success"], found["return"]) == (
+        pytest.approx(told.success_standard_error),
+        None if told.return_standard_error is None else pytest.approx(told.return_standard_error),
+    )
+    assert found["return"] or (declared is None and rewards == (0.5, 0.5))
 
 
 def test_truncated_episodes_are_not_solved_and_the_score_without_them_is_told() -> None:

@@ -103,6 +103,11 @@ class Game(Env):
         self.format_error_ends = format_error_ends
         self._openings: dict[Hashable, tuple[str, str, str]] = {}
 
+    @property
+    def return_range(self) -> tuple[float, float]:  # type: ignore[override]  # depends on the arguments
+        """From nothing but unreadable responses to a game that is won."""
+        return self.format_error_reward * (1 if self.format_error_ends else self.max_turns), 1.0
+
     # What a game defines.
 
     def _deal(self, draws: CheapRandom) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from gem_core.errors import ArgumentError
+from gem_core.records import Range, shared_range
 from gem_eval.comparing.cautions import cautions_of
 from gem_eval.comparing.sides import Given, Played, Side, Task, sides_of
 from gem_eval.scores import Metric, tells_success
@@ -220,14 +221,14 @@ def compare_sides(a: Side, b: Side, metric: Metric, scores: str | None = None) -
         _refuse(a, b, metric, told)
     pairs = _pairs(*everything)
     verdicts = (metric == "success" or scores is not None) and _are_verdicts(pairs)
-    tasks, overall = _differences(pairs, verdicts=verdicts)
+    tasks, overall = _differences(pairs, verdicts=verdicts, scored=scores is not None)
     shared = set(both)
     rows = [[row for row in side.rows if (row.id, row.row) in shared] for side in (a, b)]
     cut_off = _counts(rows, lambda row: row.cut_off is not None)
     without = overall
     if any(cut_off):
         kept = (side.by_task(metric, lambda row: counts(row) and row.cut_off is None) for side in (a, b))
-        without = _differences(_pairs(*kept), verdicts=verdicts)[1]
+        without = _differences(_pairs(*kept), verdicts=verdicts, scored=scores is not None)[1]
     return Comparison(
         a,
         b,
@@ -291,21 +292,20 @@ def _are_verdicts(pairs: Pairs) -> bool:
     return all(value in (0, 1) for pair in pairs.values() for side in pair for value in side.values)
 
 
-def _differences(pairs: Pairs, *, verdicts: bool) -> tuple[list[Difference], Difference]:
+def _differences(pairs: Pairs, *, verdicts: bool, scored: bool = False) -> tuple[list[Difference], Difference]:
     """Return the difference on each task, and on all."""
     by_id: dict[str, dict[Task, tuple[Played, Played]]] = {}
     for task, pair in pairs.items():
         by_id.setdefault(task[0], {})[task] = pair
-    tasks = _corrected([_difference(name, own, verdicts=verdicts) for name, own in by_id.items()])
-    return tasks, tasks[0] if len(tasks) == 1 else _difference("all", pairs, verdicts=verdicts)
+    tasks = _corrected([_difference(name, own, verdicts=verdicts, scored=scored) for name, own in by_id.items()])
+    return tasks, tasks[0] if len(tasks) == 1 else _difference("all", pairs, verdicts=verdicts, scored=scored)
 
 
-def _difference(name: str, pairs: Pairs, *, verdicts: bool) -> Difference:
+def _difference(name: str, pairs: Pairs, *, verdicts: bool, scored: bool) -> Difference:
     if not pairs:
         return Difference(name, 0)
     a, b = ([pair[side].values for pair in pairs.values()] for side in (0, 1))
     once = all(len(values) == 1 for values in (*a, *b))
-    rates = all(0 <= value <= 1 for values in (*a, *b) for value in values)
     apart = differences(b, a)
     only_a = sum(_solved_by_one(*pair) for pair in pairs.values()) if verdicts else None
     only_b = sum(_solved_by_one(other, one) for one, other in pairs.values()) if verdicts else None
@@ -320,7 +320,7 @@ def _difference(name: str, pairs: Pairs, *, verdicts: bool) -> Difference:
         len(pairs),
         float(row_means(a).mean()),
         float(row_means(b).mean()),
-        paired_difference(b, a, rates=rates),
+        paired_difference(b, a, within=_range_of(pairs, known=verdicts or scored)),
         p,
         p,
         test,
@@ -330,6 +330,19 @@ def _difference(name: str, pairs: Pairs, *, verdicts: bool) -> Difference:
         None if more is None else math.ceil(more * epochs),
         min(1.0, 2 / 2 ** sum(value != 0 for value in apart)),  # all that differ on one side: 2 of 2**n assignments
     )
+
+
+def _range_of(pairs: Pairs, *, known: bool) -> Range | None:
+    """Return the range that the values of both sides can have; None where it is not known.
+
+    Args:
+        pairs: The rows.
+        known: Whether values are verdicts or scores of a grader, from 0 to 1, and not returns of environments.
+    """
+    played = [side for pair in pairs.values() for side in pair]
+    values = [value for side in played for value in side.values]
+    declared = [(0.0, 1.0)] if known else [row.return_range for side in played for row in side.rows]
+    return shared_range(declared, min(values), max(values))
 
 
 def _solved_by_one(one: Played, other: Played) -> bool:

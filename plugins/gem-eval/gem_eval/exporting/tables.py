@@ -19,7 +19,7 @@ from gem_eval.turns import parts_of, text_of
 if TYPE_CHECKING:
     import pandas as pd  # type: ignore[import-untyped]
 
-_NOT_SHOWN = ("offset", "length", "group", "seats")
+_NOT_SHOWN = ("offset", "length", "group", "return_range", "seats")
 _COLUMNS = {"run": "str"} | {
     each.name: str(each.type).removesuffix(" | None") for each in fields(Row) if each.name not in _NOT_SHOWN
 }

@@ -11,7 +11,7 @@ from typing import Any
 
 from gem_core import Episode, JointEpisode
 from gem_core.errors import EpisodeFileError
-from gem_core.records import Record, record_from_dict, to_plain
+from gem_core.records import Record, record_from_dict, return_range_of, to_plain
 from gem_eval.turns import episodes_of, error_text, some_success
 
 _LONGEST_TEXT = 300
@@ -47,6 +47,7 @@ class Row:
         finished: When the episode ended, in seconds since 1970.
         cached: How many responses came from the cache.
         group: Shared by episodes that started alike.
+        return_range: The lowest and the highest return that the environment declares; None where it declares none.
         seats: Of several agents, the row of each of them, by seat; the index of a folder has none.
     """
 
@@ -74,6 +75,7 @@ class Row:
     finished: float | None = None
     cached: int = 0
     group: str | None = None
+    return_range: tuple[float, float] | None = None
     seats: dict[str, Row] | None = None
 
     def to_dict(self) -> dict[str, Any]:
@@ -89,8 +91,9 @@ class Row:
             EpisodeFileError: It is no row.
         """
         try:
-            values = _values_of({**_DEFAULTS, **record, "seats": None})
-        except (TypeError, KeyError) as error:
+            declared = return_range_of(record.get("return_range"))
+            values = _values_of({**_DEFAULTS, **record, "return_range": declared, "seats": None})
+        except (AttributeError, TypeError, KeyError) as error:
             raise EpisodeFileError(f"a line of the index is damaged ({error})") from error
         # The rows of a run are of few combinations of types, which are looked at once.
         if tuple(map(type, values)) not in _sound_types:
@@ -160,6 +163,7 @@ class Row:
             tokens_in=_tokens(parts, "prompt_tokens"),
             tokens_out=_tokens(parts, "completion_tokens"),
             group=None if episode.group is None else _clipped(episode.group),
+            return_range=episode.return_range if isinstance(episode, Episode) else None,
             seats=seats,
             **{name: own[name] for name in _MEASURED if name in own},
         )
@@ -177,6 +181,7 @@ _TYPES = {
     "str | None": (str, type(None)),
     "bool | None": (bool, type(None)),
     "float | None": (float, int, type(None)),
+    "tuple[float, float] | None": (tuple, type(None)),
     "dict[str, Row] | None": (dict, type(None)),
 }
 _ALLOWED = tuple(_TYPES[str(each.type)] for each in fields(Row))

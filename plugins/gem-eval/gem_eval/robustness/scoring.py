@@ -11,13 +11,13 @@ import gem_core as gem
 from gem_core import Episode
 from gem_core.errors import ArgumentError
 from gem_core.making import WrapperChoice
-from gem_core.records import group_plan
+from gem_core.records import Range, group_plan, shared_range
 from gem_core.registry import ToolSpec, registry
 from gem_core.rollouts import Agent, default_plan
 from gem_eval.robustness.flaky_agent import SERVER_FAULTS, FlakyAgent
 from gem_eval.robustness.perturbation import NoToolsError, share
 from gem_eval.scores import Metric, tells_success
-from gem_eval.statistics import Estimate, mean, paired_difference, rate
+from gem_eval.statistics import Estimate, mean, paired_difference
 from gem_eval.turns import error_text
 
 DEFAULT = ("tool_429", "tool_timeout", "cut_outputs", "distractor_tools", "renamed_parameters", "paraphrase", "typos")
@@ -78,6 +78,7 @@ class Disturbed:
         errors: Number of episodes with an error.
         first_error: What the first of them says.
         plain: The same rows without a disturbance; None for these themselves.
+        ranges: The ranges that values of its environments can have; None for an unknown one.
     """
 
     id: str
@@ -87,6 +88,7 @@ class Disturbed:
     errors: int = 0
     first_error: str | None = None
     plain: Disturbed | None = None
+    ranges: set[Range | None] = field(default_factory=set)
 
     @property
     def episodes(self) -> int:
@@ -97,7 +99,13 @@ class Disturbed:
     def score(self) -> Estimate | None:
         """The mean over rows; None without episodes."""
         rows = list(self.rows.values())
-        return None if not rows else rate(rows) if self.metric == "success" else mean(rows)
+        return mean(rows, within=self.within) if rows else None
+
+    @property
+    def within(self) -> Range | None:
+        """The range that values can have; None where it is not known."""
+        values = [value for row in self.rows.values() for value in row]
+        return shared_range(self.ranges, min(values), max(values)) if values else None
 
     @property
     def pairs(self) -> list[str]:
@@ -110,7 +118,8 @@ class Disturbed:
         if self.plain is None or not self.pairs:
             return None
         disturbed, plain = ([of.rows[row] for row in self.pairs] for of in (self, self.plain))
-        return paired_difference(disturbed, plain, rates=self.metric == "success")
+        within = self.within if self.within == self.plain.within else None
+        return paired_difference(disturbed, plain, within=within)
 
     def to_dict(self, model: str) -> dict[str, Any]:
         """Return the score and the difference as plain JSON."""
@@ -214,6 +223,7 @@ def in_all(results: Sequence[Disturbed]) -> list[Disturbed]:
         if len(same) == len(by_env):
             total = Disturbed(ALL, same[0].disturbance, same[0].metric, errors=sum(each.errors for each in same))
             total.rows = {row: values for each in same for row, values in each.rows.items()}
+            total.ranges = {each for result in same for each in result.ranges}
             total.plain = sums[0] if sums else None
             sums.append(total)
     return sums
@@ -234,6 +244,7 @@ def _collected(
             result.first_error = result.first_error or error_text(episode.error)
         elif value is not None:
             result.rows.setdefault(f"{env_id}/{episode.key}", []).append(float(value))
+            result.ranges.add((0.0, 1.0) if metric == "success" else episode.return_range)
     return result
 
 

@@ -75,6 +75,7 @@ class ReasoningGymEnv(Env):
 
     concurrency: ClassVar[Concurrency] = "thread"
     endless_tasks = True
+    return_range = (0.0, 1.0)
 
     def __init__(
         self,
