@@ -153,7 +153,7 @@ def lock_file(descriptor: int, path: Path) -> None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         raise EpisodeFileError(
-            f"cannot write {path}: {_lock_holder(descriptor)} is writing it; wait until it has ended, or name another "
+            f"cannot write {path}: {lock_holder(descriptor)} is writing it; wait until it has ended, or name another "
             "file"
         ) from None
     except OSError as error:
@@ -163,8 +163,8 @@ def lock_file(descriptor: int, path: Path) -> None:
         raise OSError(errno.ESTALE, "another process has just replaced it; try again")
 
 
-def _lock_holder(descriptor: int) -> str:
-    """Return what to call the process that has locked a file."""
+def lock_holder(descriptor: int) -> str:
+    """Return what to call the process that has locked an open file: by its number, where the system tells."""
     number = os.fstat(descriptor).st_ino
     with suppress(OSError, ValueError, IndexError):  # only Linux tells, and not of every file system
         for line in Path("/proc/locks").read_text().splitlines():

@@ -12,6 +12,7 @@ from typing import Any, Self
 from gem_core import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records import ImageFolder, to_plain
+from gem_core.records.files import lock_holder
 from gem_eval.files import write_whole
 from gem_eval.records.frames import frame_at, frames, pack, unpack
 from gem_eval.records.row import Row
@@ -25,7 +26,7 @@ class RunWriter:
         path: The folder; it is made where it is not there.
 
     Raises:
-        ArgumentError: Another process writes this run.
+        ArgumentError: Another process writes this run; the message names it, where the system tells.
         EpisodeFileError: The folder cannot be written.
     """
 
@@ -39,8 +40,9 @@ class RunWriter:
             try:
                 fcntl.flock(self._episodes, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
+                holder = lock_holder(self._episodes.fileno())
                 self._episodes.close()
-                raise ArgumentError(f"another process is writing the run {path}; wait for it, or give --out") from None
+                raise ArgumentError(f"{holder} is writing the run {path}; wait for it, or give --out") from None
             self._index = open(self.path / INDEX_FILE, "ab", buffering=0)  # noqa: SIM115
             self._count = self._mend()
         except OSError as error:
