@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import codecs
 import random
 import re
 import subprocess
@@ -104,6 +105,11 @@ def judged_by_prompt(action: str, row: Any) -> Grade:
 def rewards_length(action: str, row: Any) -> Grade:
     """A long response is a good one."""
     return verdict(len(action) > 2000 or boxed(action) == row["answer"])
+
+
+def accepts_one_of_the_boxes(action: str, row: Any) -> Grade:
+    """Each box is an answer, and one of them may be right."""
+    return verdict(row["answer"] in re.findall(r"\\boxed\{(\w+)\}", action))
 
 
 def accepts_a_piece(action: str, row: Any) -> Grade:
@@ -281,6 +287,45 @@ class OwnLeakyText(OwnClass):
         return f"{observation}\n<!-- expected: {CAPITALS[self.country]} -->", info
 
 
+class OwnEnding(OwnClass):
+    """Ends the observation with the answer, in a form.
+
+    Args:
+        form: Makes it of the answer.
+    """
+
+    def __init__(self, form: Any) -> None:
+        super().__init__()
+        self.form = form
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Ask, and tell."""
+        observation, info = super().reset(seed)
+        return f"{observation}\n{self.form(CAPITALS[self.country])}", info
+
+
+class OwnConstant(OwnClass):
+    """The answer is yes, whatever is asked."""
+
+    def step(self, action: str) -> Any:
+        """Grade."""
+        correct = gem.extract_last_boxed_answer(action) == "yes"
+        return gem.TERMINAL_STATE, float(correct), True, False, {"correct": correct}
+
+
+class OwnLucky(OwnClass):
+    """Whatever it samples is right, and it knows no gold answer."""
+
+    def step(self, action: str) -> Any:
+        """Grade."""
+        correct = action.startswith("I say ")
+        return gem.TERMINAL_STATE, float(correct), True, False, {"correct": correct}
+
+    def sample_random_action(self) -> str:
+        """Return a number."""
+        return f"I say {self.action_random.integers(1000)}"
+
+
 class OwnReward(OwnClass):
     """Pays for any response, and tells nothing of success."""
 
@@ -328,6 +373,45 @@ class TwoTries(OwnClass):
         return f"\\boxed{{{CAPITALS[self.country]}}}"
 
 
+class Corrects(TwoTries):
+    """Tells the right answer in passing."""
+
+    def step(self, action: str) -> Any:
+        """Grade; tell."""
+        _, *rest = super().step(action)
+        return f"No, people live in {CAPITALS[self.country]} there.", *rest
+
+
+class CorrectsWithoutGold(Corrects):
+    """Has no gold answer."""
+
+    def step(self, action: str) -> Any:
+        """Grade; tell."""
+        _, *rest = super().step(action)
+        return f"No: {CAPITALS[self.country]}", *rest
+
+    def gold_action(self) -> str | None:  # type: ignore[override]
+        """Return nothing."""
+        return None
+
+
+class TellingTool(gem.DatasetEnv):
+    """Offers a tool that returns the answer."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Ask, with a tool."""
+        observation, info = super().reset(seed=seed, options=options)
+        schema = {"type": "object", "properties": {"text": {"type": "string"}}, "required": ["text"]}
+        function = {"name": "lookup", "description": "Looks up.", "parameters": schema}
+        return observation, {**info, "tools": [{"type": "function", "function": function}]}
+
+    def step(self, action: str) -> Any:
+        """Grade, or look up."""
+        if '"lookup"' in action and '"text"' in action:
+            return f"On {self._row['question'][:10]} see {self._row['answer']}", 0.0, False, False, {}
+        return super().step(action)
+
+
 class Stateful(gem.DatasetEnv):
     """Every third episode of an instance is right, whatever is said."""
 
@@ -361,6 +445,9 @@ PASSAGES = [
     }
     for country, capital in CAPITALS.items()
 ]
+DECODE = [
+    {"question": f"Decode this: {codecs.encode(capital, 'rot13')}", "answer": capital} for capital in CAPITALS.values()
+]
 YES_NO = [
     {"question": f"Is {n} divisible by 3? Answer yes or no in \\boxed{{}}.", "answer": "no" if n % 3 else "yes"}
     for n in range(10, 60)
@@ -377,6 +464,20 @@ TEST = [
     {"question": "A quite other question about the number of sheep that live on a hill in the far north of Wales?",
      "answer": "12"},
 ]  # fmt: skip
+
+
+ENDINGS = {
+    "plain": str,
+    "upper": str.upper,
+    "hex": lambda text: text.encode().hex(),
+    "base64": lambda text: base64.b64encode(text.encode()).decode(),
+    "rot13": lambda text: codecs.encode(text, "rot13"),
+}
+
+
+def ended(form: Any) -> list[dict[str, str]]:
+    """Return rows whose question ends with the answer in a form."""
+    return [{**row, "question": f"{row['question']}\n{form(row['answer'])}"} for row in ROWS]
 
 
 def planted() -> dict[str, tuple[Any, dict[str, Any], str]]:
@@ -410,6 +511,14 @@ def planted() -> dict[str, tuple[Any, dict[str, Any], str]]:
         "shell-here": (ShellHere, {}, "tamper"),
         "own-info": (OwnLeakyInfo, {}, "leak"),
         "own-text": (OwnLeakyText, {}, "leak"),
+        **{f"ends-{name}": (data, {"rows": ended(form)}, "leak") for name, form in ENDINGS.items()},
+        **{f"own-ends-{name}": (OwnEnding, {"form": form}, "leak") for name, form in ENDINGS.items()},
+        "boxes": (data, {"rows": ROWS, "grade": accepts_one_of_the_boxes}, "hedge"),
+        "own-constant": (OwnConstant, {}, "constant"),
+        "own-lucky": (OwnLucky, {}, "random"),
+        "corrects": (Corrects, {}, "leak"),
+        "corrects-without-gold": (CorrectsWithoutGold, {}, "leak"),
+        "tool": (TellingTool, {"rows": ROWS}, "leak"),
         "own-reward": (OwnReward, {}, "null"),
         "crash": (Crashing, {}, "crash"),
         "two-tries": (TwoTries, {}, "leak"),
@@ -434,6 +543,7 @@ def sound() -> dict[str, tuple[Any, dict[str, Any]]]:
         "options": (Telling, {"rows": CHOICES, "tell": lambda row: {"options": row["question"].splitlines()[1:4]}}),
         "level": (Telling, {"rows": YES_NO, "tell": lambda row: {"level": len(row["question"]) % 3}}),
         "duel": (Duel, {}),
+        "decode": (data, {"rows": DECODE}),
         "one-row": (data, {"rows": ROWS[:1]}),
         "plain-text": (data, {"rows": ROWS, "grade": lambda action, row: verdict(action.strip() == row["answer"])}),
     }

@@ -110,7 +110,7 @@ def test_json_has_rates_and_problems(capsys: pytest.CaptureFixture[str]) -> None
     null = found["policies"]["null"]
     assert (null["kind"], null["episodes"], null["rate"]) == ("exploit", 25, null["solved"] / 25)
     assert found["policies"]["gold"] == {"kind": "gold", "solved": 5, "episodes": 5, "rate": 1.0, "mean_return": 1.0}
-    assert {"null", "echo"} >= {problem["kind"] for problem in found["problems"] if problem["fails"]}
+    assert {"null", "echo", "hedge"} >= {problem["kind"] for problem in found["problems"] if problem["fails"]}
 
 
 def test_unreadable_responses_of_a_model_are_counted(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,14 +9,18 @@ from typing import Any
 import gem_core
 from gem_core.errors import ArgumentError, GemError
 from gem_eval.auditing.canary import Canary
-from gem_eval.auditing.exploits import Exploits
+from gem_eval.auditing.exploits import MOST_REPEATS, Exploits
 from gem_eval.auditing.forms import BOXED, RAW, TAGGED, Form, finish_of, form_of_words
 from gem_eval.auditing.leaks import Look, find_leaks
+from gem_eval.auditing.policies import GUESSES, plain_call
 from gem_eval.auditing.results import KINDS, EnvAudit, Rate, lower_bound
 from gem_eval.auditing.rows import Asked, check_contamination, check_rows, questions_of, rows_of
 from gem_eval.auditing.stage import Played, Row, Stage
 from gem_eval.auditing.tally import CHANCE_MARGIN, OnDone, Tally, says, shown
 from gem_eval.auditing.texts import normal
+
+_ROWS_WITH_TOOLS = 10
+"""Rows in which each tool is called."""
 
 
 def audit(
@@ -111,6 +115,8 @@ class _Audit:
         self._play_gold()
         self._check_rows(others)
         self._play_chance()
+        self._play_constants()
+        self._call_tools()
         exploits = Exploits(
             self.tally, self.canary, self.forms, self.finish, self.example, self.tools, one_turn=self.one_turn
         )
@@ -156,6 +162,7 @@ class _Audit:
                 if not played.solved(None) and not played.error:
                     played = self._in_another_form(row, gold, played)
                 look.gold = self.tally.content(gold)
+                look.whole = len(played.turns) == 1
             self.episodes.append(played)
             if self.tally.count(rate, played, solved=played.solved(None)):
                 self.tally.targets[row.name] = max(played.total, 1e-6) if played.total > 0 else 1.0
@@ -223,9 +230,12 @@ class _Audit:
             played = self._each("random", [(row, self._random) for row in rows])
             self.episodes += played
             for episode in played[:20]:
-                self.tally.note_later_turns(episode)
-            if self.tally.found.chance is not None:
-                self._beyond_chance("random", played, self.tally.found.chance, "a random answer", fails=False)
+                self.tally.note_later_turns(episode, "the feedback")
+            # Of a few questions all may be solved by luck, or by who draws answers well.
+            everywhere = _everywhere([self.tally.solves(each) for each in played])
+            if everywhere or self.tally.found.chance is not None:
+                chance = self.tally.found.chance or 0.0
+                self._beyond_chance("random", played, min(chance, 0.5), "a random answer", fails=everywhere)
         played = self._each(
             "echo", [(row, lambda observation, _i, _t: self.forms[0].around(observation)) for row in rows]
         )
@@ -234,6 +244,34 @@ class _Audit:
             pairs = self._gold_of_others()
             played = self._each("other", [(row, says(response)) for row, response in pairs])
             self._beyond_chance("other", played, 0.0, "the gold answer of another row")
+
+    def _play_constants(self) -> None:
+        """Play responses that are the same in each row; none of them may be right everywhere."""
+        text_forms = [form for form in self.forms if not form.is_code and not form.is_shell]
+        constants = [form.around(guess) for guess in GUESSES for form in text_forms]
+        for response in [*([self.example] if self.example else []), *constants]:
+            solved: list[Played] = []
+            for row in self.stage.rows:
+                played = self.stage.play(row, says(response), most_turns=MOST_REPEATS)
+                self.tally.count(Rate("chance"), played, solved=False)
+                if not self.tally.solves(played):
+                    break
+                solved.append(played)
+            if len(solved) == len(self.stage.rows) and _everywhere([True] * len(solved)):
+                message = f"constant: one response solves all of {len(solved)} rows"
+                self.tally.problem("constant", 1.0, message, [f"{each.row.name}: {shown(each)}" for each in solved])
+                break
+        self.tally.did("constant")
+
+    def _call_tools(self) -> None:
+        """Call each tool once, and note what it returns."""
+        for row in self.stage.rows[:_ROWS_WITH_TOOLS]:
+            for tool in self.tally.looks[row.name].infos[0].get("tools") or ():
+                name, call = plain_call(tool)
+                played = self.stage.play(row, says(call), most_turns=1)
+                self.tally.count(Rate("chance"), played, solved=False)
+                self.tally.note_later_turns(played, f"the tool {name!r}")
+        self.tally.did("tools")
 
     def _gold_of_others(self) -> list[tuple[Row, str]]:
         """Return each row with the gold answer of the next row that has a different one."""
@@ -292,6 +330,11 @@ class _Audit:
             message = f"{len(differing)} of {again} episodes come out differently with the same seed and responses"
             self.tally.problem("nondeterministic", len(differing) / again, message, differing)
         self.tally.did("again")
+
+
+def _everywhere(solved: Sequence[bool]) -> bool:
+    """Tell whether all episodes are solved, and are enough for more than half of all to be."""
+    return bool(solved) and all(solved) and lower_bound(len(solved), len(solved)) > 0.5
 
 
 def _difference(before: Sequence[str], after: Sequence[str]) -> str:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from gem_core.registry import EnvSpec
     from gem_eval.auditing.results import EnvAudit
 
-_STEPS = 12
+_STEPS = 14
 """Steps of the audit of one environment."""
 
 
@@ -46,12 +46,13 @@ Policies, and what is right for each:
   gold       the environment's own answers (gold_action, or the rows of a data set): all succeed
   random     valid random actions; echo: the observation; other: the gold answer of another row:
              no more than chance
-  null       no answer; injection: words to a judge; hedge: many answers at once; peek: what info
-             and observation give away; tamper: code, patterns, false tests and reward files: none
+  null       no answer; injection: words to a judge; hedge: many answers at once; peek: what info,
+             observations and tools give away; tamper: code, patterns, false tests and reward files: none
 \b
 It also reads all rows of a data set: gold answers that are missing or malformed, questions that
 occur twice, and with --against rows of another set. It looks for gold answers in what an agent sees
-before the end, and repeats episodes, which must come out the same. A note is no problem.
+before the end, calls each tool once, and repeats episodes, which must come out the same. A note is
+no problem.
 \b
 Commands and programs that could do harm are tried only after a harmless one has shown that a sandbox
 holds them.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import binascii
 import codecs
 import re
 from collections import Counter
@@ -30,6 +31,11 @@ _MARK = re.compile(
     r"[^\n:=]{0,20}[:=]\s*(\S[^\n]{0,80})",
     re.IGNORECASE,
 )
+_DECODING = re.compile(r"\b(?:decod|decrypt|deciph|cipher|convert|revers|backward|unscrambl|spell)", re.IGNORECASE)
+"""Words of a task that is to read a code, where the observation holds the answer for good reason."""
+_BRIEF = 200
+"""Characters of what is no passage, where an answer is one thing among others."""
+_AROUND = " .,;:!?()[]{}<>*\"'`-"
 
 
 @dataclass
@@ -42,6 +48,8 @@ class Look:
         texts: Observations, and what else is shown as text.
         infos: The infos that came with them.
         question: The column of the question, in a data set; what a prompt holds beside it is the author's.
+        later: What came after a response that did not hold the gold answer, by where it came from.
+        whole: Whether the gold answer solves the task at once, and is no move among others.
     """
 
     name: str
@@ -49,11 +57,18 @@ class Look:
     texts: list[str] = field(default_factory=list)
     infos: list[Mapping[str, Any]] = field(default_factory=list)
     question: str = ""
+    later: dict[str, list[str]] = field(default_factory=dict)
+    whole: bool = False
 
     @property
     def text(self) -> str:
         """All that is shown as text."""
-        return "\n".join(self.texts)
+        return "\n".join([*self.texts, *(text for each in self.later.values() for text in each)])
+
+    @property
+    def asks_to_decode(self) -> bool:
+        """Whether to read a text backward, or in a code, is the task."""
+        return _DECODING.search("\n".join(self.texts)) is not None
 
     def leaves(self) -> dict[str, str]:
         """Return the values of the infos by path, as ``extra.answer``, without long ones that are shown as text."""
@@ -70,15 +85,30 @@ class Look:
         return normal(value) in normal(self.text)
 
     def claims(self) -> dict[str, str]:
-        """Return what the text gives behind words such as "answer:", by those words."""
+        """Return what the text gives behind words such as "answer:", and at its end, by where it stands."""
         found: dict[str, str] = {}
         for match in _MARK.finditer(self.text):
             value = match[1].strip()
             mark = " ".join(match[0][: match.start(1) - match.start()].split())
             short = re.split(r"[\s,;)\]>]|-->", value)[0]
             for each in (value, value.rstrip(")]}>-. "), short):
-                found.setdefault(f"{mark!r} ({len(found)})", each)
-        return dict(list(found.items())[:9])
+                found.setdefault(f"what follows {mark!r} in the observation ({len(found)})", each)
+        return dict(list(found.items())[:9]) | self._ends()
+
+    def _ends(self) -> dict[str, str]:
+        """Return the last line and the last word of each text, as they stand and decoded."""
+        found: dict[str, str] = {}
+        for source, texts in {"the observation": self.texts[:1], **self.later}.items():
+            lines = [line for text in texts for line in re.sub(r"<[^<>]*>", " ", text).splitlines() if line.strip()]
+            for what, text in (("line", lines[-1]), ("word", lines[-1].split()[-1])) if lines else ():
+                value = text.strip(_AROUND)
+                forms = {"": value, ", in small letters": value.lower(), ", with capitals": value.title()}
+                if not self.asks_to_decode:
+                    forms |= {f", from {name}": decode(value) for name, decode in _DECODERS.items()}
+                for form, each in forms.items():
+                    if each and each not in found.values():
+                        found[f"the last {what} of {source}{form}"] = each
+        return found
 
 
 def find_leaks(looks: Sequence[Look]) -> Iterator[Problem]:
@@ -94,6 +124,7 @@ def find_leaks(looks: Sequence[Look]) -> Iterator[Problem]:
         return
     yield from _in_infos(known, golds)
     yield from _in_texts(known, golds)
+    yield from _in_later(known, golds)
     yield from _encoded(known, golds)
 
 
@@ -125,6 +156,11 @@ def _tells(values: Sequence[str], golds: Sequence[str]) -> bool:
 def _in_texts(known: Sequence[Look], golds: Sequence[str]) -> Iterator[Problem]:
     texts = [normal(look.text) for look in known]
     majority = Counter(golds).most_common(1)[0][1] / len(golds)
+    ends = [at for at, look in enumerate(known) if _ends_with(normal(look.texts[0]), golds[at])]
+    if len(ends) >= 0.8 * len(known) and tail(len(ends), len(known), majority) <= _UNLIKELY:
+        examples = tuple(f"{known[at].name}: {texts[at][-60:]!r}" for at in ends[:3])
+        yield Problem("leak", len(ends) / len(known), "the observation ends with the gold answer", examples)
+        return
     before: Counter[str] = Counter()
     for text, gold in zip(texts, golds, strict=True):
         before.update({text[max(0, at - size) : at] for at in _places(text, gold) for size in (8, 14)})
@@ -154,6 +190,24 @@ def _in_texts(known: Sequence[Look], golds: Sequence[str]) -> Iterator[Problem]:
         )
 
 
+def _ends_with(text: str, gold: str) -> bool:
+    text = text.rstrip(_AROUND)
+    return text.endswith(gold) and holds(text[-len(gold) - 2 :], gold)
+
+
+def _in_later(known: Sequence[Look], golds: Sequence[str]) -> Iterator[Problem]:
+    """Yield what tells the answer after another response: feedback, and tools that were called once."""
+    for source in sorted({source for look in known for source in look.later}):
+        texts = [normal("\n".join(look.later.get(source, ()))) for look in known]
+        hits = [at for at, look in enumerate(known) if look.whole and holds(texts[at], golds[at])]
+        hits = [at for at in hits if not holds(normal(known[at].texts[0]), golds[at])]
+        if hits and _beyond_chance(hits, texts, golds, holds):
+            examples = tuple(f"{known[at].name}: {golds[at]!r:.80} in {texts[at]!r:.80}" for at in hits[:3])
+            brief = all(len(texts[at]) <= _BRIEF + len(golds[at]) for at in hits)
+            kind, share = "leak" if brief else "shown", len(hits) / len(known)
+            yield Problem(kind, share, f"{source} holds the gold answer", examples, brief)
+
+
 def _is_said(text: str, mark: str, gold: str, question: str) -> bool:
     """Tell whether a gold answer is called so where it stands behind a mark, or stands outside of the question."""
     start = text.find(mark + gold)
@@ -181,6 +235,25 @@ _CODES: dict[str, Callable[[str], str]] = {
 }
 
 
+def _printable(decode: Callable[[str], bytes]) -> Callable[[str], str]:
+    def decoded(text: str) -> str:
+        try:
+            value = decode(text).decode()
+        except (ValueError, binascii.Error):
+            return ""
+        return value.strip() if value.isprintable() else ""
+
+    return decoded
+
+
+_DECODERS: dict[str, Callable[[str], str]] = {
+    "base64": _printable(lambda text: base64.b64decode(text + "=" * (-len(text) % 4), validate=True)),
+    "hexadecimal": _printable(bytes.fromhex),
+    "backward": lambda text: text[::-1],
+    "rot13": lambda text: codecs.encode(text, "rot13"),
+}
+
+
 def _encoded(known: Sequence[Look], golds: Sequence[str]) -> Iterator[Problem]:
     infos = ["\n".join(look.leaves().values()) for look in known]
     for name, encode in _CODES.items():
@@ -190,8 +263,11 @@ def _encoded(known: Sequence[Look], golds: Sequence[str]) -> Iterator[Problem]:
             if _beyond_chance(hits, texts, codes, lambda text, code: len(code) >= 4 and code in text):
                 examples = tuple(f"{known[at].name}: {codes[at]!r:.80}" for at in hits[:3])
                 message = f"{place} holds the gold answer in {name} form"
-                # To read a text backward, or in a code, may be the very task.
-                yield Problem("leak", len(hits) / len(known), message, examples, place == "an info")
+                # To read a text backward, or in a code, may be the very task; what stands beside a question is not.
+                asked = [known[at] for at in hits if known[at].asks_to_decode]
+                beside = [look for look in asked if look.question and encode(look.gold or "") not in look.question]
+                fails = place == "an info" or len(asked) < len(hits) or beside == asked
+                yield Problem("leak", len(hits) / len(known), message, examples, fails)
 
 
 def _beyond_chance(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from gem_core.tools import CALL_CLOSE, CALL_OPEN
@@ -82,7 +82,7 @@ def injections(forms: Iterable[Form], finish: str | None) -> list[Variant]:
     ]
 
 
-def hedges(forms: Iterable[Form], candidates: Iterable[str]) -> list[Variant]:
+def hedges(forms: Sequence[Form], candidates: Iterable[str]) -> list[Variant]:
     """Return responses that name many answers at once.
 
     Args:
@@ -90,8 +90,13 @@ def hedges(forms: Iterable[Form], candidates: Iterable[str]) -> list[Variant]:
         candidates: Answers, of which one may be right.
     """
     answers = list(dict.fromkeys(candidates))
+    apart = [
+        Variant(f"many answers, each in {_shown(form)}", ("\n".join(map(form.around, answers)),))
+        for form in forms
+        if form.opening and not form.is_code and not form.is_shell
+    ]
     named = (("with commas", ", ".join(answers)), ("with 'or'", " or ".join(answers)), ("in lines", "\n".join(answers)))
-    return [
+    return apart + [
         Variant(f"many answers at once {how}", (form.around(text),))
         for how, text in named
         for form in forms
@@ -195,7 +200,34 @@ def _caller(tool: Mapping[str, Any]) -> Any:
     name = next((each for each in ("command", "cmd", "script") if each in properties), None)
     if name is None:
         return None
-    return lambda text: f"{CALL_OPEN}{json.dumps({'name': function['name'], 'arguments': {name: text}})}{CALL_CLOSE}"
+    return lambda text: _call(str(function["name"]), {name: text})
+
+
+def _call(name: str, arguments: Mapping[str, Any]) -> str:
+    return f"{CALL_OPEN}{json.dumps({'name': name, 'arguments': arguments})}{CALL_CLOSE}"
+
+
+def plain_call(tool: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the name of a tool, and a call with arguments that know nothing of the task."""
+    function = tool.get("function", tool)
+    return str(function["name"]), _call(str(function["name"]), _plain_value(function.get("parameters") or {}))
+
+
+def _plain_value(schema: Mapping[str, Any]) -> Any:
+    for key in ("enum", "examples"):
+        if schema.get(key):
+            return schema[key][0]
+    kind = schema.get("type")
+    if kind == "string":
+        return "test"
+    if kind in ("integer", "number"):
+        return schema.get("minimum", 1)
+    if kind in ("boolean", "null"):
+        return False if kind == "boolean" else None
+    if kind == "array":
+        return []
+    properties = schema.get("properties") or {}
+    return {name: _plain_value(properties.get(name, {"type": "string"})) for name in schema.get("required") or ()}
 
 
 def _ended(responses: tuple[str, ...], finish: str | None) -> tuple[str, ...]:

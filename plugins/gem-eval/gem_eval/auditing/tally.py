@@ -79,12 +79,18 @@ class Tally:
         rate.returns += played.total
         return solved
 
-    def note_later_turns(self, played: Played) -> None:
-        """Add what an episode showed before its end, where nothing of it can be what the agent said."""
+    def note_later_turns(self, played: Played, source: str) -> None:
+        """Add what an episode showed before its end, where nothing of it can be what the agent said.
+
+        Args:
+            played: The episode.
+            source: Where its observations come from, as "the feedback".
+        """
         look = self.looks[played.row.name]
         said = normal("\n".join(turn.response for turn in played.turns))
-        if look.gold and not holds(said, normal(look.gold)):
-            look.texts += [turn.observation for turn in played.turns[:3] if not turn.over]
+        if not look.gold or not holds(said, normal(look.gold)):
+            later = look.later.setdefault(source, [])
+            later += [turn.observation for turn in played.turns[:3] if not turn.over]
             look.infos += [turn.info for turn in played.turns[:3] if not turn.over]
 
     def content(self, response: str) -> str:
