@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -26,6 +28,13 @@ REAL = (
     "test_terminal_real",
 )
 """Files of tests on real machines, which take long."""
+
+
+@pytest.fixture
+def short_path() -> Iterator[Path]:
+    """Give a folder for UNIX sockets, whose paths may have about a hundred bytes: TMPDIR may be longer, as on macOS."""
+    with tempfile.TemporaryDirectory(prefix="gem-", dir="/tmp") as folder:
+        yield Path(folder)
 
 
 @pytest.fixture

@@ -62,25 +62,25 @@ def engine_that_says(path: Path, answers: dict[str, tuple[int, Any]], asked: lis
     ("closely", "status", "detail"), [(False, "met", "there is an engine"), (True, "unmet", "no engine answers")]
 )
 def test_the_requirement_docker_asks_the_engine_when_looked_at_closely(
-    closely: bool, status: str, detail: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    closely: bool, status: str, detail: str, short_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """``make`` believes DOCKER_HOST, and ``gem doctor`` tries it."""
-    monkeypatch.setenv("DOCKER_HOST", f"unix://{tmp_path}/none.sock")
+    monkeypatch.setenv("DOCKER_HOST", f"unix://{short_path}/none.sock")
     found = docker("", closely=closely)
     assert (found.status, found.detail) == (status, detail)
     assert ("it is not running there: start it" in found.advice) == closely
 
 
-def test_no_engine_at_all_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_no_engine_at_all_says_what_to_install(monkeypatch: pytest.MonkeyPatch, short_path: Path) -> None:
     """With the places that were looked at, in order."""
     for name in ("DOCKER_HOST", "DOCKER_CONTEXT"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("DOCKER_CONFIG", str(tmp_path))
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("DOCKER_CONFIG", str(short_path))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(short_path))
     urls = [place.url for place in addresses()]
     assert urls == [
         "unix:///var/run/docker.sock",
-        f"unix://{tmp_path}/podman/podman.sock",
+        f"unix://{short_path}/podman/podman.sock",
         "unix:///run/podman/podman.sock",
     ]
     if not any(Path(url.removeprefix("unix://")).exists() for url in urls):
@@ -95,37 +95,37 @@ def test_what_the_user_names_is_the_only_place(monkeypatch: pytest.MonkeyPatch) 
     assert [place.url for place in addresses("unix:///argument.sock")] == ["unix:///argument.sock"]
 
 
-def test_an_engine_that_is_not_running_says_so(tmp_path: Path) -> None:
+def test_an_engine_that_is_not_running_says_so(short_path: Path) -> None:
     """With its address."""
-    url = f"unix://{tmp_path}/none.sock"
+    url = f"unix://{short_path}/none.sock"
     with pytest.raises(EngineError, match=r"answers at .*none\.sock \(base_url\): it is not running"):
         _ = Engine(url).client
 
 
-def test_an_engine_that_is_too_old_says_what_is_needed(tmp_path: Path) -> None:
+def test_an_engine_that_is_too_old_says_what_is_needed(short_path: Path) -> None:
     """By the version of its interface."""
     with (
-        engine_that_says(tmp_path / "e.sock", {"/version": (200, {"ApiVersion": "1.24"})}) as url,
+        engine_that_says(short_path / "e.sock", {"/version": (200, {"ApiVersion": "1.24"})}) as url,
         pytest.raises(EngineError, match=r"has version 1\.24, and 1\.40 is needed: install a newer engine"),
     ):
         _ = Engine(url).client
 
 
 @pytest.mark.parametrize("said", [(200, b"hello"), (200, []), (200, {}), (500, {"message": "broken"})])
-def test_something_else_that_answers_is_no_engine(tmp_path: Path, said: tuple[int, Any]) -> None:
+def test_something_else_that_answers_is_no_engine(short_path: Path, said: tuple[int, Any]) -> None:
     """Whatever it says."""
     with (
-        engine_that_says(tmp_path / "e.sock", {"/version": said}) as url,
+        engine_that_says(short_path / "e.sock", {"/version": said}) as url,
         pytest.raises(EngineError, match="no container engine answers at"),
     ):
         _ = Engine(url).client
 
 
-def test_a_full_disk_says_what_frees_space(tmp_path: Path) -> None:
+def test_a_full_disk_says_what_frees_space(short_path: Path) -> None:
     """Whatever was tried."""
     full = (500, {"message": "write /var/lib/docker/tmp: no space left on device"})
     answers = {"/version": (200, {"ApiVersion": "1.41"}), "/json": full}
-    with engine_that_says(tmp_path / "e.sock", answers) as url:
+    with engine_that_says(short_path / "e.sock", answers) as url:
         engine = Engine(url)
         words = r"could not look: .* disk is full: free space .*'gem terminal clean'"
         with pytest.raises(EngineError, match=words), engine.asking("look") as client:
@@ -133,22 +133,22 @@ def test_a_full_disk_says_what_frees_space(tmp_path: Path) -> None:
         engine.close()
 
 
-def test_podman_is_known_by_its_parts(tmp_path: Path) -> None:
+def test_podman_is_known_by_its_parts(short_path: Path) -> None:
     """Its version names it."""
     said = {"ApiVersion": "1.41", "Components": [{"Name": "Podman Engine"}]}
-    with engine_that_says(tmp_path / "e.sock", {"/version": (200, said)}) as url:
+    with engine_that_says(short_path / "e.sock", {"/version": (200, said)}) as url:
         engine = Engine(url)
         assert engine.client.api_version == "1.41"
         assert engine.is_podman
         engine.close()
 
 
-def test_an_engine_that_hangs_says_what_to_look_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_engine_that_hangs_says_what_to_look_at(short_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """After the time in which any answer is expected; a look for what was left behind holds up nobody meanwhile."""
     wakes = threading.Event()
     answers = {"/version": (200, {"ApiVersion": "1.41"}), "/json": (200, wakes)}
     answers |= {"/volumes": (200, {}), "/networks": (200, [])}
-    with engine_that_says(tmp_path / "e.sock", answers) as url:
+    with engine_that_says(short_path / "e.sock", answers) as url:
         backend = DockerBackend(url)
         backend.check(plain_task())
         monkeypatch.setattr(backend.engine.client, "timeout", 0.2)

@@ -233,7 +233,7 @@ def test_services_that_listen_in_the_file_system(watched: Watched) -> None:
     """No socket can be connected by its name, by a path or an abstract one, nor be sent to."""
     name = secrets.token_hex(6)
     with (
-        tempfile.TemporaryDirectory() as folder,
+        tempfile.TemporaryDirectory(dir="/tmp") as folder,  # a socket's path must be short
         socket.socket(socket.AF_UNIX) as stream,
         socket.socket(socket.AF_UNIX) as abstract,
         socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as datagrams,
