@@ -76,6 +76,11 @@ def test_calls_and_sessions(running: Pool) -> None:
     assert running.chosen.note == f"image {image()}, each call as a user of its own"
 
 
+def test_code_yields_the_processor_to_the_watch_over_its_limits() -> None:
+    """Many processes of one call would else hold up the only process that looks at their memory."""
+    assert pool_of("docker").run("import os; os.getpriority(os.PRIO_PROCESS, 0)").value == "19"
+
+
 def test_nothing_can_be_written_but_the_folder(running: Pool) -> None:
     """So that no call finds what another has left: not in the shared memory of a container, nor beside its folder."""
     code = """

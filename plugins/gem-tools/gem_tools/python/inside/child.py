@@ -22,6 +22,10 @@ JOB = 3
 AT, LENGTH = struct.Struct("=d"), struct.Struct("=I")
 """What a process says on that socket: when code begins, or -1 and why it cannot; then each result after its length."""
 
+_NICE = 19
+"""Of code in a machine of its own: it yields to the keeper, which else loses the processor to many processes, and sees
+too late that they use more than they may. Elsewhere it would yield to the whole machine, and run out of time."""
+
 _INPUT_NAMES = ("/dev/stdin", "/dev/fd/")
 
 
@@ -108,6 +112,8 @@ class _Child:
         """Give up, ahead of any call, all rights that code must not have."""
         settings, place = self.settings, self.place
         runner.make_input()  # which the filter would refuse
+        if settings["own_machine"]:
+            os.nice(_NICE)
         confine.enter(settings, place.proc, place.uid)
         # A keeper without root's rights may look into dumpable processes of its own user, and see how much memory they
         # share; namespaces or walls keep other calls from doing so.
