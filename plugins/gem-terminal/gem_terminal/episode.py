@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import contextlib
-import shlex
 import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from gem_terminal.backends.interface import Completed
 from gem_terminal.errors import MachineError, MachineLostError, TaskError
 from gem_terminal.shell import CommandResult, ScreenResult, Shell
 from gem_terminal.tasks.staging import stage
-from gem_terminal.verifying.results import LOGS, MOST_OUTPUT
 from gem_terminal.verifying.verdict import reward_of_steps
-from gem_terminal.verifying.verify import verify
+from gem_terminal.verifying.verify import run_in_shell, verify
 
 if TYPE_CHECKING:
-    from gem_terminal.backends.interface import Backend, Machine
+    from gem_terminal.backends.interface import Backend, Completed, Machine
     from gem_terminal.settings import Settings
     from gem_terminal.tasks.task import Healthcheck, Step, Task
     from gem_terminal.verifying.verdict import Verdict
@@ -237,16 +234,14 @@ class Episode:
                 columns=settings.columns,
                 lines=settings.lines,
                 most_output=settings.max_output,
+                again=bool(self._earlier),
             )
             self._shell.open()
         return self._shell
 
     def _run_tests(self, command: Sequence[str], timeout_s: float) -> Completed:
-        """Run the tests in the agent's own shell; their output goes to a file, since that of a shell is cut."""
-        path = f"{LOGS}/output"
-        result = self._open_shell().run(f"{shlex.join(command)} >{path} 2>&1", timeout_s)
-        output = self.machine.get(path, most_bytes=MOST_OUTPUT).get("", result.note.encode())
-        return Completed(result.exit_code, output)
+        """Run the tests in the agent's own shell."""
+        return run_in_shell(self.machine, self._open_shell(), command, timeout_s)
 
     def _wait_until_healthy(self, check: Healthcheck) -> None:
         began = time.monotonic()

@@ -47,6 +47,11 @@ class _Queue:
     """Machines that are ready, each with the time since when."""
     users: set[object] = field(default_factory=set)
 
+    @property
+    def memory_mb(self) -> float:
+        """Megabytes that the main container of each may take."""
+        return self.limits.share(self.task.environment.main).memory_mb
+
 
 class MachinePool:
     """Machines that are ready, by backend, content of the task, and limits.
@@ -152,9 +157,9 @@ class MachinePool:
                 self._starts.submit(partial(self._start, queue))
 
     def _fits(self, queue: _Queue) -> bool:
-        spares = [(len(other.ready) + other.starting, other.limits.memory_mb) for other in self._queues.values()]
+        spares = [(len(other.ready) + other.starting, other.memory_mb) for other in self._queues.values()]
         memory_mb = sum(number * each_mb for number, each_mb in spares)
-        return sum(number for number, _ in spares) < self._most and memory_mb + queue.limits.memory_mb <= self._most_mb
+        return sum(number for number, _ in spares) < self._most and memory_mb + queue.memory_mb <= self._most_mb
 
     def _drop_idle(self) -> None:
         before = time.monotonic() - self._idle_s

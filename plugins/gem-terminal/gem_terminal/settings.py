@@ -103,9 +103,9 @@ _CHECKS: dict[str, _Check] = {
     "columns": _count("a whole number from 20 to 1000", 20, 1000),
     "lines": _count("a whole number from 5 to 1000", 5, 1000),
     "pool_size": _count("a whole number from 0 to 1000", 0, 1000),
-    "cpus": (lambda v: _is_number(v) and v >= 0.01, "a number from 0.01 up"),
-    "memory_mb": _count("whole megabytes from 16 up", 16),
+    "cpus": _or_none((lambda v: _is_number(v) and v >= 0.01, "a number from 0.01 up, or None")),
+    "memory_mb": _or_none(_count("whole megabytes from 16 up, or None", 16)),
     "processes": _count("a whole number from 16 up", 16),
-    "storage_mb": _count("whole megabytes from 1 up", 1),
+    "storage_mb": _or_none(_count("whole megabytes from 1 up, or None", 1)),
     "network": _one_of("task", "none", "public"),
 }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -25,7 +27,10 @@ from gem_terminal.verifying.solutions import SOLUTION_S, as_command
 from gem_terminal.verifying.verdict import RewardRule, goes_on, reward_of
 
 if TYPE_CHECKING:
+    from gem_terminal.tasks.task import Task
     from gem_terminal.verifying.verify import Where
+
+logger = logging.getLogger(__name__)
 
 _HARMLESS = (
     "pwd",
@@ -36,6 +41,12 @@ _HARMLESS = (
     "cat /etc/os-release | head -n 2",
     "date -u",
 )
+
+
+@functools.cache
+def _warn(words: str) -> None:
+    logger.warning("gem-terminal: %s", words)
+
 
 EndedBy = Literal["finish", "turns", "agent_timeout", "episode_timeout", "malformed", "machine_lost"]
 
@@ -80,10 +91,12 @@ class TerminalEnv(Env):
             the same observations.
         columns: Width of the terminal.
         lines: Its height.
-        cpus: Processors of the machine; what a task asks for counts where it is less, here and in what follows.
-        memory_mb: Megabytes of memory.
+        cpus: Processors of the machine. None gives what the task asks for, up to what the computer has, and 1 where it
+            does not ask; with a number, a task gets that many, or fewer where it asks for fewer. What a task does not
+            get of this and the two below is told in ``info["terminal"]["shortfall"]`` at reset, and in a warning.
+        memory_mb: Megabytes of memory, as ``cpus``; 2048 where the task does not ask.
         processes: Processes and threads at once.
-        storage_mb: Megabytes written.
+        storage_mb: Megabytes written, as ``cpus``; 4096 where the task does not ask.
         network: ``"task"`` for what the task asks for, and none where it says nothing; ``"none"``; ``"public"``.
         verify_in: Where the tests run: ``"machine"`` is the agent's, as in Harbor and Terminal-Bench; ``"judge"`` a
             fresh one of the same task, to which only ``artifacts`` are carried, for training: agents learn to cheat.
@@ -127,10 +140,10 @@ class TerminalEnv(Env):
         show_time: bool = False,
         columns: int = 120,
         lines: int = 40,
-        cpus: float = 1.0,
-        memory_mb: int = 2048,
-        processes: int = 256,
-        storage_mb: int = 4096,
+        cpus: float | None = None,
+        memory_mb: int | None = None,
+        processes: int = 1024,
+        storage_mb: int | None = None,
         network: str = "task",
         verify_in: Where = "machine",
         artifacts: Sequence[str] = (),
@@ -206,6 +219,7 @@ class TerminalEnv(Env):
         )
         feedback, suffix = reporting.first_words(task, 0, instructions["text"]), self._suffix(episode)
         info |= {"feedback": feedback, "suffix": suffix}
+        info["terminal"]["shortfall"] = self._shortfall(task)
         return feedback + suffix, info
 
     def step(self, action: str) -> StepResult:
@@ -352,6 +366,13 @@ class TerminalEnv(Env):
 
     def _how_to_act(self, episode: Episode, *, natively: bool = False) -> str:
         return how_to_act(self.settings, episode.agent_limit_s(), self._turns_left(episode), natively=natively)
+
+    def _shortfall(self, task: Task) -> list[str]:
+        """Return what a task asks for and does not get, and warn of it once in a process."""
+        found = self.settings.limits.shortfall(task, self.backend.resources())
+        for words in found:
+            _warn(f"{task.name}: {words}")
+        return found
 
     def _turns_left(self, episode: Episode) -> int | None:
         return self.settings.max_turns and self.settings.max_turns - episode.turns

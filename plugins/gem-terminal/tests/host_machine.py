@@ -173,6 +173,9 @@ class HostMachine:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(process.pid, signal.SIGKILL)
 
+    def make_room(self) -> None:
+        """Have no limits."""
+
     def why_lost(self) -> MachineLostError | None:
         return None
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gem_terminal.backends.interface import Resources
 from gem_terminal.tasks.task import Container, Environment, Step, Task, Verifier
 
 if TYPE_CHECKING:
@@ -48,6 +49,10 @@ class MemoryBackend:
         self.lock = threading.Lock()
         self.live: dict[str, MemoryMachine] = {}
         self.made: list[MemoryMachine] = []
+
+    def resources(self) -> Resources:
+        """Return a small computer."""
+        return Resources(2.0, 8192)
 
     def check(self, task: Task) -> None:
         """Take any task."""

@@ -12,6 +12,7 @@ from docker_machines import SMALL, backend, machine, make_task, needs_engine, ru
 
 from gem_terminal.backends.interface import Limits
 from gem_terminal.errors import MachineLostError
+from gem_terminal.shell import Shell
 from gem_terminal.tasks.task import Container
 
 if TYPE_CHECKING:
@@ -216,6 +217,15 @@ def test_memory_processes_and_files_are_limited(machine: DockerMachine) -> None:
     start = "threading.Thread(target=time.sleep, args=(5,), daemon=True).start()"
     threads = f"import threading, time\nfor _ in range(100): {start}"
     assert machine.run(["python3", "-c", threads], timeout_s=60).exit_code == 1
+
+
+def test_a_new_shell_starts_beside_as_many_processes_as_there_may_be(machine: DockerMachine) -> None:
+    """An honest agent with too many jobs goes on."""
+    shell = Shell(machine)
+    more = "while True: subprocess.Popen(['sleep', '1013'])"
+    shell.run(f'python3 -c "import subprocess\n{more}" 2>/dev/null; kill -9 $$', 60)
+    assert shell.run("ls -d /usr", 60).output == "/usr\n"
+    shell.close()
 
 
 def test_writing_more_than_allowed_ends_the_machine(backend: DockerBackend, task: Task) -> None:

@@ -256,6 +256,19 @@ def test_run_raises_when_the_machine_is_gone(machine: Machine, shell: Shell, mon
         shell.run("kill -9 $PPID; kill -9 $$", LONG)
 
 
+def test_a_shell_that_no_longer_starts_is_the_agents_doing(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that has never started is nobody's that is known: the image may have none."""
+    shell = Shell(machine)
+    shell.open()
+    shell.close()
+    opens = machine.open_terminal
+    monkeypatch.setattr(machine, "open_terminal", lambda _, **how: opens(["true"], **how))
+    for broken, by_agent in ((shell, True), (Shell(machine), None), (Shell(machine, again=True), True)):
+        with pytest.raises(MachineLostError) as caught:
+            broken.open()
+        assert caught.value.by_agent is by_agent
+
+
 def test_close_may_be_called_again(shell: Shell) -> None:
     """A closed shell begins anew with the next command, where it was."""
     answer(shell, "cd /tmp; x=here")

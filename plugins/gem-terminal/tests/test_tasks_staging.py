@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import pytest
 from click.testing import CliRunner
-from memory_backend import plain_task
+from memory_backend import MemoryBackend, MemoryMachine, plain_task
 
 from gem_terminal.backends.interface import Completed, Machine
 from gem_terminal.command import check_command
@@ -96,16 +96,16 @@ class Room:
     def check(self, _: Task) -> None:
         """Take any task."""
 
-    def start(self, *_: object) -> contextlib.nullcontext[None]:
+    def start(self, *_: object) -> contextlib.nullcontext[MemoryMachine]:
         """Start one."""
-        return contextlib.nullcontext()
+        return contextlib.nullcontext(MemoryMachine(MemoryBackend(), plain_task()))
 
 
 def test_check_makes_each_step_ready_before_it_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without and with the reference solution."""
     done: list[str] = []
 
-    def solves(_: Machine, one: Step) -> Completed:
+    def solves(_: Machine, one: Step, **__: object) -> Completed:
         done.append(f"solve {one.name}")
         return Completed(0, b"")
 

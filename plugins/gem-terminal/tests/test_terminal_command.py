@@ -11,8 +11,9 @@ import time
 from pathlib import Path
 
 import pytest
-from docker_machines import left
+from docker_machines import BASE, left
 from machines import backend_names, environment, why_not
+from task_writing import TERMINAL_BENCH, write
 
 TASK = "[agent]\ntimeout_sec = 30\n[verifier]\ntimeout_sec = 20\n[environment]\nmemory_mb = 256\n"
 DOCKERFILE = """ARG BASE=python:3.12-slim-bookworm
@@ -61,6 +62,50 @@ def test_list_shows_tasks_limits_and_what_is_broken(tmp_path: Path) -> None:
     assert [row["name"] for row in rows] == ["one", "two"]
     assert rows[0]["memory_mb"] == 256
     assert "task.toml" in rows[1]["broken"]
+
+
+def test_list_says_what_a_task_does_not_get(tmp_path: Path) -> None:
+    """Of memory, as many megabytes as no computer has; where no engine answers, nothing is known."""
+    folder = write_task(tmp_path / "one")
+    (folder / "task.toml").write_text("[environment]\nmemory_mb = 9000000000\nstorage_mb = 10240\n")
+    words = ("list", "one", "--storage-mb", "5000", "--json")
+    done = gem_terminal(*words, cwd=tmp_path, GEM_TERMINAL_BACKEND="docker")
+    (row,) = json.loads(done.stdout)
+    found = [] if row["cannot_run"] else ["9e+09 MB of memory", "10240 MB of storage and gets 5000: storage_mb=5000"]
+    assert len(row["shortfall"]) == len(found)
+    assert all(words in said for words, said in zip(found, row["shortfall"], strict=True))
+
+
+@pytest.mark.skipif(bool(why_not("docker")), reason=why_not("docker") or "there")
+def test_check_runs_tests_in_the_shell_of_the_solution(tmp_path: Path) -> None:
+    """A task that asks for it sees what the solution has left in its shell."""
+    solution = "- command: export word=done\n"
+    tests = 'test "$word" = done && said=PASSED || said=FAILED\necho "=== short test summary info ==="\n'
+    write(
+        tmp_path / "one",
+        TERMINAL_BENCH,
+        {
+            "task.yaml": "instruction: Set word.\nrun_tests_in_same_shell: true\nparser_name: pytest\n",
+            "Dockerfile": f"FROM {BASE}\nWORKDIR /app\n",
+            "solution.sh": None,
+            "solution.yaml": solution,
+            "run-tests.sh": tests + 'echo "$said tests/test_outputs.py::test_word"\n',
+        },
+    )
+    done = gem_terminal("check", "one", "--json", cwd=tmp_path, **environment("docker", "test-check"))
+    row = json.loads(done.stdout)
+    assert row["solution"] == "passes", row
+
+
+@pytest.mark.skipif(bool(why_not("docker")), reason=why_not("docker") or "there")
+def test_check_says_what_fails_only_under_limits(tmp_path: Path) -> None:
+    """By hand is without them."""
+    folder = write_task(tmp_path / "one", test="grep -q done /app/note")
+    (folder / "solution" / "solve.sh").write_text("python3 -c 'x = bytearray(200 << 20)' && echo done >/app/note\n")
+    (folder / "task.toml").write_text("")
+    words = ("check", "one", "--memory-mb", "100", "--json")
+    row = json.loads(gem_terminal(*words, cwd=tmp_path, **environment("docker", "test-check")).stdout)
+    assert row["why"].startswith("the reference solution fails only under GEM's limits")
 
 
 def test_list_shows_the_notes_of_tasks(tmp_path: Path) -> None:

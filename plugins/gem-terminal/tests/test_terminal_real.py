@@ -63,6 +63,28 @@ def soon_nothing(backend: str, run: str) -> list[str]:
     return found
 
 
+@pytest.mark.parametrize("backend", backend_names()[:1])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "cp /bin/true /bin/bash.new; mv /bin/bash.new /bin/bash; kill -9 $$",
+        "cp /bin/true /bin/sh.new; mv /bin/sh.new /bin/sh; kill -9 $$",
+        "rm -f /bin/bash /bin/sh /bin/dash; kill -9 $$",
+        "rm -f /bin/bash /bin/sh /bin/dash; while :; do :; done",
+    ],
+)
+def test_an_agent_without_a_shell_has_failed(command: str, backend: str, run: str) -> None:
+    """What it does to its own shell is scored, and no error that would be left out."""
+    env = gem.make("terminal:Sample", backend=backend, command_timeout_s=1.0)
+    env.reset(options={"task": TASK})
+    _, reward, terminated, truncated, info = env.step(f"<bash>{command}</bash>")
+    if not terminated:
+        _, reward, terminated, truncated, info = env.step("<bash>true</bash>")
+    assert (reward, terminated, truncated, info["correct"]) == (0.0, True, False, False)
+    assert "error" not in info
+    env.close()
+
+
 @each_backend
 def test_reference_solution_is_rewarded_and_doing_nothing_is_not(backend: str, run: str) -> None:
     """From the instruction to the verdict, with the tests by name."""

@@ -9,21 +9,34 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, BinaryIO, Protocol, Self
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Protocol, Self
 
 if TYPE_CHECKING:
     from gem_terminal.errors import MachineLostError
-    from gem_terminal.tasks.task import Environment, Task
+    from gem_terminal.tasks.task import Container, Environment, Task
+
+
+class Resources(NamedTuple):
+    """Processors, and megabytes (2**20 bytes) of memory and of files."""
+
+    cpus: float = inf
+    memory_mb: float = inf
+    storage_mb: float = inf
+
+
+_USUAL = Resources(1.0, 2048, 4096)
+"""What a container gets whose task asks for nothing."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What one machine may take; what a task asks for is given where it is less.
+    """What each container of a machine may take. With None, that is what its task asks for.
 
     Args:
-        cpus: Processors.
+        cpus: Processors; a task that asks for fewer gets fewer, and so on below.
         memory_mb: Megabytes (2**20 bytes) of memory, without swap.
         processes: Processes and threads at once.
         storage_mb: Megabytes written to its files.
@@ -31,11 +44,46 @@ class Limits:
             overrule it.
     """
 
-    cpus: float = 1.0
-    memory_mb: int = 2048
-    processes: int = 256
-    storage_mb: int = 4096
+    cpus: float | None = None
+    memory_mb: int | None = None
+    processes: int = 1024
+    storage_mb: int | None = None
     network: str = "task"
+
+    def share(self, container: Container, there: Resources = Resources()) -> Resources:  # noqa: B008 - immutable
+        """Return what a container gets.
+
+        Args:
+            container: What its task asks for.
+            there: What the computer has.
+        """
+        most = Resources(*(inf if limit is None else limit for limit in self._resources()))
+        usual = (limit or usual for limit, usual in zip(self._resources(), _USUAL, strict=True))
+        asked = (asked or usual for asked, usual in zip(_asked(container), usual, strict=True))
+        return Resources(*map(min, asked, most, there))
+
+    def shortfall(self, task: Task, there: Resources) -> list[str]:
+        """Return what the containers of a task ask for and do not get, in words."""
+        found = []
+        for service, container in {"": task.environment.main, **task.environment.services}.items():
+            for (option, what), asked, given, limit in zip(
+                _WORDS, _asked(container), self.share(container, there), self._resources(), strict=True
+            ):
+                if asked is not None and given < asked:
+                    why = "what the engine's computer has" if limit is None or given < limit else f"{option}={limit:g}"
+                    of = f"the service {service!r}" if service else "the task"
+                    found.append(f"{of} asks for {asked:g} {what} and gets {given:g}: {why}")
+        return found
+
+    def _resources(self) -> tuple[float | None, ...]:
+        return self.cpus, self.memory_mb, self.storage_mb
+
+
+_WORDS = (("cpus", "processors"), ("memory_mb", "MB of memory"), ("storage_mb", "MB of storage"))
+
+
+def _asked(container: Container) -> tuple[float | None, ...]:
+    return container.cpus, container.memory_mb, container.storage_mb
 
 
 @dataclass(frozen=True)
@@ -177,6 +225,12 @@ class Machine(Protocol):
     def kill(self, processes: Sequence[Process]) -> None:
         """Kill processes with SIGKILL; one that has ended, or whose number is another's by now, is left alone."""
 
+    def make_room(self) -> None:
+        """Allow a few more processes, and a little more memory, than its limits: for a shell that is to start anew.
+
+        Without, what the agent has left running might keep it from starting. Where that cannot be, nothing happens.
+        """
+
     def why_lost(self) -> MachineLostError | None:
         """Return what happened to a machine that is gone; None while it is there. Never raises."""
 
@@ -196,6 +250,13 @@ class Backend(Protocol):
     name: str
     weaker: str
     """What makes its isolation weaker than a container's, in words for ``info``; empty where nothing does."""
+
+    def resources(self) -> Resources:
+        """Return what there is of processors and memory; infinity where that is not known.
+
+        Raises:
+            EngineError: The engine does not answer.
+        """
 
     def check(self, task: Task) -> None:
         """Raise when it cannot run a task at all.

@@ -10,6 +10,7 @@ import click
 
 from gem_core.registry import registry
 from gem_terminal.backends.choosing import NAMES, shared_backend
+from gem_terminal.backends.interface import Limits
 from gem_terminal.errors import MachineError, TaskError
 from gem_terminal.selecting import read_tasks, select_tasks
 
@@ -33,6 +34,24 @@ def backend_options(function: F) -> F:
         help="Argument for the build of images. Can be repeated.",
     )(function)
     return click.option("--backend", type=click.Choice(NAMES), default="auto", show_default=True)(function)
+
+
+def limit_options(function: F) -> F:
+    """Add the options for what each machine may take, as ``TerminalEnv`` has them."""
+    least = {"storage-mb": 1, "processes": 16, "memory-mb": 16}
+    for name, words in (
+        ("storage-mb", "Megabytes that a machine may write."),
+        ("processes", "Processes and threads of a machine at once."),
+        ("memory-mb", "Megabytes of memory of a machine."),
+    ):
+        function = click.option(f"--{name}", type=click.IntRange(least[name]), help=words)(function)
+    words = "Processors of a machine. What is not said of these is what the task asks for."
+    return click.option("--cpus", type=click.FloatRange(0.01), help=words)(function)
+
+
+def chosen_limits(network: str = "task", **most: Any) -> Limits:
+    """Return the limits that the options name."""
+    return Limits(network=network, **{name: value for name, value in most.items() if value is not None})
 
 
 network_option = click.option(

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -18,15 +18,18 @@ from gem_terminal.backends.interface import Limits
 from gem_terminal.command.asking import (
     backend_options,
     chosen_backend,
+    chosen_limits,
+    limit_options,
     network_option,
     some_tasks,
     variable_option,
     why_not,
 )
 from gem_terminal.errors import MachineError, TaskError
+from gem_terminal.shell import Shell
 from gem_terminal.tasks.staging import stage
 from gem_terminal.verifying.solutions import solve
-from gem_terminal.verifying.verify import Where, verify
+from gem_terminal.verifying.verify import Where, run_in_shell, verify
 
 if TYPE_CHECKING:
     from gem_terminal.backends.interface import Backend
@@ -35,6 +38,9 @@ if TYPE_CHECKING:
 
 _WIDTH = len("no_result") + 1
 """Of a column with a verdict in one word."""
+
+_BY_HAND = Limits(cpus=1e6, memory_mb=2**30, processes=2**22, storage_mb=2**30)
+"""As if somebody ran the task without GEM: all that there is, unless the task asks for less."""
 
 
 @click.command(
@@ -62,9 +68,11 @@ Examples:
 @variable_option
 @network_option
 @backend_options
+@limit_options
 @click.pass_context
 def command(
     ctx: click.Context,
+    /,
     where: tuple[str, ...],
     names: tuple[str, ...],
     jobs: int,
@@ -75,6 +83,7 @@ def command(
     network: str,
     backend: str,
     build_args: tuple[str, ...],
+    **most: Any,
 ) -> None:
     """Try tasks: their reference solution must pass, and doing nothing must fail.
 
@@ -82,7 +91,7 @@ def command(
     Prints each task as soon as it has been tried. The exit code is 0 if all are sound.
     """
     tasks = some_tasks(where, names, variables)
-    check = _Check(chosen_backend(backend, build_args), Limits(network=network), verify_in, artifacts)
+    check = _Check(chosen_backend(backend, build_args), chosen_limits(network, **most), verify_in, artifacts)
     name_width = max(len("task"), *(len(task.name) for task in tasks))
     if not as_json:
         _print("task", "solution", "nothing", "seconds", "verdict", name_width=name_width)
@@ -122,33 +131,37 @@ class _Check:
     def try_task(self, task: Task) -> dict[str, Any]:
         """Return what there is to tell of a task."""
         began = time.monotonic()
+        limits, by_hand = self.limits, replace(_BY_HAND, network=self.limits.network)
         row: dict[str, Any] = {"task": task.name, "solution": "-", "nothing": "-", "sound": False, "tests": []}
         if reason := why_not(self.backend, task):
             return row | {"why": f"cannot run here: {reason}", "seconds": 0.0}
         try:
-            nothing, _, _ = self._verdict(task, solved=False)
+            nothing, _, _ = self._verdict(task, limits, solved=False)
             row["nothing"] = _word(nothing)
             row["tests"] = [{"name": test.name, "passed_untouched": test.passed} for test in nothing.tests]
             why = "doing nothing passes" if nothing.passed else ""
             if all(step.solution is None for step in task.steps):
                 why = why or "it has no reference solution"
             else:
-                solution, output, how = self._verdict(task, solved=True)
+                solution, output, how = self._verdict(task, limits, solved=True)
                 row["solution"] = _word(solution)
                 if not solution.passed:
+                    if not how:
+                        passes = self._verdict(task, by_hand, solved=True)[0].passed
+                        how = "only under GEM's limits" if passes else "by hand too"
                     why = f"the reference solution fails {how}: {_reason(task, solution, output)}"
         except (MachineError, TaskError) as error:
             why = str(error)
         return row | {"sound": not why, "why": why, "seconds": round(time.monotonic() - began, 1)}
 
-    def _verdict(self, task: Task, *, solved: bool) -> tuple[Verdict, str, str]:
+    def _verdict(self, task: Task, limits: Limits, *, solved: bool) -> tuple[Verdict, str, str]:
         """Return the verdict on the last step, or the first that does not pass.
 
         Returns:
-            The verdict, the end of the solution's output, and whether it fails by hand too.
+            The verdict, the end of the solution's output, and where it fails alone; empty where that is not known.
         """
-        output, how = "", "by hand too"
-        with self.backend.start(task, self.limits) as machine:
+        output, how = "", ""
+        with self.backend.start(task, limits) as machine:
             if self.stopped.is_set():
                 raise MachineError("interrupted")
             artifacts = self.artifacts
@@ -156,17 +169,21 @@ class _Check:
                 artifacts = (machine.run(["pwd"], timeout_s=60.0).output.decode().strip(),)
             for number, step in enumerate(task.steps):
                 stage(machine, step)
+                main = task.environment.main
+                shell = Shell(machine, user=step.agent_user or main.user, workdir=main.workdir)
                 if solved:
-                    output = solve(machine, step).output.decode(errors="replace")[-300:]
+                    in_shell = shell if step.verifier.same_shell else None
+                    output = solve(machine, step, shell=in_shell).output.decode(errors="replace")[-300:]
                 judged = partial(
                     verify,
                     machine,
                     task,
                     step,
                     backend=self.backend,
-                    limits=self.limits,
+                    limits=limits,
                     artifacts=artifacts,
                     control=False,
+                    same_shell=partial(run_in_shell, machine, shell),
                 )
                 verdict = judged(where=self.where)
                 if not verdict.passed and solved and self.where == "judge" and judged(where="machine").passed:

@@ -10,6 +10,8 @@ import click
 from gem_terminal.command.asking import (
     backend_options,
     chosen_backend,
+    chosen_limits,
+    limit_options,
     tasks_at,
     variable_option,
     why_not,
@@ -32,15 +34,21 @@ Examples:
 @click.argument("where", nargs=-1, type=click.Path(), metavar="[PATH|ID]...")
 @variable_option
 @backend_options
+@limit_options
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON list, with all that is known of each.")
 def command(
-    where: tuple[str, ...], variables: tuple[str, ...], backend: str, build_args: tuple[str, ...], as_json: bool
+    where: tuple[str, ...],
+    variables: tuple[str, ...],
+    backend: str,
+    build_args: tuple[str, ...],
+    as_json: bool,
+    **most: Any,
 ) -> None:
-    """Show tasks: format, difficulty, limits, what cannot run here and why, and what has no effect.
+    """Show tasks: format, difficulty, limits, what cannot run here and why, what has no effect, what a task lacks.
 
     PATH is a task's folder or a folder of tasks; an ID is one such as terminal:Sample, which is the default.
     """
-    found = tasks_at(where, variables)
+    found, limits = tasks_at(where, variables), chosen_limits(**most)
     try:
         chosen, missing = chosen_backend(backend, build_args), ""
     except EngineError as error:
@@ -63,6 +71,7 @@ def command(
             "folder": str(task.folder),
             "digest": task.digest,
             "notes": list(task.notes),
+            "shortfall": [] if chosen is None else limits.shortfall(task, chosen.resources()),
             "backend": None if chosen is None else chosen.name,
             "cannot_run": missing or why_not(chosen, task),
         }
@@ -85,7 +94,7 @@ def _print(rows: list[dict[str, Any]], broken: dict[str, str]) -> None:
     for row in rows:
         if row["cannot_run"]:
             reasons.setdefault(row["cannot_run"], []).append(row["name"])
-        for note in row["notes"]:
+        for note in (*row["notes"], *row["shortfall"]):
             noted.setdefault(note, []).append(row["name"])
     for reason, names in reasons.items():
         _echo(names[0] if len(names) == 1 else f"{len(names)} tasks", reason)

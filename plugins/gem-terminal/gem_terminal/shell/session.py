@@ -193,15 +193,27 @@ def _new_word() -> str:
 
 
 def open_session(
-    machine: Machine, *, user: str, workdir: str, env: Mapping[str, str], columns: int, lines: int
+    machine: Machine, *, user: str, workdir: str, env: Mapping[str, str], columns: int, lines: int, again: bool
 ) -> Session:
     """Start a shell that is ready for commands.
 
     What it reads at its start (``.bashrc``) may end it or hold it up, by the agent's doing; it is then started without.
 
+    Args:
+        machine: Where it runs.
+        user: Who it runs as.
+        workdir: Where it begins.
+        env: Variables beside the container's.
+        columns: Width of the terminal.
+        lines: Height of the terminal.
+        again: Whether a shell has run in the machine before. Then the agent's processes may have left no room for
+            another, and one that does not start is the agent's doing.
+
     Raises:
         MachineLostError: There is no shell, or the machine is gone.
     """
+    if again:
+        machine.make_room()
     for plain in ("", "norc"):
         word = _new_word()
         command = ["/bin/sh", "-c", START, "terminal", word, workdir, plain]
@@ -217,5 +229,6 @@ def open_session(
             raise
         terminal.close()
     raise MachineLostError(
-        f"no shell starts in {machine.id}: /bin/sh and bash (or sh) must be there, and run", by_agent=None
+        f"no shell starts in {machine.id}: /bin/sh and bash (or sh) must be there, and run",
+        by_agent=True if again else None,
     )

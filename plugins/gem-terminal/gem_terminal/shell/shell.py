@@ -46,6 +46,7 @@ class Shell:
         columns: Width of the terminal.
         lines: Height of the terminal.
         most_output: Characters of a command's output; what is more is cut out of the middle.
+        again: Whether an agent has had a shell in the machine before.
     """
 
     def __init__(
@@ -58,8 +59,10 @@ class Shell:
         columns: int = 120,
         lines: int = 40,
         most_output: int = 16_000,
+        again: bool = False,
     ) -> None:
         self._machine = machine
+        self._again = again
         self._user = user
         self._workdir = workdir
         # Pagers would wait for a key: for commands nothing is paged.
@@ -171,7 +174,9 @@ class Shell:
                 env=self._env,
                 columns=self._screen.columns,
                 lines=self._screen.lines,
+                again=self._again,
             )
+            self._again = True
         return self._session
 
     def _result(

@@ -9,10 +9,12 @@ import tarfile
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from gem_terminal.backends.interface import Completed
 from gem_terminal.errors import TaskError
 
 if TYPE_CHECKING:
-    from gem_terminal.backends.interface import Completed, Machine
+    from gem_terminal.backends.interface import Machine
+    from gem_terminal.shell import Shell
     from gem_terminal.tasks.task import Solution, Step
 
 _OUTPUT = "/gem-solution-output"
@@ -24,7 +26,7 @@ SOLUTION_S = 600.0
 """Seconds that a reference solution may take."""
 
 
-def solve(machine: Machine, step: Step, *, timeout_s: float = SOLUTION_S) -> Completed:
+def solve(machine: Machine, step: Step, *, timeout_s: float = SOLUTION_S, shell: Shell | None = None) -> Completed:
     """Do what the reference solution of a step does, and remove its files.
 
     Lines to type run in one shell, one after another; the seconds that each may take bound their sum.
@@ -33,6 +35,7 @@ def solve(machine: Machine, step: Step, *, timeout_s: float = SOLUTION_S) -> Com
         machine: A machine of the task.
         step: The step.
         timeout_s: Seconds for all of it, unless the step gives the agent fewer.
+        shell: Runs it in this shell, whose variables and folder it then may change; None runs it by itself.
 
     Returns:
         What it did; an exit code of None where it ran out of time.
@@ -51,6 +54,11 @@ def solve(machine: Machine, step: Step, *, timeout_s: float = SOLUTION_S) -> Com
     machine.put(solution.files)
     machine.put({_OUTPUT: b""}, mode=0o666)
     try:
+        if shell is not None:
+            exports = "".join(f"export {name}={shlex.quote(value)}\n" for name, value in solution.env.items())
+            lines = shlex.join(solution.command) if solution.command else _script(solution.typed)
+            result = shell.run(f"{exports}{{ {lines}\n}} >>{_OUTPUT} 2>&1", limit)
+            return Completed(result.exit_code, machine.get(_OUTPUT).get("", b""))
         to_file = ("sh", "-c", f'exec "$@" >>{_OUTPUT} 2>&1', "sh", *command)
         done = machine.run(to_file, user=step.agent_user, env=solution.env, timeout_s=limit)
         return replace(done, output=done.output + machine.get(_OUTPUT).get("", b""))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import tempfile
 import threading
 import time
@@ -18,6 +19,7 @@ from gem_terminal.verifying.results import LOGS, MOST_OUTPUT, read_result
 from gem_terminal.verifying.verdict import Verdict
 
 if TYPE_CHECKING:
+    from gem_terminal.shell import Shell
     from gem_terminal.tasks.task import Environment, Step, Task, Verifier
 
 Where = Literal["machine", "judge"]
@@ -74,6 +76,13 @@ def verify(
     )
 
 
+def run_in_shell(machine: Machine, shell: Shell, command: Sequence[str], timeout_s: float) -> Completed:
+    """Run tests in a shell; their output goes to a file, since that of a shell is cut."""
+    path = f"{LOGS}/output"
+    result = shell.run(f"{shlex.join(command)} >{path} 2>&1", timeout_s)
+    return Completed(result.exit_code, machine.get(path, most_bytes=MOST_OUTPUT).get("", result.note.encode()))
+
+
 def _trial(task: Task, step: Step, backend: Backend, limits: Limits) -> str | None:
     """Return the problem of the tests on an untouched machine; of several threads one tries, and the others wait."""
     key = (task.digest, step.name, backend.name)
@@ -114,8 +123,9 @@ def _attempt(
                 if verifier.environment is None:
                     stage(judge, step)
                 at = judge  # from here on, the agent's work may end it
+                most_bytes = int(2 * limits.share(task.environment.main).storage_mb * 2**20)
                 for path in verifier.artifacts or (artifacts if verifier.environment is None else ()):
-                    _carry(machine, at, path.rstrip("/"), most_bytes=2 * limits.storage_mb * 2**20)
+                    _carry(machine, at, path.rstrip("/"), most_bytes=most_bytes)
             else:
                 info["where"] = "machine"
             at.put({**verifier.files, LOGS: None})

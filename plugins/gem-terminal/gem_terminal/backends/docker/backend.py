@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import docker.errors
 
-from gem_terminal.backends.docker.containers import less, network_of
+from gem_terminal.backends.docker.containers import network_of
 from gem_terminal.backends.docker.engine import FAILURES, Engine
 from gem_terminal.backends.docker.images import Images
 from gem_terminal.backends.docker.machine import DockerMachine
@@ -23,7 +23,7 @@ from gem_terminal.backends.docker.sweeping import OWNER, Thing, owner, remove_im
 from gem_terminal.errors import EngineError, MachineError, MachineLostError, TaskError
 
 if TYPE_CHECKING:
-    from gem_terminal.backends.interface import Limits
+    from gem_terminal.backends.interface import Limits, Resources
     from gem_terminal.tasks.task import Environment, Task
 
 _BASE = "GEM_TERMINAL_BASE_IMAGE"
@@ -61,6 +61,10 @@ class DockerBackend:
         self._watching = False
         _all.add(self)
 
+    def resources(self) -> Resources:
+        """Return the processors and the memory of the engine's computer."""
+        return self.engine.resources()
+
     def check(self, task: Task) -> None:
         """Raise when a task cannot be run at all."""
         environments = [task.environment, *(step.verifier.environment for step in task.steps)]
@@ -86,12 +90,14 @@ class DockerBackend:
         images = self._images(task, environment)
         name = f"gem-terminal-{secrets.token_hex(8)}"
         things: list[Thing] = []
-        machine = DockerMachine(self.engine, name, things, limits, self._forget)
+        there = self.resources()
+        share = limits.share(environment.main, there)
+        machine = DockerMachine(self.engine, name, things, share, limits.processes, self._forget)
         with self._lock:
-            self._machines[name] = machine, less(environment.main.storage_mb, limits.storage_mb)
+            self._machines[name] = machine, share.storage_mb
         try:
             with self.engine.asking("start a machine") as client:
-                start(client, name, things, environment, images, network, limits)
+                start(client, name, things, environment, images, network, limits, there)
         except docker.errors.NotFound as error:
             machine.remove()
             raise EngineError(f"could not start a machine: {error.explanation or error}") from error

@@ -13,7 +13,7 @@ from gem_terminal.errors import TaskError
 
 if TYPE_CHECKING:
     from gem_terminal.backends.docker.engine import Client
-    from gem_terminal.backends.interface import Limits
+    from gem_terminal.backends.interface import Limits, Resources
     from gem_terminal.tasks.task import Container, Environment, Network, Task
 
 POWERS = "AUDIT_WRITE CHOWN DAC_OVERRIDE FOWNER FSETID KILL NET_BIND_SERVICE SETFCAP SETGID SETPCAP SETUID SYS_CHROOT"
@@ -41,12 +41,7 @@ _OVERLAP = ("overlap", "already used", "already in use", "conflicts", "already a
 _draw = random.SystemRandom()
 
 
-def less(asked: float | None, limit: float) -> float:
-    """Return what is given to a task that asks for something, under a limit."""
-    return limit if asked is None else min(asked, limit)
-
-
-def config(container: Container, image: str, limits: Limits, *, is_service: bool) -> dict[str, Any]:
+def config(container: Container, image: str, share: Resources, processes: int, *, is_service: bool) -> dict[str, Any]:
     """Return what is run in a container, and what it may do and take.
 
     ``no-new-privileges`` is not set: it would break ``sudo`` and ``su`` for an agent that is not root, and one that is
@@ -55,17 +50,17 @@ def config(container: Container, image: str, limits: Limits, *, is_service: bool
     Args:
         container: What the task asks for.
         image: Its image.
-        limits: What it may have at most.
+        share: What it gets.
+        processes: Processes and threads at once.
         is_service: Whether it runs its image's command where the task names none.
     """
-    memory = int(less(container.memory_mb, limits.memory_mb)) * _MB
-    storage = int(less(container.storage_mb, limits.storage_mb)) * _MB
+    memory, storage = int(share.memory_mb) * _MB, int(share.storage_mb) * _MB
     keeps = container.command is None and not is_service
     host: dict[str, Any] = {
         "Memory": memory,
         "MemorySwap": memory,
-        "NanoCpus": int(less(container.cpus, limits.cpus) * 1e9),
-        "PidsLimit": limits.processes,
+        "NanoCpus": int(share.cpus * 1e9),
+        "PidsLimit": processes,
         "CapDrop": ["ALL"],
         "CapAdd": POWERS.split(),
         "NetworkMode": "none",

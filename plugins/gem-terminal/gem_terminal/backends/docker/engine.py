@@ -7,6 +7,7 @@ import os
 import socket
 import threading
 from collections.abc import Iterator
+from math import inf
 from typing import Any, NamedTuple
 
 import docker
@@ -15,6 +16,7 @@ import requests
 import urllib3.exceptions
 from docker.utils import version_lt
 
+from gem_terminal.backends.interface import Resources
 from gem_terminal.errors import EngineError
 
 OLDEST_API = "1.40"
@@ -137,6 +139,7 @@ class Engine:
         self._pid = 0
         self._place = Address("", "", {})
         self.is_podman = False
+        self._resources: Resources | None = None
 
     @property
     def client(self) -> Client:
@@ -158,6 +161,18 @@ class Engine:
         if self._place.source.startswith("context"):
             return dict(os.environ)  # the command finds it in the same context
         return {**os.environ, "DOCKER_HOST": self._place.url, "CONTAINER_HOST": self._place.url}
+
+    def resources(self) -> Resources:
+        """Return the processors and the memory of its computer, asked once; infinity where it does not say.
+
+        Raises:
+            EngineError: It does not answer.
+        """
+        if self._resources is None:
+            with self.asking("ask for its resources") as client:
+                said = client.info()
+            self._resources = Resources(said.get("NCPU") or inf, (said.get("MemTotal") or inf) / 2**20)
+        return self._resources
 
     def close(self) -> None:
         """Close the connections; the next use makes new ones."""

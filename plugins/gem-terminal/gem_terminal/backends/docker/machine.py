@@ -23,7 +23,7 @@ from gem_terminal.errors import EngineError, MachineError, MachineLostError
 from gem_terminal.kept_output import KeptOutput
 
 if TYPE_CHECKING:
-    from gem_terminal.backends.interface import Limits
+    from gem_terminal.backends.interface import Resources
 
 _ASK_S = 15.0
 _TRIES = 3
@@ -31,6 +31,7 @@ _ROUNDS = 10
 _MOST_LIST = 16_000_000
 _KILLED_S = 3.0
 _REMOVE_S = 30.0
+_ROOM_PROCESSES, _ROOM_BYTES = 32, 64 * 2**20
 _IN_WAY = ("not a directory", "is a directory", "file exists", "too many levels of symbolic links")
 
 
@@ -41,7 +42,8 @@ class DockerMachine:
         engine: The engine.
         name: Name of its container.
         things: All that is made for it, in the order in which it is removed.
-        limits: What it may take.
+        share: What its container may take.
+        processes: Processes and threads at once.
         forget: Called with it once all of it is removed.
     """
 
@@ -50,11 +52,12 @@ class DockerMachine:
         engine: Engine,
         name: str,
         things: list[Thing],
-        limits: Limits,
+        share: Resources,
+        processes: int,
         forget: Callable[[DockerMachine], object],
     ) -> None:
         self.id = name
-        self.limits = limits
+        self._share, self._processes, self._room = share, processes, 0
         self._engine = engine
         self._things = things
         self._forget = forget
@@ -168,6 +171,14 @@ class DockerMachine:
         if processes:
             self._ask(kill_command(processes))
 
+    def make_room(self) -> None:
+        """Allow a few more processes each time, up to twice as many, and a little more memory."""
+        self._room = min(self._room + _ROOM_PROCESSES, self._processes)
+        memory = int(self._share.memory_mb) * 2**20 + _ROOM_BYTES
+        said = {"PidsLimit": self._processes + self._room, "Memory": memory, "MemorySwap": memory}
+        with contextlib.suppress(MachineError, *FAILURES):
+            self._engine.client.ask("POST", f"/containers/{self.id}/update", json=said)
+
     def why_lost(self) -> MachineLostError | None:
         """Return what happened to a machine that is gone; None while it is there."""
         if self._lost is not None:
@@ -185,7 +196,7 @@ class DockerMachine:
         if state.get("Running"):
             return None
         if state.get("OOMKilled"):
-            message = f"the machine used more memory than its {self.limits.memory_mb} MB, and was ended"
+            message = f"the machine used more memory than its {self._share.memory_mb:g} MB, and was ended"
             return MachineLostError(message, by_agent=True)
         if state.get("Error"):
             return MachineLostError(f"the machine's container failed: {state['Error']}", by_agent=None)
@@ -279,9 +290,18 @@ class DockerMachine:
         return b"", 0
 
     def _restart(self) -> None:
-        """End all that runs in it; its files stay."""
+        """End all that runs in it; its files stay.
+
+        Raises:
+            MachineLostError: It does not start again, as where the agent has removed its shell.
+        """
         with self._asking("restart a machine") as client, self._lock:
-            client.restart(self.id, timeout=0)
+            try:
+                client.restart(self.id, timeout=0)
+            except docker.errors.APIError as error:
+                message = f"the machine does not start again: {error.explanation}"
+                self._lost = MachineLostError(message, by_agent=True)
+                raise MachineLostError(message, by_agent=True) from error
 
     def _kill_all_of(self, pid: int) -> None:
         """Kill a command with all that it has started, again and again while there is more."""

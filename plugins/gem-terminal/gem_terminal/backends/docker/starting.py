@@ -15,7 +15,7 @@ from gem_terminal.kept_output import KeptOutput
 
 if TYPE_CHECKING:
     from gem_terminal.backends.docker.engine import Client
-    from gem_terminal.backends.interface import Limits
+    from gem_terminal.backends.interface import Limits, Resources
     from gem_terminal.tasks.task import Environment, Healthcheck, Network
 
 _MAIN_NAMES = ("main", "client")
@@ -29,12 +29,13 @@ def start(
     images: Mapping[str, str],
     network: Network,
     limits: Limits,
+    there: Resources,
 ) -> None:
     """Start all that a machine is made of, and wait until it is ready.
 
-    What each container may take is in ``limits``, and ``images`` has those of the services by their names, and that of
-    the main container under ``""``. Each thing is noted in ``things`` before it is made, so that it is removed whatever
-    happens: before those that are in it.
+    What each container may take is in ``limits``, what the computer has in ``there``, and ``images`` has those of the
+    services by their names, and that of the main container under ``""``. Each thing is noted in ``things`` before it is
+    made, so that it is removed whatever happens: before those that are in it.
 
     Raises:
         MachineLostError: A container ended, or is not ready after all tries.
@@ -50,7 +51,13 @@ def start(
         things.insert(0, ("network", joined))
         make_network(client, joined, public=network == "public")
     for service, container in everyone.items():
-        said = config(container, images[service], limits, is_service=bool(service))
+        said = config(
+            container,
+            images[service],
+            limits.share(container, there),
+            limits.processes,
+            is_service=bool(service),
+        )
         said["HostConfig"]["Mounts"] = [
             {"Type": "volume", "Source": volumes[volume], "Target": path} for volume, path in container.volumes.items()
         ]

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gem_terminal.backends.interface import Limits
+from gem_terminal.backends.interface import Limits, Resources
 from gem_terminal.backends.local.folders import MOUNTS, SKELETON, ProcessFolder, empty, sweep
 from gem_terminal.backends.local.launch import Sandbox, check, probe, run_as_root
 from gem_terminal.backends.local.machine import ROOT_USERS, LocalMachine
@@ -59,6 +59,10 @@ class LocalBackend:
         self._machines: set[LocalMachine] = set()
         self._folder: ProcessFolder | None = None
         self._removal: weakref.finalize[..., LocalBackend] | None = None
+
+    def resources(self) -> Resources:
+        """Return that nothing is known."""
+        return Resources()
 
     def check(self, task: Task) -> None:
         """Raise when it cannot run a task at all; see ``Backend.check``."""
@@ -220,11 +224,10 @@ def _lacking(environment: Environment, network: str) -> list[str]:
 
 def _options(container: Container, limits: Limits) -> list[str]:
     """Return the limits of each program, as options of ``prlimit``."""
-    memory_mb = min(limits.memory_mb, container.memory_mb or limits.memory_mb)
-    storage_mb = min(limits.storage_mb, container.storage_mb or limits.storage_mb)
+    share = limits.share(container)
     wanted = {
-        "data": (resource.RLIMIT_DATA, memory_mb << 20),
-        "fsize": (resource.RLIMIT_FSIZE, storage_mb << 20),
+        "data": (resource.RLIMIT_DATA, int(share.memory_mb) << 20),
+        "fsize": (resource.RLIMIT_FSIZE, int(share.storage_mb) << 20),
         "nproc": (resource.RLIMIT_NPROC, limits.processes),
     }
     most = {name: resource.getrlimit(kind)[1] for name, (kind, _) in wanted.items()}  # -1 is no limit

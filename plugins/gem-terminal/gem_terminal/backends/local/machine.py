@@ -202,6 +202,9 @@ class LocalMachine:
         self._check_there()
         self._sandbox.kill(processes)
 
+    def make_room(self) -> None:
+        """Do nothing: its limits are those of each process."""
+
     def why_lost(self) -> MachineLostError | None:
         """Return what happened to a machine that is gone; None while it is there."""
         if self._removed:
