@@ -70,35 +70,25 @@ __all__ = [
     "wrapper_stack",
 ]
 
-_HOME = {
-    "AGENTS": "completion",
-    "ENVS": "completion",
-    "AtLeast": "tool_options",
-    "PlaySession": "play_session",
-    "PlayView": "play_view",
-    "Words": "completion",
-    "agent_options": "model_options",
-    "arguments_option": "tool_options",
-    "call_again": "tool_options",
-    "env_arguments": "tool_options",
-    "env_ids": "completion",
-    "find_env": "targets",
-    "find_envs": "targets",
-    "given": "model_options",
-    "matching": "list_command",
-    "parsed_choices": "tool_options",
-    "shown": "report",
-    "shown_count": "report",
-    "stack_options": "tool_options",
-    "wrapper_stack": "tool_options",
+_OF_MODULES = {
+    "completion": ("AGENTS", "ENVS", "Words", "env_ids"),
+    "list_command": ("matching",),
+    "model_options": ("agent_options", "given"),
+    "play_session": ("PlaySession",),
+    "play_view": ("PlayView",),
+    "report": ("shown", "shown_count"),
+    "targets": ("find_env", "find_envs"),
+    "tool_options": ("AtLeast", "arguments_option", "call_again", "env_arguments", "stack_options", "wrapper_stack"),
+    ".registry.choices": ("parsed_choices",),
 }
 """Where the names that plugins use for their commands come from; they are imported on first use."""
+_HOME = {name: module for module, names in _OF_MODULES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    return getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
 
 
 _OWN = {record.name: record for record in gem_add_commands()}
@@ -109,7 +99,7 @@ Examples:
   gem info game:Mastermind-v0-hard
   gem play game:GuessTheNumber-v0
   gem run game:GuessTheNumber-v0 --agent bisect --episodes 50
-  gem run 'game:*' --agent my_module:my_agent --num-envs 16 --out runs/mine.jsonl
+  gem run ./my_env.py:MyEnv --agent my_module:my_agent --num-envs 16 --out runs/mine.jsonl
 """
 
 INTERRUPTED = 130

@@ -49,15 +49,13 @@ _WHAT_RUNS = ("agents", "swap_seats", "arguments", "max_turns", "wrappers", "too
     epilog="""\b
 Examples:
   gem run game:GuessTheNumber-v0 --agent bisect --episodes 100
-  gem run 'game:*-easy' --agent random --num-envs 16 --seed 7
   gem run game:Mastermind-v0-easy --agent my_module:my_agent --wrappers concat_with_action:max_turns=4
   gem run math:GSM8K --agent openai:gpt-5-mini --tools python,search:top_k=2 --max-tool-uses 10
-  gem run game:GuessTheNumber-v0 --agent openai:gpt-5-mini --max-tokens 2000
   gem run game:GuessTheNumber-v0 --agent openai:my-model --base-url http://localhost:8000/v1
   gem run game:GuessTheNumber-v0 --agent openai:gpt-5-mini --resume runs/stopped.jsonl
-  gem run my-tasks --agent openai:gpt-5-mini --set verify_in=judge
+  gem run ./my_env.py:MyEnv --agent my_module:my_agent
+  gem run questions.jsonl --agent openai:gpt-5-mini
   gem run game:TicTacToe-v0 --agent X=openai:gpt-5-mini --agent O=random
-  gem run game:TicTacToe-v0 --agent openai:gpt-5-mini --agent random --episodes 20
   gem run game:Negotiation-v0 --agent openai:gpt-5-mini --tools first=python --wrappers concat
 \b
 Several agents: one --agent plays all seats against itself. --agent SEAT=AGENT for each seat fixes
