@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from gem_core.registry.requirements import RequirementStatus
     from gem_core.registry.specs import (
         AgentSpec,
+        CallFormatSpec,
         CommandSpec,
         EnvSpec,
         RequirementSpec,
@@ -69,6 +70,7 @@ _HOME = {
     "registry.requirements": ("RequirementStatus",),
     "registry.specs": (
         "AgentSpec",
+        "CallFormatSpec",
         "CommandSpec",
         "EnvSpec",
         "RequirementSpec",
@@ -89,6 +91,7 @@ __all__ = [
     "AgentSelector",
     "AgentSpec",
     "AsyncEnv",
+    "CallFormatSpec",
     "CommandSpec",
     "DatasetEnv",
     "Env",

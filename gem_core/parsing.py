@@ -6,16 +6,32 @@ Every function here takes any text at all and needs time in proportion to its le
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 THINKING_MARKS = (
-    ("[THINK]", "[/THINK]"),
-    ("<seed:think>", "</seed:think>"),
-    ("<|START_THINKING|>", "<|END_THINKING|>"),
-    ("<|channel|>analysis<|message|>", "<|end|>"),
+    ("<thinking>", "</thinking>"),
+    ("<thought>", "</thought>"),
+    ("[THINK]", "[/THINK]"),  # Mistral
+    ("<seed:think>", "</seed:think>"),  # Seed-OSS
+    ("<mm:think>", "</mm:think>"),  # MiniMax M3
+    ("<longcat_think>", "</longcat_think>"),
+    ("◁think▷", "◁/think▷"),  # Kimi-VL
+    ("<|START_THINKING|>", "<|END_THINKING|>"),  # Cohere
+    ("<|channel|>analysis<|message|>", "<|end|>"),  # gpt-oss
+    ("<|channel>thought", "<channel|>"),  # Gemma 4
 )
-"""Around the thinking of Mistral, Seed-OSS, Cohere and gpt-oss; most other models write ``<think>…</think>``."""
+"""What model families write around their thinking; most write ``<think>…</think>``, whose tag callers may replace."""
+
+_ENDS_OF_ANYTHING = ("<|end|>", "<channel|>")
+
+# What may stand at the end of a response whose server leaves such tokens in, and is no part of it.
+_END_TOKENS = (
+    "<end_code>", "<end_of_turn>", "<turn|>", "</s>", "<|im_end|>", "<|eot_id|>", "<|eom_id|>", "<|end|>", "<|return|>",
+    "<|endoftext|>", "<|end_of_text|>", "<｜end▁of▁sentence｜>",
+)  # fmt: skip
+_MOST_END_TOKENS = 5
+_LINE_BREAKS = re.compile(r"\n{3,}+")
 
 _BOXED = "\\boxed"
 # A backslash escapes the character after it, so that LaTeX's \{ and \} do not count as braces. The start of
@@ -55,10 +71,65 @@ def without_thinking(action: str, tag: str = "think") -> str:
         action = before + action[end + len(closing) :].lstrip()
     action = action.partition(opening)[0]
     for opening, closing in THINKING_MARKS:
+        end = -1 if closing in _ENDS_OF_ANYTHING else action.find(closing)
+        if end >= 0 and opening not in action[:end]:
+            action = action[end + len(closing) :]
         if opening in action:
             before, *blocks = action.split(opening)
             action = before + "".join(block.partition(closing)[2] for block in blocks)
     return action
+
+
+def thinking_blocks(text: str, tag: str | None = "think") -> tuple[list[tuple[int, int]], bool]:
+    """Return the closed thinking blocks, and whether the first was opened before the response, as templates do.
+
+    Args:
+        text: A response.
+        tag: Name of the tag around thinking, beside ``THINKING_MARKS``; with None, nothing is thinking.
+    """
+    if tag is None:
+        return [], False
+    blocks: list[tuple[int, int]] = []
+    opened_before = 0
+    for opening, closing in [(f"<{tag}>", f"</{tag}>"), *THINKING_MARKS]:
+        end = text.find(closing)
+        at = 0
+        if end >= 0 and closing not in _ENDS_OF_ANYTHING and opening not in text[:end]:
+            at = end + len(closing)
+            opened_before = max(opened_before, at)
+        while end >= 0 and (start := text.find(opening, at)) >= 0 and (end := text.find(closing, start)) >= 0:
+            at = end + len(closing)
+            blocks.append((start, at))
+    return ([(0, opened_before)] if opened_before else []) + blocks, opened_before > 0
+
+
+def spoken(action: str, tag: str = "think") -> str:
+    """Return what a response says to other agents: its text without thinking, whether or not the block is closed."""
+    text = without_end_tokens(str.__str__(action))
+    thinking = thinking_blocks(text, tag)[0]
+    if thinking:
+        text = _LINE_BREAKS.sub("\n\n", blank_out(text, thinking))
+    return without_thinking(text, tag).strip()
+
+
+def without_end_tokens(text: str) -> str:
+    """Return a response without the tokens that end a turn."""
+    for _ in range(_MOST_END_TOKENS):
+        rest = text.rstrip()
+        if not rest.endswith(_END_TOKENS):
+            break
+        text = next(rest.removesuffix(token) for token in _END_TOKENS if rest.endswith(token))
+    return text
+
+
+def blank_out(text: str, spans: Iterable[tuple[int, int]]) -> str:
+    """Return the text with line breaks in place of some parts, so that all else stays where it is."""
+    pieces, position = [], 0
+    for start, end in sorted(spans):
+        if end > position:
+            pieces += [text[position:start], "\n" * (end - max(start, position))]
+            position = end
+    return "".join([*pieces, text[position:]]) if pieces else text
 
 
 def extract_last_boxed_answer(text: str) -> str | None:

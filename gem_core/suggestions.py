@@ -26,3 +26,17 @@ def did_you_mean_one_of(names: Sequence[str]) -> str:
         return ""
     *others, last = map(repr, names)
     return f" Did you mean {', '.join(others)} or {last}?" if others else f" Did you mean {last}?"
+
+
+def one_slip(written: str, name: str) -> bool:
+    """Tell whether two names differ, except in case, by one extra, missing or wrong letter or two exchanged."""
+    written, name = written.casefold(), name.casefold()
+    if written == name:
+        return True
+    if min(len(written), len(name)) < 5:
+        return False
+    while written and name and written[0] == name[0]:
+        written, name = written[1:], name[1:]
+    while written and name and written[-1] == name[-1]:
+        written, name = written[:-1], name[:-1]
+    return max(len(written), len(name)) <= 1 or (len(written) == 2 and written == name[::-1])

@@ -162,7 +162,16 @@ def test_listing_imports_nothing_heavy(all_broken: dict[str, Any]) -> None:
 
 def test_all_hooks_are_taken(all_broken: dict[str, Any]) -> None:
     """The fine plugin offers a record by each hook, whatever happens to the others."""
-    names = ["fine", "fine:One-v0", "fine_agent", "fine_backend", "fine_tool", "fine_weather", "fine_wrapper"]
+    names = [
+        "fine",
+        "fine:One-v0",
+        "fine_agent",
+        "fine_backend",
+        "fine_call",
+        "fine_tool",
+        "fine_weather",
+        "fine_wrapper",
+    ]
     assert all_broken["plugins"]["gem-fine"]["records"] == names
 
 

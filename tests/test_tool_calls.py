@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
+from collections.abc import Mapping
 from typing import Any
 
 import pydantic
@@ -13,7 +15,9 @@ from hypothesis import strategies as st
 from toys import Calculator, EchoEnv
 
 import gem_core as gem
-from gem_core.tools.calls.reading import WELL_KNOWN
+from gem_core.registry.lookup import Registry
+from gem_core.registry.specs import CallFormatSpec
+from gem_core.tools.calls import WELL_KNOWN
 from gem_core.tools.env import ToolEnv
 
 
@@ -84,17 +88,10 @@ QUERY = ("lookup", {"query": "x"})
         '{"name": "lookup", "parameters": {"query": "x"}}',
         '{"name": "lookup", "arguments": "{\\"query\\": \\"x\\"}"}',
         '{"name": "lookup", "arguments": "x"}',
-        '{"name": "lookup", "arguments": {"query": "x",},}',
-        '{"name": "lookup", "arguments": {"query": "x" , \n } \n }',
-        '{"tool_name": "lookup", "arguments": {"query": "x"}}',
-        '{"type": "function", "function": {"name": "lookup", "arguments": "{\\"query\\": \\"x\\"}"}}',
-        '{"function": "lookup", "arguments": {"query": "x"}}',
-        '<tool_name>lookup</tool_name><arguments>{"query": "x"}</arguments>',
-        '\n<tool_name> lookup </tool_name>\n<arguments>\n{"query": "x",}\n</arguments>\n',
     ],
 )
 def test_json_calls_as_models_write_them(content: str) -> None:
-    """The form of the instructions, those of other model families and of gem-llm, and a comma too many."""
+    """The form of the instructions; gem-tools reads those of model families."""
     assert called(f"I look: <tool_call>{content}</tool_call>") == QUERY
 
 
@@ -102,7 +99,7 @@ def test_a_json_call_may_hold_what_looks_like_its_end_and_line_breaks() -> None:
     """A program in a string is what it is, commas included."""
     program = "print('</tool_call>')\n[1, ]"
     assert called(json_call("lookup", query=program)) == ("lookup", {"query": program})
-    raw = '<tool_call>{"name": "lookup", "arguments": {"query": "a\nb,]",}}</tool_call>'
+    raw = '<tool_call>{"name": "lookup", "arguments": {"query": "a\nb,]"}}</tool_call>'
     assert called(raw) == ("lookup", {"query": "a\nb,]"})
 
 
@@ -121,10 +118,6 @@ def json_call(name: str, **arguments: Any) -> str:
         ('{"arguments": {}}', "a call must be an object of the form"),
         ("[]", "a call must be an object of the form"),
         ('{"name": "lookup", "arguments": {"query": "x"}} and more', "is no valid JSON: Extra data"),
-        ("<tool_name>lookup</tool_name>query", "behind <tool_name> must stand <arguments>{…}</arguments>"),
-        ("<tool_name>lookup</tool_name>", "The arguments are not valid. query: Field required"),
-        ("<tool_name>lokup</tool_name>", "no tool 'lokup'. Did you mean 'lookup'? There are: lookup, calculator"),
-        ("<tool_name>lookup</tool_name><arguments>{</arguments>", "is no valid JSON"),
         ("", "is no valid JSON"),
     ],
 )
@@ -344,25 +337,51 @@ def test_a_tag_with_more_than_the_name_is_told(call: str) -> None:
     assert called(f"<think>{call}</think> 42") is None
 
 
-@pytest.mark.parametrize("around_it", ["{}", "<tool_calls>{}</tool_calls>", "[{}]", "```json\n{}\n```"])
-@pytest.mark.parametrize("arguments", ["arguments", "parameters"])
-def test_json_that_calls_a_tool_outside_the_tag_is_executed(around_it: str, arguments: str) -> None:
-    """As some models write their calls; of no tool it is the task's, but for a tag that is a call's."""
-    call = f'{{"name": "lookup", "{arguments}": {{"query": "x"}}}}'
-    assert called(around_it.replace("{}", call)) == QUERY
-    other = around_it.replace("{}", call.replace("lookup", "pump"))
-    if "<tool_calls>" in other:
-        assert "no tool 'pump'. There are: lookup, calculator" in refused(other)
-    else:
-        assert called(other) is None
+def read_shout(opening: re.Match[str], tools: Mapping[str, gem.Tool]) -> gem.ToolCall | None:
+    """Read ``NAME! text!``, as no model writes it."""
+    found = re.compile(r" ([^!]*)(!?)").match(opening.string, opening.end())
+    if found is None or opening[1].lower() not in tools:
+        return None
+    error = None if found[2] else "nobody hears it"
+    return gem.ToolCall(opening[1].lower(), {"query": found[1]}, opening.start(), found.end(), error)
 
 
-@pytest.mark.parametrize("arguments", ["arguments", "parameters"])
-def test_json_that_calls_a_tool_in_the_midst_of_words_is_told(arguments: str) -> None:
-    """It may be spoken of, and is no answer."""
-    call = f'so: {{"name": "lookup", "{arguments}": {{"query": "x"}}}} <end>'
-    assert "a call in JSON must stand between <tool_call> and </tool_call>" in refused(call)
-    assert called(call.replace("lookup", "pump")) is None
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("LOOKUP! x!", "x"),
+        ("HELP! me! and LOOKUP! x!", "x"),
+        ("<lookup>y</lookup> LOOKUP! x!", "y"),
+        ("LOOKUP! x! <lookup>y</lookup>", "x"),
+        ("LOOKUP! x <lookup>y</lookup>", "y"),
+        ("<think>LOOKUP! x!</think> 42", None),
+        ("<answer>LOOKUP! x!</answer>", "x"),
+        ("<answer>I say LOOKUP! x!</answer>", None),
+        ("`LOOKUP! x!` I would say; it is 42", None),
+    ],
+)
+def test_a_form_of_a_plugin_is_read_beside_the_others(
+    text: str, expected: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of all calls the first that is complete counts, and what is thought, answered or quoted is none in any form."""
+    shout = CallFormatSpec(name="shout", opening="([A-Z]+)!", entry_point=read_shout)
+    monkeypatch.setattr(Registry, "named", lambda self, kind: [shout])
+    assert called(text) == (None if expected is None else ("lookup", {"query": expected}))
+
+
+def test_a_form_with_the_shape_of_an_answer_is_none_beside_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As bare JSON has it."""
+    shout = CallFormatSpec(name="shout", opening="([A-Z]+)!", begins="anything", entry_point=read_shout)
+    monkeypatch.setattr(Registry, "named", lambda self, kind: [shout])
+    assert called("LOOKUP! x!") == QUERY
+    assert called("LOOKUP! x! \\boxed{42}") is None
+
+
+def test_a_form_of_calls_needs_an_opening_that_can_be_searched_for() -> None:
+    """It is refused when it is offered, not when a model writes."""
+    for wrong in ({"opening": "("}, {"opening": 3}, {"opening": "x", "begins": "never"}):
+        with pytest.raises(gem.errors.RegistrationError):
+            CallFormatSpec(name="mine", entry_point=read_shout, **wrong)  # type: ignore[arg-type]
 
 
 def test_a_tag_around_a_fence_and_a_fence_around_a_tag_are_one_call() -> None:
@@ -396,10 +415,6 @@ PIECES = [
     "```text\n",
     "\n```\n",
     "~~~",
-    "<tool_name>",
-    "</tool_name>",
-    "<arguments>",
-    "</arguments>",
     "<lokup>",
     "</lokup>",
     "<calculator>",
@@ -460,7 +475,6 @@ def test_no_text_around_a_call_takes_it_to_the_task(before: str, call: str, afte
         "<calculator>",
         "```lookup\n",
         "```text\n",
-        "<tool_name>",
         ",",
         "[",
         "<lookup></think>",

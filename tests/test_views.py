@@ -86,6 +86,9 @@ def test_drop_thinking_leaves_out_thinking_of_earlier_turns() -> None:
         ("</think>", ""),
         ("x[THINK]a[/THINK]y", "xy"),
         ("<think>a</think>b<seed:think>c", "b"),
+        ("a</mm:think>b<longcat_think>c", "b"),
+        ("<|channel>thought\na<channel|>b", "b"),
+        ("◁think▷a◁/think▷b<thinking>c</thinking>d", "bd"),
     ],
 )
 def test_without_thinking(action: str, left: str) -> None:

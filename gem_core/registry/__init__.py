@@ -8,6 +8,7 @@ from gem_core.registry.lookup import Registry, registry
 from gem_core.registry.requirements import RequirementStatus
 from gem_core.registry.specs import (
     AgentSpec,
+    CallFormatSpec,
     CommandSpec,
     EnvSpec,
     RequirementSpec,
@@ -18,6 +19,7 @@ from gem_core.registry.specs import (
 
 __all__ = [
     "AgentSpec",
+    "CallFormatSpec",
     "CommandSpec",
     "EnvSpec",
     "Registry",

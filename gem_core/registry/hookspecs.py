@@ -17,6 +17,7 @@ import pluggy
 
 from gem_core.registry.specs import (
     AgentSpec,
+    CallFormatSpec,
     CommandSpec,
     EnvSpec,
     RequirementSpec,
@@ -64,6 +65,26 @@ def gem_register_tools() -> Iterable[ToolSpec]:  # type: ignore[empty-body]
         @hookimpl
         def gem_register_tools():
             return [ToolSpec(name="calculator", entry_point="gem_mine.tools:Calculator", summary="Adds and divides.")]
+    """
+
+
+@hookspec
+def gem_register_call_formats() -> Iterable[CallFormatSpec]:  # type: ignore[empty-body]
+    """Offer forms in which models write calls of tools; the core itself reads JSON, a tool's tag and its blocks.
+
+    A reader is a function: it takes the place where a call begins, and the tools by name, and returns a ``ToolCall``
+    or None; see ``CallFormatSpec``.
+
+    Example::
+
+        @hookimpl
+        def gem_register_call_formats():
+            yield CallFormatSpec(
+                name="mine",
+                opening="<my_call>",
+                entry_point="gem_mine.call_formats:read",
+                summary="The calls of my model.",
+            )
     """
 
 

@@ -9,12 +9,15 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, get_args
 
 from gem_core.errors import RegistrationError
 
 EntryPoint = str | Callable[..., Any]
 """``"package.module:Name"``, or the callable itself."""
+
+CallBeginning = Literal["calls", "texts", "anything"]
+"""What begins with the opening of a call format: calls alone, other texts as well, or anything that has no mark."""
 
 _ENV_ID = re.compile(r"(?P<namespace>[A-Za-z0-9][\w.-]*):(?P<name>[A-Za-z0-9][\w.-]*)", re.ASCII)
 _NAME = re.compile(r"[a-z0-9][a-z0-9_.-]*", re.ASCII)
@@ -176,6 +179,41 @@ class WrapperSpec(NamedSpec):
 
     kind: ClassVar[str] = "wrapper"
     subclass_of: ClassVar[str | None] = "gymnasium:Wrapper"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CallFormatSpec(NamedSpec):
+    r"""A form in which models write calls of tools: the entry point is a reader, asked where a call may begin.
+
+    It is called as ``read(opening, tools)`` and returns the ``ToolCall`` that begins there, with its place in the text
+    and with an ``error`` if it cannot be read; or None for text that is no call. ``opening`` is the match of
+    ``opening``, whose ``string`` is the response with what is thought and answered blanked out; ``tools`` are the tools
+    by name. Of the calls that all readers find, the first that is complete is executed. A reader needs time in
+    proportion to the text, whatever it is.
+
+    Args:
+        opening: Regular expression of how a call begins, as in ``r"\[TOOL_CALLS\]"``. The reader is imported when a
+            response has one, and tried at the first twenty.
+        begins: ``"calls"`` if nothing but a call begins so, ``"texts"`` if other text does as well, and ``"anything"``
+            if the call has no mark of its own, such as bare JSON: no call beside a final answer.
+    """
+
+    kind: ClassVar[str] = "call format"
+
+    opening: str
+    begins: CallBeginning = "calls"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        try:
+            re.compile(self.opening)
+        except (TypeError, re.error) as error:
+            raise RegistrationError(
+                f"call format {self.name}: opening must be a regular expression, not {self.opening!r}: {error}"
+            ) from None
+        if self.begins not in get_args(CallBeginning):
+            allowed = ", ".join(get_args(CallBeginning))
+            raise RegistrationError(f"call format {self.name}: begins must be one of {allowed}, not {self.begins!r}")
 
 
 @dataclass(frozen=True, kw_only=True)

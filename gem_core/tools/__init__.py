@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
-from gem_core.tools.calls import format_calls
-from gem_core.tools.calls.reading import CallReader, blank_out, json_call, native_calls, spoken, thinking_blocks
+from gem_core.parsing import blank_out, spoken, thinking_blocks
+from gem_core.tools.calls import (
+    CallReader,
+    described_call,
+    format_calls,
+    json_at,
+    json_call,
+    native_calls,
+    unknown_tool,
+)
 from gem_core.tools.env import ToolEnv, find_tool_env
 from gem_core.tools.tool import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, ToolResult
 
@@ -16,10 +24,13 @@ __all__ = [
     "ToolEnv",
     "ToolResult",
     "blank_out",
+    "described_call",
     "find_tool_env",
     "format_calls",
+    "json_at",
     "json_call",
     "native_calls",
     "spoken",
     "thinking_blocks",
+    "unknown_tool",
 ]

@@ -13,7 +13,7 @@ from gem_core.env.guard import reset_needed
 from gem_core.env.observations import join_observations, observation_from, split_observation
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, StateError, StateNotSupported
-from gem_core.tools.calls.reading import CallReader, native_calls
+from gem_core.tools.calls import CallReader, native_calls
 from gem_core.tools.selection import ToolChoice, ToolChoices, tool_choices, tools_by_name
 from gem_core.tools.sessions import ToolSessions
 from gem_core.tools.tool import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, ToolResult
@@ -26,11 +26,12 @@ class ToolEnv(Wrapper):
     """Lets an agent use tools in a task.
 
     A response that calls a tool is answered by the tool; any other goes to the task. Calls are read as tags and fenced
-    blocks (see ``Tool``), as ``<tool_call>{"name": …, "arguments": …}</tool_call>``, and in the other forms that models
-    are trained to write (see ``gem_core.tools.calls``). The first complete call of a response is executed; what
-    follows it is left out of ``info["parsed_action"]``. Native calls (``Response.tool_calls``) win over text: all are
-    executed, in order, and answered under their ids in ``info["messages"]``. A call that fails or cannot be read is
-    told to the agent, and never reaches the task as an answer; so is a tag that is a tool's but for one letter.
+    blocks (see ``Tool``), as ``<tool_call>{"name": …, "arguments": …}</tool_call>``, and in the forms that plugins
+    offer (see ``CallFormatSpec``): gem-tools has those of model families. The first complete call of a response is
+    executed; what follows it is left out of ``info["parsed_action"]``. Native calls (``Response.tool_calls``) win over
+    text: all are executed, in order, and answered under their ids in ``info["messages"]``. A call that fails or cannot
+    be read is told to the agent, and never reaches the task as an answer; so is a tag that is a tool's but for one
+    letter.
 
     What stands in a thinking block is no call, as long as the block is closed; neither is what stands in a fenced block
     (``answer_fences``) or a tag (``answer_tags``) that is the task's answer, unless that begins with a call. A tool

@@ -82,10 +82,6 @@ def native(*calls: tuple[str, Any]) -> Response:
         ("<bash>ls</bash><finish/>", "ls", None),
         ("<bash>echo '<finish/>'</bash>", "echo '<finish/>'", None),
         ("<keys>never closed <bash>ls</bash>", "ls", None),
-        (f"I look. {QWEN.format('ls</parameter>')}", "ls</parameter>", 9.0),
-        (QWEN.format("ls").removeprefix("<tool_call>").removesuffix("</tool_call>"), "ls", 9.0),
-        (f"<think>{QWEN.format('rm x')}</think>{QWEN.format('ls')}", "ls", 9.0),
-        ("<tool_call>bash\n<arg_key>command</arg_key>\n<arg_value>ls</arg_value>\n</tool_call>", "ls", None),
         ("I look.\n```\nls -l\n```", "ls -l", None),
         ("```bash\nls\n```\n```\nits output\n```", "ls", None),
     ],
@@ -95,6 +91,22 @@ def test_read_action_finds_commands(response: str, command: str, timeout_s: floa
     read = read_action(response)
     assert isinstance(read, Bash), read
     assert (read.command, read.timeout_s) == (command, timeout_s)
+
+
+@pytest.mark.parametrize(
+    ("response", "command", "timeout_s"),
+    [
+        (f"I look. {QWEN.format('ls</parameter>')}", "ls</parameter>", 9.0),
+        (QWEN.format("ls").removeprefix("<tool_call>").removesuffix("</tool_call>"), "ls", 9.0),
+        (f"<think>{QWEN.format('rm x')}</think>{QWEN.format('ls')}", "ls", 9.0),
+        ("<tool_call>bash\n<arg_key>command</arg_key>\n<arg_value>ls</arg_value>\n</tool_call>", "ls", None),
+        (QWEN.format("ls") + QWEN.format("pwd"), "ls", 9.0),
+    ],
+)
+def test_read_action_finds_commands_of_model_families(response: str, command: str, timeout_s: float | None) -> None:
+    """In the forms that gem-tools reads."""
+    pytest.importorskip("gem_tools")
+    test_read_action_finds_commands(response, command, timeout_s)
 
 
 def test_read_action_keeps_what_was_read() -> None:
@@ -151,7 +163,6 @@ def test_read_action_finds_the_end(response: str) -> None:
     [
         ("<bash>ls</bash> and <bash>pwd</bash>, then\n```bash\nid\n```\n<finish/>", 3),
         ("<bash>echo '<finish/>'</bash> I use `<bash>`, <bash>", 0),
-        (QWEN.format("ls") + QWEN.format("pwd"), 1),
         ("<think><bash>ls</bash></think><bash>pwd</bash>", 0),
         ("<bash>ls</bash>\n```\nits output\n```", 0),
         ("<bash>ls</bash>" * 100, 20),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gem_core.registry import CommandSpec, RequirementSpec, ToolSpec, hookimpl
+from gem_core.registry import CallFormatSpec, CommandSpec, RequirementSpec, ToolSpec, hookimpl
+from gem_tools.call_formats.table import call_formats
 
 
 @hookimpl
@@ -28,6 +29,12 @@ def gem_register_tools() -> Iterable[ToolSpec]:
         summary="The tools of any MCP server, or of all in a configuration file.",
         status="gem_tools.mcp.command:status",
     )
+
+
+@hookimpl
+def gem_register_call_formats() -> Iterable[CallFormatSpec]:
+    """The forms in which model families call tools."""
+    return call_formats()
 
 
 @hookimpl

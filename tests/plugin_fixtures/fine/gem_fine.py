@@ -1,7 +1,8 @@
-"""A plugin that uses all seven hooks."""
+"""A plugin that uses all eight hooks."""
 
 from gem_core import (
     AgentSpec,
+    CallFormatSpec,
     CommandSpec,
     EnvSpec,
     RequirementSpec,
@@ -23,6 +24,12 @@ def gem_register_envs():
 def gem_register_tools():
     """Offer one tool."""
     return [ToolSpec(name="fine_tool", entry_point="gem_fine_tool:FineTool")]
+
+
+@hookimpl
+def gem_register_call_formats():
+    """Offer one form of calls."""
+    return [CallFormatSpec(name="fine_call", opening="<fine>", entry_point="gem_fine_tool:read_call")]
 
 
 @hookimpl

@@ -9,9 +9,8 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from gem_core.tools.calls.found import ParsedCall, Tools
-from gem_core.tools.calls.json_calls import NO_JSON
-from gem_core.tools.calls.values import Raw, loaded, skip_blanks, value_at
+from gem_tools.call_formats.found import NO_JSON, ParsedCall, Tools, reads
+from gem_tools.call_formats.values import Raw, loaded, skip_blanks, typed, value_at
 
 # Some write a name before each tag, as in <steptml:invoke …>, or a mark.
 _MARK = r"(?:[A-Za-z]\w{0,20}+:|｜DSML｜)?"
@@ -20,19 +19,26 @@ _FUNCTION = re.compile(rf"<{_MARK}(?:function|invoke)(?:=|\s+name\s*=\s*){_NAME}
 _PARAMETER = re.compile(
     rf'\s*+<{_MARK}parameter(?:=|\s+name\s*=\s*){_NAME}(?:\s+string\s*=\s*["\']?(true|false)["\']?)?\s*+>'
 )
+# A value ends at the closing tag that the next element follows; or, if models leave that out, where a parameter begins
+# a line or another call follows. Only a value with none of these ends at the end of the call, which it may hold.
 _VALUE_END = re.compile(
     rf"</{_MARK}parameter>(?=\s*+(?:<{_MARK}parameter[=\s]|</{_MARK}(?:function|invoke|tool_call)|<\||\Z))"
-    rf"""|(?<=\n)(?=<parameter=)|(?=</{_MARK}(?:function|invoke)>(?!["'`\\),;]))"""
+    rf"|(?<=\n)(?=<parameter=)|(?=</{_MARK}(?:function|invoke)>\s*+(?:</{_MARK}(?:tool_calls?|function_calls)>\s*+)?"
+    rf"(?:<[|｜]|<{_MARK}(?:tool_calls?>|function_calls>|function=|invoke\s)))"
 )
+_CALL_END = re.compile(rf"""(?=</{_MARK}(?:function|invoke)>(?!["'`\\),;]))""")
 _FUNCTION_END = re.compile(rf"""\s*+</{_MARK}(?:function|invoke)>""")
 _TEXT_END = re.compile(rf"""</{_MARK}(?:function|invoke)>(?!["'`\\),;])""")
 
 # Hunyuan may write a suffix into each tag, and GLM a backslash and an n between two.
-_BETWEEN = r"(?:\s|\\n)*"
+_BETWEEN = r"(?:\s|\\n)*+"
 _KEY = re.compile(
-    rf"{_BETWEEN}<arg_key(?::\w+)?>\s*+([^<]{{1,200}}?)\s*+</arg_key(?::\w+)?>{_BETWEEN}<arg_value(?::\w+)?>"
+    rf"{_BETWEEN}<(?:longcat_)?arg_key(?::\w+)?>\s*+([^<]{{1,200}}?)\s*+</(?:longcat_)?arg_key(?::\w+)?>"
+    rf"{_BETWEEN}<(?:longcat_)?arg_value(?::\w+)?>"
 )
-_KEYED_END = re.compile(rf"</arg_value(?::\w+)?>(?={_BETWEEN}(?:<arg_key|</?tool_call|\Z))")
+_KEYED_END = re.compile(
+    rf"</(?:longcat_)?arg_value(?::\w+)?>(?={_BETWEEN}(?:<(?:longcat_)?arg_key|</?(?:longcat_)?tool_call|\Z))"
+)
 
 _TOOL_NAME = re.compile(r"\s*+<tool_name>([^<]{0,200})</tool_name>\s*+(<(?:arguments|parameters)>\s*+)?")
 _ELEMENT = re.compile(r"\s*+<(\w{1,100})>")
@@ -61,7 +67,7 @@ def function(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
 def _parameters(name: str, text: str, at: int) -> ParsedCall:
     given: dict[str, Any] = {}
     while parameter := _PARAMETER.match(text, at):
-        ending = _VALUE_END.search(text, parameter.end())
+        ending = _VALUE_END.search(text, parameter.end()) or _CALL_END.search(text, parameter.end())
         if ending is None:
             given[parameter[1]] = _value(text[parameter.end() :], parameter[2])
             return ParsedCall(name, given, len(text), cut=True)
@@ -127,3 +133,82 @@ def _without_line_breaks(content: str) -> str:
     """Take one line break off each end, and no more: the first line of a program may be indented."""
     content = content.removeprefix("\r\n") if content.startswith("\r") else content.removeprefix("\n")
     return content.removesuffix("\n").removesuffix("\r") if content.endswith("\n") else content
+
+
+# MiniMax M3 writes a mark before each tag, so that nothing in a value can be taken for one.
+_M3 = "]<]minimax[>["
+_M3_TAG = re.compile(rf"{re.escape(_M3)}<(/?)([\w.-]{{1,200}}+)>")
+_M3_INVOKE = re.compile(rf"""\s*+{re.escape(_M3)}<invoke\s+name\s*=\s*{_NAME}\s*+>""")
+_MOST_DEPTH = 50
+
+
+def minimax_m3(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
+    """MiniMax M3: an element for each parameter, in which lists are elements ``item`` and objects one for each key."""
+    opening = _M3_INVOKE.match(text, start) or _M3_INVOKE.match(text, at)
+    if opening is None:
+        return None
+    given: dict[str, Any] = {}
+    open_elements: list[tuple[str, int, list[tuple[str, Any]]]] = []
+    for tag in _M3_TAG.finditer(text, opening.end()):
+        name = tag[2]
+        if not tag[1]:
+            if len(open_elements) == _MOST_DEPTH:
+                return ParsedCall(opening[1], None, 0, problem="its arguments are nested too deeply")
+            open_elements.append((name, tag.end(), []))
+        elif not open_elements and name in ("invoke", "tool_call"):
+            return ParsedCall(opening[1], _by_schema(given, opening[1], tools), tag.end())
+        elif open_elements and open_elements[-1][0] == name:
+            _, begin, children = open_elements.pop()
+            value: Any = Raw(_without_line_breaks(text[begin : tag.start()]))
+            if children:
+                is_list = all(child == "item" for child, _ in children)
+                value = [child for _, child in children] if is_list else dict(children)
+            if open_elements:
+                open_elements[-1][2].append((name, value))
+            else:
+                given[name] = value
+    if open_elements:  # cut in a value, which is text as far as anybody knows
+        name, begin, _ = open_elements[0]
+        given[name] = Raw(_without_line_breaks(text[begin:]))
+    return ParsedCall(opening[1], given, len(text), cut=True)
+
+
+def _by_schema(given: dict[str, Any], name: str, tools: Tools) -> dict[str, Any]:
+    schema = tools[name].parameters_schema() if name in tools else {}
+    definitions: dict[str, Any] = {key: schema[key] for key in ("$defs", "definitions") if key in schema}
+
+    def converted(value: Any, described: Any) -> Any:
+        described = described if isinstance(described, dict) else {}
+        if isinstance(value, list):
+            return [converted(item, described.get("items")) for item in value]
+        if isinstance(value, dict):
+            inner = described.get("properties")
+            return {
+                key: converted(item, inner.get(key) if isinstance(inner, dict) else None) for key, item in value.items()
+            }
+        return typed(value, "value", {"properties": {"value": described}, **definitions})
+
+    properties = schema.get("properties")
+    return {
+        key: converted(value, properties.get(key) if isinstance(properties, dict) else None)
+        for key, value in given.items()
+    }
+
+
+def own_tag(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
+    """Read the tag of a tool that takes no text, around its arguments as Python, or JSON with a slip."""
+    name = text[start + 1 : at].rstrip().removesuffix(">")
+    tool = tools.get(name)
+    if tool is None or tool.text_parameter is not None:
+        return None
+    try:
+        given, end = value_at(text, at)
+    except ValueError:
+        return None
+    closing = re.compile(rf"\s*+</{re.escape(name)}>").match(text, end)
+    return ParsedCall(name, given, closing.end()) if closing else None
+
+
+read_function = reads(function)
+read_minimax_m3 = reads(minimax_m3)
+read_own_tag = reads(own_tag, sure=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Any
 
 import pytest
@@ -10,15 +11,16 @@ from calling import (
     A1,
     CALLS_END,
     CODE,
-    COMMAND_R,
     HARMONY,
     J1,
     KIMI,
+    M2,
     P1,
     P2,
     RUN,
     SEED,
     Python,
+    Recorder,
     around,
     called,
     cohere,
@@ -26,6 +28,8 @@ from calling import (
     glm,
     invoke,
     kimi,
+    lfm2,
+    m3,
     qwen,
     refused,
     step,
@@ -36,15 +40,17 @@ from calling import (
 from hypothesis import example, given
 from hypothesis import strategies as st
 from test_call_formats import ONE_CALL
-from test_tool_calls import Recorder
 
 import gem_core as gem
-from gem_core.tools.calls import FORMATS
+from gem_core.registry import registry
+from gem_core.registry.specs import CallFormatSpec
 from gem_core.tools.env import ToolEnv
 
+FORMATS = [record for record in registry().named(CallFormatSpec) if "gem_tools" in str(record.entry_point)]
 PRINTED = [
     "print('</tool_call>')",
     "print('</parameter>')\nprint('</function>')",
+    "# a tag\n</function>\n</invoke> and more\nprint(1)",
     "print('</arg_value>', '</invoke>')",
     "if a < b and b > c:\n    print([1, 2][0]); print({'a': 1})",
     "    print('indented')\n    print('twice')",
@@ -77,6 +83,9 @@ def test_a_value_may_hold_what_looks_like_its_end(code: str) -> None:
         glm(code),
         dsml(code),
         f"<function_calls>\n{invoke(code)}\n</function_calls>",
+        f"<minimax:tool_call>\n{invoke(code)}\n</minimax:tool_call>",
+        m3('invoke name="python">', f"code>{code}", "/code>"),
+        lfm2(f"python(code={code!r})"),
         f"<｜tool_calls_begin｜>\n{step3(code)}\n<｜tool_calls_end｜>",
     ):
         assert called(text) == ("python", {"code": code}), text
@@ -143,6 +152,13 @@ def test_code_for_the_tool_python_is_taken_as_it_is(code: str) -> None:
         f"[THINK][TOOL_CALLS]python[ARGS]{A1}[/THINK]",
         f"<seed:think>{SEED}</seed:think>",
         f"<|START_THINKING|>{cohere(CODE)}<|END_THINKING|>",
+        f"<thinking>{qwen()}</thinking>",
+        "<thought><python>1</python></thought>",
+        f"◁think▷{J1}◁/think▷",
+        f"<|channel>thought\n{J1}<channel|>",
+        f"<longcat_think>{glm()}</longcat_think>",
+        f"<mm:think>{M2}</mm:think>",
+        f"{M2}</mm:think>",
         "<|channel|>analysis<|message|>functions.python? <python>1</python><|end|><|start|>assistant<|channel|>final",
     ],
 )
@@ -253,10 +269,16 @@ def test_harmony_needs_no_fixed_header() -> None:
     assert called("<|channel|>final<|message|>I wrote to=functions.python before.<|return|>") is None
 
 
+EXAMPLES = [*ONE_CALL.values(), "<|begin_of_query|>", "<|begin_search_query|>", "<plan-trip>{"]
+OPENINGS = {
+    record.name: [found[0] for text in EXAMPLES for found in re.finditer(record.opening, text)] for record in FORMATS
+}
+
+
 def test_every_row_of_the_table_is_tried() -> None:
     """Trap 16: names of parsers move, letters do not; no row is without an example above."""
-    examples = [*ONE_CALL.values(), "<|begin_of_query|>", "<|begin_search_query|>"]
-    assert [form.models for form in FORMATS if not any(form.opening in example for example in examples)] == []
+    assert len(FORMATS) > 40
+    assert [name for name, found in OPENINGS.items() if not found] == []
 
 
 @pytest.mark.parametrize(
@@ -287,6 +309,12 @@ def test_every_row_of_the_table_is_tried() -> None:
         (f"so: {J1} it is", "a call in JSON must stand between <tool_call> and </tool_call>"),
         ('{"name": "python", "arguments": {"code": "print("1")"}}', "the call is no valid JSON, or is not complete"),
         ("<execute>", "<execute> is never closed by </execute>"),
+        ('```tool_code\nget_weather(city="Oslo")\n```', "no tool 'get_weather'"),
+        ("```tool_code\nsearch(query=open(1))\n```", "its arguments are no literals of Python"),
+        (f'<|tools_prefix|>[{{"pythn": {A1}}}]', "no tool 'pythn'. Did you mean 'python'?"),
+        (m3('invoke name="bash">', "code>1", "/code>"), "no tool 'bash'. There are: python, search"),
+        ("]<]minimax[>[<tool_call>hm", "stands no call"),
+        ("<tool_call><tool_name>python</tool_name>1</tool_call>", "behind <tool_name> must stand <arguments>"),
         ("<|begin_search_query|>", "<|begin_search_query|> is never closed by <|end_search_query|>"),
         ('{"name": "plan-trip", "arguments": "Oslo"}', "its arguments are no valid JSON: Expecting value"),
         ("<search>rhino <answer>42</answer>", "<search> is never closed by </search>"),
@@ -339,11 +367,14 @@ ANSWERS = [
     "I searched, and used python to compute it: 42.",
     "The action input is 3; to=me",
     ">>> print(1)\n1",
+    "I start it:\n>>> python\nimport os",
+    "python\n<|content|>print(1)",
+    "I wrote ```tool_code before.",
+    "I call: nobody{x:1}",
     "functools.partial(f, 1)",
     "I passed functools[0] on.",
     "From: a@b.c\nto=functions",
     'He said "python" and {curly} [square] <angle>.',
-    COMMAND_R.replace('"python"', '"directly-answer"'),
     f"<answer>{J1}</answer>",
     f"```text\n{J1}\n```",
 ]
@@ -371,7 +402,7 @@ def test_answers_in_code_stay_the_tasks() -> None:
 
 
 PIECES = [
-    *(form.opening for form in FORMATS),
+    *sorted({found for each in OPENINGS.values() for found in each if found.strip()}),
     *('{"name": "python", ', '"arguments": ', A1, J1, "{", "}", "[", "]", "(", ")", '"', "'", "`", "\\", ",", ":", "="),
     *("</tool_call>", "</parameter>", "<parameter=code>", "</function>", "</invoke>", 'name="python">', "python", "\n"),
     *("<arg_key>", "</arg_key>", "<arg_value>", "</arg_value>", "<think>", "</think>", "<answer>", "</answer>", "```"),

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from gem_core.records.plain_json import is_deep
+from gem_core.tools import json_at
 
 _TOO_DEEP = "it is nested too deeply"
 _MOST_DEPTH = 100
@@ -48,11 +49,8 @@ def value_at(text: str, at: int) -> tuple[Any, int]:
     Raises:
         ValueError: There is none; the message says what is wrong with it as JSON.
     """
-    at = skip_blanks(text, at)
     try:
-        value, end = _DECODER.raw_decode(text, at)
-    except RecursionError:
-        raise ValueError(_TOO_DEEP) from None
+        return json_at(text, at)
     except ValueError as problem:
         try:
             value, end = _literal(text, at, 0)
@@ -218,7 +216,7 @@ def _behind_comma(text: str, at: int, closing: str) -> int:
 def _unquote(token: str) -> str:
     if token[0] == '"' and token[:3] != '"""':
         try:
-            return str(_DECODER.decode(token))
+            return str(json.loads(token, strict=False))
         except ValueError:
             pass  # an escape that only Python has
     raw = token[0] in "rR"
@@ -241,16 +239,7 @@ def _number(token: str) -> int | float:
     try:
         return int(token)
     except ValueError:
-        return _finite_number(token)
-
-
-def _finite_number(text: str) -> float:
-    # Python reads NaN and 1e999, which no other reader of the recorded arguments would take.
-    number = float(text)
+        number = float(token)
     if not math.isfinite(number):
-        raise ValueError(f"{text[:20]} is no finite number")
+        raise ValueError(f"{token[:20]} is no finite number")
     return number
-
-
-# Not strict: a program of several lines may stand in a string with its line breaks as they are.
-_DECODER = json.JSONDecoder(strict=False, parse_float=_finite_number, parse_constant=_finite_number)

@@ -1,80 +1,24 @@
-"""Readers of calls that begin with a mark: code and queries, messages to recipients, ReAct."""
+"""Calls that hold text for a tool: code, a query, or a message to a recipient."""
 
 from __future__ import annotations
 
+import builtins
 import re
-from collections.abc import Callable
 
 from gem_core.parsing import extract_code_blocks, unclosed_code_block
-from gem_core.tools.calls.found import ParsedCall, Tools, tool_taking
-from gem_core.tools.calls.json_calls import NAMES, fenced_list, json_call_at
-from gem_core.tools.calls.pythonic import pythonic
-from gem_core.tools.calls.tagged import elements, function, keyed
-from gem_core.tools.calls.values import Raw, value_at
+from gem_tools.call_formats.bodies import body
+from gem_tools.call_formats.found import ParsedCall, Parser, Tools, if_whole, reads, tool_taking
+from gem_tools.call_formats.objects import NAMES, json_call_at, pythonic
+from gem_tools.call_formats.values import Raw, value_at
 
-Reader = Callable[[str, int, int, Tools], ParsedCall | None]
-"""Reads a call, given the response, where the opening mark begins and ends, and the tools; None where there is none."""
-
-# Marks that may stand between the opening mark and the call.
-_MARKS = re.compile(
-    r"(?:\s|<\|tool_calls?_section_begin\|>|<\|tool_call_begin\|>|<｜tool▁calls?▁begin｜>|<｜tool_calls?_begin｜>"
-    r"|function<｜tool_sep｜>|<\|plugin\|>|<tool_call(?::\w+)?>|<invoke>|\[TOOL_CALLS\]|```(?:json)?(?=\s*+[\[{]))*"
-)
-_NAMED = re.compile(
-    r"(?:call:|function<｜tool▁sep｜>(?=\w))?([\w.:/-]{1,200}+)(?:\[CALL_ID\][\w-]{1,100}+)?\s*+"
-    r"(?:\[ARGS\]|<｜tool▁sep｜>|<\|tool_call_argument_begin\|>|<tool_sep(?::\w+)?>)?(?:\s|\\n)*(```(?:json)?\s*+)?"
-)
-_FENCE_END = re.compile(r"\s*+```")
 _JSON_FENCE = re.compile(r"\s*+```(?:json)?\s*+(?=[\[{])")
 _NUMBERED = re.compile(r"(?: ?\d{1,3}+)?:")
-_HEADING = re.compile(r"(?<![^\s*#])(?:Action(?: ?\d{1,3}+)?|✿FUNCTION✿):")
+_HEADING = re.compile(r"(?<![^\s*#])Action(?: ?\d{1,3}+)?:")
 _INPUT = re.compile(r"(?: ?\d{1,3}+(?=:))?[*: ]{0,3}+")
 _BRACKET = re.compile(r"[\s*]*+([\w-]{1,100}+)\[(.+)\]\s*+")
 
 
-def body(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
-    """Read a call after a mark that many families use; the next character decides which form it is."""
-    marks = _MARKS.match(text, at)
-    at = marks.end() if marks else at
-    first = text[at : at + 1]
-    if first == "<":
-        return elements(text, at) or function(text, at, at, tools) or json_call_at(text, at)
-    if first == "[":
-        call = pythonic(text, at)
-        if call is not None:
-            return call
-    if first not in ("", "[", "{", '"'):
-        return _named(text, at) or json_call_at(text, at)
-    return json_call_at(text, at)
-
-
-def suffixed(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
-    """Hunyuan 3: each tag may have a suffix, as in ``<tool_calls:opensource>``."""
-    end = text.find(">", at, at + 40)
-    return body(text, start, end + 1, tools) if end >= 0 else None
-
-
-def _named(text: str, at: int) -> ParsedCall | None:
-    """Read a call that begins with the tool's name, as Mistral, DeepSeek, Kimi, GLM, Gemma and OLMo write it."""
-    opening = _NAMED.match(text, at)
-    if opening is None:
-        return None
-    name, at = opening[1], opening.end()
-    if text.startswith("{", at):
-        try:
-            given, end = value_at(text, at)
-        except ValueError as error:
-            return ParsedCall(name, None, 0, problem=f"its arguments are no valid JSON: {error}"[:250])
-        fence = _FENCE_END.match(text, end) if opening[2] else None
-        return ParsedCall(name, given, fence.end() if fence else end)
-    if text.startswith("(", at):
-        return pythonic(text, opening.start(1))
-    if text.startswith("</tool_call", at):
-        return ParsedCall(name, {}, at)
-    return keyed(name, text, at)
-
-
-def between(closing: str, takes: str, *, whole_lines: bool = False) -> Reader:
+def between(closing: str, takes: str, *, whole_lines: bool = False) -> Parser:
     """Return a reader of what stands between two marks and is given to the tool that takes it.
 
     Args:
@@ -122,16 +66,24 @@ def plugin(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
 
 
 def code_fence(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
-    """Gemma: a block ``tool_code``, around a call in Python or code as it is."""
+    """Gemma: a block ``tool_code``, around a call in Python, or code for the tool that takes it.
+
+    A call of a tool that cannot be read, or of one that there is not, is not run as code.
+    """
     block = next(iter(extract_code_blocks(text[start:], "tool_code")), None)
     unclosed = block is None
     block = block or unclosed_code_block(text[start:], "tool_code")
-    if block is None or block.start > 0:
+    if block is None or block.start > 0 or not _begins_line(text, start):
         return None
     end = len(text) if unclosed else start + block.end
     written = pythonic(block.code, 0)
-    if written is not None and written.problem is None and written.name in tools:
-        return written._replace(end=end, cut=unclosed)
+    takes_code = tool_taking("code", tools)
+    if written is not None:
+        alone = written.problem is None and not block.code[written.end :].strip(" \t\r\n]")
+        foreign = alone and isinstance(written.arguments, dict) and not hasattr(builtins, written.name)
+        other = written.name in tools and (takes_code is None or written.name != takes_code.name)
+        if other or foreign or (written.name in tools and written.problem is None):
+            return written._replace(end=end, cut=unclosed and written.problem is None)
     return ParsedCall("", _text(block.code), end, takes="code", cut=unclosed)
 
 
@@ -150,32 +102,14 @@ def harmony(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
     return _json_or_text(header[1], text, header.end(), stop)
 
 
-def functionary(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
-    """Functionary v2: the recipient on a line before ``<|content|>``; ``all`` is the user."""
-    name = text[max(0, start - 300) : start].rstrip().rpartition("\n")[2].rpartition("<|recipient|>")[2].strip()
-    if not name or name == "all":
-        return None
-    return _json_or_text(name, text, at, re.compile(r"<\|(?:from|stop)\|>").search(text, at))
-
-
-def functionary_v3(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
-    """Functionary v3: ``>>>`` and the recipient, on a line of its own."""
-    name = text[at : at + 300].partition("\n")[0].strip()
-    if name not in tools:
-        return None
-    content = text.index("\n", at) + 1 if "\n" in text[at : at + 300] else len(text)
-    return _json_or_text(name, text, content, re.compile(r"\n?>>>|<\|eot_id\|>").search(text, content))
-
-
-def action(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
-    """What stands after ``Action:`` alone: Command-R's fenced list, or ``search[…]`` and ``search("…")`` of a tool."""
+def react_action(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
+    """ReAct: ``Action:`` and ``Action Input:``; or, as in its paper, ``search[…]`` alone."""
+    if text.startswith(" Input", at):
+        return _with_input(text, start, at + len(" Input"))
     colon = _NUMBERED.match(text, at)
     if colon is None:
         return None
     at = colon.end()
-    fence = _JSON_FENCE.match(text, at)
-    if fence is not None:
-        return fenced_list(text, fence.end())
     line_end = text.find("\n", at)
     bracket = _BRACKET.fullmatch(text, at, line_end if line_end >= 0 else len(text))
     if bracket is not None:
@@ -185,8 +119,7 @@ def action(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
     return written if written is not None and written.problem is None and written.name in tools else None
 
 
-def react(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
-    """ReAct, and Qwen-Agent's kin: the tool on one line, its input after the next heading."""
+def _with_input(text: str, start: int, at: int) -> ParsedCall | None:
     before = text[max(0, start - 400) : start].rstrip(" \t*#")
     heading = next(reversed([*_HEADING.finditer(before)]), None)
     name = before[heading.end() :].strip(" \t\r\n*`[]") if heading else ""
@@ -195,7 +128,7 @@ def react(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
     colon = _INPUT.match(text, at)
     at = colon.end() if colon else at
     fence = _JSON_FENCE.match(text, at)
-    stop = re.compile(r"\n[ \t*#]*+Observation|✿RESULT✿|\Z").search(text, at)
+    stop = re.compile(r"\n[ \t*#]*+Observation|\Z").search(text, at)
     return _json_or_text(name, text, fence.end() if fence else at, stop)
 
 
@@ -234,3 +167,14 @@ def _ends_line(text: str, at: int) -> bool:
 
 def _begins_line(text: str, at: int) -> bool:
     return not text[text.rfind("\n", 0, at) + 1 : at].strip()
+
+
+read_python_tag = reads(python_tag)
+read_plugin = reads(plugin)
+read_code_fence = reads(code_fence, sure=False)
+read_message = reads(harmony, sure=False)
+read_action = reads(react_action, sure=False)
+read_search_query = reads(between("<|end_search_query|>", "query"))
+read_query = reads(between("<|end_of_query|>", "query"))
+read_execute = reads(between("</execute>", "code"))
+read_code_lines = reads(if_whole(between("</code>", "code", whole_lines=True)), sure=False)

@@ -1,19 +1,19 @@
-"""Calls that are JSON: an object, or a list of them, that names the tool."""
+"""Calls as objects in JSON that name the tool, and as calls in Python."""
 
 from __future__ import annotations
 
 import re
 from typing import Any
 
-from gem_core.tools.calls.found import ParsedCall
-from gem_core.tools.calls.values import skip_blanks, value_at
+from gem_tools.call_formats.found import NO_JSON, ParsedCall
+from gem_tools.call_formats.values import arguments_at, value_at
 
 FORM = '{"name": "…", "arguments": {…}}'
-NO_JSON = "is no valid JSON"
 NAMES = ("name", "tool_name", "function", "tool", "action")
 ARGUMENTS = ("arguments", "parameters", "args", "input", "tool_input", "action_input")
 
 _LIST = re.compile(r"\s*+\[\s*+(?=\{)")
+_CALL = re.compile(r"\s*+(?:\[\s*+)?([A-Za-z_][\w-]{0,100}+(?:\.[A-Za-z_][\w-]{0,100}+){0,5})\s*+\(")
 
 
 def json_call_at(text: str, at: int) -> ParsedCall:
@@ -39,11 +39,13 @@ def object_call(value: Any, end: int) -> ParsedCall:
     return ParsedCall(name, next((value[key] for key in ARGUMENTS if key in value), None), end)
 
 
-def fenced_list(text: str, at: int) -> ParsedCall | None:
-    """Read a list of Command-R, in whose words ``directly-answer`` is no call, and the fence after it."""
-    call = json_call_at(text, at)
-    if call.name in ("directly-answer", "directly_answer", "_"):
+def pythonic(text: str, at: int) -> ParsedCall | None:
+    """Read the call, or the first of a list of them, at a place; its arguments are literals."""
+    opening = _CALL.match(text, at)
+    if opening is None:
         return None
-    end = skip_blanks(text, call.end)
-    end = skip_blanks(text, end + 1) if text.startswith("]", end) else end
-    return call._replace(end=end + 3) if not call.problem and text.startswith("```", end) else call
+    try:
+        given, end = arguments_at(text, opening.end())
+    except ValueError as error:
+        return ParsedCall(opening[1], None, 0, problem=f"its arguments are no literals of Python: {error}"[:220])
+    return ParsedCall(opening[1], given, end)

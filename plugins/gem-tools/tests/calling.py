@@ -2,14 +2,30 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import pydantic
-from test_tool_calls import Recorder
 
 import gem_core as gem
 from gem_core.tools.env import ToolEnv
+
+
+class Recorder(gem.Env):
+    """Keeps what reached it; is answered in fenced blocks of text."""
+
+    answer_fences = ("text",)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.heard: list[str] = []
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        super().reset(seed=seed)
+        return "Say something.", {}
+
+    def step(self, action: str) -> Any:
+        self.heard.append(action)
+        return f"Heard: {action}", 0.0, False, False, {}
 
 
 class Python(gem.Tool):
@@ -162,7 +178,13 @@ M2 = f"<minimax:tool_call>\n{invoke()}\n</minimax:tool_call>"
 CALLS_END = "<｜tool▁calls▁end｜><｜end▁of▁sentence｜>"
 KIMI = "<|tool_calls_section_begin|>{}<|tool_calls_section_end|>"
 HARMONY = f"<|channel|>commentary to=functions.python <|constrain|>json<|message|>{A1}"
-COMMAND_R = "Action:\n```json\n{}\n```".format(
-    json.dumps([{"tool_name": "python", "parameters": {"code": CODE}}], indent=4)
-)
 OLD_INVOKE = f"<invoke>\n<tool_name>python</tool_name>\n<parameters>\n<code>{CODE}</code>\n</parameters>\n</invoke>"
+
+
+def m3(*tags: str) -> str:
+    """Return a call of MiniMax M3, which writes a mark before each tag."""
+    return "".join(f"]<]minimax[>[<{tag}" for tag in ("tool_call>\n", *tags, "/invoke>\n", "/tool_call>"))
+
+
+def lfm2(*calls: str) -> str:
+    return f"<|tool_call_start|>[{', '.join(calls)}]<|tool_call_end|>"
