@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import Literal
 
 from gem_core.registry import CallFormatSpec
-from gem_core.registry.specs import CallBeginning
 
 _KEYS = (
     "name|tool_name|function|tool|action|arguments|parameters|args|input|tool_input|action_input|type|id|tool_call_id"
@@ -75,7 +75,11 @@ _ANYTHING: tuple[Row, ...] = (
     ("python", r"\A\s*+(?=[A-Za-z_][\w.-]{0,200}+\s*+\()", "bare:read_python", "Llama 4, ToolACE, Gemma"),
 )
 
-_TABLES: Mapping[CallBeginning, tuple[Row, ...]] = {"calls": _CALLS, "texts": _TEXTS, "anything": _ANYTHING}
+_TABLES: Mapping[Literal["calls", "texts", "anything"], tuple[Row, ...]] = {
+    "calls": _CALLS,
+    "texts": _TEXTS,
+    "anything": _ANYTHING,
+}
 
 
 def call_formats() -> Iterable[CallFormatSpec]:

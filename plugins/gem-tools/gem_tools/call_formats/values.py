@@ -8,11 +8,10 @@ import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from gem_core.records.plain_json import is_deep
 from gem_core.tools import json_at
 
 _TOO_DEEP = "it is nested too deeply"
-_MOST_DEPTH = 100
+_MOST_DEPTH = 99
 
 
 class Raw(str):
@@ -53,12 +52,9 @@ def value_at(text: str, at: int) -> tuple[Any, int]:
         return json_at(text, at)
     except ValueError as problem:
         try:
-            value, end = _literal(text, at, 0)
+            return _literal(text, at, 0)
         except ValueError:
             raise problem from None
-    if is_deep(value):
-        raise ValueError(_TOO_DEEP)
-    return value, end
 
 
 def skip_blanks(text: str, at: int) -> int:
