@@ -13,7 +13,7 @@ from gem_tools.call_formats.objects import ARGUMENTS, NAMES, object_call, python
 from gem_tools.call_formats.values import value_at
 
 _BEFORE = re.compile(r"\s*+(?:```\w*+\s*+)?(?:\[\s*+)?")
-_BEHIND = re.compile(r"(?:\s|[,;\]]|```)*+")
+_BEHIND = re.compile(r"(?:\s|[,;\]]|```)*")
 _NAMED = re.compile(r"[\w-]{1,100}+\(")
 
 

@@ -31,7 +31,7 @@ _FUNCTION_END = re.compile(rf"""\s*+</{_MARK}(?:function|invoke)>""")
 _TEXT_END = re.compile(rf"""</{_MARK}(?:function|invoke)>(?!["'`\\),;])""")
 
 # Hunyuan may write a suffix into each tag, and GLM a backslash and an n between two.
-_BETWEEN = r"(?:\s|\\n)*+"
+_BETWEEN = r"(?:\s|\\n)*"
 _KEY = re.compile(
     rf"{_BETWEEN}<(?:longcat_)?arg_key(?::\w+)?>\s*+([^<]{{1,200}}?)\s*+</(?:longcat_)?arg_key(?::\w+)?>"
     rf"{_BETWEEN}<(?:longcat_)?arg_value(?::\w+)?>"
