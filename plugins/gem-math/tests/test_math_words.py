@@ -14,7 +14,48 @@ SENTENCES = [
     "diverges to $#$", "A: #, B: 9", "P: #", r"\text{the value is } # \text{ or less}", "(a) # (b) 5",
 ]  # fmt: skip
 FORMULAS = ["-3", "+3", "2+", "2-", "x-y", r"-\infty", r"-\frac{1}{2}", "a^{-2}", r"\sqrt{2}-1", "3x+1", "-x"]
-OTHER_BRACKETS = str.maketrans("()[]", "[]()")
+TURNED = dict(zip("+-<>[]()", "-+><()[]", strict=True))
+WORDED = r"""
+$f$ is increasing on $(-\infty,-1)$ and decreasing on $(1,\infty)$
+\text{converges absolutely for }|x|<1
+\text{a parabola with vertex }(-1,2)
+x=-2 \text{ is a vertical asymptote}
+\text{Local max at }x=-1,\text{ local min at }x=1
+\text{downward at } -3 \text{ m/s}
+\text{NO}_3^-
+\text{Na}^+
+\text{Fe}^{3+}
+\beta^- \text{ decay}
+\text{all real } x \text{ except } -3
+\text{undefined at } x=-1
+\text{approaches } 0^-
+\text{shift left by } -3
+f(x) \to -\infty \text{ as } x \to \infty
+\text{the point }(-3,-4)
+\text{charge of } -2e
+-13.6 \text{ eV}
+\text{Range: } [-1,1]
+\text{Domain: } x > -3
+\text{roots are } -1 \pm i
+k = -2 \text{ or no solution}
+(-1)^n \text{ for odd } n
+\text{eigenvalue } -1 \text{ with multiplicity } 2
+\text{positive for } x>-1
+n-1 \text{ edges}
+-40^\circ\text{C}
+2^{n}-1 \text{ subsets}
+\text{cost} = 3x-2
+C(x)=3x-2
+\text{Answer: } x-y
+\text{spin } -\frac{1}{2}
+z=-1.5 \text{ standard deviations}
+a \text{ is } -1 \text{ and } b \text{ is } 1
+\text{neither } -1 \text{ nor } 1
+\text{vector } \langle -1,2\rangle
+\text{Row 1: } -1, \text{ Row 2: } 1
+-\text{sgn}(x)
+\text{distance}-\text{time}
+\text{price} - \text{cost}"""
 
 
 def right(answer: str, gold: str) -> bool:
@@ -35,7 +76,7 @@ def test_a_flipped_sign_among_words_is_wrong_and_the_gold_itself_right(
     flipped = formula[:place] + {"+": "-", "-": "+"}[formula[place]] + formula[place + 1 :]
     assert not right(sentence.replace("#", flipped), gold)
     if "[#" in sentence or "}(#" in sentence:
-        assert not right(gold.translate(OTHER_BRACKETS), gold)
+        assert not right(gold.translate(str.maketrans("()[]", "[]()")), gold)
     assert not right(sentence.replace("#", "8"), gold)
 
 
@@ -56,3 +97,17 @@ def test_a_gold_of_several_lines_is_the_gold_as_a_whole():
     assert [right(answer, gold) for answer in ("x=1, y=2", "y=2, x=1", "(1,2)", "1, 2")] == [True] * 4
     assert [right(answer, gold) for answer in ("2", "1", "x=1, y=3", "x=2, y=1", "y=2")] == [False] * 5
     assert right("4", "$x=2+2$\n$=4$")
+
+
+def test_no_sign_relation_or_bracket_among_words_is_lost():
+    """Of each gold, each sign and mark turned alone makes another answer; so does a minus that is left out."""
+    passed = []
+    for gold in WORDED.splitlines()[1:]:
+        assert right(gold, gold)
+        for place, sign in enumerate(gold):
+            if sign not in TURNED or (gold[place - 1 : place] == "\\" and sign in "()"):
+                continue
+            others = [TURNED[sign], " "] if sign == "-" else [TURNED[sign]]
+            answers = [gold[:place] + other + gold[place + 1 :] for other in others]
+            passed += [(gold, answer) for answer in answers if right(answer, gold)]
+    assert passed == []

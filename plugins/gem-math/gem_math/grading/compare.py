@@ -116,8 +116,9 @@ class Comparison:
         if isinstance(other, Choice):
             rests = choice.rest is None or other.rest is None or self.same(choice.rest, other.rest)
             return rests and choice.letter == other.letter
-        if letter_of(other) == choice.letter and choice.letter <= "J":
-            return True
+        letter = letter_of(other)
+        if letter is not None and letter <= "J" and (letter == choice.letter or other is gold):
+            return letter == choice.letter
         value = other.value if isinstance(other, Equality) and other.name == choice.letter else other
         return choice.rest is not None and self.same(choice.rest, value)
 

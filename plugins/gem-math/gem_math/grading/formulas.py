@@ -69,6 +69,7 @@ _NAME = re.compile(
 # A number or a bracket before a bracket is a factor: the grammar takes 2(3) for 5.
 _FACTOR = re.compile(r"((?<![\d_^.])\d[\d.]*|\\pi(?![a-zA-Z])|\))\s*(?=\()|\)\s*(?=\d)")
 _LETTER = re.compile(r"\\(?:begin|end)\s*\{[a-z]+\}|\\[a-zA-Z]+|q_\{\w+\}|[iI](?!\s*_)")
+_CONSTANT = re.compile(r"^(q_\{)?c(?=\d*\}?$)")
 _AMBIGUOUS_LOG = re.compile(r"\\log(?!\s*_)")
 
 
@@ -221,9 +222,12 @@ def _same(one: Any, other: Any) -> bool:
 def _with_constant(gold: Any, answer: Any) -> Any:
     """Return an answer with the gold's spelling of a constant of integration, c or C: both are linear in it."""
     ours, theirs = gold.free_symbols - answer.free_symbols, answer.free_symbols - gold.free_symbols
-    spelled = {re.sub(r"^(q_\{)?c", r"\1C", letter.name): letter for letter in ours}
-    for letter in theirs if gold.free_symbols - ours else ():
-        own = spelled.get(re.sub(r"^(q_\{)?c", r"\1C", letter.name))
+    others = {letter.name for letter in gold.free_symbols - ours}
+    if not others or others & set("abAB"):  # of a triangle, c and C are two things
+        return answer
+    spelled = {_CONSTANT.sub(r"\1C", letter.name): letter for letter in ours}
+    for letter in theirs:
+        own = spelled.get(_CONSTANT.sub(r"\1C", letter.name))
         if own is not None and not gold.diff(own, 2) and not answer.diff(letter, 2):
             answer = answer.xreplace({letter: own})
     return answer

@@ -58,8 +58,9 @@ _ENDLESS = re.compile(
 )
 _REALS = {r"\mathbb{R}", "all real numbers", "all reals", "the real numbers", "all real x", "real numbers"}
 _SIGNS_ALONE = re.compile(r"[^\w]+|\^.*")
-_DIFFERENCE = re.compile(r"(?<![A-Za-z])[A-Za-z]\s*-\s*[A-Za-z](?![A-Za-z])|^\s*-\s*[A-Za-z](?![A-Za-z])")
-_ARTICLE = re.compile(r"^(?:an|the) (?=\w{2})|^a (?=\w{3})")
+# A hyphen has letters on both sides; any other is a minus.
+_DIFFERENCE = re.compile(r"(?<![^\W\d_]{2})-|-(?![^\W\d_]{2})")
+_ARTICLE = re.compile(r"^(?:an|the) (?=\w{2}|#)|^a (?=\w{3}|#)")
 _FORMULA_IN_TEXT = re.compile(r"\\text\s*\{[^{}]*[\d+=<>]")
 _QUANTITY_IN_TEXT = re.compile(r"^\\text\s*\{\s*(-?\d+(?:\.\d+|/\d+)?)\s+([A-Za-z][A-Za-z /.^\d]*)\}$")
 _TO = re.compile(r"(\d+)\s*(?:to|\\text\s*\{\s*to\s*\})\s*(\d+)")
@@ -137,7 +138,7 @@ class _Reading:
             return self.read(inside, _MAX_NESTING)
         if (
             re.search(r"[\d\\+*/=<>^_|:$]", rest)
-            or _DIFFERENCE.search(inside)
+            or _DIFFERENCE.search(f"{inside} {rest}")
             or re.search(r"\\text\s*\{[^{}]*[\d+=<>]", text)
         ):
             return None

@@ -167,7 +167,7 @@ def worded(text: str) -> tuple[str, list[str]]:
     What is no word belongs to a formula: signs, brackets and single letters; marks at its ends do not.
     """
     words, formulas, position = [], [], 0
-    flat = re.sub(r"\\text\s*\{([^{}]*)\}", r" \1 ", text)
+    flat = re.sub(r"^\s*[aA]\s+(?=[^\W\d_]{3})", "", re.sub(r"\\text\s*\{([^{}]*)\}", r" \1 ", text))
     for match in [*_PROSE.finditer(flat), None]:
         between = flat[position : match.start() if match else None].strip(" .,:;!?\"'")
         if between:
