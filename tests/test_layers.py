@@ -10,7 +10,19 @@ ROOT = Path(__file__).parents[1]
 CORE = ROOT / "gem_core"
 
 LAYERS = [
-    {"errors", "types", "parsing", "judging", "suggestions", "progress", "arguments", "background", "docs", "terminal"},
+    {
+        "errors",
+        "failures",
+        "types",
+        "parsing",
+        "judging",
+        "suggestions",
+        "progress",
+        "arguments",
+        "background",
+        "docs",
+        "terminal",
+    },
     {"registry"},
     {"_plugin"},
     {"env"},
