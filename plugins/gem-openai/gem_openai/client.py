@@ -32,6 +32,8 @@ from gem_core.errors import ArgumentError
 from gem_openai.chat_format import completion_of, response_from
 
 CONNECT_TIMEOUT_S = 10.0
+MAX_ANSWER_BYTES = 256 * 2**20
+"""100,000 tokens with 20 alternatives each have 200 MB; a server that never ends sends gigabytes in time."""
 
 _KEEP_ALIVE_S = 4.0  # below the 5 s of uvicorn and others, which close a connection while we begin to write
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.5, 30.0
@@ -255,7 +257,7 @@ class ChatClient:
             allow_redirects=False,
             proxy=link.proxy,
         ) as response:
-            text = (await response.read()).decode("utf-8-sig", "replace")
+            text = (await _body(response)).decode("utf-8-sig", "replace")
             text = self._without_key(text, _SHORTEST_IN_ANSWER if response.status == 200 else _SHORTEST_SECRET)
             if response.status != 200:
                 raise self._refusal(response, text)
@@ -331,6 +333,16 @@ class ChatClient:
             self._link = _Link(loop, session, asyncio.Semaphore(self._max_concurrency), _proxy_for(self.base_url))
             weakref.finalize(self, close_later, session, loop)
         return self._link
+
+
+async def _body(response: aiohttp.ClientResponse) -> bytes:
+    chunks, length = [], 0
+    async for chunk in response.content.iter_any():
+        chunks.append(chunk)
+        length += len(chunk)
+        if length > MAX_ANSWER_BYTES:
+            raise ServerFault(f"the answer has more than {MAX_ANSWER_BYTES:,} bytes", transient=False)
+    return b"".join(chunks)
 
 
 def _joined(text: str) -> Any:

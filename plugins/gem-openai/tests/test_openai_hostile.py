@@ -53,6 +53,18 @@ def test_what_no_record_can_hold_stops_no_run(
     assert len(list(read_episodes(tmp_path / "a.jsonl"))) == 1
 
 
+def test_an_answer_without_end_is_given_up(
+    server: ChatServer, make_agent: MakeAgent, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At a number of bytes, and it is not asked for again."""
+    monkeypatch.setattr("gem_openai.client.MAX_ANSWER_BYTES", 100_000)
+    server.otherwise = Reply(b" " * 50_000_000, headers={"Content-Type": "text/event-stream"})
+    before = len(server.chats)
+    with pytest.raises(RequestError, match="more than 100,000 bytes"):
+        ask(make_agent(max_retries=3))
+    assert len(server.chats) == before + 1
+
+
 def test_the_key_is_in_no_frame_of_a_failure(server: ChatServer, make_agent: MakeAgent) -> None:
     """Tools that report errors show the local variables of every frame, of suppressed contexts too."""
     server.otherwise = error(400, "no")

@@ -21,6 +21,9 @@ _TEXTS = (Text, spaces.Text)
 _MANY = 20
 """More numbers in a row than this are told by the first and the last."""
 
+_MAX_NUMBERS = 20_000
+"""Of an array that has more, the corners are shown; a board of chess has 7,104 numbers."""
+
 _NUMBER = re.compile(r"[+-]?\d{1,18}", re.ASCII)
 
 
@@ -137,7 +140,8 @@ def describe_observation(observation: Any) -> Observation:
 
 
 def _compact(value: Any) -> str:
-    """Return an array or number as text, of 1,000 numbers at most."""
-    if isinstance(value, np.ndarray | np.generic):
-        return np.array2string(np.asarray(value), precision=4, suppress_small=True, separator=" ", threshold=1000)
-    return str(value)
+    """Return an array or number as text, and arrays in what else it is; of larger ones only the corners."""
+    with np.printoptions(precision=4, suppress=True, threshold=_MAX_NUMBERS):
+        if isinstance(value, np.ndarray | np.generic):
+            return np.array2string(np.asarray(value), separator=" ")
+        return str(value)

@@ -18,6 +18,7 @@ import gem_core as gem
 from gem_core import MultiAgentEnv
 from gem_core.errors import ArgumentError, SamplingNotSupported
 from gem_pettingzoo import from_pettingzoo, to_aec, to_parallel
+from gem_pettingzoo.texts import describe_observation
 
 
 class FadingEnv(AECEnv):  # type: ignore[misc]  # PettingZoo has no types
@@ -287,6 +288,15 @@ def test_many_numbers_are_told_by_the_first_and_the_last(monkeypatch: pytest.Mon
     monkeypatch.setattr(FadingEnv, "reset", _reset_without_mask(FadingEnv.reset))
     observations, _ = from_pettingzoo(FadingEnv).reset(seed=0)
     assert observations == {"p_0": "0\nAnswer with a number from 1 to 1000 in a box, as \\boxed{1}."}
+
+
+def test_boards_are_shown_whole() -> None:
+    """Also inside of tuples; numpy leaves out the middle of more than 1,000 numbers."""
+    board = np.zeros((8, 8, 111), dtype=np.int8)
+    for observation in (board, {"observation": board}, {"board": (board, 1)}):
+        text = str(describe_observation(observation))
+        assert "..." not in text
+        assert text.count("0") == board.size
 
 
 def test_functions_of_the_caller_describe_and_read() -> None:
