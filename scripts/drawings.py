@@ -3,7 +3,7 @@
     python scripts/drawings.py            # writes docs/images/concepts/*.svg
     python scripts/drawings.py --check    # fails where a file is not what this script makes
 
-Every picture has a light ground of its own, so that it can be read on a dark page too.
+Every picture has a ground of its own, which is dark where the reader's colours are.
 """
 
 from __future__ import annotations
@@ -25,6 +25,18 @@ FILLS = {
     "fault": ("#fadcd9", "#b3362b"),
     "plain": ("#ffffff", "#6b7785"),
 }
+
+DARK = {
+    "#dbe7fb": "#1d3557",
+    "#d9f0df": "#1d4029",
+    "#fdeccb": "#4d3a10",
+    "#fadcd9": "#57241f",
+    "#ffffff": "#2a313b",
+    "#f7f9fb": "#1b2027",
+    "#3d4854": "#b4bec9",
+    "#1d242c": "#e6e9ed",
+}
+"""What takes the place of each colour."""
 
 
 class TooNarrowError(ValueError):
@@ -87,12 +99,14 @@ class Drawing:
         """Return the file."""
         title, description = (escape(text) for text in self._head)
         name, body = self.name, "\n".join(self._parts)
+        dark = " ".join(f'[fill="{light}"]{{fill:{dark}}}' for light, dark in DARK.items())
         return f"""<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {self._height}" role="img" \
 aria-labelledby="{name}-title {name}-description" \
 font-family="system-ui, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif" \
 fill="#1d242c">
 <title id="{name}-title">{title}</title>
 <desc id="{name}-description">{description}</desc>
+<style>@media (prefers-color-scheme: dark) {{ {dark} [stroke="#3d4854"]{{stroke:{DARK["#3d4854"]}}} }}</style>
 <defs><marker id="{name}-tip" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="8" markerHeight="8" orient="auto">\
 <path d="M0 0 10 5 0 10z" fill="#3d4854"/></marker></defs>
 <rect width="{WIDTH}" height="{self._height}" rx="12" fill="#f7f9fb"/>

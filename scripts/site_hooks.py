@@ -55,8 +55,10 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     uri = page.file.src_uri
     if uri == "index.md":
         page.meta["hide"] = ["navigation"]  # which would list this page alone
-    if uri.startswith("reference/"):
-        page.meta["search"] = {"boost": 0.5}  # guides and questions come first
+    if uri.startswith("reference/") or uri in ("style.md", "changelog.md"):
+        page.meta["search"] = {"boost": 0.1}  # guides and questions come first
+    elif uri in ("index.md", "questions.md"):
+        page.meta["search"] = {"boost": 4}
     place = next((old for old, new in MOVED.items() if new == uri and page.file.generated_by), None)
     if place is None:
         place = uri if page.file.generated_by else f"docs/{uri}"
