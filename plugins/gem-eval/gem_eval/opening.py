@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import click
 
 from gem_core.cli import counted
 from gem_core.errors import ArgumentError
-from gem_eval.records import Run, open_run
+from gem_eval.records import Row, Run, open_run
 from gem_eval.show.text import one_line
 
 
@@ -21,11 +22,24 @@ def require_episodes(run: Run) -> None:
     """Raise an error where a run has nothing to look at.
 
     Raises:
-        ArgumentError: It has no episodes of one agent.
+        ArgumentError: It has no episodes.
     """
     if not run.rows:
         unread = f"; {counted(run.damaged, 'line')} cannot be read as such" if run.damaged else ""
-        raise ArgumentError(f"{run.path} holds no episodes of one agent (yet){unread}")
+        raise ArgumentError(f"{run.path} holds no episodes (yet){unread}")
+
+
+def refuse_seats(rows: Iterable[Row]) -> None:
+    """Raise an error where rows are of seats, for commands that take episodes of one agent alone.
+
+    Raises:
+        ArgumentError: One is; the message names what reads it.
+    """
+    for row in rows:
+        if row.seat is not None:
+            raise ArgumentError(
+                f"episode {row.number} is of several agents: it cannot be replayed or graded again; 'gem show' reads it"
+            )
 
 
 def warn_of_damage(run: Run) -> None:

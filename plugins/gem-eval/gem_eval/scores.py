@@ -92,11 +92,14 @@ def compute_scores(episodes: Iterable[Row]) -> list[Score]:
 
     Returns:
         For each environment and model, in order of first appearance, the score by success, where there is one, and by
-        return; then, for each model, those of all its environments together, where there are several.
+        return; then, for each model, those of all its environments together, where there are several. Of several
+        agents, each seat is an environment of its own, and there is no sum, which would mix the two sides of a game.
     """
+    seated = False
     by_pair: dict[tuple[str, str], list[Row]] = {}
     by_env: dict[str, list[Row]] = {}
     for episode in episodes:
+        seated |= episode.seat is not None
         by_pair.setdefault((episode.id, episode.model), []).append(episode)
         by_env.setdefault(episode.id, []).append(episode)
     tells = {env_id for env_id, played in by_env.items() if tells_success(played)}
@@ -109,7 +112,7 @@ def compute_scores(episodes: Iterable[Row]) -> list[Score]:
             by_model.setdefault(model, {}).setdefault(metric, []).append(played)
     for model, by_metric in by_model.items():
         for metric, parts in by_metric.items():
-            if len(parts) > 1:
+            if len(parts) > 1 and not seated:
                 scores.append(_score("all", model, metric, [episode for part in parts for episode in part]))
     return scores
 

@@ -183,9 +183,9 @@ def test_episodes_of_a_file_that_were_given_no_key_are_apart(tmp_path: Path, pla
 
 
 def test_an_episode_of_several_agents_in_a_file_has_a_row(tmp_path: Path) -> None:
-    """Of all of them together, where it is asked for."""
+    """One for each seat; of all of them together, where it is asked for."""
     write_episodes(tmp_path / "run.jsonl", [duel("black")])
-    assert open_run(tmp_path / "run.jsonl").damage == {1: "it is an episode of several agents"}
+    assert [row.seat for row in open_run(tmp_path / "run.jsonl").rows] == ["white", "black"]
     run = Run(tmp_path / "run.jsonl", joint=True)
     (row,) = run.rows
     assert (row.model, row.turns, row.success) == ("white=openai:tiny, black=random", 3, True)

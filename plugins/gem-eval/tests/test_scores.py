@@ -34,6 +34,7 @@ class Played:
     cut_off: str | None = None
     unreadable: bool = False
     return_range: tuple[float, float] | None = None
+    seat: str | None = None
 
 
 def successes(*episodes: Played) -> Score:

@@ -8,8 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gem_core import Episode
-from gem_core.records import ImageFolder
+from gem_core.records import ImageFolder, record_from_dict
 from gem_eval.files import whole_file
 
 if TYPE_CHECKING:
@@ -37,11 +36,12 @@ def write_jsonl(runs: Sequence[Run], path: Path) -> int:
     def record(run: Run, row: Row) -> dict[str, Any]:
         line = run.line(row)
         told = {"evaluation": line["evaluation"]} if "evaluation" in line else {}
-        return Episode.from_dict(line, run.images).to_dict(images) | told
+        return record_from_dict(line, run.images).to_dict(images) | told
 
     with whole_file(path) as file:
         for run in runs:
-            for _, each in run.intact(run.rows, partial(record, run)):
+            whole = {row.number: row for row in run.rows}  # of several agents, the seats share a line
+            for _, each in run.intact(whole.values(), partial(record, run)):
                 file.write(json.dumps(each, ensure_ascii=True, allow_nan=False).encode("ascii") + b"\n")
                 count += 1
     return count

@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, fields, replace
 from operator import itemgetter
 from typing import Any
 
-from gem_core import Episode, JointEpisode
+from gem_core import Episode
 from gem_core.errors import EpisodeFileError
 from gem_core.records import Record, record_from_dict, return_range_of, to_plain
 from gem_eval.turns import episodes_of, error_text, some_success
@@ -48,6 +48,7 @@ class Row:
         cached: How many responses came from the cache.
         group: Shared by episodes that started alike.
         return_range: The lowest and the highest return that the environment declares; None where it declares none.
+        seat: Name of the seat, for the row of one of several agents; ``id`` then names the seat as well.
         seats: Of several agents, the row of each of them, by seat; the index of a folder has none.
     """
 
@@ -76,7 +77,13 @@ class Row:
     cached: int = 0
     group: str | None = None
     return_range: tuple[float, float] | None = None
+    seat: str | None = None
     seats: dict[str, Row] | None = None
+
+    def apart(self) -> list[Row]:
+        """Return the rows of the seats, each as a row of its own; of an agent alone, the row itself."""
+        own = self.seats or {}
+        return [replace(each, id=f"{self.id} {seat}", seat=seat) for seat, each in own.items()] or [self]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the row as plain JSON, without what is as it is by default."""
@@ -101,7 +108,7 @@ class Row:
         return cls(*values)
 
     @classmethod
-    def of(cls, record: Mapping[str, Any], number: int, offset: int, length: int, *, joint: bool = False) -> Row:
+    def of(cls, record: Mapping[str, Any], number: int, offset: int, length: int) -> Row:
         """Return the row of an episode's record, as it stands in the file.
 
         Args:
@@ -109,14 +116,11 @@ class Row:
             number: See the class.
             offset: See the class.
             length: See the class.
-            joint: Whether an episode of several agents has a row, of all of them together.
 
         Raises:
             EpisodeFileError: It is no record of an episode.
         """
         episode = record_from_dict(record)
-        if isinstance(episode, JointEpisode) and not joint:
-            raise EpisodeFileError("it is an episode of several agents")
         told = record.get("evaluation")
         own = told if isinstance(told, Mapping) else {}
         try:

@@ -38,8 +38,7 @@ class Run:
     Args:
         path: Folder of the run; or a file of episodes that ``gem run`` wrote.
         read: Whether the rows are read at once, or by ``refresh``.
-        joint: Whether episodes of several agents in a file have a row, which only ``record`` reads; else their lines
-            count as damaged.
+        joint: Whether an episode of several agents has one row, which ``record`` reads; else each seat has its own.
 
     Raises:
         ArgumentError: There is no run.
@@ -91,7 +90,8 @@ class Run:
     @property
     def rows(self) -> list[Row]:
         """The episodes in the order in which they were first written; of those that were run again, the latest."""
-        return list(self._latest.values())
+        rows = list(self._latest.values())
+        return rows if self._joint or self.is_folder else [each for row in rows for each in row.apart()]
 
     @property
     def damaged(self) -> int:
@@ -191,7 +191,12 @@ class Run:
         Raises:
             EpisodeFileError: It is not there, or is damaged.
         """
-        return Episode.from_dict(self.line(row), self.images if images else None)
+        if row.seat is None:
+            return Episode.from_dict(self.line(row), self.images if images else None)
+        joint = record_from_dict(self.line(row), self.images if images else None)
+        if isinstance(joint, Episode) or row.seat not in joint.seats:
+            raise EpisodeFileError(f"{self._episodes}, episode {row.number}: it has no seat {row.seat!r}")
+        return joint.seats[row.seat]
 
     def episodes(self) -> Iterator[tuple[Row, Episode]]:
         """Yield the episodes as they count, each with its row; see ``intact``."""
@@ -280,7 +285,7 @@ class Run:
 
     def _row(self, number: int, offset: int, line: bytes) -> Row:
         try:
-            return Row.of(unpack(line), number, offset, len(line), joint=self._joint)
+            return Row.of(unpack(line), number, offset, len(line))
         except EpisodeFileError as error:
             if line.endswith(b"\n"):
                 raise

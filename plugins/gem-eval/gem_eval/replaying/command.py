@@ -21,6 +21,7 @@ from gem_core.cli import (
 )
 from gem_core.errors import ArgumentError
 from gem_core.rollouts import close_agent, load_agent
+from gem_eval.opening import refuse_seats
 from gem_eval.output import print_json
 from gem_eval.records import open_run
 from gem_eval.replaying.branches import write_branches
@@ -130,6 +131,7 @@ def _by_a_person(path: str, number: int, from_turn: int, kwargs: dict[str, Any],
 
     run = open_run(path)
     row = run.row(number)
+    refuse_seats([row])
     original = run.episode(row, images=True)
     return play_on(run, row, original, repeated_turns(original, from_turn), kwargs, branches)
 

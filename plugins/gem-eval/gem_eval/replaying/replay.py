@@ -13,7 +13,7 @@ from gem_core import Episode, PlanItem
 from gem_core.errors import ArgumentError, GemError, UnknownNameError
 from gem_core.records import to_plain
 from gem_core.rollouts import Agent, as_agent, close_agent, load_agent, prepare_agent
-from gem_eval.opening import opened
+from gem_eval.opening import opened, refuse_seats
 from gem_eval.replaying.recorded import RecordedActions, differences
 
 if TYPE_CHECKING:
@@ -86,6 +86,7 @@ def replay(
         raise ArgumentError("from_turn is for an agent that goes on: give one")
     run = opened(run)
     row = run.row(number)
+    refuse_seats([row])
     original = run.episode(row, images=True)
     turns = repeated_turns(original, from_turn)
     if agent is None:

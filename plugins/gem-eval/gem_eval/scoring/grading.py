@@ -13,7 +13,7 @@ from typing import Any
 from gem_core import Episode
 from gem_core.background import run_sync
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_eval.opening import opened, require_episodes
+from gem_eval.opening import opened, refuse_seats, require_episodes
 from gem_eval.records import Row, Run
 from gem_eval.scoring.file import GradedEpisode, ScoreFile
 from gem_eval.scoring.graders import Grade, GradeFunction, Grader, find_grader
@@ -142,6 +142,7 @@ def score(
     if repeat < 1:
         raise ArgumentError(f"repeat must be a positive whole number, not {repeat}")
     require_episodes(run)
+    refuse_seats(run.rows)
     found = find_grader(grader, rubric=rubric, kwargs=kwargs, options=options)
     file = ScoreFile.new_or_begun(run, name or found.name)
     try:

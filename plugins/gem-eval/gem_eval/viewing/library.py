@@ -88,7 +88,11 @@ class ViewedRun:
             return scores
         self._scored_version = self.version
         written = self._written_scores()
-        found = [score.to_dict() for score in compute_scores(self.rows)] if written is None else written
+        found = (
+            [score.to_dict() for score in compute_scores(each for row in self.rows for each in row.apart())]
+            if written is None
+            else written
+        )
         taken = time.monotonic() - started
         self._score_due = started + taken / _SCORING_SHARE
         return [{name: _shown(score.get(name)) for name in _SCORE} for score in found]

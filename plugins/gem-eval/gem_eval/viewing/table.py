@@ -213,8 +213,10 @@ def _versions(runs: Sequence[ViewedRun]) -> tuple[tuple[str, int], ...]:
 
 
 def _summary(rows: Sequence[Row]) -> dict[str, Any]:
-    judged = [row.success for row in rows if row.error is None and row.success is not None]
-    returns = [row.episode_return for row in rows if row.error is None and math.isfinite(row.episode_return)]
+    # Of several agents somebody always wins, and the sum of their returns says nothing: their scores are by seat.
+    alone = [row for row in rows if row.error is None and not row.seats]
+    judged = [row.success for row in alone if row.success is not None]
+    returns = [row.episode_return for row in alone if math.isfinite(row.episode_return)]
     costs = [row.cost for row in rows if row.cost is not None]
     return {
         "episodes": len(rows),
