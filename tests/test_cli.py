@@ -350,8 +350,7 @@ def test_a_table_keeps_id_success_and_return_whole_in_any_width(tmp_path: Path, 
     assert not any("…" in line for line in table)
     text = "\n".join(table)
     assert "0.0% ± 16.7%" in text
-    assert "mean return" in text
-    assert len(re.findall(r"\d\.\d{3} ± \d\.\d{3}", text)) == 3
+    assert text.count("10.000") == 3  # the mean return of each row
     assert "errors" not in text
 
 

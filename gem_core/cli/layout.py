@@ -7,8 +7,8 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import islice
-from typing import Any, NamedTuple
+from itertools import chain, islice
+from typing import Any, Literal, NamedTuple
 
 import click
 
@@ -112,33 +112,37 @@ def table_lines(columns: Sequence[Column], rows: Iterable[Any], width: int | Non
         rows: What the cells are made from; columns are as wide as the first few hundred need.
         width: Characters in a line: columns are left out to fit, then the widest are folded; None for any number.
     """
+    rest = iter(rows)
+    block = list(islice(rest, _ROWS_AHEAD))
+    widths = _fitting_widths(columns, block, width)
+    if width is None:  # plain lines: a file of a million episodes may go through a pipe
+        cells = ([column.cell(row) for column in columns] for row in chain(block, rest))
+        for line in chain([[column.header for column in columns]], cells):
+            padded = (
+                cell.ljust(widths[column]) if column.name or column.text else cell.rjust(widths[column])
+                for column, cell in zip(columns, line, strict=True)
+            )
+            yield (" " * _GAP).join(padded).rstrip()
+        return
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    rest = iter(rows)
-    block = list(islice(rest, _ROWS_AHEAD))
-    widths = _fitting_widths(columns, block, width)
     shown = [column for column in columns if column in widths]
-    console = Console(
-        file=io.StringIO(), width=_ANY_WIDTH, force_terminal=True, color_system=None if width is None else "standard"
-    )
+    console = Console(file=io.StringIO(), width=_ANY_WIDTH, force_terminal=True, color_system="standard")
     first = True
     while block or first:
         table = Table(box=None, pad_edge=False, show_header=first, header_style="bold")
         for column in shown:
-            left = column.name or column.text
-            table.add_column(
-                Text(column.header), justify="left" if left else "right", width=widths[column], overflow="fold"
-            )
+            justify: Literal["left", "right"] = "left" if column.name or column.text else "right"
+            table.add_column(Text(column.header), justify=justify, width=widths[column], overflow="fold")
         for row in block:
-            cells = [(column, column.cell(row)) for column in shown]
-            table.add_row(
-                *(
-                    Text(cut_at_word(cell, widths[column]) if column.text else cell, column.style(row, cell))
-                    for column, cell in cells
-                )
-            )
+            texts = []
+            for column in shown:
+                cell = column.cell(row)
+                text = cut_at_word(cell, widths[column]) if column.text else cell
+                texts.append(Text(text, column.style(row, cell)))
+            table.add_row(*texts)
         with console.capture() as captured:
             console.print(table)
         yield from (line.rstrip() for line in captured.get().splitlines())
