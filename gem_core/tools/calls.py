@@ -147,9 +147,8 @@ class CallReader:
         for form in self._formats:
             call = form.first_call(text, self._tools)
             # What has the shape of an answer is no call where the answer is given beside it.
-            if call and form.begins == "anything" and (self._answered(said[: call.start], said[call.end :])):
-                continue
-            found.append(call)
+            if not (call and form.begins == "anything" and self._answered(said[: call.start], said[call.end :])):
+                found.append(call)
         found.append(json_call(text, self._tools))
         return first_call(found) or self._misspelt(text) or self._with_attributes(text)
 
@@ -181,9 +180,8 @@ class CallReader:
         tag = self._other_tag.search(text) if self._other_tag else None
         if tag is None:
             return None
-        name = tag[1]
-        error = f"its tag takes no attributes; what it is given is written between <{name}> and </{name}>"
-        return ToolCall(name, {}, tag.start(), tag.end(), error)
+        error = f"its tag takes no attributes; what it is given is written between <{tag[1]}> and </{tag[1]}>"
+        return ToolCall(tag[1], {}, tag.start(), tag.end(), error)
 
     # What is answered, and what is only spoken of.
 
@@ -201,8 +199,8 @@ class CallReader:
         return found
 
     def _begins_with_call(self, content: str) -> bool:
-        sure = (form for form in self._formats if form.begins == "calls")
-        return content.startswith((CALL_OPEN, *self._tags)) or any(form.opening.match(content) for form in sure)
+        begun = (form.begins == "calls" and form.opening.match(content) for form in self._formats)
+        return content.startswith((CALL_OPEN, *self._tags)) or any(begun)
 
     def _answered(self, *texts: str) -> bool:
         """Tell whether a final answer stands in one of some texts."""
@@ -407,7 +405,6 @@ def _object_in_tag(text: str, tool: Tool) -> ToolCall | None:
     opening = opening_tag.search(text) if tool.name in text else None
     if opening is None:
         return None
-    start = opening.start()
     try:
         # As far as the JSON goes, since a string in it may hold the closing tag.
         arguments, behind = json_at(text, opening.end())
@@ -415,13 +412,13 @@ def _object_in_tag(text: str, tool: Tool) -> ToolCall | None:
         arguments, behind = None, opening.end()
     closing = closing_tag.search(text, behind)
     if closing is None:
-        return ToolCall(tool.name, start=start, error=f"<{tool.name}> is never closed by </{tool.name}>")
+        return ToolCall(tool.name, {}, opening.start(), 0, f"<{tool.name}> is never closed by </{tool.name}>")
     if not text[opening.end() : closing.start()].strip():
-        return ToolCall(tool.name, {}, start, closing.end())
+        return ToolCall(tool.name, {}, opening.start(), closing.end())
     if not isinstance(arguments, dict) or text[behind : closing.start()].strip():
         error = f"between <{tool.name}> and </{tool.name}> must stand its arguments as a JSON object"
-        return ToolCall(tool.name, {}, start, closing.end(), error)
-    return ToolCall(tool.name, arguments, start, closing.end())
+        return ToolCall(tool.name, {}, opening.start(), closing.end(), error)
+    return ToolCall(tool.name, arguments, opening.start(), closing.end())
 
 
 def _elements(text: str, tag: str) -> Iterator[tuple[int, int]]:

@@ -30,7 +30,7 @@ _CALL_END = re.compile(rf"""(?=</{_MARK}(?:function|invoke)>(?!["'`\\),;]))""")
 _FUNCTION_END = re.compile(rf"""\s*+</{_MARK}(?:function|invoke)>""")
 _TEXT_END = re.compile(rf"""</{_MARK}(?:function|invoke)>(?!["'`\\),;])""")
 
-# Hunyuan may write a suffix into each tag, and GLM a backslash and an n between two.
+# Hunyuan may write a suffix into each tag, LongCat a prefix, and GLM a backslash and an n between two.
 _BETWEEN = r"(?:\s|\\n)*"
 _KEY = re.compile(
     rf"{_BETWEEN}<(?:longcat_)?arg_key(?::\w+)?>\s*+([^<]{{1,200}}?)\s*+</(?:longcat_)?arg_key(?::\w+)?>"
