@@ -18,7 +18,8 @@ import pytest
 from gem_core.parsing import extract_code_blocks
 from gem_core.tools.env import ToolEnv
 
-pytest.importorskip("gem_games", reason="the examples play games; install plugins/gem-games")
+for _plugin in Path(__file__).parent.parent.glob("plugins/*/gem_*"):
+    pytest.importorskip(_plugin.name, reason="the examples use all plugins")
 
 ROOT = Path(__file__).parent.parent
 PAGES = {
