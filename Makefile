@@ -50,8 +50,8 @@ test: $(VENV)/.dev ## run the tests of the core and of each plugin, each contrac
 	@$(PYTEST) $(ARGS) tests $(wildcard plugins/*/tests)
 
 .PHONY: test-core
-test-core: $(VENV)-core/.installed ## run the core's tests with only the core and gem-games installed
-	@$(VENV)-core/bin/python -m pytest -q -n auto --maxprocesses $(WORKERS) --dist worksteal $(ARGS) tests
+test-core: $(VENV)/.dev ## run the core's tests alone, as on another Python
+	@$(PYTEST) $(ARGS) tests
 
 .PHONY: test-thorough
 test-thorough: $(VENV)/.dev ## run all of them: whole matrices, soaks, real engines, and each plugin in isolation
@@ -118,7 +118,7 @@ constraints: ## pin the newest versions in constraints.txt (PYTHONS="python3.11 
 .PHONY: clean
 clean: ## remove all that these commands made, but for runs/
 	@if [ -d .venv-docker ]; then scripts/docker_engine.sh stop; fi
-	rm -rf .venv-docker $(VENV) $(VENV)-core $(VENV)-isolated $(VENV)-peer $(VENV)-inspect $(VENV)-docs .venv-trainers .venv-mcp build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv-docker $(VENV) $(VENV)-isolated $(VENV)-peer $(VENV)-inspect $(VENV)-docs .venv-trainers .venv-mcp build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The environments. A stamp file says that one is up to date; what it was made from stands behind the colon.
@@ -156,13 +156,6 @@ $(VENV)/.dev: $(VENV)/.installed requirements-dev.txt
 	@# reasoning-gym needs pycosat, which comes as source in C alone.
 	@$(INSTALL) "gem-math[reasoning-gym]" >/dev/null 2>&1 || echo \
 		"note: pycosat cannot be built here (a C compiler and the headers of Python?); the tests of rg:* are skipped"
-	@touch $@
-
-$(VENV)-core/.installed: $(VENV)/.made pyproject.toml constraints.txt plugins/gem-games/pyproject.toml
-	$(call say,installing what the core's tests need)
-	$(call quietly,$(PYTHON) -m venv --clear $(VENV)-core)
-	$(call quietly,$(VENV)-core/bin/python -m pip install --quiet -c constraints.txt -e ".[datasets]" -e plugins/gem-games \
-		hypothesis pillow pytest pytest-xdist)
 	@touch $@
 
 $(VENV)-docs/.installed: $(VENV)/.made requirements-docs.txt constraints.txt
