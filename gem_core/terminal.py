@@ -114,7 +114,7 @@ class Terminal:
             EndOfInput: There is nothing more.
         '''
         while True:
-            line = self._line(prompt)
+            line = self.line(prompt)
             words = line.strip()
             if line.startswith(BLOCK):
                 return Typed(self._block(line.removeprefix(BLOCK)))
@@ -147,27 +147,12 @@ class Terminal:
             if answer is not None:
                 return answer
 
-    def confirm(self, question: str, *, other: str) -> bool | None:
-        """Ask for yes or no; Enter is yes.
-
-        Args:
-            question: What is asked.
-            other: A command, which may be cut short; None is returned for it.
+    def line(self, prompt: str) -> str:
+        """Return the next line that is typed.
 
         Raises:
             EndOfInput: There is nothing more.
         """
-        while True:
-            answer = self._line(f"{question} [Y/n] ").strip().casefold()
-            if answer in ("", "y", "yes"):
-                return True
-            if answer in ("n", "no", "q", "!quit"):
-                return False
-            if len(answer) > 1 and other.startswith(answer):
-                return None
-            self.show(f"Type y, n or {other}; Enter is y.", dim=True)
-
-    def _line(self, prompt: str) -> str:
         if self._edited:
             with contextlib.suppress(ImportError):
                 import readline  # noqa: F401 - gives input() keys to edit a line, and earlier lines
@@ -195,7 +180,7 @@ class Terminal:
         while (len(lines[-1]) - len(lines[-1].rstrip("\\"))) % 2:
             lines[-1] = lines[-1][:-1]
             try:
-                lines.append(self._line("... "))
+                lines.append(self.line("... "))
             except EndOfInput:
                 break
         return "\n".join(lines)
@@ -207,7 +192,7 @@ class Terminal:
         # Opened by a line of its own, it is closed by a line of its own: code may have a docstring.
         alone = not lines
         while True:
-            line = self._line("... ")
+            line = self.line("... ")
             if line.rstrip() == BLOCK:
                 return "\n".join(lines)
             if not alone and line.rstrip().endswith(BLOCK):

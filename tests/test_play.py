@@ -130,7 +130,6 @@ def test_the_end_of_the_input_is_no_error(play) -> None:
     outcome = play(BOARD, "-o", "a.jsonl", typed="a\nb")
     assert (outcome.code, outcome.err) == (0, "")
     assert "Left unfinished after 2 turns, return 0.5; it is not recorded.\n" in outcome.out
-    assert "No episode was finished, and no file written.\n" in outcome.out
     assert not Path("a.jsonl").exists()
     assert "Left unfinished after 0 turns, return 0.\n" in play(BOARD).out
 
@@ -141,7 +140,7 @@ def test_a_typo_does_not_end_the_episode(play) -> None:
     assert outcome.out.count("was not played: it cannot be read, or breaks the rules.") == 2
     assert "The end" not in outcome.out
     assert "Noted.\n\n  [ab  ]\n" in outcome.out  # the board of the episode that goes on, not of the one that ended
-    assert "Won after 4 turns. Return 1.\nTurns taken back, which are in no record: 2.\n" in outcome.out
+    assert "Won after 4 turns. Return 1.\n" in outcome.out
     (episode,) = read_episodes("a.jsonl")
     assert [str(turn.action) for turn in episode.transitions] == [f"\\boxed{{{letter}}}" for letter in "abcd"]
     assert "Lost after 1 turn. Return -1." in play(STRICT, "--raw", typed="a\n").out
@@ -258,7 +257,6 @@ def test_undone_turns_are_in_no_record(play) -> None:
     out = play(BOARD, "-o", "a.jsonl", typed="x\na\n!u\n!undo\n!undo\na\nb\nc\nd\n").out
     assert "Taken back: \\boxed{a}\n\nNoted.\n\n  [x   ]\n" in out
     assert "there is no turn to take back.\n" in out
-    assert "Turns taken back, which are in no record: 2.\n" in out
     (episode,) = read_episodes("a.jsonl")
     assert [str(turn.action) for turn in episode.transitions] == [f"\\boxed{{{letter}}}" for letter in "abcd"]
     (replayed,) = gem.rollout(
@@ -284,7 +282,7 @@ def test_undo_where_episodes_cannot_be_repeated(play) -> None:
     gem.register("play:Once-v0", "toys:EchoEnv", deterministic=False)
     outcome = play("play:Once-v0", typed="a\n!undo\nstop\n")
     assert outcome.code == 0
-    assert "turns of this environment cannot be taken back: a seed and the actions do not repeat its" in outcome.out
+    assert "turns of this environment cannot be taken back: a seed and the actions do not repeat it" in outcome.out
     assert "Over after 2 turns." in outcome.out
 
 
@@ -340,7 +338,7 @@ def test_help_shows_keys_rules_and_an_example(play) -> None:
 
 
 def test_system_text_comes_first(play) -> None:
-    """A person reads what a model is told, at the beginning and in the help."""
+    """A person reads what a model is told."""
 
     class Part(BoardEnv):
         def reset(self, seed: Any = None, options: Any = None) -> Any:
@@ -348,8 +346,7 @@ def test_system_text_comes_first(play) -> None:
             return observation, {**info, "system": "You play the clerk."}
 
     gem.register("play:Part-v0", Part)
-    out = play("play:Part-v0", typed="?\n").out
-    assert out.count("You play the clerk.\n\n") == 2
+    assert "You play the clerk.\n\n" in play("play:Part-v0").out
 
 
 def test_quit_ends_as_the_end_of_input_does(play) -> None:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from gem_core.cli.list_command import matching
     from gem_core.cli.model_options import agent_options, given
     from gem_core.cli.play_session import PlaySession
-    from gem_core.cli.play_view import PlayView
     from gem_core.cli.report import shown, shown_count
     from gem_core.cli.targets import find_env, find_envs
     from gem_core.cli.tool_options import (
@@ -44,7 +43,6 @@ __all__ = [
     "AtLeast",
     "Column",
     "PlaySession",
-    "PlayView",
     "Words",
     "agent_options",
     "arguments_option",
@@ -75,7 +73,6 @@ _OF_MODULES = {
     "list_command": ("matching",),
     "model_options": ("agent_options", "given"),
     "play_session": ("PlaySession",),
-    "play_view": ("PlayView",),
     "report": ("shown", "shown_count"),
     "targets": ("find_env", "find_envs"),
     "tool_options": ("AtLeast", "arguments_option", "call_again", "env_arguments", "stack_options", "wrapper_stack"),

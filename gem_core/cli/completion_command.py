@@ -8,32 +8,30 @@ import sys
 import click
 
 from gem_core.cli.completion import SHELLS
+from gem_core.cli.documented import Documented
 
 PROGRAMS = ("gem", "gem-core")
 
 
-@click.command(
-    "completion",
-    epilog="""\b
-To switch it on, once:
-  bash  echo 'eval "$(gem completion bash)"' >> ~/.bashrc
-  zsh   echo 'eval "$(gem completion zsh)"' >> ~/.zshrc
-  fish  gem completion fish > ~/.config/fish/completions/gem.fish
-\b
-It completes commands, options, ids, agents, suites, wrappers and tools (also after a comma), plugins and
-files. Start a new shell, then try:
-  gem info <Tab>
-\b
-If another program is called gem, complete gem-core instead:
-  eval "$(gem-core completion bash --program gem-core)"
-""",
-)
+@click.command("completion", cls=Documented)
 @click.argument("shell", type=click.Choice(list(SHELLS)), required=False)
 @click.option("--program", type=click.Choice(PROGRAMS), help="Which command to complete.  [default: as it was called]")
 def command(shell: str | None, program: str | None) -> None:
     """Print the script that completes words in bash, zsh or fish.
 
-    Without an argument it is the shell that $SHELL names.
+    Without an argument it is the shell that $SHELL names. Let your shell's start-up file load it, as below.
+
+    Examples:
+      bash  echo 'eval "$(gem completion bash)"' >> ~/.bashrc
+      zsh   echo 'eval "$(gem completion zsh)"' >> ~/.zshrc
+      fish  gem completion fish > ~/.config/fish/completions/gem.fish
+
+    It completes commands, options, ids, agents, suites, wrappers and tools (also after a comma), plugins and
+    files. Start a new shell, then try:
+      gem info <Tab>
+
+    If another program is called gem, complete gem-core instead:
+      eval "$(gem-core completion bash --program gem-core)"
     """
     if shell is None:
         shell = os.path.basename(os.environ.get("SHELL", ""))

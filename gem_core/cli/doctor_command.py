@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from gem_core.cli.diagnosis import diagnose, offers_in_words, status_line
+from gem_core.cli.documented import Documented
 from gem_core.cli.layout import counted, output_width, wrapped
 
 _WIDTH = 80  # at most
@@ -20,24 +21,7 @@ _COLOURS = {
 }
 
 
-@click.command(
-    "doctor",
-    epilog="""\b
-Examples:
-  gem doctor
-  gem doctor --json > report.json     to send with a report of a bug
-\b
-A requirement is met, unmet, untried (as the network, which is known only when it is used) or unknown (a
-plugin's own word). Keys are only looked for. Nothing is sent but a ping to the container engine.
-\b
-Tools show what is in force here, such as the level of a sandbox. What plugins offer is imported, each plugin
-in its own process, which takes some seconds; --quick skips that. 'pytest --gem-envs ID' checks that an
-environment keeps its promises.
-
-\b
-Exit code: 1 if something installed is broken, else 0; unmet requirements do not count.
-""",
-)
+@click.command("doctor", cls=Documented)
 @click.option("--quick", is_flag=True, help="Do not import what plugins offer.")
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON object.")
 @click.pass_context
@@ -46,6 +30,19 @@ def command(ctx: click.Context, quick: bool, as_json: bool) -> None:
 
     Shows versions, plugins with their load times, the traceback of each failure, the state of tools on this machine,
     and what environments require, with what to type to get it.
+
+    Examples:
+      gem doctor
+      gem doctor --json > report.json     to send with a report of a bug
+
+    A requirement is met, unmet, untried (as the network, which is known only when it is used) or unknown (a
+    plugin's own word). Keys are only looked for. Nothing is sent but a ping to the container engine.
+
+    Tools show what is in force here, such as the level of a sandbox. What plugins offer is imported, each plugin
+    in its own process, which takes some seconds; --quick skips that. 'pytest --gem-envs ID' checks that an
+    environment keeps its promises.
+
+    Exit code: 1 if something installed is broken, else 0; unmet requirements do not count.
     """
     found = diagnose(quick=quick)
     if as_json:

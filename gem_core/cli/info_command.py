@@ -17,6 +17,7 @@ from gem_core.cli.descriptions import (
     own_documentation,
     paragraphs,
 )
+from gem_core.cli.documented import Documented
 from gem_core.cli.layout import output_width, wrapped
 from gem_core.cli.targets import find_env
 from gem_core.cli.tool_options import import_option
@@ -29,18 +30,7 @@ if TYPE_CHECKING:
     from gem_core.types import Observation
 
 
-@click.command(
-    "info",
-    epilog="""\b
-Examples:
-  gem info game:GuessTheNumber-v0
-  gem info game:Mastermind-v0-hard --json
-  gem info game:TicTacToe-v0          several agents: the seats, and what each sees first
-  gem info my-tasks                   the environment that a folder belongs to
-  gem info search                     a tool: its options, and what an agent is told
-  gem info concat                     a wrapper; likewise an agent, as openai, or a backend
-""",
-)
+@click.command("info", cls=Documented)
 @click.argument("env_id", metavar="ID", type=ENVS_AND_NAMES)
 @import_option
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON object.")
@@ -49,6 +39,14 @@ def command(env_id: str, as_json: bool) -> None:
 
     ID is an environment, a class in a file, a file of questions, or a folder, as in 'gem run'. The name of a tool,
     wrapper, agent or backend describes that instead, with its options.
+
+    Examples:
+      gem info game:GuessTheNumber-v0
+      gem info game:Mastermind-v0-hard --json
+      gem info game:TicTacToe-v0          several agents: the seats, and what each sees first
+      gem info my-tasks                   the environment that a folder belongs to
+      gem info search                     a tool: its options, and what an agent is told
+      gem info concat                     a wrapper; likewise an agent, as openai, or a backend
     """
     named = [describe_in_full(record) for record in find_named(env_id)]
     if not named:

@@ -8,15 +8,13 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain, islice
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import click
 
 _GAP = 2
 _LEAST_TEXT = 24
-_LEAST_COLUMN = 6
-_ROWS_AHEAD = 200
-_ANY_WIDTH = 100_000
+_ROWS_AHEAD = 1000
 
 
 def output_width() -> int | None:
@@ -91,11 +89,17 @@ class Column(NamedTuple):
     text: bool = False
     colour: Callable[[Any], str] | None = None
 
-    def style(self, row: Any, cell: str) -> str:
-        """Return the style of a cell, in the words of rich."""
-        if self.colour is not None:
-            return self.colour(row)
-        return "cyan" if self.name else "red" if self.alarm and cell != "0" else ""
+    def padded(self, cell: str, width: int) -> str:
+        """Return a cell as wide as its column."""
+        text = cut_at_word(cell, width) if self.text else cell
+        blanks = " " * (width - _cells(text))
+        return text + blanks if self.name or self.text else blanks + text
+
+    def coloured(self, row: Any, padded: str) -> str:
+        """Return a padded cell in its colour."""
+        default = "cyan" if self.name else "red" if self.alarm and padded.strip() != "0" else ""
+        colour = self.colour(row) if self.colour else default
+        return click.style(padded, fg=colour) if colour else padded
 
 
 def print_table(columns: Sequence[Column], rows: Iterable[Any]) -> None:
@@ -108,76 +112,57 @@ def table_lines(columns: Sequence[Column], rows: Iterable[Any], width: int | Non
     """Yield the lines of a table as its rows come, and a note of the columns that are left out.
 
     Args:
-        columns: Those that name rows come first.
-        rows: What the cells are made from; columns are as wide as the first few hundred need.
-        width: Characters in a line: columns are left out to fit, then the widest are folded; None for any number.
+        columns: Without a header in any of them the table has none.
+        rows: What the cells are made from; columns are as wide as the first thousand need.
+        width: Characters in a line: text is cut and columns are left out to fit; None for any number, without colours.
     """
     rest = iter(rows)
-    block = list(islice(rest, _ROWS_AHEAD))
-    widths = _fitting_widths(columns, block, width)
-    if width is None:  # plain lines: a file of a million episodes may go through a pipe
-        cells = ([column.cell(row) for column in columns] for row in chain(block, rest))
-        for line in chain([[column.header for column in columns]], cells):
-            padded = (
-                cell.ljust(widths[column]) if column.name or column.text else cell.rjust(widths[column])
-                for column, cell in zip(columns, line, strict=True)
-            )
-            yield (" " * _GAP).join(padded).rstrip()
-        return
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    shown = [column for column in columns if column in widths]
-    console = Console(file=io.StringIO(), width=_ANY_WIDTH, force_terminal=True, color_system="standard")
-    first = True
-    while block or first:
-        table = Table(box=None, pad_edge=False, show_header=first, header_style="bold")
-        for column in shown:
-            justify: Literal["left", "right"] = "left" if column.name or column.text else "right"
-            table.add_column(Text(column.header), justify=justify, width=widths[column], overflow="fold")
-        for row in block:
-            texts = []
-            for column in shown:
-                cell = column.cell(row)
-                text = cut_at_word(cell, widths[column]) if column.text else cell
-                texts.append(Text(text, column.style(row, cell)))
-            table.add_row(*texts)
-        with console.capture() as captured:
-            console.print(table)
-        yield from (line.rstrip() for line in captured.get().splitlines())
-        block, first = list(islice(rest, _ROWS_AHEAD)), False
+    ahead = list(islice(rest, _ROWS_AHEAD))
+    widths = {
+        column: max(_cells(column.header), max((_cells(column.cell(row)) for row in ahead), default=0))
+        for column in columns
+    }
+    if width is not None:
+        _fit(widths, width)
+    if any(column.header for column in widths):
+        header = _line(column.padded(column.header, cells) for column, cells in widths.items())
+        yield header if width is None else click.style(header, bold=True)
+    for row in chain(ahead, rest):
+        padded = {column: column.padded(column.cell(row), cells) for column, cells in widths.items()}
+        yield _line(padded.values() if width is None else (each.coloured(row, padded[each]) for each in padded))
     left_out = [column.header for column in columns if column not in widths]
     if left_out:
         note = f"Too wide for this terminal: {', '.join(left_out)}."
         yield from (click.style(line, dim=True) for line in wrapped(note, width))
 
 
-def _fitting_widths(columns: Sequence[Column], rows: Sequence[Any], width: int | None) -> dict[Column, int]:
-    """Return the columns that are shown, each with its width."""
-    from rich.cells import cell_len
-
-    wanted = {column: max((cell_len(column.cell(row)) for row in rows), default=0) for column in columns}
-    whole = {column: max(cells, len(column.header)) for column, cells in wanted.items()}
-    if width is None or sum(whole.values()) + _GAP * (len(whole) - 1) <= width:
-        return whole
-    widths = {
-        column: max(
-            min(cells, _LEAST_TEXT) if column.text else cells, *(len(word) for word in (column.header or " ").split())
-        )
-        for column, cells in wanted.items()
-    }
+def _fit(widths: dict[Column, int], width: int) -> None:
+    """Leave out columns, and narrow those of text, until a line fits."""
+    whole = dict(widths)
 
     def room() -> int:
         return width - sum(widths.values()) - _GAP * (len(widths) - 1)
 
-    ranked = [(column.dispensable, place) for place, column in enumerate(columns) if column.dispensable is not None]
+    if room() >= 0:
+        return
+    widths.update({column: min(whole[column], _LEAST_TEXT) for column in widths if column.text})
+    ranked = [(column.dispensable, place) for place, column in enumerate(whole) if column.dispensable is not None]
     for _, place in sorted(ranked):
         if room() < 0:
-            del widths[columns[place]]
-    while room() < 0 and max(widths.values()) > _LEAST_COLUMN:
-        widths[max(widths, key=lambda column: widths[column])] -= 1
+            del widths[[*whole][place]]
     for column in widths:
-        if room() > 0:
-            widths[column] = min(widths[column] + room(), whole[column])
-    return widths
+        if column.text:
+            widths[column] = max(0, min(whole[column], widths[column] + room()))
+
+
+def _line(cells: Iterable[str]) -> str:
+    return (" " * _GAP).join(cells).rstrip()
+
+
+def _cells(text: str) -> int:
+    """Return how many columns of a terminal a text takes."""
+    if text.isascii():
+        return len(text)
+    from rich.cells import cell_len  # here, as it takes a while to import
+
+    return cell_len(text)

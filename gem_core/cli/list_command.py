@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Sequence
+from operator import itemgetter
 
 import click
 
 from gem_core.cli.completion import ENVS
 from gem_core.cli.descriptions import KINDS, describe_record
-from gem_core.cli.layout import cut_at_word, output_width
+from gem_core.cli.documented import Documented
+from gem_core.cli.layout import Column, output_width, print_table
 from gem_core.docs import page_url
 from gem_core.errors import UnknownEnvError
 from gem_core.registry.lookup import registry
@@ -20,18 +22,7 @@ from gem_core.registry.specs import CommandSpec, EnvSpec
 from gem_core.suggestions import did_you_mean
 
 
-@click.command(
-    "list",
-    epilog="""\b
-Examples:
-  gem list
-  gem list game
-  gem list '*-easy'
-  gem list tools                      likewise wrappers, agents, backends
-  gem list | grep Sudoku              in a pipe: every id, one a line
-  gem list --json | python -m json.tool
-""",
-)
+@click.command("list", cls=Documented)
 @click.argument("pattern", required=False, type=ENVS)
 @click.option("--all", "show_all", is_flag=True, help="Show every id, as in a pipe.")
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON list, with all fields.")
@@ -40,6 +31,14 @@ def command(pattern: str | None, show_all: bool, as_json: bool) -> None:
 
     PATTERN is a namespace, a part of an id, or a glob in quotes. The words tools, wrappers, agents and backends list
     these; the name of a plugin lists all that it offers.
+
+    Examples:
+      gem list
+      gem list game
+      gem list '*-easy'
+      gem list tools                      likewise wrappers, agents, backends
+      gem list | grep Sudoku              in a pipe: every id, one a line
+      gem list --json | python -m json.tool
     """
     kind = None if pattern in {record.namespace for record in registry().envs()} else KINDS.get(pattern or "")
     records: Sequence[Record]
@@ -137,10 +136,4 @@ def _gallery_line() -> str:
 
 
 def _print_rows(pairs: Iterable[tuple[str, str]]) -> None:
-    # Plain lines, made without rich: importing it would take longer than all the rest.
-    rows = list(pairs)
-    width = output_width()
-    first = max((len(name) for name, _ in rows), default=0)
-    for name, text in rows:
-        rest = text if width is None else cut_at_word(text, max(width - first - 2, 0))
-        click.echo(f"{click.style(name.ljust(first) if text else name, fg='cyan')}  {rest}".rstrip())
+    print_table([Column("", itemgetter(0), name=True), Column("", itemgetter(1), text=True)], pairs)

@@ -7,25 +7,12 @@ from shlex import quote
 
 import click
 
+from gem_core.cli.documented import Documented
 from gem_core.cli.new_plugin import KINDS, LICENSES, first_steps, names_of, render, write
 from gem_core.errors import ArgumentError
 
 
-@click.command(
-    "new-plugin",
-    epilog="""\b
-Examples:
-  gem new-plugin riddles                       an environment, in the folder gem-riddles
-  gem new-plugin riddles --tool                a tool
-  gem new-plugin riddles --env --tool --wrapper
-  gem new-plugin riddles --dataset --into ~/projects/riddles
-\b
-NAME becomes the namespace of the ids (riddles:Letters-v0), the distribution gem-NAME and the package
-gem_NAME. The files are small, and meant to be changed.
-\b
-Exit code: 0 if it was written, 2 if NAME or the folder cannot be used. Nothing is overwritten.
-""",
-)
+@click.command("new-plugin", cls=Documented)
 @click.argument("name")
 @click.option("--env", "kinds", flag_value="env", multiple=True, help="A game of several turns.  [default]")
 @click.option("--tool", "kinds", flag_value="tool", multiple=True, help="A tool with a session.")
@@ -40,6 +27,17 @@ def command(name: str, kinds: tuple[str, ...], into: Path | None, license_name: 
     """Start a plugin: a distribution that installs, registers, and passes its own conformance tests.
 
     Kinds can be combined. Prints the three commands to type next.
+
+    Examples:
+      gem new-plugin riddles                       an environment, in the folder gem-riddles
+      gem new-plugin riddles --tool                a tool
+      gem new-plugin riddles --env --tool --wrapper
+      gem new-plugin riddles --dataset --into ~/projects/riddles
+
+    NAME becomes the namespace of the ids (riddles:Letters-v0), the distribution gem-NAME and the package
+    gem_NAME. The files are small, and meant to be changed.
+
+    Exit code: 0 if it was written, 2 if NAME or the folder cannot be used. Nothing is overwritten.
     """
     names = names_of(name)
     chosen = [kind for kind in KINDS if kind in kinds] or ["env"]

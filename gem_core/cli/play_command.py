@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gem_core.api import make
-from gem_core.cli import INTERRUPTED
 from gem_core.cli.completion import AGENTS, ENVS, SEATS
+from gem_core.cli.documented import Documented
 from gem_core.cli.run_command import free_path
 from gem_core.cli.targets import find_env
 from gem_core.cli.tool_options import AtLeast, arguments_option, call_again, env_arguments, stack_options, wrapper_stack
@@ -22,42 +22,7 @@ if TYPE_CHECKING:
     from gem_core.registry.specs import EnvSpec
 
 
-@click.command(
-    "play",
-    epilog="""\b
-Examples:
-  gem play game:GuessTheNumber-v0
-  gem play game:Mastermind-v0-hard --seed 7 --out runs/mine.jsonl
-  gem play game:TowerofHanoi-v0-easy --wrappers concat_with_action
-  gem play game:Sudoku-v0-easy --tools python
-  gem play my-tasks/fix-the-server
-  gem play game:TicTacToe-v0 --seat O --agent X=tictactoe
-  printf '25\\n12\\n' | gem play game:GuessTheNumber-v0 --seed 1
-
-\b
-Answers:
-  25           is sent as \\boxed{25} if the environment expects a box, and likewise in a tag or a fenced
-               block. An answer in that form, a tool call, and all with --raw are sent unchanged.
-  two lines    End a line with a backslash, or write a block between two lines of triple quotes.
-  (nothing)    An empty line is ignored. Six quotes in a row are the empty answer.
-  a typo       If the environment cannot read an answer, you answer again. With --raw it counts.
-
-\b
-Commands; their first letters are enough, as in !u:
-  ?            the keys, the rules, and an example of a valid action
-  !undo        take the last turn back, also after the end, if a seed and the actions repeat the episode
-  !random      play a random valid action
-  !restart     begin this episode again from the same start
-  !next        leave this episode, and begin the next
-  !quit        end, as Ctrl-D does
-  !!text       send the answer '!text'
-
-\b
-In a pipe, each line is an answer: to one episode, or to as many as --episodes says.
-There are no colours in a pipe, or if NO_COLOR is set.
-Exit code: 0 at the end or at the end of input, 2 for a wrong argument, 130 after Ctrl-C.
-""",
-)
+@click.command("play", cls=Documented)
 @click.argument("env_id", metavar="ID", type=ENVS)
 @click.option("--seat", type=SEATS, help="Your seat in a game of several agents.  [default: the first]")
 @click.option(
@@ -100,56 +65,71 @@ def command(
     out: str | None,
     overwrite: bool,
 ) -> None:
-    """Play an environment yourself: you are the agent.
+    r"""Play an environment yourself: you are the agent.
 
     ID is an environment, a class in a file, a file of questions, or a folder, as in 'gem run'. You read an observation,
     type an answer, and see the reward. In a game of several agents you have one seat, and see only what it sees.
+
+    Examples:
+      gem play game:GuessTheNumber-v0
+      gem play game:Mastermind-v0-hard --seed 7 --out runs/mine.jsonl
+      gem play game:TowerofHanoi-v0-easy --wrappers concat_with_action
+      gem play game:Sudoku-v0-easy --tools python
+      gem play my-tasks/fix-the-server
+      gem play game:TicTacToe-v0 --seat O --agent X=tictactoe
+      printf '25\n12\n' | gem play game:GuessTheNumber-v0 --seed 1
+
+    Answers:
+      25           is sent as \boxed{25} if the environment expects a box, and likewise in a tag or a fenced
+                   block. An answer in that form, a tool call, and all with --raw are sent unchanged.
+      two lines    End a line with a backslash, or write a block between two lines of triple quotes.
+      (nothing)    An empty line is ignored. Six quotes in a row are the empty answer.
+      a typo       If the environment cannot read an answer, you answer again. With --raw it counts.
+
+    Commands; their first letters are enough, as in !u:
+      ?            the keys, the rules, and an example of a valid action
+      !undo        take the last turn back, if a seed and the actions repeat the episode
+      !random      play a random valid action
+      !restart     begin this episode again from the same start
+      !next        leave this episode, and begin the next
+      !quit        end, as Ctrl-D does
+      !!text       send the answer '!text'
+
+    In a pipe, each line is an answer: to one episode, or to as many as --episodes says.
+    There are no colours in a pipe, or if NO_COLOR is set.
+    Exit code: 0 at the end or at the end of input, 2 for a wrong argument, 130 after Ctrl-C.
     """
     # Imported here, so that help and the completion of options need not wait for them.
     from gem_core.cli.play_session import PlaySession
-    from gem_core.cli.play_view import PlayView
     from gem_core.records.files import EpisodeWriter
-    from gem_core.records.plain_json import ImageFolder
-    from gem_core.terminal import EndOfInput, Terminal
+    from gem_core.terminal import EndOfInput
 
     record, kwargs = find_env(env_id)
     record, seated = _at_one_seat(record, seat, agents)
     kwargs = {**kwargs, **env_arguments(arguments), **seated}
     stack = wrapper_stack(wrappers, tools, max_tool_uses, max_turns)
     path = None if out is None else free_path(out, overwrite)
-    with closing(make(record, wrappers=stack, **kwargs)) as env, ExitStack() as files:
+    with closing(make(record, wrappers=stack, **kwargs)) as env:
         if not wrappers and not seated:  # a drawing may show what other seats hold
             _draw_boards(env)
-        terminal = Terminal()
-        writer = None if path is None else files.enter_context(EpisodeWriter(path))
-        images = None if path is None else ImageFolder.beside(path)
-        view = PlayView(env, terminal, exact=bool(wrappers), raw=raw, summary=record.summary, images=images)
+        writer = None if path is None else ctx.with_resource(EpisodeWriter(path))
         session = PlaySession(
             env,
-            view,
-            terminal,
             seed=seed,
-            raw=raw,
             repeatable=record.deterministic,
+            raw=raw,
+            exact=bool(wrappers),
+            summary=record.summary,
             writer=writer,
             seat=seated.get("seat"),
         )
-        interrupted = False
         try:
-            session.play(episodes)
-        except EndOfInput:
-            pass
-        except KeyboardInterrupt:
-            interrupted = True
+            with suppress(EndOfInput):
+                session.play(episodes)
         finally:
             if writer is not None and not writer.count:
                 writer.discard()
-            if view.began:
-                again = call_again(ctx, {"seed", "episodes", "out", "overwrite"}, "--seed", str(session.seed))
-                view.farewell(session.finished, out, again)
-    if interrupted:
-        click.echo("gem: interrupted", err=True)
-        ctx.exit(INTERRUPTED)
+            session.farewell(call_again(ctx, {"seed", "episodes", "out", "overwrite"}, "--seed", str(session.seed)))
 
 
 def _at_one_seat(record: EnvSpec, seat: str | None, agents: tuple[str, ...]) -> tuple[EnvSpec, dict[str, Any]]:

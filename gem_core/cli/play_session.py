@@ -1,32 +1,50 @@
-"""``PlaySession``: an agent of ``rollout`` through which a person answers and may take turns back.
+"""``PlaySession``: a person at a terminal plays episodes, and may take turns back.
 
-A turn is taken back by replaying the episode from its start without it, which works in every deterministic environment
-and leaves no trace in the record.
+It is an agent of ``rollout``. A turn is taken back by playing the episode again from its start without it, which works
+in every deterministic environment and leaves no trace in the record.
 """
 
 from __future__ import annotations
 
 import itertools
 import sys
+import textwrap
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import cast
 
-from gem_core.cli.play_view import PlayView, in_one_line
+from gem_core.agents.answer_form import AnswerForm
+from gem_core.cli.layout import counted
+from gem_core.env.base import Env
+from gem_core.env.observations import split_observation
 from gem_core.env.wrapper import AnyEnv
-from gem_core.errors import ArgumentError, EnvFaultError
+from gem_core.errors import ArgumentError, EnvFaultError, SamplingNotSupported
 from gem_core.records.episode import Episode, Transition
 from gem_core.records.files import EpisodeWriter
+from gem_core.records.plain_json import ImageFolder
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
 from gem_core.rollouts.agent import Context
 from gem_core.rollouts.drivers import default_plan, rollout
-from gem_core.terminal import EndOfInput, Terminal, Typed, whole_command
-from gem_core.types import Observation
+from gem_core.terminal import BLOCK, EndOfInput, Terminal, Typed, observation_text, printable, whole_command
+from gem_core.types import TERMINAL_STATE, Info, Observation
 from gem_core.vector.vector_env import VectorEnv
+
+_LONGEST_ACTION = 60
+
+_KEYS = f"""\
+  ?          this help
+  !undo      take the last turn back
+  !random    play a random valid action
+  !restart   begin this episode again
+  !next      leave it, begin the next
+  !quit      end, as Ctrl-D does
+  Commands may be cut short, as in !u. An answer that begins with ! is typed with two.
+  A line that ends in a backslash goes on in the next; {BLOCK} begins and ends a block of lines."""
 
 
 class _PlayAgain(Exception):
-    """Raised to replay the present episode."""
+    """Raised to play the present episode again from its start."""
 
 
 class _PlayNext(Exception):
@@ -38,14 +56,14 @@ class PlaySession:
 
     Args:
         env: What is played, made by ``make``.
-        view: Shows it.
-        terminal: Where the person answers.
         seed: Seed of the run; None draws one, found as ``seed``.
-        raw: Send answers as they are typed.
         repeatable: Whether a seed and the actions repeat an episode, so that turns can be taken back.
-        writer: Where finished episodes are recorded; None for nowhere.
-        seat: The person's seat, where several agents act.
-        begun: What an episode started from, and its first turns: it is gone on with, each time that one begins.
+        raw: Send answers as they are typed.
+        exact: Show observations to the letter, as a model gets them.
+        summary: Of the environment.
+        writer: Where finished episodes are recorded, with images beside them; None for nowhere.
+        seat: The person's seat in a game of several agents.
+        begun: What an episode started from, and its first turns: each episode goes on from there.
     """
 
     reads = "observation"
@@ -53,28 +71,27 @@ class PlaySession:
     def __init__(
         self,
         env: AnyEnv,
-        view: PlayView,
-        terminal: Terminal,
         *,
         seed: int | None,
-        raw: bool,
         repeatable: bool,
-        writer: EpisodeWriter | None,
+        raw: bool = False,
+        exact: bool = False,
+        summary: str = "",
+        writer: EpisodeWriter | None = None,
         seat: str | None = None,
         begun: tuple[EpisodeStart, Sequence[Transition]] | None = None,
     ) -> None:
+        self._env, self._repeatable, self._raw, self._exact, self._summary = env, repeatable, raw, exact, summary
+        self._writer, self._seat, self._begun = writer, seat, begun
         self._vector = VectorEnv.around(env, seed=seed, on_error="raise", keep_open=True)
         self._starts = EpisodeQueue(default_plan(self._vector, sys.maxsize), self._vector.seed)
-        self._view = view
-        self._terminal = terminal
-        self._raw = raw
-        self._repeatable = repeatable
-        self._writer = writer
-        self._seat = seat
-        self._begun = begun
-        self._again: list[Transition] = []
-        self._taken_back = 0
-        self._show: Callable[[], None] = view.opening
+        self._terminal = Terminal()
+        self._images = None if writer is None else ImageFolder.beside(writer.path)
+        self._number = 0
+        self._repeated: Sequence[Transition] = ()
+        self._show: Callable[[], None] = self._show_opening
+        self._context: Context | None = None
+        """Of the turn that waits for an answer; None outside an episode."""
         self.seed = self._vector.seed
         self.finished: list[Episode] = []
 
@@ -87,98 +104,97 @@ class PlaySession:
             EndOfInput: There was nothing more to read.
         """
         asks = episodes is None and self._terminal.interactive
-        for number in itertools.count(1):
-            self._view.number = number
+        for self._number in itertools.count(1):
             start = cast("EpisodeStart", self._starts.draw(0)) if self._begun is None else self._begun[0]
             self._restart()
             try:
-                goes_on = self._play_out(start, asks=asks)
+                episode = self._play_out(start)
             except _PlayNext:
                 continue
-            if not goes_on and (episodes is None or len(self.finished) >= episodes):
+            self._show_ending(episode)
+            self.finished.append(episode)
+            if self._writer is not None:
+                self._writer.write(episode)
+            if asks:
+                if self._terminal.line("Play another? [Y/n] ").strip().casefold().startswith(("n", "q", "!q")):
+                    return
+            elif len(self.finished) >= (episodes or 1):
                 return
 
-    def _play_out(self, start: EpisodeStart, *, asks: bool) -> bool:
-        """Play an episode to its end, and record it; return whether another is wanted, if that is asked."""
+    def farewell(self, again: str) -> None:
+        """Say what was played, what was left unfinished, where the rest was written, and how to play it again."""
+        show, episodes = self._terminal.show, self.finished
+        if self._context is not None:
+            left = f"{counted(self._context.turn, 'turn')}, return {_return(self._context.transitions)}"
+            show(f"Left unfinished after {left}{'; it is not recorded' if self._writer else ''}.", fg="yellow")
+        if len(episodes) > 1:
+            won = sum(episode.success is True for episode in episodes)
+            mean = sum(episode.episode_return for episode in episodes) / len(episodes)
+            show(f"{len(episodes)} episodes, {won} won, mean return {mean:.4g}.")
+        if self._writer is not None and episodes:
+            show(f"{counted(len(episodes), 'episode')} written to {self._writer.path}.")
+        show(f"The same again: {again}", dim=True)
+
+    def _play_out(self, start: EpisodeStart) -> Episode:
         while True:
             try:
-                episode = self._run_episode(start)
+                (episode,) = rollout(self._vector, self, plan=[replace(start.item, seed=start.seed)], seed=self.seed)
             except _PlayAgain:
                 continue
+            except EnvFaultError as error:
+                raise (error.__cause__ or error) from None
             last = episode.transitions[-1]
-            if not self._raw and self._repeatable and _was_not_played(last):
-                self._take_back(episode.transitions, lambda: None)
-                # The reason is not shown: the last observation of a task may reveal its solution.
-                self._terminal.show(
-                    f"{in_one_line(last.action)} was not played: it cannot be read, or breaks the rules. That would "
-                    "end the episode, so it does not count: answer again, or type ? for help.",
-                    fg="yellow",
-                )
-                continue
-            self._view.ending(episode, self._taken_back, can_undo=self._repeatable)
-            another: bool | None = False
-            try:
-                if asks:
-                    another = self._wants_another(episode)
-            finally:
-                if another is not None:
-                    if self._writer is not None:
-                        self._writer.write(episode)
-                    self.finished.append(episode)
-            if another is not None:
-                return another
-
-    def _wants_another(self, episode: Episode) -> bool | None:
-        """Ask whether to go on; None where the last turn was taken back instead."""
-        while True:
-            another = self._terminal.confirm("Play another?", other="!undo")
-            if another is not None:
-                return another
-            try:
-                self._undo(episode.transitions)
-            except ArgumentError as error:
-                self._terminal.show(f"{error}.", fg="yellow")
-            else:
-                return None
-
-    def _run_episode(self, start: EpisodeStart) -> Episode:
-        plan = [replace(start.item, seed=start.seed)]
-        try:
-            (episode,) = rollout(self._vector, self, plan=plan, seed=self.seed)
-        except EnvFaultError as error:
-            raise (error.__cause__ or error) from None
+            if self._raw or not self._repeatable or not _was_not_played(last):
+                break
+            self._repeated, self._show = episode.transitions[:-1], lambda: None
+            # The reason is not shown: the last observation of a task may reveal its solution.
+            self._terminal.show(
+                f"{in_one_line(last.action)} was not played: it cannot be read, or breaks the rules. That would end "
+                "the episode, so it does not count: answer again, or type ? for help.",
+                fg="yellow",
+            )
         episode.key = start.key
         if self._seat is not None:
             episode.seat, episode.agent = self._seat, "human"
         return episode
 
+    def _restart(self) -> None:
+        self._repeated, self._show = () if self._begun is None else self._begun[1], self._show_opening
+
     # Turns.
 
     def __call__(self, observation: Observation, context: Context) -> str:
-        """Return what the person answers, or what was answered before where the episode is played again."""
-        self._view.see(observation, context)
-        if context.turn < len(self._again):
-            before = self._again[context.turn]
+        """Return what the person answers, or the earlier answer while the episode is played again."""
+        self._observation, self._context = observation, context
+        if context.turn < len(self._repeated):
+            before = self._repeated[context.turn]
             if observation == before.observation:
                 return before.action
             self._terminal.show("Played again, this environment went another way; go on from here.", fg="yellow")
-            self._again = []
+            self._repeated = ()
         self._show()
-        self._show = self._view.turn
+        self._show = self._show_turn
         return self._terminal.ask_for_answer(f"turn {context.turn + 1}> ", lambda typed: self._answer(typed, context))
 
     def _answer(self, typed: Typed, context: Context) -> str | None:
         """Return the answer that was typed, or that a command gives."""
         if not typed.is_command:
-            return typed.text if self._raw else self._view.form().around(typed.text, self._view.tools)
+            return typed.text if self._raw else self._form(context).around(typed.text, _tool_names(context))
         match whole_command(typed.text, ("help", "undo", "random", "restart", "next", "quit")):
             case "help":
-                self._view.help()
+                self._show_help(context)
                 return None
             case "random":
                 return context.sample_random_action()
             case "undo":
-                self._undo(context.transitions)
+                if not context.transitions:
+                    raise ArgumentError("there is no turn to take back")
+                if not self._repeatable:
+                    raise ArgumentError(
+                        "turns of this environment cannot be taken back: a seed and the actions do not repeat it"
+                    )
+                self._terminal.show(f"Taken back: {in_one_line(context.transitions[-1].action)}", dim=True)
+                self._repeated, self._show = context.transitions[:-1], self._show_situation
                 raise _PlayAgain
             case "restart":
                 self._restart()
@@ -188,23 +204,106 @@ class PlaySession:
             case _:
                 raise EndOfInput
 
-    def _undo(self, transitions: list[Transition]) -> None:
-        if not transitions:
-            raise ArgumentError("there is no turn to take back")
-        if not self._repeatable:
-            raise ArgumentError(
-                "turns of this environment cannot be taken back: a seed and the actions do not repeat its episodes"
-            )
-        self._terminal.show(f"Taken back: {in_one_line(transitions[-1].action)}", dim=True)
-        self._take_back(transitions, self._view.situation)
+    def _form(self, context: Context) -> AnswerForm:
+        return AnswerForm.of_task(self._observation, context)
 
-    def _take_back(self, transitions: list[Transition], show: Callable[[], None]) -> None:
-        self._again, self._show = transitions[:-1], show
-        self._taken_back += 1
+    # What is shown.
 
-    def _restart(self) -> None:
-        self._again, self._show = [] if self._begun is None else list(self._begun[1]), self._view.opening
-        self._taken_back = 0
+    def _show_opening(self) -> None:
+        show, context = self._terminal.show, cast("Context", self._context)
+        show(f"\n{context.env_id} · episode {self._number}", bold=True)
+        if self._summary and self._number == 1:
+            show(self._summary, dim=True)
+        form = None if self._raw else self._form(context)
+        show(f"An answer is sent as {in_one_line(str(form)) if form else 'you type it'}. Type ? for help.", dim=True)
+        if context.system:
+            show()
+            self._terminal.show_plainly(self._text(context.system))
+        self._show_situation()
+
+    def _show_situation(self) -> None:
+        context = cast("Context", self._context)
+        self._show_observation(self._observation, context.info, f"turn {context.turn + 1}")
+
+    def _show_turn(self) -> None:
+        self._show_result(cast("Context", self._context).transitions)
+        self._show_situation()
+
+    def _show_ending(self, episode: Episode) -> None:
+        self._context = None
+        self._show_result(episode.transitions)
+        self._show_observation(episode.final_observation, episode.final_info, "after the last turn")
+        verdict = {True: "Won", False: "Lost", None: "Over"}[episode.success]
+        if episode.seat is not None and episode.success is False and episode.episode_return >= 0:
+            verdict = "Not won"  # it may be a draw
+        if not episode.transitions[-1].terminated:
+            verdict = "Won, cut off" if episode.success else "Cut off"
+        colour = {True: "green", False: "red", None: "yellow"}[episode.success]
+        text = f"{verdict} after {counted(episode.turns, 'turn')}. Return {episode.episode_return:.4g}."
+        self._terminal.show(text, bold=True, fg=colour)
+
+    def _show_help(self, context: Context) -> None:
+        """Show the keys, an example of an action, and the first observation, which has the rules."""
+        show, form, task = self._terminal.show, self._form(context), self._env.unwrapped
+        show(_KEYS)
+        if context.tools:
+            show(f"  Tools: {', '.join(_tool_names(context))}. A call is sent as you type it.")
+        example = f"The form of an answer: {in_one_line(str(form)) if form else 'any text'}"
+        if not (isinstance(task, Env) and task.num_tasks is not None):  # of a data set it may be the right answer
+            with suppress(SamplingNotSupported):
+                example = f"A valid action, for example: {in_one_line(context.sample_random_action())}"
+        show(f"  {example}\n")
+        first = context.transitions[0].observation if context.transitions else self._observation
+        self._terminal.show_plainly(self._text(first))
+
+    def _show_result(self, transitions: Sequence[Transition]) -> None:
+        turn = transitions[-1]
+        result = f"reward {turn.reward:.4g} · return {_return(transitions)}"
+        colour = "green" if turn.reward > 0 else "red" if turn.reward < 0 else None
+        self._terminal.show(
+            f"turn {len(transitions)} · {in_one_line(turn.action)} · {result}", fg=colour, bold=not self._exact
+        )
+
+    def _show_observation(self, observation: Observation, info: Info, title: str) -> None:
+        show = self._terminal.show
+        if self._exact:
+            show(f"──── {title} ".ljust(40, "─"), dim=True)
+            self._terminal.show_exactly(self._text(observation))
+            show("─" * 40, dim=True)
+            return
+        feedback, suffix = split_observation(observation, info)
+        if feedback and feedback != TERMINAL_STATE:
+            show()
+            self._terminal.show_plainly(self._text(feedback).strip("\n"))
+        # The board shows a person what the suffix tells a model.
+        board = self._env.render() if suffix and self._env.render_mode == "ansi" else None
+        if isinstance(board, str) and board:
+            show()
+            self._terminal.show_drawing(textwrap.indent(board.strip("\n"), "  "))
+        elif suffix:
+            show()
+            self._terminal.show_plainly(self._text(suffix).strip("\n"))
+        show()
+
+    def _text(self, observation: Observation) -> str:
+        images = self._images
+        return observation_text(
+            observation, None if images is None else lambda image: images.path / images.write(image)
+        )
+
+
+def in_one_line(text: str) -> str:
+    """Return an action so that it fits into a line of a report."""
+    line = printable(text.replace("\n", "⏎"))
+    return line if len(line) <= _LONGEST_ACTION else f"{line[:_LONGEST_ACTION]}…"
+
+
+def _tool_names(context: Context) -> list[str]:
+    return [tool["function"]["name"] for tool in context.tools]
+
+
+def _return(transitions: Sequence[Transition]) -> str:
+    return f"{sum(turn.reward for turn in transitions):.4g}"
 
 
 def _was_not_played(turn: Transition) -> bool:

@@ -9,23 +9,13 @@ import click
 
 from gem_core.cli.completion import PLUGINS
 from gem_core.cli.diagnosis import describe_plugin, offers_in_words, problems_of
+from gem_core.cli.documented import Documented
 from gem_core.cli.layout import echo_line
 from gem_core.registry.lookup import registry
 from gem_core.testing.importing import TIMEOUT_S
 
 
-@click.command(
-    "plugins",
-    epilog="""\b
-Examples:
-  gem plugins
-  gem plugins games
-  gem plugins --check     exit code 1 if one is broken, or claims an id of another
-\b
---check imports all that plugins offer, each plugin in its own process, and names file and line of what
-cannot be imported.
-""",
-)
+@click.command("plugins", cls=Documented)
 @click.argument("name", required=False, type=PLUGINS)
 @click.option("--check", is_flag=True, help="Import all that they offer; exit with 1 if something is wrong.")
 @click.option(
@@ -40,7 +30,16 @@ cannot be imported.
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON list.")
 @click.pass_context
 def command(ctx: click.Context, name: str | None, check: bool, timeout_s: float, as_json: bool) -> None:
-    """List the installed plugins, what each offers and how long it took to load."""
+    """List the installed plugins, what each offers and how long it took to load.
+
+    Examples:
+      gem plugins
+      gem plugins games
+      gem plugins --check     exit code 1 if one is broken, or claims an id of another
+
+    --check imports all that plugins offer, each plugin in its own process, and names file and line of what
+    cannot be imported.
+    """
     plugins = registry().plugins() if name is None else registry().plugins_named(name)
     found: list[dict[str, Any]] = []
     for plugin, problems in problems_of(plugins, timeout_s, quick=not check):

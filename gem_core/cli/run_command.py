@@ -18,6 +18,7 @@ from click.core import ParameterSource
 from gem_core.api import make_vec
 from gem_core.cli import INTERRUPTED
 from gem_core.cli.completion import AGENTS, BACKENDS, ENVS
+from gem_core.cli.documented import Documented
 from gem_core.cli.layout import counted, echo_line, print_table
 from gem_core.cli.model_options import agent_options, given
 from gem_core.cli.targets import find_envs
@@ -44,41 +45,7 @@ _WHAT_RUNS = ("agents", "swap_seats", "arguments", "max_turns", "wrappers", "too
 """Options that say what runs; see ``_what_runs``."""
 
 
-@click.command(
-    "run",
-    epilog="""\b
-Examples:
-  gem run game:GuessTheNumber-v0 --agent bisect --episodes 100
-  gem run game:Mastermind-v0-easy --agent my_module:my_agent --wrappers concat_with_action:max_turns=4
-  gem run math:GSM8K --agent openai:gpt-5-mini --tools python,search:top_k=2 --max-tool-uses 10
-  gem run game:GuessTheNumber-v0 --agent openai:my-model --base-url http://localhost:8000/v1
-  gem run game:GuessTheNumber-v0 --agent openai:gpt-5-mini --resume runs/stopped.jsonl
-  gem run ./my_env.py:MyEnv --agent my_module:my_agent
-  gem run questions.jsonl --agent openai:gpt-5-mini
-  gem run game:TicTacToe-v0 --agent X=openai:gpt-5-mini --agent O=random
-  gem run game:Negotiation-v0 --agent openai:gpt-5-mini --tools first=python --wrappers concat
-\b
-Several agents: one --agent plays all seats against itself. --agent SEAT=AGENT for each seat fixes
-who sits where. As many --agent as seats, without the names of seats, change seats after each episode.
-'gem info ID' names the seats. The table has a row for each agent at each seat; success is its share
-of games won.
-\b
-An agent is a callable of (observation, context), or of the observation alone, plain or async,
-that returns text:
-  # my_module.py
-  def my_agent(observation, context):
-      return context.sample_random_action()
-\b
-It reads the observation, or with tools the conversation so far as text. With my_agent.reads =
-"messages" it reads chat messages, as openai:MODEL does; with "observation" always the observation.
-A view in --wrappers decides for all agents. context.messages has the chat messages in any case.
-\b
-openai:MODEL asks any OpenAI-compatible server; its key is read from OPENAI_API_KEY. Options from
---base-url on go to the agent as keyword arguments; a class of your own may take them as well.
-\b
-Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument, 130 after Ctrl-C.
-""",
-)
+@click.command("run", cls=Documented)
 @click.argument("ids", nargs=-1, required=True, metavar="ID...", type=ENVS)
 @click.option(
     "-a",
@@ -154,6 +121,37 @@ def command(
 
     Prints a table. An episode with an error is counted apart and is in no mean; one that was cut off is not solved. The
     number after ± is the standard error, for success Wilson's.
+
+    Examples:
+      gem run game:GuessTheNumber-v0 --agent bisect --episodes 100
+      gem run game:Mastermind-v0-easy --agent my_module:my_agent --wrappers concat_with_action:max_turns=4
+      gem run math:GSM8K --agent openai:gpt-5-mini --tools python,search:top_k=2 --max-tool-uses 10
+      gem run game:GuessTheNumber-v0 --agent openai:my-model --base-url http://localhost:8000/v1
+      gem run game:GuessTheNumber-v0 --agent openai:gpt-5-mini --resume runs/stopped.jsonl
+      gem run ./my_env.py:MyEnv --agent my_module:my_agent
+      gem run questions.jsonl --agent openai:gpt-5-mini
+      gem run game:TicTacToe-v0 --agent X=openai:gpt-5-mini --agent O=random
+      gem run game:Negotiation-v0 --agent openai:gpt-5-mini --tools first=python --wrappers concat
+
+    Several agents: one --agent plays all seats against itself. --agent SEAT=AGENT for each seat fixes
+    who sits where. As many --agent as seats, without the names of seats, change seats after each episode.
+    'gem info ID' names the seats. The table has a row for each agent at each seat; success is its share
+    of games won.
+
+    An agent is a callable of (observation, context), or of the observation alone, plain or async,
+    that returns text:
+      # my_module.py
+      def my_agent(observation, context):
+          return context.sample_random_action()
+
+    It reads the observation, or with tools the conversation so far as text. With my_agent.reads =
+    "messages" it reads chat messages, as openai:MODEL does; with "observation" always the observation.
+    A view in --wrappers decides for all agents. context.messages has the chat messages in any case.
+
+    openai:MODEL asks any OpenAI-compatible server; its key is read from OPENAI_API_KEY. Options from
+    --base-url on go to the agent as keyword arguments; a class of your own may take them as well.
+
+    Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument, 130 after Ctrl-C.
     """
     # Imported here, so that help and the completion of options need not wait for them.
     from gem_core.cli.report import run_columns, status_of

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import gem_core as gem
 from gem_core import Episode, PlanItem
-from gem_core.cli import PlaySession, PlayView
+from gem_core.cli import PlaySession
 from gem_core.records import EpisodeStart
 from gem_core.registry import registry
-from gem_core.terminal import EndOfInput, Terminal
+from gem_core.terminal import EndOfInput
 from gem_eval.replaying.recorded import differences
 from gem_eval.replaying.replay import Replay, recipe_of
 from gem_eval.show.lines import episode_lines
@@ -47,16 +47,12 @@ def play_on(
     start = EpisodeStart(PlanItem(options=original.options), (0,), 0, original.seed or 0, run_seed or 0)
     played: list[Episode] = []
     with closing(gem.make(record, **arguments)) as env:
-        terminal = Terminal()
-        view = PlayView(env, terminal, exact=bool(arguments["wrappers"]), raw=False, summary=record.summary)
         session = PlaySession(
             env,
-            view,
-            terminal,
             seed=run_seed,
-            raw=False,
             repeatable=record.deterministic,
-            writer=None,
+            exact=bool(arguments["wrappers"]),
+            summary=record.summary,
             begun=(start, original.transitions[:turns]),
         )
         with suppress(EndOfInput):
