@@ -1,10 +1,9 @@
-"""The checks of ``gem doctor``: versions, plugins, failures, status of tools and requirements."""
+"""The checks of ``gem doctor``: versions, plugins, status of tools and requirements."""
 
 from __future__ import annotations
 
 import asyncio
 import json
-import logging
 import os
 import platform
 import shutil
@@ -21,8 +20,9 @@ from gem_core.background import in_thread, run_sync
 from gem_core.cli.layout import counted
 from gem_core.progress import Progress
 from gem_core.registry.distributions import extras_of, installed_version
+from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.lookup import Registry, registry
-from gem_core.registry.plugins import Plugin, Record, one_line
+from gem_core.registry.plugins import Plugin, one_line
 from gem_core.registry.requirements import RequirementStatus, find
 from gem_core.registry.specs import EnvSpec, RequirementSpec, ToolSpec
 from gem_core.testing.importing import TIMEOUT_S, imported
@@ -39,21 +39,25 @@ def diagnose(*, quick: bool = False) -> dict[str, Any]:
     Args:
         quick: Whether to leave out importing all that plugins point to, which takes seconds.
     """
-    notes = _load_quietly()
+    os.environ.pop("GEM_PLUGINS_STRICT", None)  # it would stop at the first failure, and all are wanted
     found = registry()
     plugins = found.plugins()
-    problems: list[str] = []
+    broken: list[str] = []
     with Progress(len(plugins), "plugins", unit="plugins", quiet=not sys.stderr.isatty()) as progress:
-        for number, (plugin, wrong) in enumerate(problems_of(plugins, quick=quick)):
-            problems += [f"{plugin}: {each}" for each in wrong]
+        for number, (plugin, problems) in enumerate(problems_of(plugins, quick=quick)):
+            if plugin.failure is not None:
+                problems.append(f"failed at stage '{plugin.failure.stage}': {plugin.failure.error}")
+            broken += [f"{plugin}: {problem}" for problem in problems]
             progress.advance(number + 1)
-    broken = [
-        f"{plugin} failed at stage '{plugin.failure.stage}': {plugin.failure.error}"
-        for plugin in plugins
-        if plugin.failure is not None
+    tools = [
+        {"tool": record.name, "summary": record.summary, "status": status, "error": error}
+        for record in found.named(ToolSpec)
+        for status, error in [status_of(record)]
     ]
-    tools = tool_statuses(found)
-    unknown = [f"the status of tool {tool['tool']!r} failed: {tool['error']}" for tool in tools if tool["error"]]
+    broken += [f"the status of tool {tool['tool']!r} failed: {tool['error']}" for tool in tools if tool["error"]]
+    extras = {
+        extra: {name: installed_version(name) for name in names} for extra, names in extras_of("gem-core").items()
+    }
     return {
         "gem_core": __version__,
         "python": platform.python_version(),
@@ -61,32 +65,40 @@ def diagnose(*, quick: bool = False) -> dict[str, Any]:
         "executable": sys.executable,
         "platform": platform.platform(),
         "packages": {name: installed_version(name) for name in PACKAGES},
+        "extras": [
+            {"extra": extra, "packages": packages, "present": all(packages.values())}
+            for extra, packages in extras.items()
+        ],
         "plugins": [describe_plugin(plugin) for plugin in plugins],
-        "broken": [*broken, *problems, *unknown],
         "tools": tools,
         "requirements": requirements(found),
-        "extras": _extras(),
         "command": vars(which_gem()),
-        "notes": notes,
+        "broken": broken,
     }
+
+
+def which_gem() -> RequirementStatus:
+    """Tell whether the command ``gem`` of this PATH is ours; RubyGems has one of that name."""
+    path = shutil.which("gem")
+    if path is not None and Path(path).parent.samefile(Path(sys.executable).parent):
+        return RequirementStatus("met", path)
+    found = "no 'gem' is on the PATH" if path is None else f"{path} is not the 'gem' of this environment"
+    return RequirementStatus("unmet", found, "use 'python -m gem_core'")
 
 
 def describe_plugin(plugin: Plugin) -> dict[str, Any]:
     """Describe a plugin, its records and its problems as plain JSON."""
+    kinds = ("environment" if isinstance(record, EnvSpec) else record.kind for record in plugin.records)
     return {
         "name": plugin.name,
         "distribution": plugin.distribution,
         "version": plugin.version,
         "disabled": plugin.disabled,
         "load_time_ms": round(plugin.load_time_s * 1000, 3),
-        "offers": Counter(_kind_of(record) for record in plugin.records),
+        "offers": Counter(kinds),
         "failure": None if plugin.failure is None else vars(plugin.failure),
         "conflicts": plugin.conflicts,
     }
-
-
-def _kind_of(record: Record) -> str:
-    return "environment" if isinstance(record, EnvSpec) else record.kind
 
 
 def offers_in_words(described_plugin: Mapping[str, Any]) -> str:
@@ -105,51 +117,18 @@ def requirements(found: Registry) -> list[dict[str, Any]]:
         for requirement in record.requires:
             needing.setdefault(requirement, []).append(record.id)
     words = {requirement.partition(":")[0] for requirement in needing}
-    for word in [*(record.name for record in found.named(RequirementSpec)), "hub", "network"]:
-        if word not in words:
-            needing[word] = []
-    rows = [
-        {
-            "requirement": requirement,
-            **vars(_probed(requirement)),
-            "environments": len(ids),
-            "example": ids[0] if ids else None,
-        }
-        for requirement, ids in needing.items()
-    ]
+    probed = [*(record.name for record in found.named(RequirementSpec)), "hub", "network"]
+    needing |= {word: [] for word in probed if word not in words}
+    rows = []
+    for requirement, ids in needing.items():
+        try:
+            status = find(requirement, closely=True)
+            facts = {**vars(status)}
+        except Exception as error:  # noqa: BLE001 - a failing probe of a plugin must not end the report
+            facts = vars(RequirementStatus("unknown", f"its probe failed: {one_line(error)}"))
+        rows.append({"requirement": requirement, **facts, "environments": len(ids), "example": next(iter(ids), None)})
     order = ["unmet", "unknown", "untried", "met"]
     return sorted(rows, key=lambda row: (not row["environments"], order.index(row["status"])))
-
-
-def _probed(requirement: str) -> RequirementStatus:
-    try:
-        status = find(requirement, closely=True)
-        if not isinstance(status, RequirementStatus):
-            raise TypeError(f"it returned {type(status).__name__}")
-    except Exception as error:  # noqa: BLE001 - a failing probe of a plugin must not end the report
-        return RequirementStatus("unknown", f"its probe failed: {one_line(error)}")
-    return status
-
-
-def tool_statuses(found: Registry, timeout_s: float = 30.0) -> list[dict[str, Any]]:
-    """Return every tool with its status on this machine; the failure of one does not affect the others.
-
-    Args:
-        found: Where the tools are.
-        timeout_s: Seconds after which an answer is no longer waited for.
-    """
-    return [
-        {"tool": record.name, "summary": record.summary, "status": status, "error": error}
-        for record in found.named(ToolSpec)
-        for status, error in [status_of(record, timeout_s)]
-    ]
-
-
-def status_line(status: Any) -> str:
-    """Return the status of a tool in one line."""
-    if isinstance(status, dict):
-        status = ", ".join(f"{key}: {value}" for key, value in status.items())
-    return " ".join(str(status or "").split())
 
 
 def status_of(record: ToolSpec, timeout_s: float = 30.0) -> tuple[Any, str | None]:
@@ -159,26 +138,29 @@ def status_of(record: ToolSpec, timeout_s: float = 30.0) -> tuple[Any, str | Non
         record: Of the tool.
         timeout_s: Seconds after which an answer is no longer waited for.
     """
-    from gem_core.registry.entry_points import load_entry_point
-
     entry_point = record.status
     if entry_point is None:
         return None, None
 
-    def ask() -> tuple[Any, str | None]:
-        try:
-            status = load_entry_point(entry_point, f"the status of tool {record.name!r}")()
-            if not isinstance(status, str | Mapping):
-                raise TypeError(f"it returned {type(status).__name__}, neither a line of text nor a mapping")
-            plain = status if isinstance(status, str) else {str(key): value for key, value in status.items()}
-            return json.loads(json.dumps(plain, default=str)), None
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - a plugin's code, which may fail in any way
-            return None, f"{type(error).__name__}: {error}"[:500]
+    def ask() -> Any:
+        status = load_entry_point(entry_point, f"the status of tool {record.name!r}")()
+        if not isinstance(status, str | Mapping):
+            raise TypeError(f"it returned {type(status).__name__}, neither a line of text nor a mapping")
+        return json.loads(json.dumps(status, default=str))
 
     try:
-        return run_sync(asyncio.wait_for(in_thread(ask), timeout_s))
+        return run_sync(asyncio.wait_for(in_thread(ask), timeout_s)), None
     except TimeoutError:
         return None, f"it did not answer within {timeout_s:g} s"
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a plugin's code, which may fail in any way
+        return None, f"{type(error).__name__}: {error}"[:500]
+
+
+def status_line(status: Any) -> str:
+    """Return the status of a tool in one line."""
+    if isinstance(status, dict):
+        status = ", ".join(f"{key}: {value}" for key, value in status.items())
+    return " ".join(str(status or "").split())
 
 
 def problems_of(
@@ -195,7 +177,7 @@ def problems_of(
 
     def tried(plugin: Plugin) -> tuple[Plugin, list[str]]:
         if quick or plugin.failure is not None or plugin.disabled or plugin.is_core:
-            return plugin, plugin.conflicts
+            return plugin, [*plugin.conflicts]
         seen = imported(plugin.entry_point, timeout_s, stop)
         return plugin, [*plugin.conflicts, *([seen.failure] if seen.failure else seen.problems)]
 
@@ -205,54 +187,3 @@ def problems_of(
         finally:  # after an interrupt, do not wait for the others
             stop.set()
             pool.shutdown(cancel_futures=True)
-
-
-def _load_quietly() -> list[str]:
-    """Load the plugins and return what was logged, except failures, which the report shows in full."""
-    logger = logging.getLogger("gem_core.registry.plugins")
-    notes: list[str] = []
-
-    def keep(record: logging.LogRecord) -> bool:
-        message = record.getMessage()
-        if not message.endswith("for the whole."):  # those are in the report in full
-            notes.append(message.removeprefix("gem: "))
-        return False
-
-    strict = os.environ.pop("GEM_PLUGINS_STRICT", None)  # it would stop at the first failure, and all are wanted
-    logger.addFilter(keep)
-    try:
-        registry().load()
-    finally:
-        logger.removeFilter(keep)
-        if strict is not None:
-            os.environ["GEM_PLUGINS_STRICT"] = strict
-    return notes
-
-
-def _extras() -> list[dict[str, Any]]:
-    """Return the optional extras of gem-core, each with its packages and their versions."""
-    found = {extra: {name: installed_version(name) for name in names} for extra, names in extras_of("gem-core").items()}
-    return [
-        {"extra": extra, "packages": packages, "present": all(packages.values())} for extra, packages in found.items()
-    ]
-
-
-def which_gem() -> RequirementStatus:
-    """Tell whether the command ``gem`` of this PATH is ours; RubyGems has one of that name."""
-    path = shutil.which("gem")
-    if path is None:
-        return RequirementStatus(
-            "unmet", "no 'gem' is on the PATH", "activate its environment, or use 'python -m gem_core'"
-        )
-    if Path(path).resolve().parent == Path(sys.executable).parent.resolve():
-        return RequirementStatus("met", path)
-    try:
-        with open(path, "rb") as script:
-            ours = b"gem_core" in script.read(4096)
-    except OSError:
-        ours = False
-    if ours:
-        return RequirementStatus("met", f"{path}, of another installation of GEM")
-    return RequirementStatus(
-        "unmet", f"{path} is another program called 'gem'", "use 'gem-core', or 'python -m gem_core'"
-    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import click
@@ -12,13 +13,8 @@ from gem_core.cli.documented import Documented
 from gem_core.cli.layout import counted, output_width, wrapped
 
 _WIDTH = 80  # at most
-_INDENT = 4
-_LABEL = 8
-_COLOURS = {
-    **dict.fromkeys(("ok", "met", "there"), "green"),
-    **dict.fromkeys(("broken", "unmet"), "red"),
-    **dict.fromkeys(("note", "disabled", "untried", "unknown"), "yellow"),
-}
+_INDENT = 12
+_COLOURS = {"ok": "green", "met": "green", "broken": "red", "unmet": "red", "note": "yellow", "disabled": "yellow"}
 
 
 @click.command("doctor", cls=Documented)
@@ -48,95 +44,56 @@ def command(ctx: click.Context, quick: bool, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(found, indent=1))
     else:
-        _print_versions(found)
-        _print_plugins(found)
-        _print_tools(found["tools"])
-        _print_requirements(found["requirements"])
-        _print_rest(found)
-        _print_verdict(found)
+        _print_section("Versions", _versions(found))
+        _print_section("Plugins", map(_plugin, found["plugins"]))
+        none = [("", "none is installed; 'pip install gem-tools' brings some")]
+        _print_section("Tools", list(map(_tool, found["tools"])) or none)
+        _print_section("Requirements", (row for each in found["requirements"] for row in _requirement(each)))
+        broken = [("broken", line) for line in found["broken"]]
+        _print_section("Verdict", broken or [("ok", "nothing that is installed is broken")])
     ctx.exit(1 if found["broken"] else 0)
 
 
-def _print_versions(found: dict[str, Any]) -> None:
-    _heading("Versions")
-    _row(f"gem-core {found['gem_core']}, {found['implementation']} {found['python']} on {found['platform']}")
-    _row(_versions(found["packages"]))
-
-
-def _print_plugins(found: dict[str, Any]) -> None:
-    _heading("Plugins")
-    for plugin in found["plugins"]:
-        failure = plugin["failure"]
-        state = "broken" if failure else "disabled" if plugin["disabled"] else "ok"
-        what = f"at stage '{failure['stage']}'" if failure else "" if plugin["disabled"] else offers_in_words(plugin)
-        name = f"{plugin['name']} ({plugin['distribution']} {plugin['version']})"
-        _row(f"{name}, {plugin['load_time_ms']:.1f} ms: {what}".removesuffix(": "), state)
-        for line in failure["traceback"].rstrip().splitlines() if failure else ():
-            click.echo(f"{'':{_INDENT + _LABEL}}{line}")
-    for line in found["notes"]:
-        _row(line, "note")
-
-
-def _print_tools(tools: list[dict[str, Any]]) -> None:
-    _heading("Tools")
-    for tool in tools:
-        status = status_line(tool["status"])
-        text = " ".join(str(tool["error"] or status or tool["summary"]).split())
-        _row(f"{tool['tool']}: {text}".removesuffix(": "), "broken" if tool["error"] else "ok" if status else "")
-    if not tools:
-        _row("none is installed; 'pip install gem-tools' brings some")
-
-
-def _print_requirements(rows: list[dict[str, Any]]) -> None:
-    _heading("Requirements")
-    for row in rows:
-        count, name = row["environments"], row["requirement"]
-        if name.startswith("never:"):
-            name = "never"
-        needed = "no environment needs it" if not count else f"{row['example']} needs it"
-        if count > 1:
-            needed = f"{count} environments need it, as {row['example']}"
-        # No colour for a requirement that nothing needs.
-        _row(f"{name}: {row['detail']}; {needed}", row["status"], plain=not count)
-        if count and row["advice"]:
-            _row(f"→ {row['advice']}")
-
-
-def _print_rest(found: dict[str, Any]) -> None:
-    _heading("Extras and surroundings")
+def _versions(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    yield "", f"gem-core {found['gem_core']}, {found['implementation']} {found['python']} on {found['platform']}"
+    yield "", ", ".join(f"{name} {version or 'missing'}" for name, version in found["packages"].items())
     for extra in found["extras"]:
-        advice = "" if extra["present"] else f"; pip install 'gem-core[{extra['extra']}]'"
-        _row(f"{extra['extra']}: {_versions(extra['packages'])}{advice}", "there" if extra["present"] else "absent")
-    program = found["command"]
-    advice = f"; {program['advice']}" if program["advice"] else ""
-    _row(f"command gem: {program['detail']}{advice}", "ok" if program["status"] == "met" else "note")
+        if not extra["present"]:
+            missing = [name for name, version in extra["packages"].items() if version is None]
+            yield "absent", f"{', '.join(missing)}: pip install 'gem-core[{extra['extra']}]'"
+    if found["command"]["status"] != "met":
+        yield "note", f"{found['command']['detail']}: {found['command']['advice']}"
 
 
-def _print_verdict(found: dict[str, Any]) -> None:
-    _heading("Verdict")
-    for line in found["broken"]:
-        _row(line, "broken")
-    unmet = [row for row in found["requirements"] if row["status"] == "unmet" and row["environments"]]
-    if unmet:
-        _row(f"{counted(len(unmet), 'unmet requirement')}, see the arrows above", "note")
-    if not found["broken"]:
-        _row("nothing that is installed is broken", "ok")
+def _plugin(plugin: dict[str, Any]) -> tuple[str, str]:
+    name = f"{plugin['name']} ({plugin['distribution']} {plugin['version']})"
+    if plugin["failure"]:
+        return "broken", f"{name}\n{plugin['failure']['traceback'].rstrip()}"
+    if plugin["disabled"]:
+        return "disabled", name
+    return "ok", f"{name}, {plugin['load_time_ms']:.1f} ms: {offers_in_words(plugin)}"
 
 
-def _versions(packages: dict[str, str | None]) -> str:
-    return ", ".join(f"{name} {version or 'missing'}" for name, version in packages.items())
+def _tool(tool: dict[str, Any]) -> tuple[str, str]:
+    status = status_line(tool["status"])
+    state = "broken" if tool["error"] else "ok" if status else ""
+    return state, f"{tool['tool']}: {status_line(tool['error']) or status or tool['summary']}".removesuffix(": ")
 
 
-def _heading(text: str) -> None:
-    click.echo(click.style(text, bold=True))
+def _requirement(row: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    count, name = row["environments"], "never" if row["requirement"].startswith("never:") else row["requirement"]
+    needed = f"needed by {counted(count, 'environment')}, as {row['example']}" if count else "no environment needs it"
+    yield row["status"], f"{name}: {row['detail']}; {needed}"
+    if count and row["advice"]:
+        yield "", f"→ {row['advice']}"
 
 
-def _row(text: str, state: str = "", *, plain: bool = False) -> None:
-    """Print a row after its state, which is coloured unless ``plain``."""
-    label = state.ljust(_LABEL)
-    width = min(output_width() or _WIDTH, _WIDTH) - _INDENT - _LABEL
-    first, *rest = wrapped(text, width)
-    colour = None if plain else _COLOURS.get(state)
-    click.echo(f"{'':{_INDENT}}{click.style(label, fg=colour) if colour else label}{first}")
-    for line in rest:
-        click.echo(f"{'':{_INDENT + _LABEL}}{line}")
+def _print_section(title: str, rows: Iterable[tuple[str, str]]) -> None:
+    """Print rows under a title, each behind its state; long ones are broken between words."""
+    width = min(output_width() or _WIDTH, _WIDTH)
+    click.secho(title, bold=True)
+    for state, text in rows:
+        first, *rest = (piece for line in text.split("\n") for piece in wrapped(line, width - _INDENT))
+        click.echo(f"    {click.style(f'{state:<8}', fg=_COLOURS.get(state))}{first}")
+        for line in rest:
+            click.echo(" " * _INDENT + line)

@@ -53,18 +53,16 @@ def command(ctx: click.Context, name: str | None, check: bool, timeout_s: float,
 
 
 def _print(plugin: dict[str, Any], *, with_traceback: bool) -> None:
-    head = f"{click.style(plugin['name'], bold=True)}  {plugin['distribution']} {plugin['version']}"
-    failure, problems = plugin["failure"], plugin["problems"]
+    failure, lines = plugin["failure"], [*plugin["problems"]]
     if plugin["disabled"]:
-        click.echo(f"{head}  {click.style('disabled', fg='yellow')} by GEM_PLUGINS_DISABLE")
+        state = click.style("disabled", fg="yellow") + " by GEM_PLUGINS_DISABLE"
     elif failure:
-        click.echo(f"{head}  {click.style('broken', fg='red')} at stage '{failure['stage']}'")
-        echo_line(f"    {failure['error']}")
-        if with_traceback:
-            click.echo("".join(f"    {line}\n" for line in failure["traceback"].splitlines()), nl=False)
+        state = click.style("broken", fg="red") + f" at stage '{failure['stage']}'"
+        lines = [failure["error"], *(failure["traceback"].splitlines() if with_traceback else ()), *lines]
     else:
-        state = click.style("broken in part", fg="red") if problems else click.style("works", fg="green")
-        click.echo(f"{head}  {state}, {plugin['load_time_ms']:.1f} ms")
-        echo_line(f"    {offers_in_words(plugin)}")
-    for problem in problems:
-        echo_line(f"    {problem}")
+        state = click.style("broken in part", fg="red") if lines else click.style("works", fg="green")
+        state += f", {plugin['load_time_ms']:.1f} ms"
+        lines = [offers_in_words(plugin), *lines]
+    click.echo(f"{click.style(plugin['name'], bold=True)}  {plugin['distribution']} {plugin['version']}  {state}")
+    for line in lines:
+        echo_line(f"    {line}")
