@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -108,12 +109,8 @@ def test_names_are_made_normal(name: str, distribution: str, package: str) -> No
 )
 def test_impossible_names_are_refused(name: str) -> None:
     """With what a name looks like."""
-    with pytest.raises(ArgumentError) as caught:
+    with pytest.raises(ArgumentError, match="cannot be the name of a plugin"):
         names_of(name)
-    assert str(caught.value) == (
-        f"{name!r} cannot be the name of a plugin; "
-        "take letters, digits and hyphens, beginning with a letter, as in 'my-games'"
-    )
 
 
 @pytest.mark.parametrize("name", ["class", "core", "gem", "gem-core", "import"])
@@ -153,44 +150,16 @@ def test_command_prints_three_commands_to_go_on_with(
     assert (tmp_path / "gem-mine" / "gem_mine" / "env.py").is_file()
 
 
-def test_nothing_is_overwritten(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A folder that has anything in it is left alone."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "gem-mine").mkdir()
-    (tmp_path / "gem-mine" / "notes").touch()
-    assert call("mine") == 2
-    assert [path.name for path in (tmp_path / "gem-mine").iterdir()] == ["notes"]
-    assert capsys.readouterr().err == (
-        "gem: the folder gem-mine is there already, and is not empty; choose another with --into\n"
-    )
+@pytest.mark.parametrize("make", [Path.touch, lambda path: (path.mkdir(), (path / "notes").touch())])
+def test_nothing_is_overwritten(make: Callable[[Path], object], tmp_path: Path) -> None:
+    """Neither a file nor a folder that has anything in it."""
+    make(tmp_path / "gem-mine")
+    before = sorted(tmp_path.rglob("*"))
+    assert call("mine", "--into", str(tmp_path / "gem-mine")) == 2
+    assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_a_file_in_the_way_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """And is not replaced."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "gem-mine").write_text("mine")
-    assert call("mine") == 2
-    assert capsys.readouterr().err == "gem: gem-mine is there already, and is no folder; choose another with --into\n"
-
-
-def test_installed_plugin_is_not_begun_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_installed_plugin_is_not_begun_again(capsys: pytest.CaptureFixture[str]) -> None:
     """Neither its name nor its namespace can be had twice."""
-    monkeypatch.chdir(tmp_path)
     assert call("toy") == 2
-    assert capsys.readouterr().err == (
-        "gem: the namespace 'toy' is in use already, by 'toy:Alpha-v0'; choose another name\n"
-    ).replace("toy:Alpha-v0", sorted(i for i in gem_core.list_envs() if i.startswith("toy:"))[0])
-
-
-def test_wheel_would_hold_the_templates() -> None:
-    """They are files of the package, read as such."""
-    for kind in KINDS:
-        assert (
-            Path(gem_core.__file__).parent / "cli" / "templates" / "plugin" / "package" / f"{kind}.py.tmpl"
-        ).is_file()
+    assert "the namespace 'toy' is in use already" in capsys.readouterr().err

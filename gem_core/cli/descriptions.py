@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import re
 from collections.abc import Callable
 from typing import Any
@@ -17,7 +18,6 @@ from gem_core.registry.plugins import Record
 from gem_core.registry.specs import AgentSpec, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec, WrapperSpec
 
 _ROLE = re.compile(r"(?::[\w:]+:`|``)([^`]+)`{1,2}")
-_ITEM = re.compile(r"\s*(- |[*\w, ]+: )")
 
 KINDS: dict[str, type[NamedSpec]] = {
     "tools": ToolSpec,
@@ -45,7 +45,7 @@ def describe_record(record: Record) -> dict[str, Any]:
         facts: dict[str, Any] = {
             "id": record.id,
             "summary": record.summary,
-            "kwargs": {key: value if _is_plain(value) else repr(value) for key, value in record.kwargs.items()},
+            "kwargs": json.loads(json.dumps(dict(record.kwargs), default=repr)),
             "seats": list(record.seats),
             "max_turns": record.turn_limit,
             "tags": list(record.tags),
@@ -105,46 +105,12 @@ def option_lines(maker: Callable[..., Any]) -> list[str]:
 
 
 def own_documentation(maker: Callable[..., Any]) -> str | None:
-    """Return the docstring of a class or function; not that of a base class, which is about something else."""
+    """Return the docstring of a class or function without its markup; not that of a base class."""
     own = vars(maker).get("__doc__") if isinstance(maker, type) else getattr(maker, "__doc__", None)
-    return inspect.cleandoc(own) if isinstance(own, str) else None
-
-
-def paragraphs(documentation: str) -> list[str]:
-    """Return a docstring without its markup, each of its paragraphs and arguments as one line."""
-    lines: list[str] = []
-    example = False
-    for line in _ROLE.sub(r"\1", documentation).splitlines():
-        indent, before = _indent(line), lines[-1] if lines else ""
-        example = example and (not line.strip() or indent > 0)
-        follows = indent == _indent(before) and not _ITEM.match(line) and not before.endswith(":")
-        if (
-            line.strip()
-            and before.strip()
-            and not example
-            and (follows or (indent > _indent(before) and _ITEM.match(before)))
-        ):
-            line = f"{before} {line.strip()}"
-            lines.pop()
-        example = example or line.endswith("::")
-        lines.append(line.replace("::", ":") if line.endswith("::") else line)
-    return lines
-
-
-def _indent(line: str) -> int:
-    return len(line) - len(line.lstrip())
+    return _ROLE.sub(r"\1", inspect.cleandoc(own)).replace("::\n", ":\n") if isinstance(own, str) else None
 
 
 def _option(parameter: inspect.Parameter) -> str:
-    annotation = parameter.annotation
-    # As written in the source: postponed annotations are strings, which formatannotation would quote.
-    written = annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
-    typed = "" if annotation is parameter.empty else f": {written}"
-    stars = "*" * (parameter.kind is parameter.VAR_POSITIONAL) + "**" * (parameter.kind is parameter.VAR_KEYWORD)
-    equals = " = " if typed else "="
-    default = "" if parameter.default is parameter.empty else f"{equals}{parameter.default!r}"
-    return f"{stars}{parameter.name}{typed}{default}"
-
-
-def _is_plain(value: object) -> bool:
-    return value is None or isinstance(value, bool | int | float | str)
+    written = parameter.annotation
+    # Postponed annotations are strings, which inspect would quote.
+    return str(parameter).replace(f": {written!r}", f": {written}", 1) if isinstance(written, str) else str(parameter)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,18 +16,17 @@ from gem_core.cli.descriptions import (
     find_named,
     option_lines,
     own_documentation,
-    paragraphs,
 )
 from gem_core.cli.documented import Documented
-from gem_core.cli.layout import output_width, wrapped
+from gem_core.cli.layout import echo_line, output_width, wrapped
 from gem_core.cli.targets import find_env
 from gem_core.cli.tool_options import import_option
 from gem_core.errors import GemError
+from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.requirements import unmet
 from gem_core.registry.specs import EnvSpec
 
 if TYPE_CHECKING:
-    from gem_core.env.multi_agent import MultiAgentEnv
     from gem_core.types import Observation
 
 
@@ -61,67 +61,57 @@ def command(env_id: str, as_json: bool) -> None:
 
 
 def _describe_env(record: EnvSpec, as_json: bool) -> None:
-    facts = describe_record(record)
-    missing = unmet(record.requires)
+    facts = {**describe_record(record), "unmet": unmet(record.requires)}
     if as_json:
-        click.echo(json.dumps({**facts, "unmet": missing}, indent=1))
+        click.echo(json.dumps(facts, indent=1))
         return
     _print_title(record.id, record.summary)
-    _print_field("seats", ", ".join(record.seats))
-    _print_field("turn limit", "none" if record.turn_limit is None else str(record.turn_limit))
-    _print_field("arguments", ", ".join(f"{key}={value!r}" for key, value in record.kwargs.items()) or "none")
-    _print_field("tags", ", ".join(record.tags))
-    _print_field("requires", ", ".join(record.requires) or "nothing more")
-    _print_field("repeatable", "yes, by seed and actions" if record.deterministic else "no")
-    _print_field("offered by", facts["distribution"] or "this program")
-    _print_field("entry point", facts["entry_point"])
-    _print_field("page", facts["page"])
-    _print_field("missing", list(missing.values()))
-    if not missing:
-        _print_class(record)
-
-
-def _print_class(record: EnvSpec) -> None:
-    from gem_core.api import make
-    from gem_core.env.multi_agent import MultiAgentEnv
-    from gem_core.registry.entry_points import load_entry_point
-
+    fields: dict[str, str | list[str] | None] = {
+        "seats": ", ".join(record.seats),
+        "turn limit": str(record.turn_limit or "none"),
+        "arguments": ", ".join(f"{key}={value!r}" for key, value in record.kwargs.items()) or "none",
+        "tags": ", ".join(record.tags),
+        "requires": ", ".join(record.requires) or "nothing more",
+        "repeatable": "yes, by seed and actions" if record.deterministic else "no",
+        "offered by": facts["distribution"] or "this program",
+        "entry point": facts["entry_point"],
+        "page": facts["page"],
+        "missing": list(facts["unmet"].values()),
+    }
+    if facts["unmet"]:
+        _print_fields(fields)
+        return
     maker = load_entry_point(record.entry_point, f"environment {record.id!r}")
-    _print_field("accepts", option_lines(maker) or "no arguments")
-    documented = own_documentation(maker)
-    if documented:
-        _print_text("", *paragraphs(documented))
+    _print_fields({**fields, "accepts": option_lines(maker) or "no arguments"})
+    _print_text("", own_documentation(maker))
     try:
-        env = make(record)
-        try:
-            observation, _ = env.reset(seed=0)
-            acts = _how_they_act(env) if isinstance(env, MultiAgentEnv) else ""
-        finally:
-            env.close()
-    except GemError as error:  # print the rest even without its data or engine
+        _print_first_observations(record)
+    except GemError as error:  # the rest is printed even without data or engine
         _print_text("", f"There is no observation to show: {error}")
-        return
-    if not acts:
-        _print_observation("The first observation", observation)
-        return
-    _print_text("", acts)
+
+
+def _print_first_observations(record: EnvSpec) -> None:
+    from gem_core.api import make
+    from gem_core.env.agent_selector import AgentSelector
+    from gem_core.env.multi_agent import MultiAgentEnv
+
+    with closing(make(record)) as env:
+        observation, _ = env.reset(seed=0)
+        if not isinstance(env, MultiAgentEnv):
+            _print_observation("The first observation", observation)
+            return
+        selector = env.agent_selector
+    if type(selector).choose is not AgentSelector.choose:
+        _print_text("", "The environment decides who acts next.")
+    else:
+        _print_text("", f"The agents act {'one after another' if selector.mode == 'sequential' else 'all at once'}.")
     for seat, seen in observation.items():
         _print_observation(f"The first observation of {seat}", seen)
 
 
-def _how_they_act(env: MultiAgentEnv) -> str:
-    from gem_core.env.agent_selector import AgentSelector
-
-    selector = env.agent_selector
-    if type(selector).choose is not AgentSelector.choose:
-        return "The environment decides who acts next."
-    return "The agents act " + ("one after another." if selector.mode == "sequential" else "all at once.")
-
-
 def _print_observation(title: str, observation: Observation) -> None:
-    click.echo(click.style(f"\n{title}, with seed 0:", bold=True))
-    text = observation if isinstance(observation, str) else json.dumps(observation, default=repr, indent=1)
-    _print_text(*text.splitlines())
+    click.secho(f"\n{title}, with seed 0:", bold=True)
+    _print_text(observation if isinstance(observation, str) else json.dumps(observation, default=repr, indent=1))
 
 
 def _print_named(facts: dict[str, Any]) -> None:
@@ -129,17 +119,19 @@ def _print_named(facts: dict[str, Any]) -> None:
     from gem_core.cli.diagnosis import status_line
 
     _print_title(facts["name"], facts["summary"])
-    _print_field("kind", facts["kind"])
-    _print_field("argument", facts.get("argument"))
-    _print_field("options", facts["options"] or "none")
-    _print_field("offered by", facts["distribution"] or "this program")
-    _print_field("entry point", facts["entry_point"])
-    _print_field("here", status_line(facts.get("status")))
-    _print_field("missing", facts.get("problem"))
-    if facts["documentation"]:
-        _print_text("", *paragraphs(facts["documentation"]))
+    fields = {
+        "kind": facts["kind"],
+        "argument": facts.get("argument"),
+        "options": facts["options"] or "none",
+        "offered by": facts["distribution"] or "this program",
+        "entry point": facts["entry_point"],
+        "here": status_line(facts.get("status")),
+        "missing": facts.get("problem"),
+    }
+    _print_fields(fields)
+    _print_text("", facts["documentation"])
     if facts.get("instructions"):
-        click.echo(click.style("\nWhat an agent is told, without options:", bold=True))
+        click.secho("\nWhat an agent is told, without options:", bold=True)
         _print_text(*facts["instructions"])
 
 
@@ -147,15 +139,18 @@ def _print_title(name: str, summary: str) -> None:
     _print_text(click.style(name, bold=True) + (f" · {summary}" if summary else ""))
 
 
-def _print_text(*lines: str, indent: int | None = None) -> None:
-    for line in lines:
-        for piece in wrapped(line, output_width(), indent):
-            click.echo(piece)
+def _print_text(*texts: str | None) -> None:
+    if texts[-1]:
+        for text in texts:
+            for line in (text or "").split("\n"):
+                echo_line(line)
 
 
-def _print_field(label: str, value: str | list[str] | None) -> None:
-    """Print a label and its value, a list with a line for each item; nothing if there is no value."""
-    lines = [value] if isinstance(value, str) and value else value or []
-    for number, line in enumerate(lines):
-        head = f"{label}:" if number == 0 else ""
-        _print_text(f"  {head:<14}{line}", indent=16)
+def _print_fields(fields: dict[str, str | list[str] | None]) -> None:
+    """Print labels and their values, a list with a line for each item; nothing for an empty one."""
+    for label, value in fields.items():
+        head = f"{label}:"
+        for line in [value] if isinstance(value, str) and value else value or []:
+            for piece in wrapped(f"  {head:<14}{line}", output_width(), 16):
+                click.echo(piece)
+            head = ""
