@@ -1,4 +1,4 @@
-"""Chat views: messages, the text of a template, budgets and summaries."""
+"""Chat views: messages, the text of a template, and budgets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ import gem_core as gem
 from gem_core.env.guard import Guard
 from gem_core.env.observations import texts_of
 from gem_core.errors import ArgumentError
-from gem_core.records.turns import Turn
 from gem_core.tools.env import ToolEnv
 from gem_core.wrappers.chat import ConcatChat, MessagesView
 from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView
@@ -45,9 +44,8 @@ def played(view: Any, actions: list[str]) -> list[Any]:
 
 
 def test_messages_are_a_chat() -> None:
-    """System first where there is one, then user and assistant in turn, each answer as it was then."""
-    assert played(MessagesView(CountdownEnv(), system="Be brief."), ["a", "b"])[-1] == [
-        {"role": "system", "content": "Be brief."},
+    """User and assistant in turn, each answer as it was then."""
+    assert played(MessagesView(CountdownEnv()), ["a", "b"])[-1] == [
         {"role": "user", "content": "Count down.\nLeft: 100."},
         {"role": "assistant", "content": "a"},
         {"role": "user", "content": "You said 'a'.\nLeft: 99."},
@@ -56,17 +54,8 @@ def test_messages_are_a_chat() -> None:
     ]
 
 
-def test_messages_may_show_how_things_stand_once() -> None:
-    """At the end, as the other views of the history do."""
-    assert [m["content"] for m in played(MessagesView(CountdownEnv(), repeat_suffix=False), ["a"])[-1]] == [
-        "Count down.\n",
-        "a",
-        "You said 'a'.\nLeft: 99.",
-    ]
-
-
 def test_the_system_message_of_a_task_is_taken() -> None:
-    """From ``info["system"]``, unless the view has its own."""
+    """From ``info["system"]``."""
 
     class WithSystem(EchoEnv):
         def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
@@ -74,7 +63,6 @@ def test_the_system_message_of_a_task_is_taken() -> None:
             return observation, {**info, "system": "You echo."}
 
     assert MessagesView(WithSystem()).reset()[0][0] == {"role": "system", "content": "You echo."}
-    assert MessagesView(WithSystem(), system="Mine.").reset()[0][0] == {"role": "system", "content": "Mine."}
 
 
 def test_native_calls_are_answered_under_their_ids() -> None:
@@ -95,17 +83,6 @@ def test_native_calls_are_answered_under_their_ids() -> None:
     assert chat[-1]["role"] == "user"
     assert chat[-1]["content"].startswith("Output of note:\nl0\nl1\nx\n")
     assert "tool_calls" not in chat[-2]
-
-
-def test_reasoning_is_kept_on_request() -> None:
-    """Some servers want it back."""
-    env = MessagesView(EchoEnv(), keep_reasoning=True)
-    env.reset()
-    assert env.step(gem.Response("hi", reasoning="because"))[0][1] == {
-        "role": "assistant",
-        "content": "hi",
-        "reasoning_content": "because",
-    }
 
 
 def test_concat_chat_appends_the_raw_response_and_the_bridge() -> None:
@@ -149,7 +126,6 @@ def extends(earlier: Any, action: str, later: Any) -> bool:
 
 CHAT = [
     MessagesView,
-    lambda env: MessagesView(env, repeat_suffix=False),
     lambda env: MessagesView(env, max_turns=2),
     lambda env: ConcatChat(env, Template()),
     lambda env: ConcatChat(env, Template(), drop_thinking=True),
@@ -166,7 +142,7 @@ def test_append_only_is_kept(make: Any, actions: list[str]) -> None:
         assert all(map(extends, observations, actions, observations[1:]))
 
 
-@pytest.mark.parametrize("make", CHAT[1:3])
+@pytest.mark.parametrize("make", CHAT[1:2])
 def test_what_drops_is_not_append_only(make: Any) -> None:
     """It does not declare it, and rightly so."""
     view = make(CountdownEnv())
@@ -211,28 +187,11 @@ def test_a_budget_that_not_even_the_task_fits_is_refused() -> None:
         Concat(CountdownEnv(), max_tokens=3, count_tokens=words).reset()
 
 
-def test_dropped_turns_are_summarised() -> None:
-    """Each turn once, with the summary so far."""
-    seen: list[tuple[str, list[str]]] = []
-
-    def summarize(summary: str, turns: list[Turn]) -> str:
-        seen.append((summary, [turn.action for turn in turns]))
-        return f"{summary}{''.join(turn.action for turn in turns)}"
-
-    view = ConcatWithAction(CountdownEnv(), max_turns=1, summarize=summarize)
-    assert played(view, ["a", "b", "c"])[-1] == (
-        "Count down.\nSummary of the earlier turns:\nab\nc\nYou said 'c'.\nLeft: 97."
-    )
-    assert seen == [("", ["a"]), ("a", ["b"])]
-    assert view.concurrency == "thread"
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"max_tokens": 3}, "max_tokens needs count_tokens"),
         ({"max_tokens": 0, "count_tokens": words}, "max_tokens must be a positive whole number or None, not 0"),
-        ({"summarize": lambda summary, turns: ""}, "summarize needs max_turns or max_tokens"),
     ],
 )
 def test_options_that_cannot_work_are_refused(options: dict[str, Any], message: str) -> None:
@@ -241,10 +200,7 @@ def test_options_that_cannot_work_are_refused(options: dict[str, Any], message: 
         Concat(EchoEnv(), **options)
 
 
-@pytest.mark.parametrize(
-    "make",
-    [*CHAT, lambda env: Concat(env, max_turns=1, summarize=lambda summary, turns: summary + turns[0].action)],
-)
+@pytest.mark.parametrize("make", CHAT)
 def test_state_goes_on_in_another_instance(make: Any) -> None:
     """After a JSON round trip the other instance shows the same chat."""
     view, other = make(Guard(CountdownEnv())), make(Guard(CountdownEnv()))

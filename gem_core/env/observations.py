@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gem_core.types import Observation
@@ -33,19 +33,23 @@ def split_observation(observation: Observation, info: dict[str, Any]) -> tuple[O
     return observation, ""
 
 
-def join_observations(pieces: Iterable[Observation]) -> Observation:
+def join_observations(pieces: Sequence[Observation]) -> Observation:
     """Join outputs and actions, each beginning on a line of its own; parts once there is one list of parts."""
-    pieces = [piece for piece in pieces if piece]
-    if all(isinstance(piece, str) for piece in pieces):
-        texts = [str(piece) for piece in pieces]
-        lines = [text if text.endswith("\n") else f"{text}\n" for text in texts[:-1]]
-        return "".join([*lines, *texts[-1:]])
-    parts: list[dict[str, Any]] = []
+    text = ""
     for piece in pieces:
-        last = parts[-1] if parts else None
-        if isinstance(last, Mapping) and last.get("type") == "text" and not str(last.get("text", "")).endswith("\n"):
+        if not isinstance(piece, str):
+            return _join_as_parts(pieces)
+        text += f"\n{piece}" if piece and text and not text.endswith("\n") else piece
+    return text
+
+
+def _join_as_parts(pieces: Sequence[Observation]) -> list[dict[str, Any]]:
+    parts: list[dict[str, Any]] = []
+    for added in filter(None, map(as_parts, pieces)):
+        last = parts[-1] if parts else {}
+        if last.get("type") == "text" and not str(last.get("text", "")).endswith("\n"):
             parts[-1] = {**last, "text": f"{last.get('text', '')}\n"}
-        parts.extend(as_parts(piece))
+        parts += added
     return parts
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from gem_core.parsing import without_thinking
+from gem_core.records.conversation import History, Turn
 from gem_core.records.episode import Episode, Transition, return_range_of
 from gem_core.records.files import (
     EpisodeFileWarning,
@@ -18,7 +19,6 @@ from gem_core.records.plain_json import ImageFolder, from_plain, to_plain
 from gem_core.records.plans import EpisodeStart, PlanItem, count_plan, cover_plan, group_plan, mixture_plan
 from gem_core.records.redaction import without_secrets
 from gem_core.records.summary import EnvSummary, RunSummary
-from gem_core.records.turns import Turn
 from gem_core.records.uncertainty import Range, effective_size, shared_range, standard_error, wilson
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "EpisodeLine",
     "EpisodeStart",
     "EpisodeWriter",
+    "History",
     "ImageFolder",
     "JointEpisode",
     "PlanItem",

@@ -1,17 +1,114 @@
-"""``Conversation``: an episode as chat messages or as text, regardless of its view."""
+"""The history of an episode, as text or as chat messages: ``History`` in views, ``Conversation`` from a record."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, Self
 
-from gem_core.env.observations import is_messages, observation_from, split_observation
-from gem_core.records.turns import Turn, call_id, with_actions
+from gem_core.env.observations import is_messages, join_observations, observation_from, split_observation
+from gem_core.records.plain_json import to_plain
 from gem_core.types import TERMINAL_STATE, Info, Observation, Response
 
 ChatMessage = dict[str, Any]
 
 CONCAT_WITH_ACTION = "concat_with_action"
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """One turn of a history. Its fields are read by name, never unpacked: there may be more of them.
+
+    Args:
+        action: The response's text, to the letter.
+        feedback: What happened.
+        suffix: How things stood after it.
+        tool_calls: Native calls of the response; None without any.
+        messages: What the environment appends to a chat, where it says so in ``info["messages"]``.
+    """
+
+    action: str
+    feedback: Observation
+    suffix: Observation = ""
+    tool_calls: list[dict[str, Any]] | None = None
+    messages: list[dict[str, Any]] | None = None
+
+    @classmethod
+    def of(cls, action: str, observation: Observation, info: Info) -> Self:
+        """Return the turn of a response, and of what ``step`` returned for it."""
+        feedback, suffix = split_observation(observation, info)
+        messages = info.get("messages")
+        if not isinstance(messages, list) or not all(isinstance(message, Mapping) for message in messages):
+            messages = None
+        # A plain str: what the server reported about a response is kept by the rollout, not by the history.
+        return cls(str(action), feedback, suffix, getattr(action, "tool_calls", None), messages)
+
+    def as_messages(self) -> list[ChatMessage]:
+        """Return the response, with those native calls that were answered, and its answers."""
+        said: ChatMessage = {"role": "assistant", "content": self.action}
+        if self.tool_calls and self.messages:
+            said["tool_calls"] = [{**call, "id": call_id(call, place)} for place, call in enumerate(self.tool_calls)]
+        return [said, *self.answers()]
+
+    def answers(self) -> list[ChatMessage]:
+        """Return what the environment answered: under the ids of native calls, or as the user."""
+        if self.messages is not None:
+            return [dict(message) for message in self.messages]
+        return [{"role": "user", "content": observation_from(self.feedback, self.suffix)}]
+
+
+@dataclass
+class History:
+    """The task and the turns of an episode, and the forms in which they are shown.
+
+    Args:
+        task: What the reset said.
+        suffix: How things stood then.
+        system: Text of the system message; None without one.
+        turns: Oldest first; a view may leave out the oldest.
+    """
+
+    task: Observation
+    suffix: Observation = ""
+    system: str | None = None
+    turns: list[Turn] = field(default_factory=list)
+
+    def latest(self) -> Observation:
+        """Return the newest output, and how things stand now."""
+        return observation_from(self.turns[-1].feedback if self.turns else self.task, self._present())
+
+    def outputs(self) -> Observation:
+        """Return all outputs, and how things stand now once, at the end."""
+        return observation_from(join_observations([self.task, *[t.feedback for t in self.turns]]), self._present())
+
+    def text(self) -> Observation:
+        """Return all outputs and actions, and how things stand now once, at the end."""
+        pieces = [self.task]
+        for turn in self.turns:
+            pieces += [turn.action, *map(_call_as_text, turn.tool_calls or ()), turn.feedback]
+        return observation_from(join_observations(pieces), self._present())
+
+    def messages(self) -> list[ChatMessage]:
+        """Return the chat; the list and its messages are the caller's own.
+
+        It is append-only: each answer of the environment keeps its suffix. Where the environment, or a wrapper that is
+        no view of ours, keeps the chat itself, its newest list is taken.
+        """
+        chat: list[Any] = [{"role": "user", "content": observation_from(self.task, self.suffix)}]
+        if is_messages(self.task):
+            chat = list(self.task)
+        for turn in self.turns:
+            if is_messages(turn.feedback):
+                chat = list(turn.feedback)
+            else:
+                chat += turn.as_messages()
+        if self.system is not None and not any(message.get("role") in ("system", "developer") for message in chat):
+            chat.insert(0, {"role": "system", "content": self.system})
+        return [dict(message) for message in chat]
+
+    def _present(self) -> Observation:
+        return self.turns[-1].suffix if self.turns else self.suffix
 
 
 class Turned(Protocol):
@@ -38,9 +135,7 @@ class Recorded(Protocol):
 
 
 class Conversation:
-    """The conversation of an episode so far, built from its record; each turn is read once, when it is needed.
-
-    The messages are append-only: each answer of the environment keeps its suffix.
+    """The history of an episode so far, whatever its view: built from its record, each turn when it is needed.
 
     Args:
         episode: It may still be under way.
@@ -54,54 +149,46 @@ class Conversation:
         self._viewed = "view" in episode.info or episode.reads is None
         self._instructions = self._in_both_wordings()
         self.system = self._system()
-        self._task, self._suffix = self._split(episode.observation, episode.info)
-        self._turns: list[Turn] = []
-        self._chat = self._opening()
+        first = self._turn("", episode.observation, episode.info)
+        self._history = History(first.feedback, first.suffix, self.system)
 
     def sent(self) -> Observation:
         """Return what the agent is sent now, according to ``reads`` of the episode."""
-        episode = self._episode
-        if episode.reads == "messages":
+        if self._episode.reads == "messages":
             return self.messages()
-        newest = self.text() if episode.reads == CONCAT_WITH_ACTION else episode.final_observation
-        shown: Observation = self._explained_once(newest)
+        if self._episode.reads == CONCAT_WITH_ACTION:
+            return self._so_far().text()
+        shown: Observation = self._explained_once(self._episode.final_observation)
         return shown
 
     def messages(self) -> list[ChatMessage]:
         """Return the chat so far; the list and its messages are the caller's own."""
-        self._catch_up()
-        return [dict(message) for message in self._chat]
+        return self._so_far().messages()
 
-    def text(self) -> Observation:
-        """Return all outputs and actions so far, as the view ``concat_with_action`` shows them."""
-        self._catch_up()
-        return with_actions(self._task, self._turns, self._suffix)
+    def _so_far(self) -> History:
+        episode, turns = self._episode, self._history.turns
+        answers = [*(each.observation for each in episode.transitions[len(turns) + 1 :]), episode.final_observation]
+        for taken, answer in zip(episode.transitions[len(turns) :], answers, strict=False):
+            turn = self._turn(taken.action, answer, taken.info)
+            if turn.feedback == TERMINAL_STATE and turn.messages is None:
+                turn = replace(turn, messages=[])
+            turns.append(turn)
+        return self._history
 
-    def _catch_up(self) -> None:
-        transitions = self._episode.transitions
-        for place in range(len(self._turns), len(transitions)):
-            taken = transitions[place]
-            is_last = place + 1 == len(transitions)
-            observation = self._episode.final_observation if is_last else transitions[place + 1].observation
-            feedback, self._suffix = self._split(observation, taken.info)
-            turn = Turn.of(taken.action, feedback, self._suffix, taken.info)
-            self._turns.append(turn)
-            if is_messages(feedback):
-                self._chat = _with_system(self._explained_once(feedback), self.system)
-            elif feedback == TERMINAL_STATE and turn.messages is None:
-                self._chat.append(assistant_message(turn))
-            else:
-                self._chat += [assistant_message(turn), *self._explained_once(answer_messages(turn))]
-
-    def _opening(self) -> list[ChatMessage]:
-        task = self._explained_once(self._task)
-        if is_messages(task):  # the environment, or a wrapper that is no view of ours, keeps the chat itself
-            return _with_system(task, self.system)
-        return opening_messages(self.system, observation_from(task, self._suffix))
+    def _turn(self, action: str, observation: Observation, info: Info) -> Turn:
+        turn = Turn.of(action, observation, info)
+        if not self._viewed and observation_from(turn.feedback, turn.suffix) != observation:
+            turn = replace(turn, feedback=observation, suffix="")  # a wrapper that is no view has changed it
+        if self._instructions is None:
+            return turn
+        outputs = {name: self._explained_once(getattr(turn, name)) for name in ("feedback", "suffix", "messages")}
+        return replace(turn, **outputs)
 
     def _explained_once(self, observation: Any) -> Any:
         """Return a text without the explanation of tools if the agent is offered them natively."""
-        return observation if self._instructions is None else _in_native_words(observation, *self._instructions)
+        if self._instructions is None or observation is None:
+            return observation
+        return _in_native_words(observation, *self._instructions)
 
     def _in_both_wordings(self) -> tuple[str, str] | None:
         told = self._episode.info.get("tool_instructions")
@@ -118,40 +205,25 @@ class Conversation:
             system = first.get("content")  # messages that bring their own keep it
         return self._explained_once(system) if isinstance(system, str) else None
 
-    def _split(self, observation: Observation, info: Info) -> tuple[Observation, Observation]:
-        feedback, suffix = split_observation(observation, info)
-        if self._viewed or observation_from(feedback, suffix) == observation:
-            return feedback, suffix
-        return observation, ""  # a wrapper that is no view has changed it
+
+def call_id(call: object, place: int) -> str:
+    """Return the id of a native call, or one by its place where it has none, so that it can be answered."""
+    given = call.get("id") if isinstance(call, Mapping) else None
+    return str(given) if given else f"call_{place}"
 
 
-def opening_messages(system: str | None, task: Observation) -> list[ChatMessage]:
-    """Return the messages with which a chat begins."""
-    return _with_system([{"role": "user", "content": task}], system)
-
-
-def assistant_message(turn: Turn, *, keep_reasoning: bool = False) -> ChatMessage:
-    """Return a response as a message, with those native calls that were answered."""
-    message: ChatMessage = {"role": "assistant", "content": turn.action}
-    if turn.tool_calls and turn.messages is not None:
-        message["tool_calls"] = [{**call, "id": call_id(call, place)} for place, call in enumerate(turn.tool_calls)]
-    if keep_reasoning and turn.reasoning:
-        message["reasoning_content"] = turn.reasoning
-    return message
-
-
-def answer_messages(turn: Turn, *, with_suffix: bool = True) -> list[ChatMessage]:
-    """Return what the environment answered: under the ids of native calls, or as the user."""
-    if turn.messages is not None:
-        return [dict(message) for message in turn.messages]
-    return [{"role": "user", "content": observation_from(turn.feedback, turn.suffix if with_suffix else "")}]
-
-
-def _with_system(messages: Observation, system: str | None) -> list[ChatMessage]:
-    chat = [dict(message) for message in messages if isinstance(message, dict)]
-    if system is not None and not any(message.get("role") in ("system", "developer") for message in chat):
-        chat.insert(0, {"role": "system", "content": system})
-    return chat
+def _call_as_text(call: Mapping[str, Any]) -> str:
+    """Return a native call as it is written in a text; arguments that are no valid JSON stay as they were written."""
+    function = call.get("function", call.get("custom"))
+    if not isinstance(function, Mapping):
+        function = {}
+    arguments = function.get("arguments") or "{}"
+    if "input" in function:  # plain text, of a custom tool of the API
+        arguments = json.dumps(to_plain(function["input"]), ensure_ascii=False)
+    elif not isinstance(arguments, str):
+        arguments = json.dumps(to_plain(arguments), ensure_ascii=False)
+    name = json.dumps(to_plain(function.get("name", "")), ensure_ascii=False)
+    return f'<tool_call>{{"name": {name}, "arguments": {arguments}}}</tool_call>'
 
 
 def _in_native_words(observation: Any, text: str, native: str) -> Any:

@@ -25,8 +25,8 @@ from gem_core.parsing import (
     thinking_blocks,
     without_end_tokens,
 )
+from gem_core.records.conversation import call_id
 from gem_core.records.plain_json import is_deep
-from gem_core.records.turns import call_id
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import CallFormatSpec
