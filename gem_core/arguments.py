@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
-from gem_core.errors import ArgumentError
+from gem_core.errors import ArgumentError, GemError, StateNotSupported
 from gem_core.suggestions import did_you_mean
 
 Arguments = tuple[tuple[Any, ...], dict[str, Any]]
@@ -15,7 +16,10 @@ Arguments = tuple[tuple[Any, ...], dict[str, Any]]
 
 
 class RemembersArguments:
-    """Keeps the arguments of its constructor, from which ``spawn`` makes a sibling."""
+    """An environment or a wrapper: ``spawn`` makes another from the same arguments, ``fork`` one in the same state."""
+
+    shared_by_forks: ClassVar[tuple[str, ...]] = ()
+    """Attributes that a fork shares: what is large and never changes, such as the rows of a data set."""
 
     _init_args: Arguments = ((), {})
 
@@ -27,6 +31,34 @@ class RemembersArguments:
         self = super().__new__(cls)
         self._init_args = (args, kwargs)
         return self
+
+    def fork(self) -> Self:
+        """Return an independent copy in the same state, generators included: the same actions give the same results.
+
+        It is ``copy.deepcopy``, of a whole stack of wrappers too. A class that holds something outside of Python, such
+        as a container, overrides ``__deepcopy__``: it makes another one, or raises ``StateNotSupported``.
+
+        Raises:
+            StateNotSupported: The environment holds something that cannot be copied.
+        """
+        try:
+            return copy.deepcopy(self)
+        except GemError:
+            raise
+        except Exception as error:
+            raise StateNotSupported(
+                f"{type(self).__name__} cannot be forked ({type(error).__name__}: {error}); "
+                "make another, reset it with the same seed and options, and repeat the actions"
+            ) from error
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        # The arguments are those from which spawn makes a sibling, which may share them as well.
+        shared = [vars(self).get(name) for name in ("_init_args", *self.shared_by_forks)]
+        memo.update({id(value): value for value in shared})
+        copied = object.__new__(type(self))
+        memo[id(self)] = copied
+        vars(copied).update(copy.deepcopy(vars(self), memo))
+        return copied
 
 
 def signature_of(maker: Callable[..., Any]) -> inspect.Signature | None:

@@ -89,6 +89,8 @@ class DatasetEnv(Env):
         ArgumentError: Neither or both of ``rows`` and ``dataset_name``, or a template that shows nothing of a row.
     """
 
+    shared_by_forks = ("rows", "_row")
+
     def __init__(
         self,
         rows: RowSource | None = None,

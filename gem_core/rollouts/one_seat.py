@@ -7,7 +7,7 @@ import inspect
 from collections.abc import Awaitable, Mapping
 from contextlib import ExitStack
 from functools import partial
-from typing import Any, cast
+from typing import Any, Self, cast
 
 from gem_core.background import finish_now
 from gem_core.env.base import Env
@@ -108,6 +108,7 @@ class SingleAgentEnv(AroundEnv, Env):
         self._reward = 0.0
         """What the seat earned and has not been given."""
 
+    shared_by_forks = ("_players",)
     num_tasks = of_env("num_tasks")
     endless_tasks = of_env("endless_tasks")
 
@@ -354,6 +355,10 @@ class SingleAgentEnv(AroundEnv, Env):
             inner = {name: overrides.pop(name) for name in list(overrides) if name not in _OWN_ARGUMENTS}
             overrides["env"] = self.env.spawn(**inner)
         return super().spawn(same_state, **overrides)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        memo[id(self._loaded)] = {}  # a fork asks the same agents, and leaves it to the first one to close them
+        return super().__deepcopy__(memo)
 
     def close(self) -> None:
         """Close the environment, and the agents that were given by name."""

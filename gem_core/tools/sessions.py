@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import copy
 import inspect
 import logging
 import weakref
@@ -47,6 +48,7 @@ class ToolSessions:
     """
 
     def __init__(self, tools: Mapping[str, Tool], timeout_s: float | None) -> None:
+        self._tools = tools
         self.holders = {tool.session_key: tool for tool in reversed(list(tools.values()))}
         """The tools that close sessions, by the sessions' keys: of tools that share one, the first."""
         self.timeout_s = timeout_s
@@ -57,6 +59,11 @@ class ToolSessions:
         """The open sessions, by their keys."""
         # Also runs when the environment is collected and when the interpreter exits.
         self._finalizer = weakref.finalize(self, _close_now, self.holders, self.open, self.on_loop, timeout_s)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> ToolSessions:
+        copied = ToolSessions(copy.deepcopy(self._tools, memo), self.timeout_s)
+        copied.open.update(copy.deepcopy(self.open, memo))
+        return copied
 
     async def call(self, tool: Tool, arguments: Any) -> ToolResult:
         """Call a tool; an error becomes a failed result."""

@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Awaitable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import pydantic
 
@@ -132,6 +132,9 @@ class Tool:
     def set_session_state(self, state: Any) -> Any:
         """Return a session from what ``get_session_state`` returned."""
         return None
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return self  # one object serves many environments, a fork among them
 
     def parameters_schema(self) -> dict[str, Any]:
         """Return the JSON Schema of the arguments, an object; by default that of ``Parameters``.

@@ -54,6 +54,7 @@ class ConcatChat(ObservationView):
     """
 
     can_append_only: ClassVar[bool] = True
+    shared_by_forks = ("tokenizer",)
 
     def __init__(
         self, env: AnyEnv, tokenizer: Any, *, template_options: dict[str, Any] | None = None, **options: Any

@@ -67,6 +67,7 @@ class WikiGameEnv(Game):
     Source: variants and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem.
     """
 
+    shared_by_forks = ("graph",)
     format_error_reward = _WRONG
     unreadable = "is no title."
 

@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from gem_core import Env, MultiAgentEnv, Response, single_agent
 from gem_core.data import chosen_index
@@ -58,6 +58,8 @@ class TauEnv(MultiAgentEnv):
 
     possible_agents = (ASSISTANT, USER)
 
+    shared_by_forks = ("task_set",)
+
     def __init__(self, folder: str | Path, *, split: str | None = None, max_assistant_steps: int = 30) -> None:
         super().__init__()
         if type(max_assistant_steps) is not int or max_assistant_steps < 1:
@@ -70,6 +72,11 @@ class TauEnv(MultiAgentEnv):
         self._tools = {schema["function"]["name"]: DescribedTool(schema["function"]) for schema in self.task_set.tools}
         self._reader = CallReader(self._tools)
         self._index = self._responses = 0
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        if "_database" in vars(self):
+            memo[id(self._database)] = fork(self._database)  # records are never changed in place
+        return super().__deepcopy__(memo)
 
     @property
     def task(self) -> Task:

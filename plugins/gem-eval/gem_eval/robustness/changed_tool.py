@@ -68,6 +68,10 @@ class ChangedTool(Tool):
         """Return what the other tool returns."""
         return self.tool.set_session_state(state)
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> ChangedTool:
+        # What is called before and after may be methods of a wrapper, of which a fork has its own.
+        return ChangedTool(self.tool, before=copy.deepcopy(self._before, memo), after=copy.deepcopy(self._after, memo))
+
     def parameters_schema(self) -> dict[str, Any]:
         """Return that of the other tool."""
         return self.tool.parameters_schema()

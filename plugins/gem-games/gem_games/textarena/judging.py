@@ -55,6 +55,9 @@ class AgentJudge:
     def __init__(self, agent: Any) -> None:
         self._agent = load_agent(agent) if isinstance(agent, str) else as_agent(agent)
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> AgentJudge:
+        return self  # it keeps nothing of a game
+
     def ask(self, question: str, episode: str, env_id: str) -> str:
         """Return the answer to a question.
 

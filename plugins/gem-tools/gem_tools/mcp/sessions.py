@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from gem_core.background import background_loop
+from gem_core.errors import StateNotSupported
 from gem_tools.mcp.connection import Connection
 
 if TYPE_CHECKING:
@@ -69,6 +70,12 @@ class Handle:
         self._seen: int | None = None
         self.hangs = 0
         """How often the server has hung in this episode."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Handle:
+        raise StateNotSupported(
+            f"the state of the MCP server {self.session.server.name!r} cannot be copied; make another environment, "
+            "reset it with the same seed and options, and repeat the actions"
+        )
 
     def restarted(self) -> bool:
         """Tell, once, whether the connection is another than at the episode's last call."""

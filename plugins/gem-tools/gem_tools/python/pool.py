@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any, TypedDict, TypeVar, Unpack
 
 from gem_core.background import on_library_loop, run_sync
-from gem_core.errors import ArgumentError
+from gem_core.errors import ArgumentError, StateNotSupported
 from gem_tools.python import starting
 from gem_tools.python.cell import Answer, Cell
 from gem_tools.python.errors import SandboxError
@@ -350,6 +350,12 @@ class Session:
         self.cell: Cell | None = None
         self.opened = False
         self._one_at_a_time = asyncio.Lock()
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Session:
+        raise StateNotSupported(
+            "the variables of a Python session are in its sandbox and cannot be copied; make another environment, "
+            "reset it with the same seed and options, and repeat the actions"
+        )
 
     def forget(self) -> None:
         """Let go of the sandbox; the next call begins anew."""
