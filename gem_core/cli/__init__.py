@@ -143,9 +143,7 @@ class _Commands(click.Group):
 
 
 @click.command(
-    cls=_Commands,
-    epilog=_EPILOG,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    cls=_Commands, epilog=_EPILOG, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
 )
 @click.version_option(__version__, prog_name="gem-core", message="%(prog)s %(version)s")
 @click.option("--traceback", is_flag=True, help="Show the whole traceback of an error.")

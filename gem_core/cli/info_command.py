@@ -10,13 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gem_core.cli.completion import ENVS_AND_NAMES
-from gem_core.cli.descriptions import (
-    describe_in_full,
-    describe_record,
-    find_named,
-    option_lines,
-    own_documentation,
-)
+from gem_core.cli.descriptions import describe_in_full, describe_record, find_named, option_lines, own_documentation
 from gem_core.cli.documented import Documented
 from gem_core.cli.layout import echo_line, output_width, wrapped
 from gem_core.cli.targets import find_env

@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
+from gem_core.api import make
 from gem_core.cli.layout import counted
 from gem_core.errors import ArgumentError
-from gem_core.making.layers import layers_of
 from gem_core.records.episode import Episode
 from gem_core.records.files import EpisodeLine, EpisodeWriter, episode_lines
 from gem_core.records.joint import Record
 from gem_core.records.plans import EpisodeQueue
 from gem_core.records.redaction import BLOT
 from gem_core.records.summary import RunSummary
-from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.specs import EnvSpec
 from gem_core.rollouts.resume import FinishedEpisodes
 
 if TYPE_CHECKING:
     from gem_core.cli.acting import Acting
-    from gem_core.making.layers import Stack, Wrappers
+    from gem_core.env.spec import EnvRecipe
+    from gem_core.making.layers import Wrappers
 
 Envs = Sequence[tuple[EnvSpec, Mapping[str, Any]]]
 """Environments, each with keyword arguments."""
@@ -45,17 +45,14 @@ class ResumedRun:
         self.writer = writer
         self.path = path = writer.path
         self.done = FinishedEpisodes()
-        self._again = 0
-        kept: dict[str, Record] = {}
-        failed: dict[str, Record] = {}
+        settings: dict[bool, dict[str, Record]] = {True: {}, False: {}}
         for line in episode_lines(path):
-            self._again += not _stays(line)
             if line.episode is not None:
                 self.done.add(line.episode)
-                (kept if _stays(line) else failed).setdefault(_setting(line.episode), line.episode)
-        self._kept = list(kept.values())
+                settings[_stays(line)].setdefault(_setting(line.episode), line.episode)
+        self._kept = list(settings[True].values())
         """One episode of each setting: environment, agents, arguments and wrappers."""
-        self._told = self._kept or list(failed.values())
+        self._told = self._kept or list(settings[False].values())
         if self.done and not self.done.run_seeds:
             raise ArgumentError(
                 f"--resume: {path} does not say from which seed its run was started, since an earlier version wrote it"
@@ -106,22 +103,18 @@ class ResumedRun:
         Raises:
             ArgumentError: It says in what they differ.
         """
-        agent, agents = acting.options.get("agent"), acting.options.get("agents")
+        agents = acting.options.get("agents")
         by_seat = {seat: one.name for seat, one in agents.items()} if isinstance(agents, Mapping) else None
-        names = {*acting.agents} if agent is None else {agent.name}
         for episode in self._kept:
             found = _agents_of(episode)
-            if {*found.values()} not in (names, {None}) or (by_seat is not None and found != by_seat):
+            if {*found.values()} not in ({*acting.agents}, {None}) or (by_seat is not None and found != by_seat):
                 self._refuse(
-                    "--agent", found if by_seat else sorted(map(str, found.values())), by_seat or sorted(names)
+                    "--agent", found if by_seat else sorted(map(str, found.values())), by_seat or [*acting.agents]
                 )
-            same_id = [(spec, kwargs) for spec, kwargs in envs if spec.id == episode.id]
-            if same_id and not any(_arguments(*each) == _arguments(each[0], episode.kwargs) for each in same_id):
-                self._refuse("--set", dict(episode.kwargs), same_id[0][1])
-            for seat, layers in _layers_by_seat(episode):
-                now = wrappers.get(seat, ()) if isinstance(wrappers, Mapping) else wrappers
-                if same_id and layers != _listed(now):
-                    self._refuse("--wrappers, --tools or limits", layers, _listed(now))
+            recorded = {"arguments": episode.kwargs, "wrappers": episode.wrappers}
+            now = [_recorded(spec, kwargs, wrappers) for spec, kwargs in envs if spec.id == episode.id]
+            if now and recorded not in now:
+                self._refuse("--set, --wrappers, --tools or limits", recorded, now[0])
 
     def _refuse(self, option: str, found: Any, now: Any) -> None:
         before, after = (json.dumps(value, default=str)[:500] for value in (found, now))
@@ -147,25 +140,16 @@ class ResumedRun:
             EpisodeFileError: It cannot be written.
         """
         self.done.leave_out_of(source)
+        again = 0
         for line in episode_lines(self.path):
             if line.episode is not None and _stays(line):
                 summary.add(line.episode)
+            else:
+                again += 1
         summary.begin_session()
-        if self._again:
+        if again:
             self.writer.rewrite(line.text for line in episode_lines(self.path) if _stays(line))
-            click.echo(f"gem: {counted(self._again, 'episode')} with an error or cut off: run again", err=True)
-
-
-def file_to_resume(path: Path) -> EpisodeWriter:
-    """Return the writer of the file of a run that is resumed.
-
-    Raises:
-        ArgumentError: There is no such file.
-        EpisodeFileError: It cannot be written.
-    """
-    if not path.exists():
-        raise ArgumentError(f"--resume: there is no file {path}; a run that begins takes --out")
-    return EpisodeWriter(path, append=True)
+            click.echo(f"gem: {counted(again, 'episode')} with an error or cut off: run again", err=True)
 
 
 def _setting(episode: Record) -> str:
@@ -178,30 +162,13 @@ def _agents_of(episode: Record) -> dict[str, str | None]:
     return {"": episode.agent} if isinstance(episode, Episode) else {**episode.agents}
 
 
-def _arguments(spec: EnvSpec, kwargs: Mapping[str, Any]) -> Any:
-    """Return the keyword arguments of an environment as a record has them, with those that were registered."""
-    limit = {} if spec.max_turns is None else {"max_turns": spec.max_turns}
-    return Episode("", None, "", {}, kwargs={**limit, **spec.kwargs, **kwargs}).to_dict()["kwargs"]
-
-
-def _layers_by_seat(episode: Record) -> Iterator[tuple[str, list[Any]]]:
-    if isinstance(episode, Episode):
-        yield "", episode.wrappers
-        return
-    for seat in episode.agents:
-        yield seat, episode.wrappers_of(seat)
-
-
-def _listed(wrappers: Stack) -> Any:
-    """Return wrappers as a record lists them."""
-    listed = []
-    for layer in layers_of(wrappers):
-        name = layer.name
-        if name is None:
-            target: Any = load_entry_point(layer.entry_point, layer.owner)
-            name = f"{target.__module__}:{target.__qualname__}"
-        listed.append([name, layer.options])
-    return Episode("", None, "", {}, wrappers=listed).to_dict()["wrappers"]
+def _recorded(spec: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers) -> dict[str, Any]:
+    """Return the arguments and wrappers of an environment as the records of its episodes hold them."""
+    with closing(make(spec, wrappers=wrappers, **kwargs)) as env:
+        made = cast("EnvRecipe", env.spec)
+        listed = cast("list[Any]", made.listed_wrappers())
+        fields = Episode("", None, "", {}, kwargs=made.overrides(), wrappers=listed).to_dict()
+    return {"arguments": fields["kwargs"], "wrappers": fields["wrappers"]}
 
 
 def _stays(line: EpisodeLine) -> bool:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import itertools
 import json
 import shlex
-import signal
 import time
-from contextlib import closing
+from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -154,8 +153,7 @@ def command(
     Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument, 130 after Ctrl-C.
     """
     # Imported here, so that help and the completion of options need not wait for them.
-    from gem_core.cli.report import run_columns, status_of
-    from gem_core.cli.resumed_run import ResumedRun, file_to_resume
+    from gem_core.cli.report import status_of
     from gem_core.progress import Progress
     from gem_core.records.files import EpisodeWriter
     from gem_core.records.plans import EpisodeQueue
@@ -163,63 +161,97 @@ def command(
     from gem_core.rollouts.agent import close_agent, current_folder_importable, prepare_agent
     from gem_core.rollouts.drivers import default_plan, rollout
 
-    if resume is not None:
-        _refuse_beside_resume({"--seed": seed is not None, "--out": out is not None, "--overwrite": overwrite})
     ctx.with_resource(current_folder_importable())  # an agent may import what stands beside it when it first acts
-    # It is locked before it is read, so that nobody adds to it meanwhile.
-    writer = None if resume is None else ctx.with_resource(file_to_resume(Path(resume)))
-    resumed = None if writer is None else ResumedRun(writer)
+    resumed = None if resume is None else _resumed_run(ctx, resume)
     of_agent = {name: value for name, value in options.items() if name not in _WHAT_RUNS}
     envs, acting, stack = _what_runs(ctx, resumed, given(of_agent))
     chosen = [(record.id, kwargs) for record, kwargs in envs]
-    env_ids = list(dict.fromkeys(env_id for env_id, _ in chosen))
-    slots = _slots(acting, num_envs, len(chosen), episodes)
     run_seed = (seed if resumed is None else resumed.seed) or 0
     for agent in acting.agents.values():
         prepare_agent(agent)  # it says at the start what would fail later
         ctx.call_on_close(partial(close_agent, agent))
     with closing(
-        make_vec(chosen, slots, seed=run_seed, backend=backend, wrappers=stack, step_timeout=step_timeout)
+        make_vec(
+            chosen,
+            _slots(acting, num_envs, len(chosen), episodes),
+            seed=run_seed,
+            backend=backend,
+            wrappers=stack,
+            step_timeout=step_timeout,
+        )
     ) as vector:
         plan = default_plan(vector, episodes)
-        summary = RunSummary(env_ids)
+        summary = RunSummary([env_id for env_id, _ in chosen])
         if resumed is not None:
             resumed.begin(EpisodeQueue(plan, vector.seed), summary)
-        path = _out_path(out, vector.seed, overwrite) if resumed is None else resumed.path
+        path = resumed.path if resumed else free_path(out, overwrite) if out is not None else _new_path(vector.seed)
         before = summary.episodes
         started = time.perf_counter()
         stopped_by: BaseException | None = None
         with (
-            writer or EpisodeWriter(path) as writer,
+            resumed.writer if resumed else EpisodeWriter(path) as writer,
             Progress(len(plan), f"seed {vector.seed}", quiet=acting.interactive is not None) as progress,
         ):
             try:
-                done = None if resumed is None else resumed.done
-                for episode in rollout(vector, **acting.options, plan=plan, resume=done):
+                for episode in rollout(vector, **acting.options, plan=plan, resume=resumed.done if resumed else None):
                     writer.write(episode)
                     summary.add(episode)
                     progress.advance(summary.episodes, status_of(summary))
             except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - raised again below, after the table
                 stopped_by = error
-                if isinstance(error, KeyboardInterrupt):
-                    # A second Ctrl-C would cut off what is said after the first.
-                    before_it = signal.signal(signal.SIGINT, signal.SIG_IGN)
-                    ctx.call_on_close(lambda: signal.signal(signal.SIGINT, before_it))
             finally:
                 if not writer.count:
                     writer.discard()
         seconds = time.perf_counter() - started
-    if as_json:
-        written = str(path) if path.exists() else None
-        click.echo(json.dumps({**summary.to_dict(seconds), "seed": vector.seed, "out": written}, indent=1))
-    else:
-        print_table(run_columns(summary, seconds), summary.rows())
-        ran = f"{counted(writer.count, 'episode')} in {seconds:.1f} s (seed {vector.seed})"
-        echo_line(f"{ran}, {_where(path, None if resumed is None else before)}")
-    _tell_errors(summary)
+    already = None if resumed is None else before
+    _report(summary, seconds, vector.seed, path, already, as_json=as_json)
     if stopped_by is not None:
         _stop(ctx, stopped_by, before + writer.count, len(plan), path)
     ctx.exit(1 if summary.first_error is not None else 0)
+
+
+def _resumed_run(ctx: click.Context, path: str) -> ResumedRun:
+    from gem_core.cli.resumed_run import ResumedRun
+    from gem_core.records.files import EpisodeWriter
+
+    if ctx.params["seed"] is not None or ctx.params["out"] is not None or ctx.params["overwrite"]:
+        raise ArgumentError("--resume takes seed and file of the run; leave --seed, --out and --overwrite out")
+    if not Path(path).exists():
+        raise ArgumentError(f"--resume: there is no file {path}; a run that begins takes --out")
+    # It is locked before it is read, so that nobody adds to it meanwhile.
+    return ResumedRun(ctx.with_resource(EpisodeWriter(path, append=True)))
+
+
+def _report(summary: RunSummary, seconds: float, seed: int, path: Path, already: int | None, *, as_json: bool) -> None:
+    """Print the table, where the episodes are, and the first error; ``already`` episodes were there before."""
+    from gem_core.cli.report import run_columns
+
+    written = str(path) if path.exists() else None
+    if as_json:
+        click.echo(json.dumps({**summary.to_dict(seconds), "seed": seed, "out": written}, indent=1))
+    else:
+        print_table(run_columns(summary, seconds), summary.rows())
+        where = f"written to {written}" if written else "no file written"
+        where = where if already is None else f"added to the {already} in {path}"
+        number = summary.episodes - (already or 0)
+        echo_line(f"{counted(number, 'episode')} in {seconds:.1f} s (seed {seed}), {where}")
+    if summary.first_error is not None:
+        echo_line(f"gem: {counted(summary.errors, 'episode')} had an error; the first: {summary.first_error}", err=True)
+        for frame in summary.first_frames:
+            echo_line(f"     {frame}", err=True)
+
+
+def _stop(ctx: click.Context, stopped_by: BaseException, count: int, total: int, path: Path) -> NoReturn:
+    """Say how to resume a run that was stopped, and end with its cause."""
+    interrupted = isinstance(stopped_by, KeyboardInterrupt)
+    if interrupted:
+        click.echo(f"gem: interrupted after {count} of {total} episodes", err=True)
+    if count:
+        again = call_again(ctx, {"seed", "out", "overwrite", "resume"})
+        click.echo(f"gem: go on with: {again} --resume {shlex.quote(str(path))}", err=True)
+    if interrupted:
+        ctx.exit(INTERRUPTED)
+    raise stopped_by
 
 
 def _what_runs(
@@ -250,39 +282,6 @@ def _what_runs(
     return envs, acting, stack
 
 
-def _stop(ctx: click.Context, stopped_by: BaseException, count: int, total: int, path: Path) -> NoReturn:
-    """Say how to resume a run that was stopped, and exit with the code for the cause."""
-    interrupted = isinstance(stopped_by, KeyboardInterrupt)
-    if interrupted:
-        click.echo(f"gem: interrupted after {count} of {total} episodes", err=True)
-    if count:
-        again = call_again(ctx, {"seed", "out", "overwrite", "resume"})
-        click.echo(f"gem: go on with: {again} --resume {shlex.quote(str(path))}", err=True)
-    if interrupted:
-        ctx.exit(INTERRUPTED)
-    raise stopped_by
-
-
-def _refuse_beside_resume(given: dict[str, bool]) -> None:
-    for option, is_given in given.items():
-        if is_given:
-            raise ArgumentError(f"--resume goes on with the seed and the file of the run; leave {option} out")
-
-
-def _tell_errors(summary: RunSummary) -> None:
-    if summary.first_error is not None:
-        echo_line(f"gem: {counted(summary.errors, 'episode')} had an error; the first: {summary.first_error}", err=True)
-        for frame in summary.first_frames:
-            echo_line(f"     {frame}", err=True)
-
-
-def _where(path: Path, already: int | None) -> str:
-    """Say where the episodes are, and for a run that was resumed how many were there."""
-    if already is not None:
-        return f"added to the {already} in {path}"
-    return f"written to {path}" if path.exists() else "no file written"
-
-
 def _slots(acting: Acting, num_envs: int | None, ids: int, episodes: int | None) -> int:
     """Return how many environments keep agents busy: as many as one answers at once, but no more than episodes."""
     if acting.interactive is not None and num_envs not in (None, 1):
@@ -293,12 +292,6 @@ def _slots(acting: Acting, num_envs: int | None, ids: int, episodes: int | None)
         return num_envs or 1
     wanted: int = max(getattr(agent, "max_concurrency", _DEFAULT_SLOTS) for agent in acting.agents.values())
     return max(ids, wanted if episodes is None else min(wanted, max(_DEFAULT_SLOTS, ids * episodes)))
-
-
-def _out_path(out: str | None, seed: int, overwrite: bool) -> Path:
-    if out is None:
-        return _new_path(Path("runs"), f"{time.strftime('%Y%m%d-%H%M%S')}-{seed}")
-    return free_path(out, overwrite)
 
 
 def free_path(out: str, overwrite: bool) -> Path:
@@ -315,20 +308,17 @@ def free_path(out: str, overwrite: bool) -> Path:
     return path
 
 
-def _new_path(folder: Path, stem: str) -> Path:
+def _new_path(seed: int) -> Path:
     """Make an empty file, so that two runs with one seed in the same second do not share it."""
-    numbers = itertools.count(2)
-    path = folder / f"{stem}.jsonl"
+    folder, stem = Path("runs"), f"{time.strftime('%Y%m%d-%H%M%S')}-{seed}"
+    names = itertools.chain([f"{stem}.jsonl"], (f"{stem}-{number}.jsonl" for number in itertools.count(2)))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         while True:
-            try:
+            path = folder / next(names)
+            with suppress(FileExistsError):
                 path.open("x").close()
-            except FileExistsError:
-                path = folder / f"{stem}-{next(numbers)}.jsonl"
-            else:
                 return path
     except OSError as error:
-        raise EpisodeFileError(
-            f"cannot write in {folder}: {error.strerror or error}; name another file by --out"
-        ) from error
+        reason = error.strerror or error
+        raise EpisodeFileError(f"cannot write in {folder}: {reason}; name another file by --out") from error

@@ -55,14 +55,7 @@ def stack_options(view: str) -> Callable[[Command], Command]:
     )
     options = [
         click.option("-t", "--max-turns", type=AtLeast(min=1), help="Cut off an episode after this many turns."),
-        click.option(
-            "-w",
-            "--wrappers",
-            multiple=True,
-            metavar="NAMES",
-            type=WRAPPERS,
-            help=wrappers_help,
-        ),
+        click.option("-w", "--wrappers", multiple=True, metavar="NAMES", type=WRAPPERS, help=wrappers_help),
         click.option(
             "--tools",
             multiple=True,
