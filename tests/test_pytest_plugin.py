@@ -60,7 +60,7 @@ def test_failure_is_the_broken_promises_without_a_traceback(folder: pytest.Pytes
     """What check_env says, and no more."""
     result = folder.runpytest_subprocess("--gem-envs", "ill:Bad-v0")
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["collected 1 item", "ill:Bad-v0 breaks * promises:", "  runs: *To mend it: *"])
+    result.stdout.fnmatch_lines(["collected 1 item", "ill:Bad-v0 breaks * promises:", "  episode: *To mend it: *"])
     result.stdout.no_fnmatch_line("*Traceback*")
     result.stdout.no_fnmatch_line("*pytest_plugin.py*")
 

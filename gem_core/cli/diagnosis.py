@@ -178,7 +178,7 @@ def problems_of(
     def tried(plugin: Plugin) -> tuple[Plugin, list[str]]:
         if quick or plugin.failure is not None or plugin.disabled or plugin.is_core:
             return plugin, [*plugin.conflicts]
-        seen = imported(plugin.entry_point, timeout_s, stop)
+        seen = imported(plugin.entry_point, timeout_s, stop.is_set)
         return plugin, [*plugin.conflicts, *([seen.failure] if seen.failure else seen.problems)]
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:

@@ -37,8 +37,8 @@ def command(ctx: click.Context, name: str | None, check: bool, timeout_s: float,
       gem plugins games
       gem plugins --check     exit code 1 if one is broken, or claims an id of another
 
-    --check imports all that plugins offer, each plugin in its own process, and names file and line of what
-    cannot be imported.
+    --check imports all that plugins offer, each plugin in its own process, and names each record that cannot
+    be imported, with file and line where its module fails.
     """
     plugins = registry().plugins() if name is None else registry().plugins_named(name)
     found: list[dict[str, Any]] = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from itertools import islice
 
 from gem_core.env.base import Env
@@ -11,22 +11,13 @@ from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, GemError
 from gem_core.registry.specs import EnvSpec
 from gem_core.suggestions import did_you_mean
-from gem_core.testing import (
-    promises_actions,
-    promises_agents,
-    promises_interface,
-    promises_randomness,
-    promises_state,
-)
+from gem_core.testing import promises, promises_agents, promises_state  # noqa: F401 - they fill the table in this order
 from gem_core.testing.contract import PROMISES, ContractError, Promise, Report
 from gem_core.testing.findings import NotTriedError
 from gem_core.testing.isolation import TookTooLongError, preserved
 from gem_core.testing.subject import Limits, Subject
 
-__all__ = ["PROMISE_MODULES", "check_env", "promises_for"]
-
-PROMISE_MODULES = (promises_interface, promises_agents, promises_randomness, promises_actions, promises_state)
-"""Where the contract is written down, promise by promise, in the order in which they are tried."""
+__all__ = ["check_env", "promises_for"]
 
 _SIGHTINGS = 20
 """Number of violations after which a promise is not tried further."""
@@ -99,11 +90,8 @@ def check_env(
 
 def promises_for(*, several: bool) -> list[Promise]:
     """Return what an environment of one agent, or of several, promises, in the order in which it is tried."""
-    # Later promises build on what earlier ones found, and the order of imports is the formatter's.
-    homes = [module.__name__ for module in PROMISE_MODULES]
     kinds = ("any", "several" if several else "one")
-    mine = (promise for promise in PROMISES.values() if promise.of in kinds)
-    return sorted(mine, key=lambda promise: homes.index(promise.check.__module__))
+    return [promise for promise in PROMISES.values() if promise.of in kinds]
 
 
 def _make_once(subject: Subject) -> None:
@@ -128,7 +116,7 @@ def _tried(promise: Promise, subject: Subject) -> str:
 
     def body() -> None:
         try:
-            seen.extend(islice(_sightings(promise, subject), _SIGHTINGS))
+            seen.extend(islice(subject.sightings(promise.check), _SIGHTINGS))
         finally:
             # An abandoned thread must not close what a later promise has made.
             if subject.watch.is_live:
@@ -143,16 +131,3 @@ def _tried(promise: Promise, subject: Subject) -> str:
             seen.append(str(error))
     more = f" (and {len(seen) - 1} more)" if len(seen) > 1 else ""
     return " ".join(f"{seen[0]}{more}".split()) if seen else ""
-
-
-def _sightings(promise: Promise, subject: Subject) -> Iterator[str]:
-    found = False
-    try:
-        for sighting in promise.check(subject):
-            found = True
-            yield sighting
-    except NotTriedError:
-        if not found:
-            raise
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code: all that it raises breaks the promise
-        yield f"{subject.watch.last_call} raised {subject.told(error)}"

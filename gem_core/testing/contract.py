@@ -12,7 +12,6 @@ from gem_core.testing.subject import Subject
 PromiseCheck = Callable[[Subject], Iterator[str]]
 """Tries one promise and yields each violation; raises ``NotTriedError`` if it cannot be tried."""
 
-
 Kind = Literal["any", "one", "several"]
 """Which environments make a promise: all, those of one agent, or those of several."""
 
@@ -37,7 +36,7 @@ class Promise:
 
 
 PROMISES: dict[str, Promise] = {}
-"""Every promise by its slug."""
+"""Every promise by its slug, in the order in which they are tried."""
 
 
 def promise(mend: str, of: Kind = "any") -> Callable[[PromiseCheck], PromiseCheck]:
@@ -45,8 +44,7 @@ def promise(mend: str, of: Kind = "any") -> Callable[[PromiseCheck], PromiseChec
 
     def enter(check: PromiseCheck) -> PromiseCheck:
         slug = check.__name__.rstrip("_").replace("_", "-")
-        sentence = (check.__doc__ or "").partition("\n")[0]
-        PROMISES[slug] = Promise(slug, sentence, mend, check, of)
+        PROMISES[slug] = Promise(slug, (check.__doc__ or "").partition("\n")[0], mend, check, of)
         return check
 
     return enter
@@ -72,17 +70,14 @@ class Report:
 
     def __str__(self) -> str:
         tried = len(self.kept) + len(self.broken)
-        if self.broken:
-            lines = [f"{self.name} breaks {len(self.broken)} of {tried} promises:"]
-        else:
-            lines = [f"{self.name} keeps all {tried} promises that were tried"]
+        breaks = f"breaks {len(self.broken)} of {tried} promises:"
+        lines = [f"{self.name} {breaks if self.broken else f'keeps all {tried} promises that were tried'}"]
         for slug, seen in self.broken.items():
             lines.append(f"  {slug}: {PROMISES[slug].sentence} Seen: {seen}. To mend it: {PROMISES[slug].mend}")
         for reason in dict.fromkeys(self.skipped.values()):
             slugs = [slug for slug, why in self.skipped.items() if why == reason]
             lines.append(f"  not tried, {', '.join(slugs)}: {reason}")
-        lines += [f"  note: {note}" for note in self.notes]
-        return "\n".join(lines)
+        return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
 
 
 class ContractError(GemError, AssertionError):

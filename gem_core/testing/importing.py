@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 import sys
 import tempfile
-import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
@@ -15,14 +14,13 @@ from typing import IO, Any
 from gem_core.arguments import check_arguments
 from gem_core.errors import GemError, RegistrationError
 from gem_core.failures import shown_place
-from gem_core.registry import specs
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.hookspecs import ENTRY_POINT_GROUP
 from gem_core.registry.plugins import Record, one_line
 from gem_core.registry.requirements import RequirementStatus, unmet
-from gem_core.registry.specs import EnvSpec, NamedSpec, RequirementSpec, ToolSpec
+from gem_core.registry.specs import EnvSpec, RequirementSpec, ToolSpec
 from gem_core.testing.findings import place_of
-from gem_core.testing.interpreter import CallError, Interpreter, InterpreterLostError
+from gem_core.testing.interpreter import CallError, ProcessLostError, Sender, sent_by
 
 TIMEOUT_S = 60.0
 """Default limit for the import of one entry point, in seconds."""
@@ -36,20 +34,14 @@ class Imported:
         failure: Why it could not be loaded, or None.
         packages: Top-level packages that declaring imported, beside the standard library and the core.
         printed: What declaring and importing wrote to standard output.
-        records: Of each record the ``name``, the ``module`` of its entry point, the ``summary``, the ``place`` (file
-            and line where it is made) and the ``error``: empty where its entry point can be used, None where that has
-            not been tried.
+        records: Of each record the ``name``, the ``module`` of its entry point, the ``summary``, and the ``error``:
+            empty where its entry point can be used, None where that has not been tried.
     """
 
     failure: str | None = None
     packages: list[str] = field(default_factory=list)
     printed: str = ""
     records: list[dict[str, Any]] = field(default_factory=list)
-
-    @property
-    def untried(self) -> list[dict[str, Any]]:
-        """The records whose entry point has not been tried."""
-        return [record for record in self.records if record["error"] is None]
 
     @property
     def problems(self) -> list[str]:
@@ -64,7 +56,7 @@ class Imported:
         ]
 
 
-def imported(point: EntryPoint, timeout_s: float = TIMEOUT_S, stop: threading.Event | None = None) -> Imported:
+def imported(point: EntryPoint, timeout_s: float = TIMEOUT_S, stopped: Callable[[], bool] = lambda: False) -> Imported:
     """Load one plugin, without the others, and import every entry point that its records name.
 
     A module that ends or hangs its interpreter is named, and the others are tried in another.
@@ -72,33 +64,34 @@ def imported(point: EntryPoint, timeout_s: float = TIMEOUT_S, stop: threading.Ev
     Args:
         point: The plugin.
         timeout_s: Seconds that each import may take.
-        stop: Ends the imports when it is set.
+        stopped: Ends the imports once it returns True.
     """
-    stop = stop or threading.Event()
     seen: Imported | None = None
-    while seen is None or (not stop.is_set() and seen.untried):
+    untried = [0]
+    while untried and not stopped():
         # Files and not pipes: what the interpreter starts may outlive it.
         with tempfile.TemporaryFile() as printed, tempfile.TemporaryFile() as complained:
+            files: dict[str, Any] = {"stdout": printed, "stderr": complained, "stopped": stopped}
+            args = (point.name, _distribution(point), timeout_s, untried if seen else None)
             try:
-                with closing(Interpreter(_others_disabled(point), printed, complained, stop)) as interpreter:
-                    loaded = interpreter.call(_load, point.name, _distribution(point), timeout_s=timeout_s)
+                with closing(sent_by(_import_all, *args, variables=_others_disabled(point), **files)) as answers:
+                    loaded = next(answers)
                     seen = seen or Imported(**loaded)
-                    for number, record in enumerate(seen.records):
-                        if record["error"] is None:
-                            record["error"] = interpreter.call(_problem, number, timeout_s=timeout_s)
+                    for number, error in answers:
+                        seen.records[number]["error"] = error
             except CallError as error:
-                complaint = _text(complained)
+                how = _how_it_ended(error, _text(complained))
                 if seen is None:
-                    return Imported(f"while it was loaded, {_how_it_ended(error, complaint)}", printed=_text(printed))
-                first = seen.untried[0]
-                place = _place_in(first["module"], complaint) or first["place"]
-                for record in seen.untried:  # the other records of that module fail the same way
-                    if record["module"] == first["module"]:
-                        record["error"] = (
-                            f"{place}: while its entry point was imported, {_how_it_ended(error, complaint)}"
-                        )
+                    return Imported(f"while it was loaded, {how}", printed=_text(printed))
+                untried = [number for number, record in enumerate(seen.records) if record["error"] is None]
+                module = seen.records[untried[0]]["module"]
+                place = _place_in(module, _text(complained))
+                for record in seen.records:  # the other records of that module fail the same way
+                    if record["module"] == module and record["error"] is None:
+                        record["error"] = f"{place}while its entry point was imported, {how}"
             seen.printed += _text(printed)
-    return seen
+        untried = [number for number, record in enumerate(seen.records) if record["error"] is None]
+    return seen or Imported("it was not tried")
 
 
 def _others_disabled(point: EntryPoint) -> dict[str, str]:
@@ -119,8 +112,8 @@ def _text(file: IO[bytes]) -> str:
 
 
 def _how_it_ended(error: CallError, complaint: str) -> str:
-    """Return how a call ended that did not return, with the last line of standard error."""
-    if not isinstance(error, InterpreterLostError):
+    """Return how an import ended that did not return, with the last line of standard error."""
+    if not isinstance(error, ProcessLostError):
         return str(error)
     if error.exit_code is None:
         return "it took too long"
@@ -130,67 +123,50 @@ def _how_it_ended(error: CallError, complaint: str) -> str:
 
 
 def _place_in(module: str, complaint: str) -> str:
-    """Return file and line of a module's package that was running when the interpreter was killed or crashed."""
+    """Return file and line of a module's package that was running when the interpreter was ended or crashed."""
     package = re.escape(module.partition(".")[0])
     stood = re.search(rf'File "(.*/{package}(?:/.*|\.py))", line (\d+) in ', complaint)
-    return shown_place(stood[1], int(stood[2])) if stood else ""
+    return f"{shown_place(stood[1], int(stood[2]))}: " if stood else ""
 
 
 # These functions run in the other interpreter.
 
 
-def _load(kept: dict[str, Any], name: str, distribution: str) -> dict[str, Any]:
-    """Load a plugin, and return the fields of ``Imported``."""
+def _import_all(send: Sender, name: str, distribution: str, timeout_s: float, numbers: Sequence[int] | None) -> None:
+    """Load a plugin, send the fields of ``Imported``, and for each record its number and what is wrong with it."""
     import pluggy  # noqa: F401 - what the loader itself needs is no import of the plugin's
 
     from gem_core.registry.lookup import registry
 
-    places = _noting_places()
+    send.allow(timeout_s)
     before = set(sys.modules)
-    plugin = next(
-        plugin for plugin in registry().plugins() if plugin.name == name and distribution in ("", plugin.distribution)
-    )
+    plugins = [each for each in registry().plugins() if each.name == name]
+    plugin = next(each for each in plugins if distribution in ("", each.distribution))
     packages = {name.partition(".")[0] for name in set(sys.modules) - before}
     packages -= {*sys.stdlib_module_names, "gem_core", "pluggy"}
-    kept["records"] = [(record, places.get(id(record), "")) for record in plugin.records]
-    return {
-        "failure": None if plugin.failure is None else plugin.failure.error,
-        "packages": sorted(name for name in packages if not name.startswith("__editable__")),
-        "records": [
-            {
-                "name": record.id if isinstance(record, EnvSpec) else f"{record.kind} {record.name}",
-                "module": _module(record),
-                "summary": record.summary,
-                "place": place,
-                "error": None,
-            }
-            for record, place in kept["records"]
-        ],
-    }
+    records = [
+        {
+            "name": record.id if isinstance(record, EnvSpec) else f"{record.kind} {record.name}",
+            "module": _module(record),
+            "summary": record.summary,
+            "error": None,
+        }
+        for record in plugin.records
+    ]
+    send(
+        {
+            "failure": None if plugin.failure is None else plugin.failure.error,
+            "packages": sorted(name for name in packages if not name.startswith("__editable__")),
+            "records": records,
+        }
+    )
+    for number in range(len(records)) if numbers is None else numbers:
+        send.allow(timeout_s)
+        send((number, _problem(plugin.records[number])))
 
 
-def _noting_places() -> dict[int, str]:
-    """Record from now on where each record is made, by its ``id()``."""
-    places: dict[int, str] = {}
-
-    def noting(check: Callable[[Any], None]) -> Callable[[Any], None]:
-        def noted(record: Any) -> None:
-            frame = sys._getframe(1)
-            while frame.f_back is not None and frame.f_globals.get("__name__") in (specs.__name__, "dataclasses"):
-                frame = frame.f_back
-            places[id(record)] = shown_place(frame.f_code.co_filename, frame.f_lineno)
-            check(record)
-
-        return noted
-
-    EnvSpec.__post_init__ = noting(EnvSpec.__post_init__)  # type: ignore[assignment, method-assign]
-    NamedSpec.__post_init__ = noting(NamedSpec.__post_init__)  # type: ignore[assignment, method-assign]
-    return places
-
-
-def _problem(kept: dict[str, Any], number: int) -> str:
+def _problem(record: Record) -> str:
     """Return what is wrong with the entry points of a record, and where; ``""`` where nothing is."""
-    record, declared = kept["records"][number]
     package = _module(record).partition(".")[0]
     try:
         _check_entry_points(record)
@@ -201,7 +177,7 @@ def _problem(kept: dict[str, Any], number: int) -> str:
             return ""  # its module imports a requirement that is not installed
         place = "" if cause is None else place_of(cause, package)
         text = f"{error}" if isinstance(error, GemError) else one_line(error)
-        return f"{place or declared}: {' '.join(text.split())}"
+        return (f"{place}: " if place else "") + " ".join(text.split())
     return ""
 
 

@@ -1,7 +1,6 @@
-"""``Interpreter``: another Python process that calls functions for this one, and may hang or die without harm.
+"""Run a function in another Python process, which may hang or die without harm.
 
-Requests and answers are pickles. This module imports the standard library only, so that a check of what a plugin
-imports does not find it imported already.
+This module imports the standard library only, so that a check of what a plugin imports does not find it imported.
 """
 
 from __future__ import annotations
@@ -9,15 +8,11 @@ from __future__ import annotations
 import faulthandler
 import json
 import os
-import pickle
-import select
 import signal
 import subprocess
 import sys
-import threading
 import time
-import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import suppress
 from multiprocessing.connection import Connection, Pipe
 from types import MappingProxyType
@@ -27,17 +22,15 @@ _START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
     "from gem_core.testing.interpreter import serve; serve(int(sys.argv[2]))"
 )
-_START_S = 60.0
-
 _NONE: Mapping[str, str] = MappingProxyType({})
 
 
 class CallError(Exception):
-    """A remote call did not return; the message says why."""
+    """The function in the other process raised; the message says what."""
 
 
-class InterpreterLostError(CallError):
-    """The interpreter hung or ended, and is gone.
+class ProcessLostError(CallError):
+    """The other process hung or ended.
 
     Args:
         message: How it ended.
@@ -49,125 +42,107 @@ class InterpreterLostError(CallError):
         self.exit_code = exit_code
 
 
-class Interpreter:
-    """A Python process with the ``sys.path`` of this one and another hash seed.
+def sent_by(
+    function: Callable[..., None],
+    *args: Any,
+    variables: Mapping[str, str] = _NONE,
+    stdout: IO[bytes] | int = subprocess.DEVNULL,
+    stderr: IO[bytes] | int = subprocess.DEVNULL,
+    stopped: Callable[[], bool] = lambda: False,
+) -> Generator[Any]:
+    """Call ``function(send, *args)`` in another process, and yield each value that it sends.
 
-    It leads a session of its own: Ctrl-C in a terminal does not reach it, and what it starts is killed with it.
+    The process has the ``sys.path`` of this one and another hash seed. It leads a session of its own: Ctrl-C in a
+    terminal does not reach it, and what it starts is killed with it. It ends itself where ``allow`` says so, with its
+    traceback on standard error.
 
     Args:
+        function: Of a module that can be imported there.
+        *args: Its further arguments.
         variables: Environment variables over those of this process.
         stdout: A file for its standard output, which is dropped otherwise.
         stderr: A file for its standard error, which is dropped otherwise.
-        stop: Makes every call fail once it is set, so that another thread can end the waiting.
+        stopped: Ends the waiting once it returns True.
 
     Raises:
-        InterpreterLostError: It cannot be started.
+        CallError: The function raised something.
+        ProcessLostError: The process hung or ended.
     """
-
-    def __init__(
-        self,
-        variables: Mapping[str, str] = _NONE,
-        stdout: IO[bytes] | int = subprocess.DEVNULL,
-        stderr: IO[bytes] | int = subprocess.DEVNULL,
-        stop: threading.Event | None = None,
-    ) -> None:
-        self._stop = stop or threading.Event()
-        self._connection, theirs = Pipe()
-        hash_seed = "2" if os.environ.get("PYTHONHASHSEED") == "1" else "1"
-        path = json.dumps([entry or os.getcwd() for entry in sys.path])
-        with theirs:
-            self._process = subprocess.Popen(
-                [sys.executable, "-u", "-c", _START, path, str(theirs.fileno())],
-                env={**os.environ, "PYTHONHASHSEED": hash_seed, **variables},
-                stdin=subprocess.DEVNULL,
-                stdout=stdout,
-                stderr=stderr,
-                pass_fds=[theirs.fileno()],
-                start_new_session=True,
-            )
-        self.close = weakref.finalize(self, _end, self._process, self._connection, os.getpid())
-        """Kill it, and what it has started; the end of this process does so too."""
-        self.call(bool, timeout_s=_START_S)  # wait until it answers
-
-    @property
-    def pid(self) -> int:
-        """Its process id."""
-        return self._process.pid
-
-    @property
-    def is_alive(self) -> bool:
-        """Whether it can be asked; False in a fork of the process that started it."""
-        return self._process.poll() is None
-
-    def call(self, function: Callable[..., Any], *args: Any, timeout_s: float) -> Any:
-        """Return ``function(kept, *args)``, called there; ``kept`` is a dictionary that lives as long as it does.
-
-        Raises:
-            CallError: The function raised something.
-            InterpreterLostError: It gave no answer in time, or ended.
-        """
-        request = pickle.dumps((function, args))
-        try:
-            self._connection.send_bytes(request)
-            self._wait(timeout_s)
-            returned, value = self._connection.recv()
-        except (EOFError, OSError):
-            with suppress(subprocess.TimeoutExpired):
-                self._process.wait(1.0)
-            code = self._process.poll()
-            self.close()
-            raise InterpreterLostError(f"the process ended with exit code {code}", code) from None
-        if not returned:
-            raise CallError(f"it raised {value}")
-        return value
-
-    def _wait(self, timeout_s: float) -> None:
-        deadline = time.monotonic() + timeout_s
-        while not self._connection.poll(0.1):
+    ours, theirs = Pipe()
+    hash_seed = "2" if os.environ.get("PYTHONHASHSEED") == "1" else "1"
+    path = json.dumps([entry or os.getcwd() for entry in sys.path])
+    with theirs:
+        process = subprocess.Popen(
+            [sys.executable, "-u", "-c", _START, path, str(theirs.fileno())],
+            env={**os.environ, "PYTHONHASHSEED": hash_seed, **variables},
+            stdin=subprocess.DEVNULL,
+            stdout=stdout,
+            stderr=stderr,
+            pass_fds=[theirs.fileno()],
+            start_new_session=True,
+        )
+    limit_s, since = 0.0, time.monotonic()
+    try:
+        ours.send((function, args))
+        while True:
             # Its child processes may keep the connection open after its end.
-            if not self.is_alive and not self._connection.poll(0.0):
-                raise EOFError
-            if time.monotonic() >= deadline or self._stop.is_set():
-                self._process.send_signal(signal.SIGUSR1)  # it writes its traceback to standard error, and ends
-                with suppress(subprocess.TimeoutExpired):
-                    self._process.wait(1.0)
-                self.close()
-                raise InterpreterLostError(f"it gave no answer within {timeout_s:g} s", None)
-
-
-def _end(process: subprocess.Popen[bytes], connection: Connection, started_by: int) -> None:
-    connection.close()
-    if os.getpid() == started_by:  # and not a fork of it
+            while not ours.poll(0.1):
+                if (process.poll() is not None or stopped()) and not ours.poll(0.0):
+                    raise EOFError
+            what, value = ours.recv()
+            if what == "limit":
+                limit_s, since = value, time.monotonic()
+            elif what == "sent":
+                yield value
+            elif what == "raised":
+                raise CallError(f"it raised {value}")
+            else:
+                return
+    except (EOFError, OSError):
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(1.0)
+        if process.poll() == 1 and limit_s and time.monotonic() - since >= limit_s:
+            raise ProcessLostError(f"it gave no answer within {limit_s:g} s", None) from None
+        raise ProcessLostError(f"the process ended with exit code {process.poll()}", process.poll()) from None
+    finally:
+        ours.close()
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
 
 
 def serve(number: int) -> None:
-    """Call functions for the interpreter at the other end of a socket, until it is gone.
+    """Call the function that the other end of a socket asks for.
 
     Args:
         number: Of the open socket.
     """
     faulthandler.enable()
-    faulthandler.register(signal.SIGUSR1, chain=True)
     connection = Connection(number)
-    # In a thread, so that the end of the other side is noticed while a call hangs.
-    threading.Thread(target=_end_with, args=(number,), daemon=True).start()
-    kept: dict[str, Any] = {}
-    while True:
-        request = connection.recv_bytes()
-        try:
-            function, args = pickle.loads(request)
-            answer = True, function(kept, *args)
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code; the other side is told
-            answer = False, f"{type(error).__name__}: {error}"
-        connection.send(answer)
+    function, args = connection.recv()
+    try:
+        function(Sender(connection), *args)
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code; the other side is told
+        connection.send(("raised", f"{type(error).__name__}: {error}"))
+    else:
+        connection.send(("returned", None))
 
 
-def _end_with(number: int) -> None:
-    """Wait until the other side of a socket is closed, then kill this process and all that it has started."""
-    poll = select.poll()
-    poll.register(number, 0)  # no event but the end, which is always told
-    poll.poll()
-    os.killpg(0, signal.SIGKILL)
+class Sender:
+    """Sends values to the process that asked.
+
+    Args:
+        connection: To that process.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def __call__(self, value: Any) -> None:
+        """Send a value."""
+        self._connection.send(("sent", value))
+
+    def allow(self, limit_s: float) -> None:
+        """End this process, with a traceback on standard error, unless called again within ``limit_s`` seconds."""
+        self._connection.send(("limit", limit_s))
+        faulthandler.dump_traceback_later(limit_s, exit=True)

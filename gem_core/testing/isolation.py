@@ -1,4 +1,4 @@
-"""Time limits, and saving of the global random state, so that promises do not disturb each other or the caller."""
+"""Time limits of calls, in this process and in another, and the global random state."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ import random
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, wait
 from contextlib import contextmanager
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+
+from gem_core.testing.interpreter import Sender
 
 T = TypeVar("T")
 
@@ -25,76 +26,76 @@ class _AbandonedError(BaseException):
     """Ends an abandoned thread at its next call. Environments must not catch it."""
 
 
-class _BodyThread(threading.Thread, Generic[T]):
-    """Runs a function in a daemon thread.
-
-    Args:
-        function: What is run.
-    """
-
-    def __init__(self, function: Callable[[], T]) -> None:
-        super().__init__(name="gem-check", daemon=True)
-        self.future: Future[T] = Future()
-        self.call: Callable[[], str] = str
-        """Returns the name of the present or last call."""
-        self.limit_s = self.deadline = math.inf
-        self._function = function
-
-    def run(self) -> None:
-        try:
-            self.future.set_result(self._function())
-        except BaseException as error:  # noqa: BLE001 - it is raised again in the thread that waits
-            self.future.set_exception(error)
-
-
 class Watch:
-    """Runs code in a daemon thread and limits every single call that the code makes through ``call``.
-
-    One thread runs a whole promise, not a single call: a check makes thousands of cheap ones.
-    """
+    """Runs a promise in a daemon thread, and limits every single call that it makes through ``call``."""
 
     def __init__(self) -> None:
-        self._body: _BodyThread[Any] | None = None
-
-    @property
-    def last_call(self) -> str:
+        self.last_call = ""
         """What was called last, as in ``step('hello')``."""
-        return "" if self._body is None else self._body.call()
+        self._thread: threading.Thread | None = None
+        self._limit_s = self._deadline = math.inf
 
     @property
     def is_live(self) -> bool:
-        """Whether the calling thread is the one that runs a function now, and was not abandoned."""
-        return threading.current_thread() is self._body
+        """Whether the calling thread is the one that runs a promise now, and was not abandoned."""
+        return threading.current_thread() is self._thread
 
-    def run(self, function: Callable[[], T]) -> T:
+    def run(self, function: Callable[[], object]) -> None:
         """Run ``function`` to its end.
 
         Raises:
             TookTooLongError: A call exceeded its limit; the message names it.
         """
-        body = _BodyThread(function)
-        self._body = body
-        body.start()
-        try:
-            while not wait([body.future], 0.05).done:
-                if time.monotonic() >= body.deadline:
-                    raise TookTooLongError(f"{body.call()} gave no answer within {body.limit_s:g} s")
-            return body.future.result()
-        finally:
-            self._body = None
+        errors: list[BaseException] = []
 
-    def call(
-        self, label: Callable[[], str], limit_s: float, function: Callable[..., T], *args: Any, **kwargs: Any
-    ) -> T:
-        """Call ``function`` under a limit; ``label`` gives its name when it is needed."""
-        body = self._body
-        if body is None or not self.is_live:
+        def body() -> None:
+            try:
+                function()
+            except BaseException as error:  # noqa: BLE001 - it is raised again in the thread that waits
+                errors.append(error)
+
+        self._deadline = math.inf
+        self._thread = thread = threading.Thread(target=body, name="gem-check", daemon=True)
+        thread.start()
+        try:
+            while thread.is_alive():
+                thread.join(0.05)
+                if thread.is_alive() and time.monotonic() >= self._deadline:
+                    raise TookTooLongError(f"{self.last_call} gave no answer within {self._limit_s:g} s")
+        finally:
+            self._thread = None
+        if errors:
+            raise errors[0]
+
+    def call(self, label: str, limit_s: float, function: Callable[..., T], *args: Any, **kwargs: Any) -> T:
+        """Call ``function`` under a limit."""
+        if not self.is_live:
             raise _AbandonedError
-        body.call, body.limit_s, body.deadline = label, limit_s, time.monotonic() + limit_s
+        self.last_call, self._limit_s, self._deadline = label, limit_s, time.monotonic() + limit_s
         try:
             return function(*args, **kwargs)
         finally:
-            body.deadline = math.inf
+            if self.is_live:
+                self._deadline = math.inf
+
+
+class ProcessWatch(Watch):
+    """Limits every call of a process that runs nothing but one promise: what takes too long ends it.
+
+    Args:
+        send: To the process that waits for the result.
+    """
+
+    def __init__(self, send: Sender) -> None:
+        super().__init__()
+        self._send = send
+
+    def call(self, label: str, limit_s: float, function: Callable[..., T], *args: Any, **kwargs: Any) -> T:
+        """Call ``function`` under a limit."""
+        self.last_call = label
+        self._send(("call", label))
+        self._send.allow(limit_s)
+        return function(*args, **kwargs)
 
 
 def global_random_state() -> dict[str, Any]:

@@ -13,7 +13,6 @@ from gem_core.errors import StateNotSupported
 from gem_core.testing.comparing import difference, differences, json_loss, plain
 from gem_core.testing.contract import promise
 from gem_core.testing.findings import NotTriedError, shown
-from gem_core.testing.interpreter import CallError
 from gem_core.testing.remaking import unchecked
 from gem_core.testing.subject import PlainResult, Script, Subject
 
@@ -61,25 +60,6 @@ def state_instance(subject: Subject) -> Iterator[str]:
                 yield from differences(what, expected[steps + 1 :], theirs[: len(expected) - steps - 1], steps + 1)
             if any(sample != samples[0] for sample in samples):
                 yield f"with seed {script.seed}, after {steps} steps, restored ones sample other actions: {samples}"
-
-
-@promise("save values rather than objects, and depend on nothing that only this process has.")
-def state_process(subject: Subject) -> Iterator[str]:
-    """Another process goes on from a saved state as the first one does."""
-    for script, expected in subject.references:
-        for steps in subject.cuts(script):
-            original = subject.new()
-            _advance(subject, original, script, steps)
-            state = _through_json(subject.saved(original))
-            try:
-                with subject.elsewhere() as env:
-                    env.set_state(state)
-                    found = env.play(script.actions[steps:])
-            except CallError as error:
-                yield f"with seed {script.seed}, restored after {steps} steps, {error}"
-                return
-            what = f"with seed {script.seed}, restored after {steps} steps, it differs"
-            yield from differences(what, expected[steps + 1 :], found, steps + 1)
 
 
 @promise("let spawn call the constructor with the same arguments, and share nothing that changes.")

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import io
+import os
+import pickle
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
+from types import FunctionType
 from typing import Any, cast
 
+import cloudpickle  # type: ignore[import-untyped]  # it has no types
 import gymnasium
 
 from gem_core.api import make, spec
@@ -19,9 +25,9 @@ from gem_core.errors import ArgumentError, StateNotSupported
 from gem_core.registry.requirements import check_requirements
 from gem_core.registry.specs import EnvSpec
 from gem_core.testing.comparing import play
-from gem_core.testing.elsewhere import OTHER_PROCESS, EnvElsewhere
 from gem_core.testing.findings import NotTriedError, place_of, shown
-from gem_core.testing.isolation import Watch
+from gem_core.testing.interpreter import CallError, Sender, sent_by
+from gem_core.testing.isolation import ProcessWatch, Watch
 from gem_core.testing.joint import SeenByOne, fitted, is_joint, responses, say, split, step_label
 from gem_core.testing.remaking import guarded, layers_of, remaker
 from gem_core.types import Action
@@ -30,14 +36,8 @@ PlainResult = dict[str, Any]
 """What one reset or step gave, as plain data."""
 
 CLUMSY_ACTIONS = (
-    "",
-    "hello",
-    "\\boxed{1}",
-    "<answer>A</answer>",
-    "I do not know.",
-    "\\boxed{A B}",
-    "```python\nprint(1)\n```",
-    "\\boxed{[0 0]}",
+    *("", "hello", "\\boxed{1}", "<answer>A</answer>"),
+    *("I do not know.", "\\boxed{A B}", "```python\nprint(1)\n```", "\\boxed{[0 0]}"),
 )
 """Actions of an agent that does not know the task, used if the environment cannot sample actions."""
 
@@ -59,15 +59,7 @@ class Script:
 
 @dataclass(frozen=True)
 class Limits:
-    """How much is tried, and how long a call may take.
-
-    Args:
-        seed: Decides all seeds and generated actions.
-        episodes: Episodes played with sampled actions.
-        max_turns: Turns after which a check stops playing an episode.
-        step_timeout_s: Limit of one step, in seconds.
-        reset_timeout_s: Limit of every other call, in seconds.
-    """
+    """How much is tried, and how long a call may take; see ``check_env``."""
 
     seed: int = 0
     episodes: int = 3
@@ -79,19 +71,17 @@ class Limits:
 class Subject:
     """The environment under check, as the promises use it."""
 
-    def __init__(self, target: object, limits: Limits) -> None:
+    def __init__(self, target: object, limits: Limits, watch: Watch | None = None) -> None:
         self.limits = limits
-        self.watch = Watch()
+        self.watch = watch or Watch()
         self.notes: list[str] = []
         self.name, self._make = self._maker(target)
         self._instances: list[AnyEnv] = []
-        self.runs = False
-        """Whether an episode can be begun and stepped without an exception."""
         self.several = False
         """Whether several agents act in it."""
         self.package = ""
         """The module of the task's class."""
-        self._scripts: list[Script] | None = None
+        self.recorded_scripts: list[Script] | None = None
         self.recorded: list[list[PlainResult]] | None = None
         """Results of each script, once they are known to repeat."""
 
@@ -121,15 +111,6 @@ class Subject:
         """Forget the instances of a promise whose thread hangs, without closing them."""
         self._instances = []
 
-    def elsewhere(self) -> AbstractContextManager[EnvElsewhere]:
-        """Return a context in which there is an instance in another process.
-
-        Raises:
-            NotTriedError: When it is entered: this environment cannot be made there.
-            CallError: When it is entered: its constructor hangs there, or ends the process.
-        """
-        return OTHER_PROCESS.env(self._make, self.limits.step_timeout_s, self.limits.reset_timeout_s)
-
     # Calls.
 
     def reset(self, env: AnyEnv, seed: int | None = None) -> Any:
@@ -138,9 +119,8 @@ class Subject:
 
     def step(self, env: AnyEnv, action: Action) -> Any:
         """Step under the time limit."""
-        return self.watch.call(
-            lambda: step_label(action), self.limits.step_timeout_s, cast("Callable[[Action], Any]", env.step), action
-        )
+        step = cast("Callable[[Action], Any]", env.step)
+        return self.watch.call(step_label(action), self.limits.step_timeout_s, step, action)
 
     def step_fitted(self, env: AnyEnv, action: Action) -> Any:
         """Step with an action of a script, also where others act in this episode than in that of the script."""
@@ -156,7 +136,7 @@ class Subject:
 
     def called(self, label: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         """Call anything else under the time limit."""
-        return self.watch.call(lambda: label, self.limits.reset_timeout_s, function, *args, **kwargs)
+        return self.watch.call(label, self.limits.reset_timeout_s, function, *args, **kwargs)
 
     def told(self, error: BaseException) -> str:
         """Return an exception with its text and its place in the author's file."""
@@ -173,9 +153,9 @@ class Subject:
     @property
     def scripts(self) -> list[Script]:
         """Episodes to repeat: sampled actions, and in the last one what an agent says that does not know the task."""
-        if self._scripts is None:
-            raise NotTriedError(f"no episode could be played; see '{'episode' if self.runs else 'runs'}'")
-        return self._scripts
+        if self.recorded_scripts is None:
+            raise NotTriedError("no episode could be played; see 'episode'")
+        return self.recorded_scripts
 
     def need_episodes(self) -> None:
         """Raise ``NotTriedError`` if no episode can be played."""
@@ -183,11 +163,19 @@ class Subject:
 
     def record_scripts(self) -> None:
         """Play the episodes that the other promises repeat."""
-        *sampled, clumsy = self.seeds
-        env = self.new()
-        can_sample = self.can_sample()
-        scripts = [self._recorded(env, seed, can_sample) for seed in sampled]
-        self._scripts = [*scripts, self._recorded(env, clumsy, False)]
+        env, sampling, scripts = self.new(), self.can_sample(), []
+        for seed in self.seeds:
+            self.reset(env, seed)
+            actions: list[Action] = []
+            ended = False
+            while not ended and len(actions) < self.limits.max_turns:
+                clumsy = CLUMSY_ACTIONS[len(actions) % len(CLUMSY_ACTIONS)]
+                sampled = sampling and seed != self.seeds[-1]
+                actions.append(self.sample(env) if sampled else say(env, clumsy))
+                result = self.step(env, actions[-1])
+                ended = bool(result[2] or result[3])
+            scripts.append(Script(seed, tuple(actions), ended))
+        self.recorded_scripts = scripts
 
     def can_sample(self) -> bool:
         """Tell whether the environment gives random actions; ``valid-sample`` says what is wrong where it does not."""
@@ -197,17 +185,6 @@ class Subject:
             return all(isinstance(text, str) for text in responses(self.sample(env)).values())
         except Exception:  # noqa: BLE001 - a promise of its own tries and names it
             return False
-
-    def _recorded(self, env: AnyEnv, seed: int, sampled: bool) -> Script:
-        self.reset(env, seed)
-        actions: list[Action] = []
-        ended = False
-        while not ended and len(actions) < self.limits.max_turns:
-            clumsy = CLUMSY_ACTIONS[len(actions) % len(CLUMSY_ACTIONS)]
-            actions.append(self.sample(env) if sampled else say(env, clumsy))
-            result = self.step(env, actions[-1])
-            ended = bool(result[2] or result[3])
-        return Script(seed, tuple(actions), ended)
 
     @cached_property
     def results(self) -> list[SeenByOne]:
@@ -241,14 +218,6 @@ class Subject:
         """Continue an episode."""
         return play(None, partial(self.step_fitted, env), actions)
 
-    # What is known to repeat.
-
-    def expect_determinism(self) -> None:
-        """Raise ``NotTriedError`` if the environment's record says that it is not deterministic."""
-        made_from = self.new().unwrapped.spec
-        if made_from is not None and made_from.nondeterministic:
-            raise NotTriedError("its record says deterministic=False")
-
     @property
     def references(self) -> list[tuple[Script, list[PlainResult]]]:
         """Every script with its results, known to be the same each time."""
@@ -257,6 +226,12 @@ class Subject:
         if self.recorded is None:
             raise NotTriedError("the same seed and actions do not repeat; see 'determinism'")
         return list(zip(self.scripts, self.recorded, strict=True))
+
+    def expect_determinism(self) -> None:
+        """Raise ``NotTriedError`` if the environment's record says that it is not deterministic."""
+        made_from = self.new().unwrapped.spec
+        if made_from is not None and made_from.nondeterministic:
+            raise NotTriedError("its record says deterministic=False")
 
     def cuts(self, script: Script) -> list[int]:
         """Return the numbers of actions after which states are saved: none, half, and all but the last."""
@@ -270,21 +245,106 @@ class Subject:
         except StateNotSupported as error:
             raise NotTriedError(str(error)) from error
 
+    # Promises.
+
+    def sightings(self, check: Callable[[Subject], Iterator[str]]) -> Iterator[str]:
+        """Yield how a promise is broken; an exception breaks it too.
+
+        Raises:
+            NotTriedError: It cannot be tried, and nothing was seen before.
+        """
+        found = False
+        try:
+            for sighting in check(self):
+                found = True
+                yield sighting
+        except NotTriedError:
+            if not found:
+                raise
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code: all that it raises breaks the promise
+            yield f"{self.watch.last_call} raised {self.told(error)}"
+
+    def elsewhere(self, check: Callable[[Subject], Iterator[str]]) -> Iterator[str]:
+        """Yield how a promise is broken in another process, which has another hash seed and may hang or die.
+
+        Raises:
+            NotTriedError: The environment cannot be made there.
+        """
+        buffer = io.BytesIO()
+        try:
+            _Packer(buffer).dump((self._make, self.limits, self.name, self.recorded_scripts, self.recorded))
+        except Exception as error:  # pickle calls methods of third-party classes
+            why_not = f"{type(error).__name__}: {error}"
+            raise NotTriedError(f"its arguments cannot be handed to another process: {why_not}") from error
+        last_call = ""
+        try:
+            with closing(sent_by(_check_there, buffer.getvalue(), check)) as answers:
+                for what, text in answers:
+                    if what == "call":
+                        last_call = text
+                    elif what == "note":
+                        self.notes.append(text)
+                    elif what == "not tried":
+                        raise NotTriedError(text)
+                    else:
+                        yield f"{text}, in another process"
+        except CallError as error:
+            yield f"{last_call}, in another process: {error}"
+
     def _maker(self, target: object) -> tuple[str, Callable[[], Any]]:
         if isinstance(target, str | EnvSpec):
             record = spec(target) if isinstance(target, str) else target
             check_requirements(record, record.kwargs)  # once, and not for each of a hundred instances
             return record.id, partial(make, dataclasses.replace(record, requires=()))
         if isinstance(target, gymnasium.Env):
-            env = self._without_outer_gymnasium_wrappers(target)
+            env = target
+            while isinstance(env, gymnasium.Wrapper) and not isinstance(env, Wrapper):
+                self.notes.append(f"checked inside Gymnasium's {type(env).__name__}, which has none of GEM's methods")
+                env = env.env
             names = [type(layer).__name__ for layer in layers_of(env)]
             return getattr(env, "env_id", None) or " around ".join(names), remaker(env)
         if callable(target):
             return getattr(target, "__name__", repr(target)), target
         raise ArgumentError(f"check_env takes an id, an environment, or a class, not {target!r}")
 
-    def _without_outer_gymnasium_wrappers(self, env: AnyEnv) -> AnyEnv:
-        while isinstance(env, gymnasium.Wrapper) and not isinstance(env, Wrapper):
-            self.notes.append(f"checked inside Gymnasium's {type(env).__name__}, which has none of GEM's methods")
-            env = env.env
-        return env
+
+class _Packer(cloudpickle.Pickler):  # type: ignore[misc]  # as above
+    """Pickles the modules of tests by value, too: pytest gives them names that cannot be imported without pytest."""
+
+    def reducer_override(self, obj: Any) -> Any:
+        module = sys.modules.get(getattr(obj, "__module__", None) or "")
+        if isinstance(obj, type | FunctionType) and module is not None and not _is_found(module):
+            cloudpickle.register_pickle_by_value(module)
+        return super().reducer_override(obj)
+
+
+@cache
+def _is_found(module: Any) -> bool:
+    """Tell whether an import of its name, in an interpreter that has not imported it, leads to the file of a module."""
+    package = module.__name__.rpartition(".")[0]
+    path = getattr(sys.modules.get(package), "__path__", ()) if package else None
+    for finder in sys.meta_path:
+        found = finder.find_spec(module.__name__, path)
+        if found is not None:
+            return not found.has_location or os.path.realpath(found.origin or "") == os.path.realpath(module.__file__)
+    return False
+
+
+def _check_there(send: Sender, packed: bytes, check: Callable[[Subject], Iterator[str]]) -> None:
+    """Try a promise in the other process."""
+    try:
+        make_env, limits, name, scripts, recorded = pickle.loads(packed)
+        send.allow(limits.reset_timeout_s)
+        make_env().close()
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code
+        send(("not tried", f"in another process it cannot be made: {type(error).__name__}: {error}"))
+        return
+    subject = Subject(make_env, limits, ProcessWatch(send))
+    subject.name, subject.recorded_scripts, subject.recorded = name, scripts, recorded
+    try:
+        for sighting in subject.sightings(check):
+            send(("seen", sighting))
+    except NotTriedError as error:
+        send(("not tried", str(error)))
+    for note in subject.notes:
+        send(("note", note))

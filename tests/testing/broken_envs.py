@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import random
 import re
 import secrets
-import sys
 import threading
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -39,7 +37,7 @@ class UnmakeableEnv(GoodEnv):
         raise ValueError("no luck")
 
 
-@breaks("runs")
+@breaks("episode")
 class RaisingEnv(GoodEnv):
     """Its step raises, a function further in."""
 
@@ -48,6 +46,14 @@ class RaisingEnv(GoodEnv):
 
     def answer_to(self, number: int) -> Any:
         return super().step(str(number))
+
+
+@breaks("episode", "gymnasium")
+class NoOptionsEnv(GoodEnv):
+    """Its reset takes no options."""
+
+    def reset(self, seed: int | None = None) -> Any:  # type: ignore[override]
+        return super().reset(seed)
 
 
 @breaks("episode")
@@ -68,14 +74,6 @@ class NanRewardEnv(GoodEnv):
         return observation, float("nan"), *rest
 
 
-@breaks("reset-signature")
-class KeywordResetEnv(GoodEnv):
-    """Its reset takes nothing by position."""
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:  # type: ignore[override]
-        return super().reset(seed, options)
-
-
 class _UniqueText(Text):
     __eq__ = object.__eq__
     __hash__ = object.__hash__
@@ -90,7 +88,7 @@ class UniqueSpaceEnv(GoodEnv):
         self.observation_space = _UniqueText()
 
 
-@breaks("end-flags")
+@breaks("types", "hostile-actions")
 class BothFlagsEnv(GoodEnv):
     """It ends with both flags."""
 
@@ -124,15 +122,6 @@ class WrongSuffixEnv(GoodEnv):
     def answer(self, feedback: str) -> tuple[str, dict[str, Any]]:
         observation, info = super().answer(feedback)
         return observation, {**info, "suffix": "Nothing new."}
-
-
-@breaks("fresh-objects", may=("gymnasium",))
-class SharedListEnv(GoodEnv):
-    """It hands out its own list of guesses; Gymnasium 1.4 and later see that too."""
-
-    def answer(self, feedback: str) -> tuple[str, dict[str, Any]]:
-        observation, info = super().answer(feedback)
-        return observation, {**info, "guesses": self.guesses}
 
 
 @breaks("fresh-objects", may=("gymnasium",))
@@ -186,14 +175,6 @@ class FirstStepTruncatesEnv(GoodEnv):
 
 
 @breaks("determinism", "gymnasium")
-class EntropyEnv(GoodEnv):
-    """Its hints carry a number of the operating system's."""
-
-    def hint(self, guess: int | None) -> str:
-        return f"{super().hint(guess)} {secrets.randbits(60)}"
-
-
-@breaks("determinism", "gymnasium")
 class LeftoverEnv(GoodEnv):
     """It counts steps over all episodes of an instance."""
 
@@ -217,15 +198,6 @@ class ClassStateEnv(GoodEnv):
     @secret.setter
     def secret(self, value: int) -> None:
         self.shared[0] = value
-
-
-@breaks("coroutines")
-class OtherCoroutineEnv(GoodEnv):
-    """Its step_async rewards every answer."""
-
-    async def step_async(self, action: str) -> Any:
-        observation, reward, *rest = self.step(action)
-        return observation, reward + 1, *rest
 
 
 @breaks("process-determinism")
@@ -275,28 +247,12 @@ class TaskGeneratorSamplingEnv(GoodEnv):
         return f"\\boxed{{{int(self.np_random.integers(1, self.limit + 1))}}}"
 
 
-@breaks("action-sampling", may=("state-instance",))
-class EntropySamplingEnv(GoodEnv):
-    """It samples other actions each time."""
-
-    def sample_random_action(self) -> str:
-        return f"\\boxed{{{secrets.randbelow(self.limit) + 1}}}" + f"{secrets.randbits(60)}"
-
-
 @breaks("valid-sample")
 class InvalidSampleEnv(GoodEnv):
     """It samples what it does not understand itself."""
 
     def sample_random_action(self) -> str:
         return "\\boxed{0}"
-
-
-@breaks("valid-sample")
-class NoSampleEnv(GoodEnv):
-    """It samples nothing."""
-
-    def sample_random_action(self) -> str:
-        return super(GoodEnv, self).sample_random_action()
 
 
 @breaks("response")
@@ -324,54 +280,12 @@ class LiveStateEnv(GoodEnv):
         return {"secret": self.secret, "guesses": self.guesses}
 
 
-@breaks("state-json")
-class TupleStateEnv(GoodEnv):
-    """Its state holds a tuple."""
-
-    def _get_state(self) -> dict[str, Any]:
-        return {"secret": self.secret, "guesses": tuple(self.guesses)}
-
-
-@breaks("state-instance")
-class AdoptedStateEnv(GoodEnv):
-    """It goes on writing into the list that it was given."""
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self.secret = state["secret"]
-        self.guesses = state["guesses"]
-
-
-@breaks("state-instance")
-class ForgetfulSamplesEnv(GoodEnv):
-    """Its state lacks the generator of sampled actions."""
-
-    def get_state(self) -> dict[str, Any]:
-        return {**super().get_state(), "actions": None, "action_seed": None}
-
-
-@breaks("state-instance", "state-process", "spawn")
+@breaks("state-instance", "spawn")
 class ForgetfulStateEnv(GoodEnv):
     """Its state lacks the guesses."""
 
     def _get_state(self) -> dict[str, Any]:
         return {"secret": self.secret, "guesses": []}
-
-
-_KEPT: dict[int, dict[str, Any]] = {}
-_TICKETS = itertools.count(os.getpid() << 20)
-
-
-@breaks("state-process")
-class TicketStateEnv(GoodEnv):
-    """Its state is a ticket for what only this process keeps."""
-
-    def _get_state(self) -> dict[str, Any]:
-        ticket = next(_TICKETS)
-        _KEPT[ticket] = super()._get_state()
-        return {"ticket": ticket}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(_KEPT[state["ticket"]])
 
 
 @breaks("spawn")
@@ -387,6 +301,8 @@ class WrongSpawnEnv(GoodEnv):
 
 class NullHangsEnv(GoodEnv):
     """It never answers a NUL byte, until the test lets it go."""
+
+    concurrency = "thread"
 
     released = threading.Event()
 
@@ -429,25 +345,6 @@ class OtherProcessEnv(GoodEnv):
                 os._exit(3)
             if self.deed == "leave":
                 raise SystemExit(4)
-        return super().step(action)
-
-
-class PidEnv(GoodEnv):
-    """It notes the processes in which it is made."""
-
-    def __init__(self, file: str) -> None:
-        super().__init__()
-        with open(file, "a") as pids:
-            pids.write(f"{os.getpid()}\n")
-
-
-class ChattyEnv(GoodEnv):
-    """It prints, with and without Python's own streams."""
-
-    def step(self, action: str) -> Any:
-        sys.stdout.write("a line\n")
-        sys.stdout.flush()
-        os.write(1, b"raw bytes\n")
         return super().step(action)
 
 

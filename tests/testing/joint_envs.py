@@ -99,16 +99,6 @@ class RewardsForAllEnv(GoodJointEnv):
         return observations, {**dict.fromkeys(self.terminations, 0.0), **rewards}, *rest
 
 
-@breaks("turns", "leaving")
-class FlagsOfTheActiveEnv(GoodJointEnv):
-    """It forgets who has ended."""
-
-    def step(self, actions: Any) -> Any:
-        observations, rewards, terminations, truncations, infos = super().step(actions)
-        flags = [{agent: each[agent] for agent in rewards} for each in (terminations, truncations)]
-        return observations, rewards, *flags, infos
-
-
 @breaks("leaving")
 class NoFinalObsEnv(GoodJointEnv):
     """It keeps the last observation of who ends to itself."""
@@ -118,18 +108,6 @@ class NoFinalObsEnv(GoodJointEnv):
         for info in result[-1].values():
             info.pop("final_obs", None)
         return result
-
-
-@breaks("leaving", "turns", "accounting")
-class LingeringEnv(GoodJointEnv):
-    """It sets the flag itself of who leaves, who then stays."""
-
-    def process_actions(self, actions: dict[str, str]) -> Any:
-        rewards, terminations, *rest = super().process_actions(actions)
-        if not all(terminations.values()):
-            self.terminations |= {agent: True for agent, flag in terminations.items() if flag}
-            terminations = {}
-        return rewards, terminations, *rest
 
 
 @breaks("accounting")
@@ -152,14 +130,6 @@ class LenientEnv(GoodJointEnv):
 
 
 @breaks("reasoning")
-class EchoEnv(GoodJointEnv):
-    """It shows to all how a response begins."""
-
-    def hint(self, actions: dict[str, str]) -> str:
-        return " ".join(action[:60] for action in actions.values())
-
-
-@breaks("reasoning")
 class ClosedBlocksEnv(GoodJointEnv):
     """It takes out thinking between two tags, and forgets that a template may open the block."""
 
@@ -176,3 +146,38 @@ class InfoEchoEnv(GoodJointEnv):
         for info in infos.values():
             info["said"] = [action[:60] for action in actions.values()]
         return *result, infos
+
+
+@breaks("types", "hostile-actions")
+class PartsForGreenEnv(GoodJointEnv):
+    """It shows one agent content parts, which are not in that one's space."""
+
+    def observe(self, agent: str) -> Any:
+        text = super().observe(agent)
+        return [{"type": "text", "text": text}] if agent == "green" else text
+
+    def told(self) -> dict[str, Any]:
+        return {agent: {} for agent in self.possible_agents}
+
+
+@breaks("interleaving", "spawn", may=("state-instance",))
+class SharedSelectorEnv(GoodJointEnv):
+    """All instances have one selector, as one has who makes it in the body of the class."""
+
+    shared_selector = AgentSelector()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.agent_selector = self.shared_selector
+
+
+@breaks("hostile-actions")
+class BlueDigitsEnv(GoodJointEnv):
+    """It believes, of the last agent alone, that what isdigit() is a number; who cannot be read ends it for all."""
+
+    def process_actions(self, actions: dict[str, str]) -> Any:
+        answer = actions.get("blue", "").removeprefix("\\boxed{").removesuffix("}")
+        if answer.isdigit():
+            int(answer)
+        rewards, terminations, *rest = super().process_actions(actions)
+        return rewards, dict.fromkeys(terminations, True) if self.unread else terminations, *rest

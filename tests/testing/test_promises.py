@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import random
 import subprocess
 import sys
 import threading
+from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from broken_envs import BROKEN, BacktrackingEnv, DyingEnv, LiveStateEnv, NullHangsEnv, RaisingEnv, UnrepeatableEnv
+from broken_envs import (
+    BROKEN,
+    BacktrackingEnv,
+    DyingEnv,
+    LiveStateEnv,
+    NullHangsEnv,
+    OtherProcessEnv,
+    RaisingEnv,
+    UnrepeatableEnv,
+)
 from reference_envs import CountingWrapper, GoodAsyncEnv, GoodEnv, PictureEnv, ReverseStringEnv, ThreadEnv
 
 from gem_core import register
@@ -64,13 +75,11 @@ def test_a_step_that_raises_is_said_first_with_its_place() -> None:
     with pytest.raises(ContractError) as caught:
         check_env(RaisingEnv)
     line = RaisingEnv.answer_to.__code__.co_firstlineno - 2  # where step converts the action
-    first, raised, untried = str(caught.value).splitlines()
-    assert first == "RaisingEnv breaks 1 of 4 promises:"
-    assert raised.startswith("  runs: Reset and step can be called: they raise nothing, whatever is answered. Seen: ")
-    assert "step('') raised ValueError: \"invalid literal for int() with base 10: ''\" (" in raised
+    _, raised, untried = str(caught.value).splitlines()
+    assert raised.startswith("  episode: ")
+    assert "step('') raised ValueError" in raised
     assert f"broken_envs.py:{line})" in raised
-    assert untried.startswith("  not tried, episode, types, ")
-    assert untried.endswith(": no episode could be played; see 'runs'")
+    assert untried.startswith("  not tried, types, ")
 
 
 def test_every_promise_can_be_broken() -> None:
@@ -90,13 +99,14 @@ def test_paper_listing_breaks_what_it_breaks() -> None:
     assert set(broken) == {
         "determinism",
         "global-random",
-        "end-flags",
+        "episode",
+        "types",
+        "hostile-actions",
         "valid-sample",
-        "reset-signature",
         "gymnasium",
     }
     assert "reset() changed the state of random" in broken["global-random"]
-    assert "terminated and truncated, both True" in broken["end-flags"]
+    assert "terminated and truncated, both True" in broken["types"]
     assert "does not provide an `options`" in broken["gymnasium"]
 
 
@@ -109,6 +119,48 @@ def test_state_that_is_not_supported_is_skipped() -> None:
 def test_state_that_changes_later_is_shown_where_it_does() -> None:
     """Not the beginning of two long states that look the same."""
     assert "was changed by later ones, at env task guesses: [], then [" in broken_by(LiveStateEnv)["state-json"]
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize(
+    ("deed", "seen"),
+    [("die", "the process ended with exit code 3"), ("leave", "raised SystemExit"), ("hang", "no answer within 2 s")],
+)
+def test_what_goes_wrong_in_another_process_is_named(deed: str, seen: str) -> None:
+    """And does not end the check."""
+    with pytest.raises(ContractError) as caught:
+        check_env(OtherProcessEnv(os.getpid(), deed), step_timeout_s=2.0)
+    broken = caught.value.report.broken
+    assert set(broken) == {"process-determinism", "hostile-actions"}
+    assert seen in broken["process-determinism"]
+
+
+def test_strings_hash_differently_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where this process has a fixed hash seed; a class of a script needs no main guard."""
+    script = (
+        "from reference_envs import GoodEnv\nfrom gem_core.testing import check_env\n"
+        "class MineEnv(GoodEnv):\n    def hint(self, guess): return str(hash('number'))\n"
+        "check_env(MineEnv, skip={'hostile-actions': 'it takes longest'})"
+    )
+    monkeypatch.setenv("PYTHONHASHSEED", "1")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), *sys.path]))
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert "  process-determinism: " in done.stderr
+
+
+class EnvOfATest(GoodEnv):
+    """In a module that only pytest can import by its name, with ``--import-mode=importlib``."""
+
+
+def test_class_of_a_test_is_tried_there_too() -> None:
+    """It is sent by value."""
+    assert "process-determinism" in check_env(EnvOfATest).kept
+
+
+def test_arguments_that_cannot_be_pickled_are_a_reason_to_skip() -> None:
+    report = check_env(OtherProcessEnv(os.getpid(), threading.Lock()))  # type: ignore[arg-type]
+    assert set(report.skipped) == {"process-determinism"}
+    assert "hostile-actions" in report.kept
 
 
 def test_environment_by_id_keeps_its_promises_in_another_process_too() -> None:
@@ -141,7 +193,7 @@ def test_step_that_lets_no_other_thread_run_is_named() -> None:
     broken = broken_by(BacktrackingEnv, step_timeout_s=1.0)
     assert list(broken) == ["hostile-actions"]
     assert broken["hostile-actions"].startswith("step('<python><python>")
-    assert broken["hostile-actions"].endswith("tried in another process: it gave no answer within 1 s")
+    assert broken["hostile-actions"].endswith("in another process: it gave no answer within 1 s")
 
 
 def test_step_that_ends_the_process_is_named() -> None:
@@ -209,20 +261,6 @@ def test_an_environment_that_never_says_correct_gets_a_note() -> None:
     """Success is unknown there, which may be meant."""
     (note,) = check_env(UngradedEnv).notes
     assert note.startswith("info-keys: ")
-
-
-class NumpyFlagsEnv(GoodEnv):
-    """It ends with a truth value of NumPy's."""
-
-    def step(self, action: str) -> Any:
-        observation, reward, terminated, truncated, info = super().step(action)
-        return observation, reward, np.bool_(terminated), truncated, info
-
-
-def test_a_flag_of_another_type_is_named_with_its_module() -> None:
-    """NumPy's is called bool as well."""
-    seen = broken_by(NumpyFlagsEnv)["types"]
-    assert f"numpy.{np.bool_.__name__} and not a bool" in seen
 
 
 def test_gymnasium_wrapper_outside_is_taken_off_and_noted() -> None:
