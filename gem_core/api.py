@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from gem_core.making.environment import MadeSpec
     from gem_core.making.layers import Wrappers
     from gem_core.records.plans import PlanItem
-    from gem_core.vector.setup import IdOrIds
-    from gem_core.vector.slot import Autoreset, OnError
+    from gem_core.vector.setup import Autoreset, IdOrIds, OnError
     from gem_core.vector.vector_env import VectorEnv
 
 _SPEC_KEYWORDS = ("summary", "tags", "max_turns", "requires", "deterministic", "seats")

@@ -14,11 +14,15 @@ import queue
 import threading
 import weakref
 from collections.abc import Awaitable, Callable, Coroutine
+from contextlib import suppress
 from typing import Any, TypeVar, cast
 
 from gem_core.errors import ArgumentError, BridgeError
 
 T = TypeVar("T")
+
+_CANCELLING_S = 6.0
+"""Seconds that a coroutine may take to end when the plain code that waits for it is interrupted."""
 
 _lock = threading.Lock()
 _loop: asyncio.AbstractEventLoop | None = None
@@ -62,7 +66,7 @@ def run_sync(awaitable: Awaitable[T]) -> T:
         raise
 
 
-def finish_now(coroutine: Coroutine[Any, Any, T], otherwise: str = "plain code cannot wait here") -> T:
+def run_without_loop(coroutine: Coroutine[Any, Any, T], otherwise: str = "plain code cannot wait here") -> T:
     """Return the result of a coroutine that never waits, in plain code.
 
     Args:
@@ -135,6 +139,25 @@ async def on_library_loop(awaitable: Awaitable[T]) -> T:
     return await asyncio.wrap_future(asyncio.run_coroutine_threadsafe(_finish(awaitable), loop))
 
 
+async def within(limit_s: float, work: Awaitable[T]) -> T:
+    """Await work for a limited time; then it is cancelled, and not waited for any longer.
+
+    Raises:
+        TimeoutError: The limit has passed.
+    """
+    task = asyncio.ensure_future(work)
+    try:
+        done, _ = await asyncio.wait({task}, timeout=limit_s)
+    except asyncio.CancelledError:
+        task.cancel()
+        raise
+    if not done:
+        task.cancel()
+        await asyncio.sleep(0)  # so that it learns of it
+        raise TimeoutError(f"it took longer than {limit_s:g} s")
+    return task.result()
+
+
 async def in_thread(function: Callable[..., T], *args: Any) -> T:
     """Run a blocking function in a daemon thread of its own.
 
@@ -160,6 +183,80 @@ async def in_thread(function: Callable[..., T], *args: Any) -> T:
 
     threading.Thread(target=work, name="gem-blocking", daemon=True).start()
     return await asyncio.wrap_future(future)
+
+
+class Door:
+    """The way of plain code into coroutines: they run on the library's own loop, and what they call ``here`` runs here.
+
+    So an agent or an environment that is no coroutine is called in the thread of the caller, where no event loop runs,
+    while the caller waits in ``run``.
+    """
+
+    def __init__(self) -> None:
+        self._calls: queue.SimpleQueue[tuple[asyncio.Future[Any], Callable[..., Any], tuple[Any, ...]] | None] = (
+            queue.SimpleQueue()
+        )
+
+    async def here(self, function: Callable[..., T], *args: Any) -> T:
+        """Call a function in the thread that waits in ``run``."""
+        future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
+        self._calls.put((future, function, args))
+        return await future
+
+    def run(self, work: Coroutine[Any, Any, T]) -> T:
+        """Wait in plain code for a coroutine; an interrupt cancels it.
+
+        Raises:
+            BridgeError: The caller is on the library's loop itself.
+        """
+        if on_background_loop():
+            work.close()
+            raise BridgeError(
+                "plain code cannot wait on the library's own event loop, where it would wait for itself; "
+                "use the asynchronous form there, such as arollout"
+            )
+
+        async def until_the_end() -> T:
+            try:
+                return await work
+            finally:
+                self._calls.put(None)
+
+        future = asyncio.run_coroutine_threadsafe(until_the_end(), background_loop())
+        try:
+            self._serve()
+        except BaseException:
+            future.cancel()
+            with suppress(queue.Empty):
+                self._serve(_CANCELLING_S)
+            raise
+        return future.result()
+
+    def _serve(self, seconds: float | None = None) -> None:
+        outcomes: list[tuple[asyncio.Future[Any], Any, Exception | None]] = []
+        call = self._calls.get(timeout=seconds)
+        while call is not None:
+            future, function, args = call
+            if not future.cancelled():
+                try:
+                    outcomes.append((future, function(*args), None))
+                except Exception as error:  # noqa: BLE001 - it is raised again in the coroutine that waits
+                    outcomes.append((future, None, error))
+            if self._calls.empty():  # the loop is woken once for all that were waiting
+                background_loop().call_soon_threadsafe(_tell, outcomes)
+                outcomes = []
+            call = self._calls.get(timeout=seconds)
+        background_loop().call_soon_threadsafe(_tell, outcomes)
+
+
+def _tell(outcomes: list[tuple[asyncio.Future[Any], Any, Exception | None]]) -> None:
+    for future, result, error in outcomes:
+        if future.cancelled():
+            continue
+        if error is None:
+            future.set_result(result)
+        else:
+            future.set_exception(error)
 
 
 class DaemonPool:

@@ -301,11 +301,16 @@ def test_what_cannot_be_called_as_an_agent_is_refused(agent: Any) -> None:
 def test_failing_asynchronous_agent_leaves_no_request_behind() -> None:
     """The answers that others still wait for are cancelled before the error is raised."""
     ended: list[str] = []
+    waiting: list[str] = []
+    both = asyncio.Event()
 
     async def agent(observation: gem.Observation, context: Context) -> str:
         if context.episode == "0.0":
-            await asyncio.sleep(0)
+            await both.wait()
             raise ValueError("the server is gone")
+        waiting.append(context.episode)
+        if len(waiting) == 2:
+            both.set()
         try:
             await asyncio.Event().wait()
         finally:

@@ -17,7 +17,6 @@ from gem_core.errors import (
     UnknownBackendError,
     UnknownEnvError,
 )
-from gem_core.records.plans import EpisodeQueue
 
 COUNTDOWN = "toy:Countdown-v0"
 
@@ -223,7 +222,7 @@ def test_errors_that_an_environment_reports_spend_the_budget_too() -> None:
         def step(self, action: str) -> Any:
             return gem.TERMINAL_STATE, 0.0, False, True, {"error": {"kind": "engine", "message": "it is down"}}
 
-    vector = gem.VectorEnv.around(Unreachable(), seed=0)
+    vector = gem.VectorEnv.from_env(Unreachable(), seed=0)
     vector.reset()
     for _ in range(16):
         vector.step(["a"])
@@ -239,7 +238,7 @@ def test_a_reported_error_of_any_form_spends_the_budget(error: Any) -> None:
         def step(self, action: str) -> Any:
             return gem.TERMINAL_STATE, 0.0, False, True, {"error": error}
 
-    vector = gem.VectorEnv.around(Terse(), seed=0)
+    vector = gem.VectorEnv.from_env(Terse(), seed=0)
     vector.reset()
     for _ in range(16):
         vector.step(["a"])
@@ -274,7 +273,7 @@ def test_results_that_are_none_are_faults(result: Any, message: str) -> None:
         def step(self, action: str) -> Any:
             return result
 
-    vector = gem.VectorEnv.around(Odd(), seed=0)
+    vector = gem.VectorEnv.from_env(Odd(), seed=0)
     vector.reset()
     assert message in vector.step(["a"]).infos[0]["final_info"]["error"]["message"]
 
@@ -332,7 +331,7 @@ def test_it_says_what_it_is() -> None:
 def test_close_closes_every_environment_and_may_be_called_again() -> None:
     """The context manager does it too."""
     env = CountdownEnv()
-    with gem.VectorEnv.around(env, seed=0) as vector:
+    with gem.VectorEnv.from_env(env, seed=0) as vector:
         vector.reset()
     vector.close()
     assert env.closed == 1
@@ -345,10 +344,10 @@ def test_an_environment_that_cannot_be_closed_holds_nothing_up(caplog: pytest.Lo
         def close(self) -> None:
             raise OSError("stuck")
 
-    vector = gem.VectorEnv.around(Stuck(), seed=0)
+    vector = gem.VectorEnv.from_env(Stuck(), seed=0)
     vector.reset()
     vector.close()
-    assert "closing the environment of slot 0 failed" in caplog.text
+    assert "closing an environment failed" in caplog.text
 
 
 def test_tasks_of_a_data_set_are_counted() -> None:
@@ -402,10 +401,9 @@ def test_resets_that_are_none_are_faults(result: Any, message: str) -> None:
             super().reset(seed=seed)
             return result
 
-    vector = gem.VectorEnv.around(Odd(), seed=0)
-    vector.send_reset(EpisodeQueue(lasting(1, 1), 0))
-    info = vector.recv().infos[0]
-    assert info["failed_resets"][0]["error"]["message"] == f"reset raised TypeError: {message}"
+    vector = gem.VectorEnv.from_env(Odd(), seed=0)
+    (episode,) = gem.rollout(vector, lambda observation: "a", plan=lasting(1, 1))
+    assert episode.error["message"] == f"reset raised TypeError: {message}"
 
 
 def test_dictionary_that_an_environment_uses_again_changes_no_record() -> None:

@@ -115,15 +115,3 @@ def test_environment_that_fails_is_replaced(backend: str) -> None:
         assert infos[0]["final_info"]["error"]["message"] == "step raised ValueError: boom"
         assert observations[0].keys() == {"a"}
         assert vector.faults == 1
-
-
-def test_lost_worker_is_rebuilt_by_replay() -> None:
-    """An episode of several agents whose worker died with another slot's goes on as it would have."""
-    with gem.make_vec("jointvec:Broken-v0", 2, backend=("process", {"workers": 1}), seed=1) as vector:
-        observations, _ = vector.reset()
-        observations, *_ = vector.step([{"a": "3"}, {"a": "4"}])
-        vector.send({0: {"b": "die"}})
-        vector.recv()
-        observations, _, _, truncated, _ = vector.step({1: {"b": "1"}})
-        assert not truncated[0]
-        assert observations[0] == {"a": "You are a. Bids: 4 1"}

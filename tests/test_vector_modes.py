@@ -224,8 +224,6 @@ def test_recv_returns_those_that_are_ready_in_order_of_completion(env_id: str, b
     hold([2, -1, 0, -2, 3, 1])
     vector.send([f"{slot}@gate" for slot in range(4)])
     assert vector.under_way == 4
-    # The next gets its turn once the result of the one before is there.
-    vector.wait()
     release(-1)
     first = vector.recv(min_envs=2)
     assert first.slots == [2, 0]
@@ -244,7 +242,7 @@ def test_recv_returns_those_that_are_ready_in_order_of_completion(env_id: str, b
         vector.reset(options={"reset_mask": [False, True, False, False]})
     release(-2)
     assert sorted(vector.recv(min_envs=99).slots) == [1, 3]
-    with pytest.raises(ArgumentError, match=r"nothing is under way; call send\(\) before recv\(\)"):
+    with pytest.raises(ArgumentError, match="nothing is under way"):
         vector.recv()
     vector.close()
 
@@ -409,11 +407,9 @@ def test_what_a_cancelled_step_waited_for_is_received() -> None:
             await task
         with pytest.raises(ArgumentError, match="call recv"):
             await vector.step_async({1: "c"})
-        received = await vector.recv_async()
-        assert (received.slots, received.infos[0]["path"]) == ([1], ["b"])
         release()
-        received = await vector.recv_async()
-        assert (received.slots, len(received.infos[0]["path"])) == ([0], 1)
+        received = await vector.recv_async(min_envs=2)
+        assert (received.slots, [info["path"] for info in received.infos]) == ([0, 1], [["0@gate"], ["b"]])
         vector.close()
 
     asyncio.run(run())

@@ -301,7 +301,7 @@ def workers_of(pid: int) -> list[int]:
             with open(f"/proc/{entry}/stat") as file:
                 parent = file.read().rpartition(")")[2].split()[1]
             with open(f"/proc/{entry}/cmdline", "rb") as file:
-                if int(parent) == pid and b"gem_core.vector.workers" in file.read():
+                if int(parent) == pid and b"gem_core.vector.worker" in file.read():
                     found.append(int(entry))
         except (OSError, ValueError):
             continue  # it has ended, or is no process

@@ -83,7 +83,7 @@ class PlaySession:
     ) -> None:
         self._env, self._repeatable, self._raw, self._exact, self._summary = env, repeatable, raw, exact, summary
         self._writer, self._seat, self._begun = writer, seat, begun
-        self._vector = VectorEnv.around(env, seed=seed, on_error="raise", keep_open=True)
+        self._vector = VectorEnv.from_env(env, seed=seed, on_error="raise", keep_open=True)
         self._starts = EpisodeQueue(default_plan(self._vector, sys.maxsize), self._vector.seed)
         self._terminal = Terminal()
         self._images = None if writer is None else ImageFolder.beside(writer.path)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, cast
 
-from gem_core.background import finish_now
+from gem_core.background import run_without_loop
 from gem_core.env.base import Env
 from gem_core.env.joint_calls import AroundEnv, AwaitedCalls, PlainCalls, of_env
 from gem_core.env.joint_checks import check_actions, check_in_episode, check_seats
@@ -124,11 +124,11 @@ class SeatWrappers(AroundEnv, MultiAgentEnv):
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> JointResetResult:
         """Begin an episode; see ``MultiAgentEnv.reset``."""
-        return finish_now(self._reset(seed, options, PlainCalls()))
+        return run_without_loop(self._reset(seed, options, PlainCalls()))
 
     def step(self, actions: Mapping[str, str]) -> JointStepResult:  # type: ignore[override]
         """Answer the responses of all who act now; see ``MultiAgentEnv.step``."""
-        return finish_now(self._step(actions, PlainCalls()))
+        return run_without_loop(self._step(actions, PlainCalls()))
 
     async def reset_async(  # type: ignore[override]
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -180,7 +180,7 @@ class SeatWrappers(AroundEnv, MultiAgentEnv):
     def truncate_all(self) -> JointStepResult:
         """End the episode from outside; see ``MultiAgentEnv.truncate_all``."""
         check_in_episode(self.env_id or type(self.unwrapped).__name__, bool(self.acting))
-        return self._joined(finish_now(self._truncated({}, PlainCalls())))
+        return self._joined(run_without_loop(self._truncated({}, PlainCalls())))
 
     async def _truncated(self, results: Mapping[str, StepResult], calls: PlainCalls) -> dict[str, StepResult]:
         """End the episode for all.

@@ -5,15 +5,15 @@ from __future__ import annotations
 import asyncio
 import inspect
 import itertools
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AsyncExitStack, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypedDict, Unpack, overload
+from typing import Any, TypedDict, TypeVar, Unpack, overload
 
 import gymnasium
 
-from gem_core.background import in_thread
+from gem_core.background import Door, in_thread
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError
 from gem_core.progress import Progress
@@ -21,13 +21,14 @@ from gem_core.records.episode import Episode
 from gem_core.records.joint import JointEpisode, Record
 from gem_core.records.plans import EpisodeQueue, PlanItem, count_plan, cover_plan, interleaved
 from gem_core.rollouts.agent import Agent, as_agent, close_agent, is_asynchronous, load_agent, prepare_agent
-from gem_core.rollouts.loop import Acting, EpisodeLoop
-from gem_core.rollouts.requests import AgentRequests
+from gem_core.rollouts.loop import Players, Run, run_slots
 from gem_core.rollouts.resume import FinishedEpisodes, finished_episodes
 from gem_core.rollouts.seating import Seated, Seating, as_seating, seated
 from gem_core.vector.backends import make_vector
 from gem_core.vector.setup import IdOrIds
 from gem_core.vector.vector_env import VectorEnv
+
+T = TypeVar("T")
 
 DEFAULT_EPISODES = 10
 DEFAULT_REQUESTS = 64
@@ -159,7 +160,7 @@ def arollout(
         progress: Show how far the run is.
     """
     acting, loaded = _who_acts(agent, agents)
-    return _drive_async(_Run(env, acting, loaded, plan, episodes, seed, num_envs, max_requests, resume, progress))
+    return _episodes(_Run(env, acting, loaded, plan, episodes, seed, num_envs, max_requests, resume, progress))
 
 
 def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[PlanItem]:
@@ -182,7 +183,7 @@ class _Run:
     """The arguments of one call of ``rollout``."""
 
     env: Environments
-    acting: Acting
+    acting: Players
     loaded: list[Agent]
     """Agents that act alone and were given by name, which are closed at the end."""
     plan: Iterable[PlanItem] | None
@@ -233,13 +234,13 @@ class _Run:
             raise ArgumentError(
                 f"rollout takes a vector environment, an environment, an id or several, not {self.env!r:.200}"
             )
-        return VectorEnv.around(self.env, seed=self.seed, keep_open=True, plain=plain)
+        return VectorEnv.from_env(self.env, seed=self.seed, keep_open=True, plain=plain)
 
     def queue(self, vector: VectorEnv, finished: FinishedEpisodes) -> EpisodeQueue:
         """Return the queue of the episodes that are not finished."""
         seed = finished.run_seed(self.seed)
-        if self.plan is None and self.episodes is None and vector.own_source.planned:
-            queue = vector.own_source.restarted(seed)
+        if self.plan is None and self.episodes is None and vector.plan.planned:
+            queue = vector.plan.restarted(seed)
         else:
             plan = default_plan(vector, self.episodes) if self.plan is None else self.plan
             queue = EpisodeQueue(plan, vector.seed if seed is None else seed)
@@ -260,52 +261,58 @@ class _Run:
 
 
 def _drive(run: _Run) -> Iterator[Record]:
-    finished = finished_episodes(run.resume)
-    vector = run.vector(plain=True)
-    requests = AgentRequests(run.agents, vector.signal.set, most=run.max_requests)
-    with ExitStack() as at_end:
-        if vector is not run.env:
-            at_end.callback(vector.close)
-        at_end.callback(run.close_loaded)
-        at_end.callback(requests.close)
-        for agent in run.agents:
-            prepare_agent(agent)
-        queue = run.queue(vector, finished)
-        count = at_end.enter_context(run.counting(queue, finished))
-        for episode in EpisodeLoop(vector, requests, run.acting).run(queue):
-            if episode is None:
-                vector.wait(requests.is_ready)
-            else:
-                count()
-                yield episode
+    """Yield the episodes of ``_episodes`` in plain code."""
+    door = Door()
+    episodes = _episodes(run, door)
+
+    async def next_episode() -> Record | None:
+        return await anext(episodes, None)
+
+    try:
+        while (record := door.run(next_episode())) is not None:
+            yield record
+    finally:
+        door.run(episodes.aclose())
 
 
-async def _drive_async(run: _Run) -> AsyncIterator[Record]:
-    finished = await in_thread(finished_episodes, run.resume)
-    vector = await in_thread(lambda: run.vector(plain=False))
-    loop = asyncio.get_running_loop()
-    requests = AgentRequests(run.agents, vector.signal.set, most=run.max_requests, loop=loop)
+async def _episodes(run: _Run, door: Door | None = None) -> AsyncGenerator[Record]:
+    """Yield the episodes of a run.
+
+    Args:
+        run: The arguments of ``rollout``.
+        door: Of plain code that waits for them; None in a coroutine.
+    """
+    here = door.here if door is not None else _soon
+    aside = door.here if door is not None else in_thread
+    finished = await aside(finished_episodes, run.resume)
+    vector: VectorEnv = await aside(lambda: run.vector(plain=door is not None))
     async with AsyncExitStack() as at_end:
         if vector is not run.env:
-            at_end.push_async_callback(in_thread, vector.close)
-        at_end.push_async_callback(in_thread, run.close_loaded)
-        at_end.push_async_callback(requests.aclose)
+            at_end.push_async_callback(aside, vector.close)
+        at_end.push_async_callback(aside, run.close_loaded)
         for agent in run.agents:
-            prepared = getattr(agent, "prepare", lambda: None)()
-            if inspect.isawaitable(prepared):
+            if door is not None:
+                await door.here(prepare_agent, agent)
+            elif inspect.isawaitable(prepared := getattr(agent, "prepare", lambda: None)()):
                 await prepared
-        queue = await in_thread(run.queue, vector, finished)
+        queue = await aside(run.queue, vector, finished)
         count = at_end.enter_context(run.counting(queue, finished))
-        await vector.drain_async()  # or starting the loop would wait for what an earlier run left under way
-        for episode in EpisodeLoop(vector, requests, run.acting).run(queue):
-            if episode is None:
-                await vector.wait_async(requests.is_ready)
-            else:
-                count()
-                yield episode
+        await vector.begin_rollout()
+        plain = door is not None and not any(map(is_asynchronous, run.agents))
+        playing = run_slots(Run(vector, queue, run.acting, run.max_requests, here, plain))
+        at_end.push_async_callback(playing.aclose)
+        async for episode in playing:
+            count()
+            yield episode
 
 
-def _who_acts(agent: Any, agents: Any) -> tuple[Acting, list[Agent]]:
+async def _soon(function: Callable[..., T], *args: Any) -> T:
+    """Call plain code, after the turn of all that is ready."""
+    await asyncio.sleep(0)
+    return function(*args)
+
+
+def _who_acts(agent: Any, agents: Any) -> tuple[Players, list[Agent]]:
     """Return who acts, and those of them that were given by name."""
     if (agent is None) == (agents is None):
         raise ArgumentError("give either agent, who acts alone, or agents, where several act")

@@ -1,11 +1,23 @@
-"""``EpisodeLoop``: sends observations to agents and their actions to environments. ``drivers`` does the waiting."""
+"""The loop: an agent plays an episode. Whoever asks where GEM's loop is starts to read here.
+
+``play`` is one episode: reset, ask, step, record, until it is over. ``play_slot`` plays the episodes of a plan in one
+slot, one after another. ``run_slots`` does that in all slots side by side, and yields the episodes as they finish;
+``rollout`` and ``arollout`` in ``drivers`` are what people call.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+import asyncio
+import inspect
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Mapping
+from contextlib import AbstractAsyncContextManager, nullcontext
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, TypeVar, cast
 
+from gem_core.background import run_sync, run_without_loop
 from gem_core.errors import (
+    AgentError,
     ArgumentError,
     ContextOverflowError,
     EnvFaultError,
@@ -14,164 +26,306 @@ from gem_core.errors import (
     RequestError,
 )
 from gem_core.failures import author_frames, failure_info
+from gem_core.records.episode import Episode
 from gem_core.records.joint import JointEpisode, Record
-from gem_core.records.plans import EpisodeQueue, EpisodeStart, PlanItem
-from gem_core.rollouts.agent import Agent
-from gem_core.rollouts.requests import AgentRequests
-from gem_core.rollouts.running import RunningEpisode, SharedEpisode, SoloEpisode
-from gem_core.rollouts.seat import common_fields, new_episode
+from gem_core.records.plans import EpisodeQueue, EpisodeStart
+from gem_core.rollouts.agent import Agent, Reading, is_asynchronous
+from gem_core.rollouts.seat import RunningSeat, common_fields, new_episode
 from gem_core.rollouts.seating import Seated, Seating
-from gem_core.types import TERMINAL_STATE, Action, Info, Observation, Response
+from gem_core.rollouts.shared_episode import SharedEpisode
+from gem_core.types import TERMINAL_STATE, Info, Response
+from gem_core.vector.failures import Failure
+from gem_core.vector.joint import lost_step
+from gem_core.vector.slot import ALL_IN_PLACE, Slot
 from gem_core.vector.vector_env import VectorEnv
 
-Acting = Seated | Mapping[str, Agent] | Seating
+T = TypeVar("T")
+
+Players = Seated | Mapping[str, Agent] | Seating
 """The agent that acts alone; several by name, of which each item of the plan names one; or who sits where."""
 
+_CANCELLING_S = 5.0
+"""Seconds that agents and environments may take to end when a run is left."""
 
-class EpisodeLoop:
-    """Runs episodes in the slots of a vector environment.
 
-    Each slot is stepped as soon as its agents have answered, and they are asked as soon as the slot is ready, all who
-    act at once: a slow answer or a slow environment delays only its own slot.
+@dataclass
+class Run:
+    """What the episodes of one rollout share.
 
     Args:
-        vector: Where they run.
-        requests: Asks the agents.
-        acting: Who acts.
+        vector: Where they are played.
+        queue: What they start from.
+        players: Who acts.
+        max_requests: Questions to agents that are open at once; None for no limit.
+        here: Calls plain code in the thread of the caller.
+        is_plain: Whether no agent is a coroutine function.
     """
 
-    def __init__(self, vector: VectorEnv, requests: AgentRequests, acting: Acting) -> None:
-        self._vector = vector
-        self._requests = requests
-        self._acting = acting
-        self._running: dict[int, RunningEpisode] = {}
-        self._unasked: list[int] = []
-        """Slots with an observation that the agents have not been sent."""
-        self._finished: list[Record] = []
-        """Episodes that have not been yielded."""
+    vector: VectorEnv
+    queue: EpisodeQueue
+    players: Players
+    max_requests: int | None
+    here: Callable[..., Awaitable[Any]]
+    is_plain: bool = False
 
-    def run(self, queue: EpisodeQueue) -> Iterator[Record | None]:
-        """Run the episodes of a queue.
+    def __post_init__(self) -> None:
+        self.finished: asyncio.Queue[Record | None] = asyncio.Queue()
+        """Episodes that the caller has not taken; None where a slot is done."""
+        self._asynchronous: dict[int, bool] = {}
+        limit = self.max_requests
+        self.requests: AbstractAsyncContextManager[Any] = nullcontext() if limit is None else asyncio.Semaphore(limit)
+        self.room = asyncio.Semaphore(self.vector.num_envs)
+        """Room for further finished episodes: a slot goes on when the caller takes those that there are."""
 
-        Yields:
-            Each episode as it finishes; None where the caller has to wait, until the vector environment has results or
-            an agent has replied.
-        """
-        self._vector.send_reset(queue)
-        while self._running or self._vector.under_way:
-            if not self._unasked:
-                yield None
+    @cached_property
+    def at_once(self) -> Run:
+        """The same for the caller's thread, where nothing waits."""
+        return replace(self, here=_at_once)
+
+    def is_asynchronous(self, agent: Agent) -> bool:
+        """Tell whether an agent is a coroutine function."""
+        if id(agent) not in self._asynchronous:
+            self._asynchronous[id(agent)] = not self.is_plain and is_asynchronous(agent)
+        return self._asynchronous[id(agent)]
+
+    async def in_slot(self, in_place: bool, work: Callable[..., Coroutine[Any, Any, T]], *args: Any) -> T:
+        """Await work of a slot's environment; some run in place in the thread of the caller alone."""
+        if in_place and self.vector.config.in_place is ALL_IN_PLACE:
+            return cast("T", await self.here(lambda: run_without_loop(work(*args))))
+        return await work(*args)
+
+    async def prepare(self, slot: Slot, start: EpisodeStart) -> Failure | None:
+        """Make the environment of a slot that an episode needs."""
+        return await self.in_slot(slot.prepares_in_place(start), slot.prepare, start)
+
+    def player_of(self, start: EpisodeStart) -> Seated:
+        """Return who acts alone in an episode."""
+        if isinstance(self.players, Seated):
+            return self.players
+        agents, name = dict(self.players.items() if isinstance(self.players, Mapping) else ()), start.item.agent
+        if name is None or name not in agents:
+            names = ", ".join(map(repr, agents))
+            raise ArgumentError(f"an item of the plan has agent={name!r}, and the agents given are {names}")
+        return Seated(name, agents[name])
+
+
+async def play(run: Run, slot: Slot, start: EpisodeStart) -> Episode:
+    """Play one episode to its end; return its record."""
+    name, agent = run.player_of(start)
+    # Reset.
+    reset = await run.in_slot(slot.in_place, slot.reset, start)
+    if isinstance(reset, Failure):
+        return cast("Episode", failed_record(run, slot, start, slot.fault(reset)))
+    observation, info = reset
+    described = describe(slot)
+    _check_seats(described["id"], info, alone=True)
+    episode = new_episode(described, start, observation, info)
+    episode.agent = name
+    seat = RunningSeat(episode, Reading.of(agent), slot.sample_random_action)
+    while True:
+        # Ask.
+        try:
+            response = await ask(run, agent, seat)
+        except (EpisodeLimitError, RequestError, EnvFaultError) as failure:
+            seat.cut_off(why_no_answer(slot, failure))
+            return episode
+        # Step.
+        result = await run.in_slot(slot.in_place, slot.step, response)
+        if isinstance(result, Failure):
+            result = lost_step(slot.fault(result), joint=False)
+        # Record.
+        observation, reward, terminated, truncated, info = result
+        seat.add(float(reward), bool(terminated), bool(truncated), observation, info)
+        if terminated or truncated:
+            return episode
+
+
+async def play_joint(run: Run, slot: Slot, start: EpisodeStart) -> JointEpisode:
+    """Play one episode of several agents to its end; return its record."""
+    # Reset.
+    reset = await run.in_slot(slot.in_place, slot.reset, start)
+    if isinstance(reset, Failure):
+        return cast("JointEpisode", failed_record(run, slot, start, slot.fault(reset)))
+    observations, info = reset
+    described = describe(slot)
+    _check_seats(described["id"], info, alone=False)
+    shared = SharedEpisode(slot, described, start, observations, info, cast("Seating", run.players))
+    while True:
+        # Ask all who act.
+        try:
+            responses = await ask_all(run, shared)
+        except NoAnswerError as nobody:
+            shared.cut_off(nobody.seat, why_no_answer(slot, nobody.failure))
+            return shared.record
+        # Step.
+        result = await run.in_slot(slot.in_place, slot.step, shared.take(responses))
+        if isinstance(result, Failure):
+            result = lost_step(slot.fault(result), joint=True)
+        # Record.
+        observation, reward, terminated, truncated, info = result
+        shared.add(reward, observation, info)
+        if terminated or truncated:
+            return shared.record
+
+
+async def ask_all(run: Run, shared: SharedEpisode) -> dict[str, Response]:
+    """Ask all who act now, asynchronous agents side by side.
+
+    Raises:
+        NoAnswerError: The first who has no answer; the others are not waited for.
+    """
+
+    async def answer(seat: str) -> Response:
+        try:
+            return await ask(run, shared.agent_at(seat), shared.running[seat])
+        except (EpisodeLimitError, RequestError, EnvFaultError) as failure:
+            raise NoAnswerError(seat, failure) from failure
+
+    if run.is_plain or len(shared.acting) == 1:
+        return {seat: await answer(seat) for seat in shared.acting}
+    asked = {seat: asyncio.create_task(answer(seat)) for seat in shared.acting}
+    try:
+        await asyncio.wait(asked.values(), return_when=asyncio.FIRST_EXCEPTION)
+        return {seat: task.result() for seat, task in asked.items() if task.done()}
+    finally:
+        for task in asked.values():
+            task.cancel()
+
+
+class NoAnswerError(Exception):
+    """An agent among several has no answer.
+
+    Args:
+        seat: Its seat.
+        failure: The reason.
+    """
+
+    def __init__(self, seat: str, failure: GemError) -> None:
+        super().__init__(seat)
+        self.seat, self.failure = seat, failure
+
+
+async def ask(run: Run, agent: Agent, seat: RunningSeat) -> Response:
+    """Return the agent's response to what its seat sees now.
+
+    Raises:
+        AgentError: The agent returned something else than text, or cancelled its own task.
+        RequestError: The agent failed, and only this episode is lost.
+        EpisodeLimitError: A limit of the agent is reached, as the context of its model.
+        EnvFaultError: The environment failed, which should have sampled an action.
+    """
+    async with run.requests:
+        seen = seat.conversation.sent(), seat.context
+        answer: Any = agent(*seen) if run.is_asynchronous(agent) else await run.here(agent, *seen)
+        if inspect.isawaitable(answer):
             try:
-                self._advance()
-            finally:
-                # An error that stops the run is raised after the finished episodes have been yielded.
-                while self._finished:
-                    yield self._finished.pop(0)
+                answer = await answer if run.here is not _at_once else run_sync(answer)
+            except asyncio.CancelledError:
+                task = asyncio.current_task()
+                if task is not None and task.cancelling():
+                    raise
+                raise AgentError("the agent's coroutine was cancelled; an agent must not cancel its own task") from None
+    if not isinstance(answer, str):
+        raise AgentError(f"an agent returns a str or a Response, and this one returned {type(answer).__name__}")
+    seat.response = Response.of(answer)
+    return seat.response
 
-    def _advance(self) -> None:
-        """Handle the replies and results that are ready: send actions, and ask the agents about new observations."""
-        self._ask()
-        actions: dict[int, Action] = {}
-        for (running, seat), reply in self._requests.replies():
-            if self._running.get(running.slot) is not running:
-                continue  # another seat has just ended the episode
-            if isinstance(reply, Response):
-                action = running.answer(seat, reply)
-                if action is not None:
-                    actions[running.slot] = action
-            else:
-                self._give_up(running, seat, reply)
-        if actions:
-            self._vector.send(actions)
-        if self._vector.under_way:
-            for result in zip(*self._vector.recv(min_envs=0), strict=True):
-                self._take(*result)
-        # A plain agent answers while it is asked: only after the caller has taken the episodes that have finished.
-        if self._requests.asynchronous:
-            self._ask()
 
-    def _ask(self) -> None:
-        unasked, self._unasked = self._unasked, []
-        for slot in unasked:
-            running = self._running[slot]
-            for seat, agent, seen in running.questions():
-                self._requests.ask((running, seat), agent, seen.conversation.sent(), seen.context)
+def why_no_answer(slot: Slot, failure: GemError) -> Info:
+    """Return what the record says of an agent that has no answer; a limit that it has reached is no fault."""
+    if isinstance(failure, EpisodeLimitError):
+        overflow = {"context_overflow": True} if isinstance(failure, ContextOverflowError) else {}
+        return {"cut_off": failure.limit, **overflow}
+    of_env = isinstance(failure, EnvFaultError)
+    if of_env and slot.config.on_error == "raise":
+        raise failure
+    message = str(failure).removeprefix(f"{slot.name()}: ")
+    error = failure_info("exception" if of_env else "agent", message, author_frames(failure) if of_env else [])
+    slot.cause = failure
+    if isinstance(failure, RequestError) and failure.cause is not None:
+        error["cause"] = failure.cause
+    return {"error": error}
 
-    def _take(
-        self, slot: int, observation: Observation, reward: Any, terminated: bool, truncated: bool, info: Info
-    ) -> None:
-        """Handle the result of a reset, a step, or a step with the reset after it."""
-        running = self._running.get(slot)
-        if running is None:
-            self._begin(slot, observation, info)
-            return
-        over = bool(terminated or truncated)
-        next_began = over and self._vector.autoreset == "same_step"
-        last = (info.pop("final_obs"), info.pop("final_info")) if next_began else (observation, info)
-        running.add(reward if isinstance(reward, dict) else float(reward), bool(terminated), bool(truncated), *last)
-        if not over:
-            self._unasked.append(slot)
-            return
-        self._finished.append(self._running.pop(slot).record)
-        if next_began:
-            self._begin(slot, observation, info)
-        else:
-            self._vector.begin_next(slot)
 
-    def _begin(self, slot: int, observation: Observation, info: Info) -> None:
-        joint = isinstance(self._acting, Seating)
-        alone = self._acting.name if isinstance(self._acting, Seated) else None
-        self._finished += [_failed_reset(failed, alone, joint=joint) for failed in info.pop("failed_resets", ())]
-        start = self._vector.start_of(slot)
+async def play_slot(run: Run, slot: Slot) -> None:
+    """Play episodes of the plan in one slot, until there are no more."""
+    while True:
+        await run.room.acquire()
+        start = run.queue.draw(slot.index)
         if start is None:
-            return
-        if isinstance(self._acting, Seating):
-            self._running[slot] = SharedEpisode(self._vector, slot, start, observation, info, self._acting)
+            break
+        playing: Any = play_joint if isinstance(run.players, Seating) else play
+        failure = await run.prepare(slot, start)
+        if failure is not None:
+            record: Record = failed_record(run, slot, start, slot.fault(failure))
+        elif run.is_plain and slot.in_place:
+            # Nothing has to be waited for: the caller's thread plays the episode in one go.
+            record = await run.here(_play_at_once, playing, run.at_once, slot, start)
         else:
-            one = self._acting if isinstance(self._acting, Seated) else _of_item(self._acting, start.item)
-            self._running[slot] = SoloEpisode(self._vector, slot, start, observation, info, one)
-        self._unasked.append(slot)
-
-    def _give_up(self, running: RunningEpisode, seat: str, failure: GemError) -> None:
-        """End an episode because an agent has no answer; a limit that it has reached is no fault."""
-        of_env = isinstance(failure, EnvFaultError)
-        if of_env and self._vector.on_error == "raise":
-            raise failure
-        del self._running[running.slot]
-        error: dict[str, Any] | None = None
-        if isinstance(failure, EpisodeLimitError):
-            reported: Info = {"cut_off": failure.limit}
-            if isinstance(failure, ContextOverflowError):
-                reported["context_overflow"] = True
-        else:
-            message = str(failure).removeprefix(f"{running.record.id}: ")
-            error = failure_info("exception" if of_env else "agent", message, author_frames(failure) if of_env else [])
-            if isinstance(failure, RequestError) and failure.cause is not None:
-                error["cause"] = failure.cause
-            reported = {"error": error}
-        running.cut_off(seat, reported)
-        self._finished.append(running.record)
-        self._vector.give_up(running.slot, error, failure)
-        self._requests.forget(running)
+            record = await playing(run, slot, start)
+        run.finished.put_nowait(record)
+        slot.note_end(record.error)
+    await run.in_slot(slot.in_place, slot.release)
 
 
-def _of_item(agents: Mapping[str, Agent], item: PlanItem) -> Seated:
-    """Return the agent that an item of the plan names."""
-    if item.agent is None or item.agent not in agents:
-        names = ", ".join(map(repr, agents))
-        raise ArgumentError(f"an item of the plan has agent={item.agent!r}, and the agents given are {names}")
-    return Seated(item.agent, agents[item.agent])
+async def run_slots(run: Run) -> AsyncGenerator[Record]:
+    """Play the episodes of a plan in all slots, and yield each as it finishes.
+
+    What stops the run is raised after the episodes that had finished by then. When the caller leaves, agents and
+    environments that are at work are cancelled.
+    """
+    tasks = [asyncio.create_task(play_slot(run, slot)) for slot in run.vector.slots]
+    ended = asyncio.gather(*tasks)
+    ended.add_done_callback(lambda _: run.finished.put_nowait(None))
+    try:
+        while (record := await run.finished.get()) is not None:
+            yield record
+            run.room.release()
+        await ended
+    finally:
+        for task in tasks:
+            task.cancel()
+        # A coroutine that swallows its cancellation must not block the end of the run.
+        await asyncio.wait(tasks, timeout=_CANCELLING_S)
+        if ended.done() and not ended.cancelled():
+            ended.exception()  # it has been raised, or the caller has left
 
 
-def _failed_reset(failed: Mapping[str, Any], alone: str | None, *, joint: bool) -> Record:
-    """Return the episode of a reset that failed, from what ``info["failed_resets"]`` tells of it."""
-    item = PlanItem(options=failed["options"], group=failed["group"], agent=failed["agent"] or alone)
-    place = tuple(map(int, failed["key"].split(".")))
-    start = EpisodeStart(item, place, failed["repeat"], failed["seed"], failed["run_seed"])
-    described = {"id": failed["id"] or "unknown", "kwargs": failed["kwargs"]}
-    if joint:
-        return JointEpisode(**common_fields(described, start), failure=failed["error"])
-    info = {"seed": start.seed, "error": failed["error"]}
-    if item.group is not None:
-        info["group"] = item.group
-    return new_episode(described, start, TERMINAL_STATE, info)
+def describe(slot: Slot) -> dict[str, Any]:
+    """Return ``id``, ``kwargs`` and ``wrappers`` of the environment in a slot."""
+    described = slot.runner.describe()
+    return {**described, "id": described["id"] or slot.env_id or "unknown"}
+
+
+def failed_record(run: Run, slot: Slot, start: EpisodeStart, error: dict[str, Any]) -> Record:
+    """Return the record of an episode that did not begin."""
+    env_id, kwargs = slot.target(start)
+    described = {"id": env_id or "unknown", "kwargs": dict(kwargs)}
+    if isinstance(run.players, Seating):
+        return JointEpisode(**common_fields(described, start), failure=error)
+    info = {"seed": start.seed, "error": error}
+    if start.item.group is not None:
+        info["group"] = start.item.group
+    episode = new_episode(described, start, TERMINAL_STATE, info)
+    episode.agent = run.player_of(start).name
+    return episode
+
+
+def _play_at_once(play: Callable[..., Coroutine[Any, Any, T]], *args: Any) -> T:
+    return run_without_loop(play(*args))
+
+
+async def _at_once(function: Callable[..., T], *args: Any) -> T:
+    return function(*args)
+
+
+def _check_seats(env_id: str, info: Info, *, alone: bool) -> None:
+    """Refuse one agent where several act, and several where one does."""
+    if alone and "possible_agents" in info:
+        seats = ", ".join(map(repr, info["possible_agents"]))
+        raise ArgumentError(
+            f"{env_id} has several seats, {seats}: give agents={{seat: agent}}, a list of agents that "
+            f"change seats, or agents=AGENT for self-play; for 'gem run', register it with seats=({seats})"
+        )
+    if not alone and "possible_agents" not in info:
+        raise ArgumentError(f"{env_id} is for one agent: give agent, not agents")

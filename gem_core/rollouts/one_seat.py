@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from functools import partial
 from typing import Any, Self, cast
 
-from gem_core.background import finish_now
+from gem_core.background import run_without_loop
 from gem_core.env.base import Env
 from gem_core.env.joint_calls import AroundEnv, AwaitedCalls, PlainCalls, of_env
 from gem_core.env.joint_checks import check_in_episode, check_seats
@@ -123,11 +123,11 @@ class SingleAgentEnv(AroundEnv, Env):
         Raises:
             EnvFaultError: Another agent failed, or the turn of the seat never came.
         """
-        return finish_now(self._reset(seed, options, PlainCalls()))
+        return run_without_loop(self._reset(seed, options, PlainCalls()))
 
     def step(self, action: str) -> StepResult:
         """Answer a response of the seat, and let the others act until it is its turn again."""
-        return finish_now(self._step(action, PlainCalls()))
+        return run_without_loop(self._step(action, PlainCalls()))
 
     async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """``reset`` for code that runs in an event loop, without blocking it."""

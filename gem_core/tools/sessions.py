@@ -12,7 +12,7 @@ from collections.abc import Callable, Coroutine, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
-from gem_core.background import finish_now, finish_or_start, in_thread
+from gem_core.background import finish_or_start, in_thread, run_without_loop
 from gem_core.env.spaces import is_part
 from gem_core.tools.tool import Tool, ToolResult
 from gem_core.types import Concurrency
@@ -138,7 +138,7 @@ class ToolSessions:
 
     def finished(self, coroutine: Coroutine[Any, Any, T]) -> T | Coroutine[Any, Any, T]:
         """Return what a coroutine of this class returns, or the coroutine where it has to be awaited."""
-        return coroutine if self.on_loop else finish_now(coroutine, _WAITED)
+        return coroutine if self.on_loop else run_without_loop(coroutine, _WAITED)
 
 
 def concurrency_of_tools(tools: Iterable[Tool], *, limited: bool = False) -> Concurrency:
@@ -206,4 +206,4 @@ def _close_now(tools: Mapping[str, Tool], sessions: dict[str, Any], on_loop: boo
         if on_loop:
             finish_or_start(closing)
         else:
-            finish_now(closing, _WAITED)
+            run_without_loop(closing, _WAITED)

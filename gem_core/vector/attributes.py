@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium
@@ -11,14 +11,12 @@ from gymnasium.vector import AutoresetMode
 
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, EnvFaultError, GemError
-from gem_core.vector.commands import Failure
-from gem_core.vector.slot import NEW
+from gem_core.vector.failures import Failure
 
 if TYPE_CHECKING:
     from gem_core.env.spec import EnvRecipe
-    from gem_core.vector.call import InterruptibleCall
-    from gem_core.vector.scheduler import Scheduler
-    from gem_core.vector.slot import Autoreset
+    from gem_core.vector.setup import Autoreset
+    from gem_core.vector.slot import Slot, VectorConfig
 
 _OWN_METHODS = ("close", "reset", "reset_async", "step", "step_async")
 
@@ -36,11 +34,14 @@ class VectorAttributes:
     """The id of each slot's own environment."""
 
     _closed: bool
-    _scheduler: Scheduler
+    config: VectorConfig
+    slots: list[Slot]
 
     if TYPE_CHECKING:
-
-        def _call(self) -> InterruptibleCall: ...  # as VectorEnv defines it
+        # As VectorEnv defines them.
+        def _check_open(self) -> None: ...
+        def _refuse_busy(self, indices: Iterable[int]) -> None: ...
+        def _asked(self, slot: Slot, target: None, function: Callable[..., Any], *args: Any) -> Any: ...
 
     @property
     def num_envs(self) -> int:
@@ -50,7 +51,7 @@ class VectorAttributes:
     @property
     def autoreset(self) -> Autoreset:
         """When the next episode begins; see ``make_vec``."""
-        return self._scheduler.rules.autoreset
+        return self.config.autoreset
 
     @property
     def closed(self) -> bool:
@@ -143,20 +144,16 @@ class VectorAttributes:
         self._ask_all(_set, name, each)
 
     def _first(self, name: str, function: Callable[..., Any] | None = None) -> Any:
-        with self._call():
-            self._scheduler.refuse_busy([0])
-            return self._ask(0, function or _get, name)
+        return self._ask([0], function or _get, name)[0]
 
     def _ask_all(self, function: Callable[..., Any], *args: Any) -> tuple[Any, ...]:
-        with self._call():
-            self._scheduler.refuse_busy(range(self.num_envs))
-            return tuple(self._ask(slot, function, *args) for slot in range(self.num_envs))
+        return self._ask(range(self.num_envs), function, *args)
 
-    def _ask(self, index: int, function: Callable[..., Any], *args: Any) -> Any:
-        """Apply a function where a slot's environment lives, or is to be made."""
-        slot = self._scheduler.slots[index]
-        executor = self._scheduler.place(index, slot.own_id) if slot.phase is NEW else self._scheduler.at[index]
-        return executor.apply(index, slot.own_id, slot.own_kwargs, _apply, function, *args)
+    def _ask(self, indices: Sequence[int], function: Callable[..., Any], *args: Any) -> tuple[Any, ...]:
+        """Apply a function where the environments of some slots live."""
+        self._check_open()
+        self._refuse_busy(indices)
+        return tuple(self._asked(self.slots[index], None, _apply, index, function, *args) for index in indices)
 
 
 # Applied to an environment where it lives, which may be another process.

@@ -13,10 +13,10 @@ from gem_core.errors import ArgumentError
 from gem_core.registry.entry_points import construct
 from gem_core.registry.lookup import registry
 from gem_core.types import Concurrency
-from gem_core.vector.local import LocalExecutor, SyncExecutor
+from gem_core.vector.process import process_pool
 from gem_core.vector.setup import IdOrIds, VectorSetup
+from gem_core.vector.slot import ALL_IN_PLACE
 from gem_core.vector.vector_env import VectorEnv
-from gem_core.vector.workers.process import ProcessExecutor
 
 
 def make_vector(ids: IdOrIds, num_envs: int | None, *, backend: object = "auto", **options: Any) -> VectorEnv:
@@ -41,7 +41,7 @@ def sync(setup: VectorSetup) -> VectorEnv:
             "step_timeout cannot be kept by backend='sync', where everything runs in the calling thread; "
             "use backend='auto' or 'process'"
         )
-    return VectorEnv(setup, SyncExecutor(setup))
+    return VectorEnv(setup, in_place=ALL_IN_PLACE)
 
 
 def asynchronous(setup: VectorSetup) -> VectorEnv:
@@ -57,7 +57,7 @@ def asynchronous(setup: VectorSetup) -> VectorEnv:
                     f"step_timeout cannot be kept for {env_id!r}, which runs in place; use backend='auto' or "
                     "'process', whose workers can be killed"
                 )
-    return VectorEnv(setup, _local(setup))
+    return VectorEnv(setup, in_place=_in_place(setup))
 
 
 def processes(setup: VectorSetup, *, workers: int | None = None, worker_memory_bytes: int | None = None) -> VectorEnv:
@@ -69,7 +69,7 @@ def processes(setup: VectorSetup, *, workers: int | None = None, worker_memory_b
         worker_memory_bytes: Address space that a worker may use; beyond it, an environment gets a ``MemoryError``.
             None for no limit.
     """
-    return VectorEnv(setup, ProcessExecutor(setup, workers=workers, worker_memory_bytes=worker_memory_bytes))
+    return VectorEnv(setup, pool=process_pool(setup, workers=workers, worker_memory_bytes=worker_memory_bytes))
 
 
 def auto(setup: VectorSetup, *, workers: int | None = None, worker_memory_bytes: int | None = None) -> VectorEnv:
@@ -80,24 +80,22 @@ def auto(setup: VectorSetup, *, workers: int | None = None, worker_memory_bytes:
     """
     in_workers = {env_id: _needs_worker(setup, setup.concurrency(env_id)) for env_id in setup.all_ids}
     if not any(in_workers.values()):
-        return VectorEnv(setup, _local(setup))
-    remote = ProcessExecutor(setup, workers=workers, worker_memory_bytes=worker_memory_bytes)
-    if all(in_workers.values()):
-        return VectorEnv(setup, remote)
+        return VectorEnv(setup, in_place=_in_place(setup))
+    pool = process_pool(setup, workers=workers, worker_memory_bytes=worker_memory_bytes)
 
-    def executor_of(env_id: str | None) -> int:
+    def in_pool(env_id: str | None) -> bool:
         if env_id not in in_workers:
             # Only the plan names this id: decide by the class of the environment, without making one.
-            return int(_needs_worker(setup, setup.task_concurrency(env_id)))
-        return int(in_workers[env_id])
+            return _needs_worker(setup, setup.task_concurrency(env_id))
+        return in_workers[env_id]
 
-    return VectorEnv(setup, _local(setup), remote, executor_of=executor_of)
+    return VectorEnv(setup, in_place=_in_place(setup), pool=pool, in_pool=in_pool)
 
 
 def _needs_worker(setup: VectorSetup, concurrency: Concurrency | None) -> bool:
     return concurrency == "process" or (concurrency == "inline" and setup.step_timeout is not None)
 
 
-def _local(setup: VectorSetup) -> LocalExecutor:
+def _in_place(setup: VectorSetup) -> tuple[str, ...]:
     # An environment that runs in place cannot be abandoned.
-    return LocalExecutor(setup, in_place=["inline"] if setup.step_timeout is None else [])
+    return ("inline",) if setup.step_timeout is None else ()

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any, Literal, cast, get_args
 
 from gem_core.arguments import with_options
 from gem_core.env.wrapper import AnyEnv, concurrency_of
 from gem_core.errors import ArgumentError
 from gem_core.making.environment import check_choices, make_from
 from gem_core.making.layers import Wrappers, wrapper_targets
-from gem_core.records.plans import EpisodeQueue, PlanItem
+from gem_core.records.plans import PlanItem
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import EnvSpec
 from gem_core.types import Concurrency
-from gem_core.vector.runner import EnvFactory
-from gem_core.vector.slot import Autoreset, FaultBudget, OnError, Rules
+
+Autoreset = Literal["same_step", "next_step", "disabled"]
+"""When the next episode begins after one has ended; see ``make_vec``."""
+
+OnError = Literal["truncate", "raise"]
 
 IdWithKwargs = tuple[str, Mapping[str, Any]]
 """An id, and keyword arguments."""
@@ -57,13 +60,17 @@ class VectorSetup:
     step_timeout: float | None = None
     on_error: OnError = "truncate"
     max_faults: int | None = None
-    factory: EnvFactory | None = None
+    factory: Callable[[str | None, Mapping[str, Any]], AnyEnv] | None = None
     records: dict[str, EnvSpec] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         limit = self.step_timeout
         if limit is not None and not (isinstance(limit, int | float) and 0 < limit < float("inf")):
             raise ArgumentError(f"step_timeout must be a positive number of seconds, not {limit!r}")
+        if self.on_error not in get_args(OnError):
+            raise ArgumentError(f"on_error must be 'truncate' or 'raise', not {self.on_error!r}")
+        if self.autoreset not in get_args(Autoreset):
+            raise ArgumentError(f"autoreset must be 'same_step', 'next_step' or 'disabled', not {self.autoreset!r}")
 
     @classmethod
     def of(cls, ids: IdOrIds, num_envs: int | None, **options: Any) -> VectorSetup:
@@ -99,15 +106,6 @@ class VectorSetup:
     def all_ids(self) -> list[str]:
         """Every requested id, once."""
         return list(dict.fromkeys(env_id for env_id, _ in self.entries if env_id is not None))
-
-    def rules(self) -> Rules:
-        """Return the rules that all slots share."""
-        budget = FaultBudget(max(16, 2 * len(self.ids)) if self.max_faults is None else self.max_faults)
-        return Rules(EpisodeQueue(self.plan, self.seed), budget, self.autoreset, self.on_error, self.step_timeout)
-
-    def factories(self) -> list[EnvFactory]:
-        """Return the factory of each slot's environment in this process."""
-        return [self.make] * len(self.ids)
 
     def make(self, env_id: str | None, overrides: Mapping[str, Any]) -> AnyEnv:
         """Make an environment, with some keyword arguments changed."""

@@ -1,39 +1,37 @@
-"""The state of one slot, in every backend: what an episode starts from, autoreset, and faults.
-
-A slot does not touch its environment. It returns the next command for the environment, takes the outcome, and in the
-end holds a result. The scheduler runs it::
-
-    command = slot.act("an action")
-    while command is not None:
-        command = slot.next_episode() if command is NEXT else slot.take_outcome(runner.perform(command))
-    slot.result
-"""
+"""``Slot``: holds one environment, runs it as its ``concurrency`` requires, and replaces it when it fails."""
 
 from __future__ import annotations
 
+import asyncio
+import concurrent.futures
 import threading
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, cast, get_args
+from collections.abc import Callable, Collection, Coroutine, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar, cast, get_args
 
+from gem_core.background import DaemonPool, in_thread, on_library_loop, within
 from gem_core.docs import page_url
-from gem_core.errors import ArgumentError, FaultBudgetError, ResetNeededError
-from gem_core.records.plans import EpisodeQueue, EpisodeStart
-from gem_core.types import TERMINAL_STATE, Action, Info, Observation, StepResult
-from gem_core.vector.commands import Command, Failure, Reset
-from gem_core.vector.joint import lost_step
+from gem_core.env.wrapper import AnyEnv
+from gem_core.errors import (
+    BridgeError,
+    ClosedError,
+    EnvFaultError,
+    FaultBudgetError,
+    NotSupportedError,
+)
+from gem_core.records.plans import EpisodeStart
+from gem_core.types import Action, Concurrency, ResetResult, StepResult
+from gem_core.vector.failures import Failure, WorkerFailureError
+from gem_core.vector.remote import RemoteEnv
+from gem_core.vector.runner import EnvRunner
+from gem_core.vector.setup import Autoreset, OnError
 
-Autoreset = Literal["same_step", "next_step", "disabled"]
-"""When the next episode begins after one has ended; see ``make_vec``."""
+T = TypeVar("T")
 
-OnError = Literal["truncate", "raise"]
+MOST_ABANDONED = 64
+"""Number of hanging threads at which a run is stopped."""
 
-NEW, LIVE, ENDED, IDLE, BROKEN = "new", "live", "ended", "idle", "broken"
-"""Phases of a slot: before the first episode; in an episode; after one, before the next begins; without an episode,
-since the plan is exhausted; without an environment, since an error was raised."""
-
-NEXT: Any = object()
-"""Returned instead of a command: call ``next_episode`` when it is this slot's turn."""
+ALL_IN_PLACE: Collection[str] = get_args(Concurrency)
 
 
 class FaultBudget:
@@ -41,264 +39,287 @@ class FaultBudget:
 
     Args:
         limit: Number of faults in a row that is allowed.
-        total: Number of faults so far.
     """
 
-    def __init__(self, limit: int, total: int = 0) -> None:
+    def __init__(self, limit: int) -> None:
         self.limit = limit
-        self.total = total
-        self._in_a_row = 0
-        self._lock = threading.Lock()
-
-    def finished(self) -> None:
-        """Record an episode that ended without a fault."""
+        self.total = 0
+        """Number of faults so far."""
         self._in_a_row = 0
 
-    def spend(self, error: dict[str, Any], what: str, cause: BaseException | None = None) -> None:
-        """Count a fault.
+    def note(self, error: Any, what: str, cause: BaseException | None = None) -> None:
+        """Count how an episode ended.
+
+        Args:
+            error: ``info["error"]``, or None.
+            what: Name of the environment.
+            cause: The exception, if there was one.
 
         Raises:
             FaultBudgetError: The limit is exceeded; its cause is the exception of the last fault.
         """
-        with self._lock:
-            self.total += 1
-            self._in_a_row += 1
-            if self._in_a_row > self.limit:
-                advice = "Mend the environment; each episode says where it failed in episode.error['frames']"
-                if error.get("kind") == "agent":
-                    advice = "It is the agent that fails, or the server that it asks, not the environment"
-                where = f" ({error['frames'][-1]})" if error.get("frames") else ""
-                raise FaultBudgetError(
-                    f"{self._in_a_row} faults in a row without one finished episode; the last, in {what}: "
-                    f"{error.get('message', error)}{where}. {advice}. See {page_url('vector-environments/#faults')}"
-                ) from cause
+        if error is None:
+            self._in_a_row = 0
+            return
+        told = error if isinstance(error, Mapping) else {"message": str(error)}
+        if told.get("kind") == "collateral":
+            return  # the fault of another slot, which is counted there
+        self.total += 1
+        self._in_a_row += 1
+        if self._in_a_row > self.limit:
+            advice = "Mend the environment; each episode says where it failed in episode.error['frames']"
+            if told.get("kind") == "agent":
+                advice = "It is the agent that fails, or the server that it asks, not the environment"
+            where = f" ({told['frames'][-1]})" if told.get("frames") else ""
+            raise FaultBudgetError(
+                f"{self._in_a_row} faults in a row without one finished episode; the last, in {what}: "
+                f"{told.get('message', error)}{where}. {advice}. See {page_url('vector-environments/#faults')}"
+            ) from cause
 
 
 @dataclass
-class Rules:
-    """Rules and counters that all slots of a vector environment share.
+class VectorConfig:
+    """What all slots of a vector environment share.
 
     Args:
-        source: Queue from which slots draw their episodes.
+        make: Makes the environment of a slot: called with its number, the id and the keyword arguments.
         budget: Count of faults.
+        in_place: Values of ``concurrency`` that run in the caller's thread; the others run in threads and tasks.
+        is_quick: Tells whether making the environment of an id may run in the caller's thread, too.
         autoreset: See ``make_vec``.
         on_error: ``"truncate"`` or ``"raise"``.
-        step_timeout: Seconds that a command may take; None for no limit.
+        step_timeout: Seconds that a reset or a step may take; None for no limit.
     """
 
-    source: EpisodeQueue
+    make: Callable[[int, str | None, Mapping[str, Any]], AnyEnv]
     budget: FaultBudget
+    in_place: Collection[str] = ("inline",)
+    is_quick: Callable[[str | None], bool] = lambda env_id: True
     autoreset: Autoreset = "same_step"
     on_error: OnError = "truncate"
     step_timeout: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.on_error not in get_args(OnError):
-            raise ArgumentError(f"on_error must be 'truncate' or 'raise', not {self.on_error!r}")
-        if self.autoreset not in get_args(Autoreset):
-            raise ArgumentError(f"autoreset must be 'same_step', 'next_step' or 'disabled', not {self.autoreset!r}")
+    pool: DaemonPool = field(default_factory=lambda: DaemonPool("gem-env"))
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    busy: set[EnvRunner] = field(default_factory=set)
+    """Runners that a thread is in; the lock protects who closes an abandoned one."""
 
 
 class Slot:
-    """One slot of a vector environment, and its present episode.
+    """Holds one environment at a time; ``reset`` makes it, and makes another when it has failed.
+
+    What an environment raises, and a step that takes too long, come back as a ``Failure``. The coroutines run on any
+    event loop. Where ``in_place`` is true they never wait, so that plain code finishes them at once.
 
     Args:
         index: Number of the slot.
-        own_id: Id of the environment if the plan names none; None for an environment without an id.
-        own_kwargs: Keyword arguments of that environment, which override those of the run.
-        rules: Rules that all slots share.
+        env_id: Id of the environment if the plan names none; None for an environment without an id.
+        kwargs: Keyword arguments of that environment, which override those of the run.
+        config: What all slots share.
+        borrowed: An environment that the caller owns and closes.
     """
 
-    __slots__ = (
-        "_failed_resets",
-        "_last_step",
-        "_options",
-        "_reset",
-        "episode",
-        "index",
-        "own_id",
-        "own_kwargs",
-        "phase",
-        "result",
-        "rules",
-    )
-
-    def __init__(self, index: int, own_id: str | None, own_kwargs: Mapping[str, Any], rules: Rules) -> None:
-        self.index = index
-        self.own_id = own_id
-        self.own_kwargs = own_kwargs
-        self.rules = rules
-        self.phase = NEW
-        self.episode: EpisodeStart | None = None
+    def __init__(
+        self,
+        index: int,
+        env_id: str | None,
+        kwargs: Mapping[str, Any],
+        config: VectorConfig,
+        borrowed: AnyEnv | None = None,
+    ) -> None:
+        self.index, self.env_id, self.kwargs, self.config, self.borrowed = index, env_id, kwargs, config, borrowed
+        self.start: EpisodeStart | None = None
         """What the present episode started from."""
-        self.result: Any = None
-        """The five values of a step, or an exception, once there is no next command."""
-        self._reset: Reset | None = None
-        """The reset whose outcome is awaited."""
-        self._options: dict[str, Any] | None = None
-        self._failed_resets: list[dict[str, Any]] = []
-        """The resets that failed since the last episode."""
-        self._last_step: StepResult | None = None
-        """The last step of the previous episode, while the reset after it is under way."""
-
-    def begin(self, options: dict[str, Any] | None = None) -> Command:
-        """Begin the next episode, also in the middle of one.
-
-        A failed reset consumes its plan item, and the next item is tried; ``info["failed_resets"]`` lists the failures.
-        When the plan is exhausted, the observation is ``TERMINAL_STATE`` and ``info["idle"]`` is true.
-        """
-        self._options, self._last_step, self._failed_resets = options, None, []
-        return cast("Command", NEXT)
+        self.is_joint = False
+        """Whether several agents act in the present episode."""
+        self.cause: BaseException | None = None
+        """The exception of the last fault, until that is counted."""
+        self.runner = self._new_runner()
 
     @property
-    def is_joint(self) -> bool:
-        """Whether several agents act in the present episode."""
-        return isinstance(self.result, tuple) and isinstance(self.result[0], dict)
-
-    def act(self, action: Action) -> Command | None:
-        """Step; ``autoreset`` decides what happens when the episode is over.
-
-        Raises:
-            ResetNeededError: There is no episode, and none begins by itself.
-        """
-        if self.phase is LIVE:
-            return action
-        if self.phase is IDLE:
-            self.result = (TERMINAL_STATE, 0.0, False, False, {"idle": True})
-            return None
-        self.check_steppable()
-        return self.begin()  # next_step: this call begins the next episode, and its action is ignored
-
-    def give_up(self, error: dict[str, Any] | None, cause: BaseException | None = None) -> Command:
-        """Begin the next episode in the middle of one; an error counts as a fault, None does not."""
-        if error is None:
-            self.rules.budget.finished()
-        else:
-            self.rules.budget.spend(error, self.name(), cause)
-        return self.begin()
-
-    def check_steppable(self) -> None:
-        """Raise what ``act`` would.
-
-        Raises:
-            ResetNeededError: There is no episode, and none begins by itself.
-        """
-        if self.phase is BROKEN:
-            raise ResetNeededError(f"slot {self.index} has no environment since an error was raised; call reset()")
-        if self.phase is NEW:
-            raise ResetNeededError("the vector environment has not begun; call reset() before the first step()")
-        if self.phase is ENDED and self.rules.autoreset == "disabled":
-            raise ResetNeededError(
-                f"the episode of slot {self.index} is over, and autoreset is disabled; "
-                "call reset(options={'reset_mask': …}) before the next step(). "
-                f"See {page_url('vector-environments/#when-episodes-end')}"
-            )
-
-    def next_episode(self) -> Command | None:
-        """Return the reset of the plan's next episode; None if there is none, and the slot becomes idle."""
-        start = self.episode = self.rules.source.draw(self.index)
-        if start is None:
-            self.phase = IDLE
-            self._set_first_result(TERMINAL_STATE, {"idle": True})
-            return None
-        item, options = start.item, self._options
-        if item.options or options:
-            options = {**(options or {}), **(item.options or {})}
-        kwargs = item.kwargs
-        if self.own_kwargs and item.id is None:
-            kwargs = {**self.own_kwargs, **kwargs}
-        self._reset = Reset(item.id or self.own_id, kwargs, start.seed, options)
-        return self._reset
-
-    def take_outcome(self, outcome: Any) -> Command | None:
-        """Take the ``Outcome`` of a command; return the next command, or None once there is a result.
-
-        Raises:
-            FaultBudgetError: The command failed, and the budget of faults is spent.
-            EnvFaultError: The command failed, and ``on_error`` is ``"raise"``.
-        """
-        return self.take_step(outcome) if self._reset is None else self._take_reset(self._reset, outcome)
-
-    def take_step(self, outcome: Any) -> Command | None:
-        """Take the outcome of a step, a ``StepResult`` or a ``Failure``; see ``take_outcome``."""
-        rules = self.rules
-        if type(outcome) is Failure:
-            outcome = lost_step(self._count_fault(outcome), joint=self.is_joint)
-        elif not (outcome[2] or outcome[3]):
-            self.result = outcome
-            return None
-        elif "error" in outcome[4]:
-            self._note_error(outcome[4]["error"])
-        else:
-            rules.budget.finished()
-        if rules.autoreset == "same_step":
-            self.begin()
-            # The environment may reuse its info dictionary in reset.
-            self._last_step = outcome[0], outcome[1], outcome[2], outcome[3], outcome[4].copy()
-            return cast("Command", NEXT)
-        self.phase = ENDED
-        self.result = outcome
-        return None
+    def in_place(self) -> bool:
+        """Whether the present environment runs in the caller's thread."""
+        runner = self.runner
+        return runner.concurrency in self.config.in_place and not isinstance(runner.env, RemoteEnv)
 
     def name(self) -> str:
         """Return the name that errors use for this slot's environment."""
-        return str((self.episode.item.id if self.episode is not None else None) or self.own_id or f"slot {self.index}")
+        return str((self.start.item.id if self.start is not None else None) or self.env_id or f"slot {self.index}")
 
-    def _take_reset(self, reset: Reset, outcome: Any) -> Command | None:
-        self._reset = None
-        if type(outcome) is Failure:
-            if outcome.permanent and outcome.error is not None:
-                self.phase = BROKEN
-                raise outcome.error
-            self._failed_resets.append(self._describe_failed_reset(reset, self._count_fault(outcome)))
-            return cast("Command", NEXT)
-        observation, info = outcome
-        info["seed"] = reset.seed
-        group = self.episode.item.group if self.episode is not None else None
-        if group is not None:
-            info["group"] = group
-        self.phase = LIVE
-        self._set_first_result(observation, info)
-        return None
+    def target(self, start: EpisodeStart) -> tuple[str | None, Mapping[str, Any]]:
+        """Return the id and the keyword arguments of the environment that an episode needs."""
+        item = start.item
+        kwargs = {**self.kwargs, **item.kwargs} if self.kwargs and item.id is None else item.kwargs
+        return item.id or self.env_id, kwargs
 
-    def _set_first_result(self, observation: Observation, info: Info) -> None:
-        if self._failed_resets:
-            info["failed_resets"], self._failed_resets = self._failed_resets, []
-        ended = self._last_step
-        if ended is None:
-            self.result = (observation, {} if isinstance(observation, dict) else 0.0, False, False, info)
+    def prepares_in_place(self, start: EpisodeStart) -> bool:
+        """Tell whether ``prepare`` never waits."""
+        env_id, kwargs = self.target(start)
+        return self.runner.has_env_for(env_id, kwargs) or self.config.is_quick(env_id)
+
+    async def prepare(self, start: EpisodeStart) -> Failure | None:
+        """Make the environment that an episode needs unless it is there; return the failure, if any."""
+        env_id, kwargs = self.target(start)
+        if self.config.is_quick(env_id):
+            return self.runner.make(env_id, kwargs)
+        if self.runner.has_env_for(env_id, kwargs):
+            return None
+        return await self._limited(self._make(env_id, kwargs))
+
+    async def reset(self, start: EpisodeStart, options: Mapping[str, Any] | None = None) -> ResetResult | Failure:
+        """Begin an episode, in a new environment where the present one is not for it.
+
+        Args:
+            start: What the episode starts from.
+            options: For ``reset``, below those of the plan's item.
+        """
+        env_id, kwargs = self.target(start)
+        self.start = start
+        item = start.item
+        options = {**(options or {}), **(item.options or {})} if options or item.options else None
+        if self.in_place and self.runner.has_env_for(env_id, kwargs):
+            outcome = self.runner.reset(start.seed, options)
         else:
-            self._last_step = None
-            info["final_obs"], info["final_info"] = ended[0], ended[4]
-            self.result = observation, ended[1], ended[2], ended[3], info
+            outcome = await self._limited(self._reset(env_id, kwargs, start.seed, options))
+        if not isinstance(outcome, Failure):
+            info = outcome[1]
+            self.is_joint = "possible_agents" in info
+            info["seed"] = start.seed
+            if item.group is not None:
+                info["group"] = item.group
+        return outcome
 
-    def _describe_failed_reset(self, reset: Reset, error: dict[str, Any]) -> dict[str, Any]:
-        start = cast("EpisodeStart", self.episode)
-        return {
-            "id": reset.env_id,
-            "kwargs": dict(reset.kwargs),
-            "options": None if start.item.options is None else dict(start.item.options),
-            "seed": start.seed,
-            "run_seed": start.run_seed,
-            "group": start.item.group,
-            "agent": start.item.agent,
-            "key": start.key,
-            "repeat": start.repeat,
-            "error": error,
-        }
+    def step_in_place(self, action: Action) -> StepResult | Failure:
+        """Step an environment that runs in the caller's thread."""
+        return self.runner.step(action)
 
-    def _note_error(self, error: object) -> None:
-        if error is None:
-            self.rules.budget.finished()
+    async def step(self, action: Action) -> StepResult | Failure:
+        """Step the environment."""
+        if self.in_place:
+            return self.runner.step(action)
+        return await self._limited(self._step(action))
+
+    def sample_random_action(self, agent: str | None = None) -> str:
+        """Return a valid action for the present state; an empty one where there is no environment yet.
+
+        Raises:
+            SamplingNotSupported: The environment cannot sample actions.
+            EnvFaultError: The environment failed.
+        """
+        seed = None if self.start is None else self.start.action_seed
+        try:
+            return self.runner.sample_random_action(seed, agent)
+        except (NotSupportedError, BridgeError, ClosedError):
+            raise
+        except WorkerFailureError as error:
+            if isinstance(error.failure.error, NotSupportedError):
+                raise error.failure.error from None
+            raise EnvFaultError(f"{self.name()}: {error.failure.message}") from error
+        except Exception as error:
+            what = error if isinstance(error, EnvFaultError) else Failure.of(error, "sample_random_action").message
+            raise EnvFaultError(f"{self.name()}: {what}") from error
+
+    def abandon_if_busy(self) -> None:
+        """Give up the environment if a thread is in it."""
+        if self.runner in self.config.busy:
+            self._abandon(self.runner)
+
+    async def release(self) -> None:
+        """Close an environment that is not needed any more; the caller's stays for the next run."""
+        if self.runner.env is None or self.runner.env is self.borrowed:
+            return
+        if self.in_place:
+            self.runner.close()
         else:
-            self.rules.budget.spend(error if isinstance(error, dict) else {"message": str(error)}, self.name())
+            await in_thread(self.runner.close)
 
-    def _count_fault(self, failure: Failure) -> dict[str, Any]:
-        """Count a failure as a fault and return its ``info["error"]``; raise it if ``on_error`` says so."""
-        if self.rules.on_error == "raise":
-            self.phase = BROKEN
-            raise failure.raised(self.name())
-        error = failure.info()
-        if failure.kind != "collateral":
-            self.rules.budget.spend(error, self.name(), failure.error or failure.raised(self.name()))
-        return error
+    async def _make(self, env_id: str | None, kwargs: Mapping[str, Any]) -> Failure | None:
+        runner = self.runner
+        if self.config.is_quick(env_id):
+            return runner.make(env_id, kwargs)
+        return await self._in_thread(runner, runner.make, env_id, kwargs)
+
+    async def _reset(
+        self, env_id: str | None, kwargs: Mapping[str, Any], seed: int, options: dict[str, Any] | None
+    ) -> ResetResult | Failure:
+        if not self.runner.has_env_for(env_id, kwargs) and (failure := await self._make(env_id, kwargs)):
+            return failure
+        runner = self.runner
+        if self.in_place:
+            return runner.reset(seed, options)
+        if runner.concurrency == "async":
+            return await on_library_loop(runner.reset_async(seed, options))
+        return await self._in_thread(runner, runner.reset, seed, options)
+
+    async def _step(self, action: Action) -> StepResult | Failure:
+        runner = self.runner
+        if runner.concurrency == "async":
+            return await on_library_loop(runner.step_async(action))
+        return await self._in_thread(runner, runner.step, action)
+
+    async def _limited(self, work: Coroutine[Any, Any, T]) -> T | Failure:
+        """Await work of the environment for ``step_timeout`` at most; a worker keeps that limit itself."""
+        runner, limit = self.runner, self.config.step_timeout
+        try:
+            return await (work if limit is None or isinstance(runner.env, RemoteEnv) else within(limit, work))
+        except asyncio.CancelledError:
+            self._abandon(runner)
+            raise
+        except TimeoutError:
+            self._abandon(runner)
+        failure = Failure("timeout", f"a step or reset took longer than step_timeout, {limit:g} s")
+        hanging = sum(each.abandoned for each in self.config.busy)
+        if hanging > MOST_ABANDONED:
+            raise FaultBudgetError(
+                f"{hanging} environments hang in threads that cannot be ended; the last: {failure.message}. "
+                "Use backend='process', whose workers can be killed"
+            )
+        return failure
+
+    async def _in_thread(self, runner: EnvRunner, work: Callable[..., T], *args: Any) -> T:
+        """Run blocking work in a thread of the pool."""
+        future: concurrent.futures.Future[T] = concurrent.futures.Future()
+
+        def run() -> None:
+            outcome = None if runner.abandoned else work(*args)
+            with self.config.lock:
+                self.config.busy.discard(runner)
+            if runner.abandoned:
+                runner.close()
+            elif not future.cancelled():
+                future.set_result(cast("T", outcome))
+
+        self.config.busy.add(runner)
+        self.config.pool.submit(run)
+        return await asyncio.wrap_future(future)
+
+    def _abandon(self, runner: EnvRunner) -> None:
+        """Give up an environment that does not answer; the thread that is in it closes it when it comes back."""
+        with self.config.lock:
+            runner.abandoned = True
+            busy = runner in self.config.busy
+        if not busy:
+            self.config.pool.submit(runner.close)
+        self.runner = self._new_runner()
+
+    def _new_runner(self) -> EnvRunner:
+        index, make = self.index, self.config.make
+        return EnvRunner(lambda env_id, kwargs: make(index, env_id, kwargs), self.borrowed)
+
+    def fault(self, failure: Failure) -> dict[str, Any]:
+        """Return ``info["error"]`` of a failure; raise it if ``on_error`` says so.
+
+        Raises:
+            EnvFaultError: ``on_error`` is ``"raise"``.
+        """
+        if failure.permanent and failure.error is not None:
+            raise failure.error
+        raised = failure.raised(self.name())
+        if self.config.on_error == "raise":
+            raise raised
+        self.cause = failure.error or raised
+        return failure.info()
+
+    def note_end(self, error: Any, cause: BaseException | None = None) -> None:
+        """Count how an episode ended, in the budget of faults that all slots share; see ``FaultBudget.note``."""
+        cause, self.cause = cause or self.cause, None
+        self.config.budget.note(error, self.name(), cause)

@@ -2,31 +2,73 @@
 
 from __future__ import annotations
 
-import threading
+import asyncio
+import concurrent.futures
+import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Collection, Coroutine, Generator, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Self, cast
+from typing import Any, Self, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
+from gem_core.background import background_loop, on_background_loop, run_without_loop
+from gem_core.closing import CLOSING_S, close_all, wait_for_closing
+from gem_core.docs import page_url
 from gem_core.env.wrapper import AnyEnv
-from gem_core.errors import ArgumentError, BridgeError, ClosedError, EnvFaultError, NotSupportedError
+from gem_core.errors import (
+    ArgumentError,
+    BridgeError,
+    ClosedError,
+    EnvFaultError,
+    ResetNeededError,
+)
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
-from gem_core.types import Action, Info, Observation
+from gem_core.types import TERMINAL_STATE, Action, Info, Observation
 from gem_core.vector.actions import Actions, Received, VectorStep, checked_slot, indices_and_actions, masked_slots
 from gem_core.vector.attributes import VectorAttributes
-from gem_core.vector.call import InterruptibleCall
-from gem_core.vector.commands import Failure
-from gem_core.vector.executor import Executor
-from gem_core.vector.joint import check_joint_action
-from gem_core.vector.local import LocalExecutor, SyncExecutor
-from gem_core.vector.scheduler import Batch, First, Scheduler, StepBatch
-from gem_core.vector.setup import VectorSetup
-from gem_core.vector.slot import LIVE, OnError, Slot
-from gem_core.vector.waiting import Condition, Signal
+from gem_core.vector.failures import Failure, WorkerFailureError
+from gem_core.vector.joint import check_joint_action, lost_step
+from gem_core.vector.remote import RemoteEnv, WorkerPool
+from gem_core.vector.setup import OnError, VectorSetup
+from gem_core.vector.slot import ALL_IN_PLACE, FaultBudget, Slot, VectorConfig
+
+logger = logging.getLogger("gem_core")
+
+T = TypeVar("T")
+
+Future = concurrent.futures.Future
+
+Work = Generator[tuple[Future[Any], float | None], None, T]
+"""The work of a method, for plain code and for coroutines: it yields what is to be waited for, and how long at most."""
+
+NEW, LIVE, ENDED, IDLE, BROKEN = "new", "live", "ended", "idle", "broken"
+"""Phases of a slot: before the first episode; in an episode; after one, before the next begins; without an episode,
+since the plan is exhausted; without an environment, since an error was raised."""
+
+
+@dataclass
+class _State:
+    """How far a slot is.
+
+    Args:
+        phase: See above.
+        sent: Whether it was sent something whose result ``recv`` has not returned.
+        working: Whether its environment is at work.
+        result: The five values of a step, or an exception.
+        ended: The last step of an episode, while the next begins.
+        failed_resets: The resets that failed since then.
+    """
+
+    phase: str = NEW
+    sent: bool = False
+    working: bool = False
+    result: Any = None
+    ended: Any = None
+    failed_resets: list[dict[str, Any]] = field(default_factory=list)
 
 
 class VectorEnv(VectorAttributes):
@@ -46,28 +88,58 @@ class VectorEnv(VectorAttributes):
 
     ``step`` waits for all slots that it stepped; ``send`` does not wait, and ``recv`` returns results as they come.
     Each method that waits has an ``_async`` form, which does not block the event loop; all work in plain code,
-    notebooks and servers.
+    notebooks and servers. An interrupt (Ctrl-C) inside a method closes the vector environment.
 
     Args:
         setup: Arguments that it is made from; see ``make_vec``.
-        executors: Executors in which environments live.
-        executor_of: Returns the number of the executor for an id, if there are several.
+        in_place: Values of ``concurrency`` that run in the caller's thread.
+        pool: Workers for environments that live in other processes.
+        in_pool: Tells of an id whether its environment lives in the pool; by default all do, where there is a pool.
+        borrowed: The environment of the only slot, which the caller owns and closes.
     """
 
     entries: list[tuple[str | None, Mapping[str, Any]]]
     """The requested ids with their keyword arguments, each once; there may be more of them than slots."""
 
     def __init__(
-        self, setup: VectorSetup, *executors: Executor, executor_of: Callable[[str | None], int] | None = None
+        self,
+        setup: VectorSetup,
+        *,
+        in_place: Collection[str] = ("inline",),
+        pool: WorkerPool | None = None,
+        in_pool: Callable[[str | None], bool] | None = None,
+        borrowed: AnyEnv | None = None,
     ) -> None:
         self.ids, self.entries = list(setup.ids), list(setup.entries)
-        rules = setup.rules()
-        self._own_source = rules.source
+        self._plan = EpisodeQueue(setup.plan, setup.seed)
+        self._queue = self._plan
+        self._pool = pool
         self._closed = False
-        self._scheduler = Scheduler(self.ids, setup.slot_kwargs, rules, executors, executor_of)
+        remote = (lambda env_id: pool is not None) if in_pool is None else in_pool
+
+        def make(slot: int, env_id: str | None, kwargs: Mapping[str, Any]) -> AnyEnv:
+            return pool.make(slot, env_id, kwargs) if pool and remote(env_id) else setup.make(env_id, kwargs)
+
+        def is_quick(env_id: str | None) -> bool:
+            return remote(env_id) or in_place is ALL_IN_PLACE or setup.task_concurrency(env_id) in in_place
+
+        budget = FaultBudget(max(16, 2 * len(self.ids)) if setup.max_faults is None else setup.max_faults)
+        self.config = VectorConfig(
+            make, budget, in_place, is_quick, setup.autoreset, setup.on_error, setup.step_timeout
+        )
+        owned = zip(self.ids, setup.slot_kwargs, strict=True)
+        self.slots = [Slot(index, *own, self.config, borrowed) for index, own in enumerate(owned)]
+        """The slots, for ``rollout``."""
+        self._states = [_State() for _ in self.slots]
+        self._ready: list[int] = []
+        """Slots with a result that ``recv`` has not returned, in order of completion."""
+        self._in_flight: set[Future[Any]] = set()
+        """Work on the library's own event loop."""
+        self._news: Future[None] = Future()
+        """Ends when ``recv`` has something new to look at."""
 
     @classmethod
-    def around(
+    def from_env(
         cls,
         env: AnyEnv,
         *,
@@ -98,70 +170,76 @@ class VectorEnv(VectorAttributes):
             return cast("AnyEnv", env.get_wrapper_attr("spawn")(**overrides))
 
         setup = VectorSetup([own_id], [{}], [(own_id, {})], seed=seed, on_error=on_error, factory=factory)
-        executor = SyncExecutor(setup) if plain else LocalExecutor(setup)
-        executor.runners[0].borrowed = env if keep_open else None
-        return cls(setup, executor)
-
-    @property
-    def _slots(self) -> list[Slot]:
-        return self._scheduler.slots
+        in_place = ALL_IN_PLACE if plain else ("inline",)
+        return cls(setup, in_place=in_place, borrowed=env if keep_open else None)
 
     # Properties.
 
     @property
-    def signal(self) -> Signal:
-        """Signal that is set when there is a result for ``recv``; set it to make ``wait`` check ``other`` again."""
-        return self._scheduler.signal
-
-    @property
     def seed(self) -> int:
         """Seed of the run, from which the seed of each episode is derived."""
-        return self._scheduler.rules.source.seed
+        return self._queue.seed
 
     @property
     def faults(self) -> int:
         """Number of environments that failed so far."""
-        return self._scheduler.rules.budget.total
+        return self.config.budget.total
 
     @property
-    def on_error(self) -> OnError:
-        """Whether an environment that fails ends its episode, or the run; see ``make_vec``."""
-        return self._scheduler.rules.on_error
-
-    @property
-    def own_source(self) -> EpisodeQueue:
+    def plan(self) -> EpisodeQueue:
         """Queue of its own episodes, from the plan and seed that it was made with; see ``rollout``."""
-        return self._own_source
+        return self._plan
+
+    @property
+    def under_way(self) -> int:
+        """Number of slots that were sent an action or a reset and have not been received."""
+        return sum(state.sent for state in self._states)
 
     def start_of(self, slot: int) -> EpisodeStart | None:
         """Return what the present episode of a slot started from; None when it is idle."""
-        return self._slots[slot].episode
+        return self.slots[slot].start
 
     def describe(self, slot: int) -> dict[str, Any]:
         """Return ``id``, ``kwargs`` (over the registered ones) and ``wrappers`` of the environment in a slot."""
         slot = checked_slot(slot, self.num_envs)
-        with self._call():
-            described = self._scheduler.at[slot].describe(slot)
-        if described["id"] is None:
-            described["id"] = self.ids[slot] or "unknown"
-        return described
+        self._check_open()
+        described = self.slots[slot].runner.describe()
+        return {**described, "id": described["id"] or self.ids[slot] or "unknown"}
 
     def num_tasks(self, env_id: str | None, kwargs: Mapping[str, Any] = MappingProxyType({})) -> int | None:
         """Return the number of tasks of an environment that has a data set; None for any other.
 
         Call it before the first ``reset``: the environment may be made in a slot, and replace the one that is there.
         """
-        return self._tasks(env_id, kwargs)[0]
+        return cast("int | None", self._tasks(env_id, kwargs)[0])
 
     def endless_tasks(self, env_id: str | None, kwargs: Mapping[str, Any] = MappingProxyType({})) -> bool:
         """Return whether an environment generates new tasks for every epoch, at any index; see ``num_tasks``."""
-        return self._tasks(env_id, kwargs)[1]
+        return cast("bool", self._tasks(env_id, kwargs)[1])
 
-    def _tasks(self, env_id: str | None, kwargs: Mapping[str, Any]) -> tuple[int | None, bool]:
-        slot = self.ids.index(env_id) if env_id in self.ids else 0
-        wanted = env_id or self.ids[slot]
-        with self._call():
-            return self._scheduler.place(slot, wanted).tasks(slot, wanted, dict(kwargs))
+    def _tasks(self, env_id: str | None, kwargs: Mapping[str, Any]) -> Any:
+        self._check_open()
+        slot = self.slots[self.ids.index(env_id) if env_id in self.ids else 0]
+        return self._asked(slot, (env_id or slot.env_id, dict(kwargs)), _num_tasks)
+
+    def _asked(self, slot: Slot, target: tuple[Any, Any] | None, function: Callable[..., T], *args: Any) -> T:
+        """Return what a function of the environment in a slot returns.
+
+        Args:
+            slot: The slot.
+            target: Id and keyword arguments of the environment, which is made unless it is there; None takes the one
+                that is there, or makes the slot's own.
+            function: Called with the environment, where that lives.
+            *args: More arguments for it.
+        """
+        made = slot.runner.env is not None and target is None
+        failure = None if made else slot.runner.make(*(target or (slot.env_id, slot.kwargs)))
+        if failure is None:
+            try:
+                return cast("T", slot.runner.apply(function, *args))
+            except WorkerFailureError as error:
+                failure = error.failure
+        raise failure.error or EnvFaultError(f"{slot.name()}: {failure.message}")
 
     def sample_random_action(self, slot: int, agent: str | None = None) -> str:
         """Return a valid action for the present state of a slot; an empty one where there is no environment yet.
@@ -176,19 +254,11 @@ class VectorEnv(VectorAttributes):
             EnvFaultError: The environment failed.
         """
         slot = checked_slot(slot, self.num_envs)
-        current = self._slots[slot]
-        if current.is_joint and agent is None:
-            acting = ", ".join(map(repr, current.result[0]))
+        self._check_open()
+        if self.slots[slot].is_joint and agent is None:
+            acting = ", ".join(map(repr, self._states[slot].result[0]))
             raise ArgumentError(f"several agents act in slot {slot}: name one of {acting}")
-        seed = None if current.episode is None else current.episode.action_seed
-        try:
-            with self._call():
-                return self._scheduler.at[slot].sample_random_action(slot, seed, agent)
-        except (NotSupportedError, BridgeError, ClosedError):
-            raise
-        except Exception as error:
-            what = error if isinstance(error, EnvFaultError) else Failure.of(error, "sample_random_action").message
-            raise EnvFaultError(f"{current.name()}: {what}") from error
+        return self.slots[slot].sample_random_action(agent)
 
     # Methods that wait for all slots.
 
@@ -211,25 +281,42 @@ class VectorEnv(VectorAttributes):
             EnvFaultError: An environment failed, and ``on_error`` is ``"raise"``.
             FaultBudgetError: Too many faults in a row.
         """
-        with self._call() as call:
-            batch, options = self._batch_and_options(seed, options)
-            if len(batch.order) == self.num_envs:
-                call.wait(self._scheduler.is_idle, Batch())
-            self._begin(batch, options)
-            call.wait(batch.is_over, batch)
-            return self._reset_results(batch.order)
+        return self._run(self._reset(seed, options))
 
     async def reset_async(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[list[Observation], list[Info]]:
         """``reset`` for code that runs in an event loop, without blocking it."""
-        with self._call() as call:
-            batch, options = self._batch_and_options(seed, options)
-            if len(batch.order) == self.num_envs:
-                await call.wait_async(self._scheduler.is_idle, Batch())
-            self._begin(batch, options)
-            await call.wait_async(batch.is_over, batch)
-            return self._reset_results(batch.order)
+        return await self._run_async(self._reset(seed, options))
+
+    def _reset(self, seed: int | None, options: dict[str, Any] | None) -> Work[tuple[list[Observation], list[Info]]]:
+        if options is not None and not isinstance(options, Mapping):
+            raise ArgumentError(f"options must be a mapping of names to values, not {options!r:.200}")
+        chosen = list(range(self.num_envs))
+        if options and "reset_mask" in options:
+            options = dict(options)
+            chosen = masked_slots(options.pop("reset_mask"), self.num_envs)
+        everything = len(chosen) == self.num_envs
+        if seed is not None:
+            if not everything:
+                raise ArgumentError(
+                    "a seed starts the whole run over, so it cannot go with a reset_mask for some slots"
+                )
+            self._plan = self._plan.restarted(seed)
+        if everything:
+            yield from self._finish_under_way()
+            self._queue = self._plan
+            self.config.budget.note(None, "")
+        else:
+            self._refuse_busy(chosen)
+        for index in chosen:
+            self._states[index].ended, self._states[index].failed_resets = None, []
+        yield from self._begin(chosen, options)
+        self._raise_first_error(chosen)
+        results = [state.result for state in self._states]
+        observations = [result[0] if isinstance(result, tuple) else "" for result in results]
+        began = set(chosen)
+        return observations, [result[4] if index in began else {} for index, result in enumerate(results)]
 
     def step(self, actions: Actions) -> VectorStep:
         """Step all slots, or those that a mapping names, and wait for them.
@@ -249,21 +336,39 @@ class VectorEnv(VectorAttributes):
             EnvFaultError: An environment failed, and ``on_error`` is ``"raise"``.
             FaultBudgetError: Too many faults in a row.
         """
-        with self._call() as call:
-            batch = self._start_step(actions)
-            if batch.waiting:
-                call.wait(batch.is_over, batch)
-            return self._results(batch.order)
+        return self._run(self._step(self._checked_pairs(actions)))
 
     async def step_async(self, actions: Actions) -> VectorStep:
         """``step`` for code that runs in an event loop, without blocking it.
 
         If it is cancelled, as by a time limit, the slots go on, and ``recv`` returns their results.
         """
-        with self._call() as call:
-            batch = self._start_step(actions)
-            await call.wait_async(batch.is_over, batch)
-            return self._results(batch.order)
+        pairs = self._checked_pairs(actions)
+        return await self._run_async(self._step(pairs), [index for index, _ in pairs])
+
+    def _step(self, pairs: list[tuple[int, Action]]) -> Work[VectorStep]:
+        yield from self._advance(pairs)
+        return self._results([index for index, _ in pairs])
+
+    def _advance(self, pairs: list[tuple[int, Action]]) -> Work[None]:
+        """Step slots, and then begin what ended."""
+        slots, states = self.slots, self._states
+        due: list[int] = []
+        elsewhere: list[tuple[int, Action]] = []
+        for index, action in pairs:
+            if states[index].phase is not LIVE:
+                if not self._is_idle(index):
+                    due.append(index)  # next_step: this call begins the next episode, and the action is ignored
+            elif slots[index].in_place:
+                if self._take(index, slots[index].step_in_place(action)):
+                    due.append(index)
+            else:
+                elsewhere.append((index, action))
+        if elsewhere:
+            outcomes = yield from self._all([(index, False, slots[index].step(action)) for index, action in elsewhere])
+            due += [index for index, _ in elsewhere if self._take(index, outcomes[index])]
+        if due:
+            yield from self._begin(sorted(due), None)
 
     # Methods that do not wait for all slots.
 
@@ -274,22 +379,25 @@ class VectorEnv(VectorAttributes):
             ArgumentError: The number of actions is not the number of slots, or a slot does not exist or is under way.
             ResetNeededError: A slot has no episode, and none begins by itself.
         """
-        with self._call():
-            self._scheduler.step(self._checked_pairs(actions), self._scheduler.sent)
+        self._check_open()
+        for pair in self._checked_pairs(actions):
+            self._states[pair[0]].sent = True
+            self._go_on([pair[0]], self._advance([pair]))
 
-    def send_reset(self, source: EpisodeQueue | None = None, options: dict[str, Any] | None = None) -> None:
-        """Begin an episode in every slot; ``recv`` returns their observations, with reward 0 and flags false."""
-        with self._call() as call:
-            call.wait(self._scheduler.is_idle, Batch())
-            self._scheduler.begin_run(source or self._own_source)
-            self._scheduler.begin(range(self.num_envs), options, self._scheduler.sent)
+    def reset_slot(self, slot: int) -> None:
+        """Begin the next episode of a slot, also in the middle of one; ``recv`` returns its first observation.
 
-    def begin_next(self, slot: int) -> None:
-        """Begin the next episode of a slot; ``recv`` returns its first observation, with reward 0 and flags false."""
-        self._begin_one(slot, self._slots[slot].begin)
+        The reward is then 0, and the flags are false.
+        """
+        slot = checked_slot(slot, self.num_envs)
+        self._check_open()
+        self._refuse_busy([slot])
+        state = self._states[slot]
+        state.ended, state.failed_resets, state.sent = None, [], True
+        self._go_on([slot], self._begin([slot], None))
 
-    def give_up(self, slot: int, error: dict[str, Any] | None, cause: BaseException | None = None) -> None:
-        """``begin_next`` in the middle of an episode.
+    def abort_slot(self, slot: int, error: dict[str, Any] | None, cause: BaseException | None = None) -> None:
+        """``reset_slot`` in the middle of an episode.
 
         Args:
             slot: Number of the slot.
@@ -297,12 +405,8 @@ class VectorEnv(VectorAttributes):
                 nothing failed, as when the history is longer than the model's context.
             cause: The exception, if there was one.
         """
-        self._begin_one(slot, partial(self._slots[slot].give_up, error, cause))
-
-    def _begin_one(self, slot: int, first: First) -> None:
-        with self._call():
-            self._scheduler.refuse_busy([slot])
-            self._scheduler.run([(slot, first)], self._scheduler.sent)
+        self.slots[slot].note_end(error, cause)
+        self.reset_slot(slot)
 
     def recv(self, min_envs: int = 1, timeout: float | None = None) -> Received:
         """Return the results of ``send`` that are ready, in order of completion.
@@ -316,46 +420,54 @@ class VectorEnv(VectorAttributes):
             EnvFaultError: An environment failed, and ``on_error`` is ``"raise"``.
             FaultBudgetError: Too many faults in a row.
         """
-        with self._call() as call:
-            enough, deadline = self._condition_and_deadline(min_envs, timeout)
-            call.wait(enough, self._scheduler.sent, deadline)
-            return self._received()
+        return self._run(self._recv(min_envs, timeout))
 
     async def recv_async(self, min_envs: int = 1, timeout: float | None = None) -> Received:
         """``recv`` for code that runs in an event loop, without blocking it."""
-        with self._call() as call:
-            enough, deadline = self._condition_and_deadline(min_envs, timeout)
-            await call.wait_async(enough, self._scheduler.sent, deadline)
-            return self._received()
+        return await self._run_async(self._recv(min_envs, timeout))
 
-    def wait(self, other: Condition = lambda: False) -> None:
-        """Wait until ``recv`` has a result, or ``other`` returns True; see ``signal``."""
-        sent = self._scheduler.sent
-        with self._call() as call:
-            call.wait(lambda: bool(sent.done) or other(), sent)
-
-    async def wait_async(self, other: Condition = lambda: False) -> None:
-        """``wait`` for code that runs in an event loop, without blocking it."""
-        sent = self._scheduler.sent
-        with self._call() as call:
-            await call.wait_async(lambda: bool(sent.done) or other(), sent)
-
-    async def drain_async(self) -> None:
-        """Wait for slots under way and drop their results, without blocking the event loop."""
-        with self._call() as call:
-            await call.wait_async(self._scheduler.is_idle, Batch())
-            self._scheduler.drop_results()
-
-    @property
-    def under_way(self) -> int:
-        """Number of slots that were sent an action or a reset and have not been received."""
-        return len(self._scheduler.sent.waiting) + len(self._scheduler.sent.done)
+    def _recv(self, min_envs: int, timeout: float | None) -> Work[Received]:
+        if type(min_envs) is not int or min_envs < 0:
+            raise ArgumentError(f"min_envs must be a whole number from 0 up, not {min_envs!r}")
+        if not self.under_way:
+            raise ArgumentError("nothing is under way: recv() returns the results of send()")
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while len(self._ready) < min(min_envs, self.under_way):
+            news = self._news
+            left = None if deadline is None else deadline - time.monotonic()
+            if left is not None and left <= 0:
+                break
+            if len(self._ready) < min(min_envs, self.under_way):  # nothing has come since news was taken
+                yield news, left
+        # A failure is raised only after all other results have been received, so that none of them is lost.
+        ready = list(self._ready)
+        order = [index for index in ready if isinstance(self._states[index].result, tuple)] or ready[:1]
+        for index in order:
+            self._ready.remove(index)
+            self._states[index].sent = False
+        return Received(order, *self._results(order))
 
     def close(self) -> None:
-        """Close every environment for good; later calls raise ``ClosedError``."""
+        """Close all environments at once, for good; later calls raise ``ClosedError``.
+
+        What does not close within some seconds is left, and a warning says how many.
+        """
+        if self._closed:
+            return
         self._closed = True
-        with InterruptibleCall(self._scheduler, self._replace_scheduler):
-            self._scheduler.close()
+        self._tell_news()
+        for future in list(self._in_flight):
+            future.cancel()
+        for slot in self.slots:
+            slot.abandon_if_busy()
+        here = [slot.runner for slot in self.slots if not isinstance(slot.runner.env, RemoteEnv)]
+        left = close_all([runner for runner in here if runner.env is not None])
+        left += 0 if self._pool is None else self._pool.close()
+        left += wait_for_closing(0.0 if left else CLOSING_S)
+        left += sum(runner.abandoned for runner in self.config.busy)
+        self.config.pool.close()
+        if left:
+            logger.warning("gem: %d environments had not closed after %g seconds, and were left", left, CLOSING_S)
 
     def __enter__(self) -> Self:
         return self
@@ -372,99 +484,290 @@ class VectorEnv(VectorAttributes):
             f"VectorEnv({names if len(names) < 200 else names[:200] + '…'}, num_envs={self.num_envs}, seed={self.seed})"
         )
 
-    def _batch_and_options(
-        self, seed: int | None, options: dict[str, Any] | None
-    ) -> tuple[StepBatch, dict[str, Any] | None]:
-        if options is not None and not isinstance(options, Mapping):
-            raise ArgumentError(f"options must be a mapping of names to values, not {options!r:.200}")
-        chosen = list(range(self.num_envs))
-        if options and "reset_mask" in options:
-            options = dict(options)
-            chosen = masked_slots(options.pop("reset_mask"), self.num_envs)
-        if seed is not None:
-            if len(chosen) < self.num_envs:
-                raise ArgumentError(
-                    "a seed starts the whole run over, so it cannot go with a reset_mask for some slots"
-                )
-            self._own_source = self._own_source.restarted(seed)
-        return StepBatch(chosen), options or None
+    # What rollout does with it.
 
-    def _begin(self, batch: StepBatch, options: dict[str, Any] | None) -> None:
-        if len(batch.order) < self.num_envs:
-            self._scheduler.refuse_busy(batch.order)
+    async def begin_rollout(self) -> None:
+        """Wait for what is under way, and leave the slots to a rollout; afterwards ``reset`` begins anew."""
+        await self._run_async(self._finish_under_way())
+        self.config.budget.note(None, "")
+        for slot, state in zip(self.slots, self._states, strict=True):
+            slot.start, slot.is_joint, state.phase = None, False, NEW
+
+    # The next episodes.
+
+    def _begin(self, indices: Sequence[int], options: dict[str, Any] | None) -> Work[None]:
+        """Begin the next episode of some slots; where a reset fails, the next of the plan, until one begins."""
+        while indices:
+            starts: list[tuple[int, EpisodeStart]] = []
+            for index in indices:  # draws in the order of slots, whichever environment is ready first
+                start = self.slots[index].start = self._queue.draw(index)
+                if start is not None:
+                    starts.append((index, start))
+                else:
+                    yield from self._make_idle(index)
+            making = [(index, self.slots[index].prepares_in_place(start), self.slots[index].prepare(start))
+                      for index, start in starts]  # fmt: skip
+            outcomes: dict[int, Any] = yield from self._all(making)
+            outcomes |= yield from self._all(
+                [
+                    (index, self.slots[index].in_place, self.slots[index].reset(start, options))
+                    for index, start in starts
+                    if outcomes[index] is None
+                ]
+            )
+            indices = [index for index, start in starts if self._take_reset(index, start, outcomes[index])]
+
+    def _make_idle(self, index: int) -> Work[None]:
+        slot, state = self.slots[index], self._states[index]
+        slot.is_joint, state.phase = False, IDLE
+        self._set_first_result(index, TERMINAL_STATE, {"idle": True})
+        yield from self._all([(index, slot.in_place or slot.runner.env is None, slot.release())])
+
+    def _take_reset(self, index: int, start: EpisodeStart, outcome: Any) -> bool:
+        """Take the outcome of a reset; tell whether the next episode has to be tried."""
+        state = self._states[index]
+        if isinstance(outcome, Failure):
+            try:
+                error = self.slots[index].fault(outcome)
+                state.failed_resets.append(_failed_reset(self.slots[index], start, error))
+                self.slots[index].note_end(error)
+            except Exception as raised:  # noqa: BLE001 - raised again where the result is asked for
+                state.phase, state.result = BROKEN, raised
+                return False
+            return True
+        if isinstance(outcome, BaseException):
+            state.phase, state.result = BROKEN, outcome
+            return False
+        state.phase = LIVE
+        self._set_first_result(index, *outcome)
+        return False
+
+    def _set_first_result(self, index: int, observation: Observation, info: Info) -> None:
+        state = self._states[index]
+        if state.failed_resets:
+            info["failed_resets"], state.failed_resets = state.failed_resets, []
+        ended, state.ended = state.ended, None
+        if ended is None:
+            state.result = (observation, {} if isinstance(observation, dict) else 0.0, False, False, info)
         else:
-            self._scheduler.begin_run(self._own_source)
-        self._scheduler.begin(batch.order, options, batch)
+            info["final_obs"], info["final_info"] = ended[0], ended[4]
+            state.result = observation, ended[1], ended[2], ended[3], info
 
-    def _start_step(self, actions: Actions) -> StepBatch:
-        pairs = self._checked_pairs(actions)
-        batch = StepBatch([index for index, _ in pairs])
-        self._scheduler.step(pairs, batch)
-        return batch
+    def _take(self, index: int, outcome: Any) -> bool:
+        """Take the outcome of a step; tell whether the next episode begins now."""
+        state, config = self._states[index], self.config
+        try:
+            if isinstance(outcome, BaseException):
+                raise outcome
+            if isinstance(outcome, Failure):
+                error = self.slots[index].fault(outcome)
+                outcome = lost_step(error, joint=self.slots[index].is_joint)
+            elif not (outcome[2] or outcome[3]):
+                state.result = outcome
+                return False
+            self.slots[index].note_end(outcome[4].get("error"))
+        except Exception as raised:  # noqa: BLE001 - raised again where the result is asked for
+            state.phase, state.result = BROKEN, raised
+            return False
+        state.phase, state.result = ENDED, outcome
+        if config.autoreset != "same_step":
+            return False
+        # The environment may reuse its info dictionary in reset.
+        state.ended = (*outcome[:4], outcome[4].copy())
+        return True
 
-    def _checked_pairs(self, actions: Actions) -> list[tuple[int, Action]]:
-        pairs = indices_and_actions(actions, self.num_envs)
-        self._scheduler.refuse_busy(index for index, _ in pairs)
-        slots = self._slots
-        for index, action in pairs:
-            slot = slots[index]
-            if slot.phase is not LIVE:
-                slot.check_steppable()
-            elif slot.is_joint or not isinstance(action, str):
-                check_joint_action(index, action, slot.result[0])
-        return pairs
+    def _is_idle(self, index: int) -> bool:
+        """Give an idle slot its result and tell whether it is idle; raise if it cannot be stepped."""
+        state = self._states[index]
+        if state.phase is IDLE:
+            state.result = (TERMINAL_STATE, 0.0, False, False, {"idle": True})
+            return True
+        if state.phase is BROKEN:
+            raise ResetNeededError(f"slot {index} has no environment since an error was raised; call reset()")
+        if state.phase is NEW:
+            raise ResetNeededError("the vector environment has not begun; call reset() before the first step()")
+        if self.config.autoreset == "disabled":
+            raise ResetNeededError(
+                f"the episode of slot {index} is over, and autoreset is disabled; "
+                "call reset(options={'reset_mask': …}) before the next step(). "
+                f"See {page_url('vector-environments/#when-episodes-end')}"
+            )
+        return False
 
-    def _condition_and_deadline(self, min_envs: int, timeout: float | None) -> tuple[Condition, float | None]:
-        sent = self._scheduler.sent
-        if not self.under_way:
-            raise ArgumentError("nothing is under way; call send() before recv()")
-        if type(min_envs) is not int or min_envs < 0:
-            raise ArgumentError(f"min_envs must be a whole number from 0 up, not {min_envs!r}")
-        wanted = min(min_envs, self.under_way)
-        return lambda: len(sent.done) >= wanted, None if timeout is None else time.monotonic() + timeout
+    # Where work is done: in place at once, the rest on the library's own event loop, all side by side.
 
-    def _call(self) -> InterruptibleCall:
+    def _all(self, jobs: list[tuple[int, bool, Coroutine[Any, Any, Any]]]) -> Work[dict[int, Any]]:
+        """Do jobs of slots, given with whether they run in place; return the outcomes, also what is raised, by slot."""
+        outcomes: dict[int, Any] = {}
+        for index, in_place, job in jobs:
+            if in_place:
+                try:
+                    outcomes[index] = run_without_loop(job)
+                except Exception as error:  # noqa: BLE001 - raised again where the result is asked for
+                    outcomes[index] = error
+        elsewhere = [(index, job) for index, in_place, job in jobs if not in_place]
+        if elsewhere:
+            for index, _ in elsewhere:
+                self._states[index].working = True
+            future = asyncio.run_coroutine_threadsafe(_gather([job for _, job in elsewhere]), background_loop())
+            self._in_flight.add(future)
+            future.add_done_callback(self._in_flight.discard)
+            yield future, None
+            for (index, _), outcome in zip(elsewhere, future.result(), strict=True):
+                self._states[index].working = False
+                outcomes[index] = outcome
+        return outcomes
+
+    def _run(self, work: Work[T]) -> T:
+        """Do the work of a method in plain code."""
+        self._check_open()
+        try:
+            while True:
+                future, seconds = next(work)
+                if on_background_loop() and not future.done():
+                    raise BridgeError(
+                        "a vector environment was waited for on the library's own event loop, where it would wait for "
+                        "itself; await its step_async, reset_async or recv_async there instead"
+                    )
+                concurrent.futures.wait([future], seconds)
+                self._check_open()
+        except StopIteration as finished:
+            return cast("T", finished.value)
+        except KeyboardInterrupt:
+            self.close()
+            raise
+
+    async def _run_async(self, work: Work[T], indices: Sequence[int] = ()) -> T:
+        """Do the work of a method in a coroutine; if that is cancelled, ``recv`` returns the results of some slots."""
+        self._check_open()
+        while True:
+            try:
+                future, seconds = next(work)
+            except StopIteration as finished:
+                return cast("T", finished.value)
+            try:
+                await wait_for_future(future, seconds)
+            except asyncio.CancelledError:
+                for index in indices:
+                    self._states[index].sent = True
+                future.add_done_callback(lambda _: self._go_on(indices, work))
+                raise
+            self._check_open()
+
+    def _go_on(self, indices: Sequence[int], work: Work[Any]) -> None:
+        """Do work as far as nothing has to be waited for, and the rest later; then ``recv`` has the results."""
+        try:
+            future, _ = next(work)
+        except StopIteration:
+            pass
+        except concurrent.futures.CancelledError:
+            return  # the vector environment was closed
+        except Exception as error:  # noqa: BLE001 - raised again where the result is asked for
+            for index in indices:
+                self._states[index].result = error
+        else:
+            future.add_done_callback(lambda _: self._go_on(indices, work))
+            return
+        self._ready += indices
+        self._tell_news()
+
+    def _tell_news(self) -> None:
+        news, self._news = self._news, Future()
+        news.set_result(None)
+
+    def _finish_under_way(self) -> Work[None]:
+        """Wait for slots that are under way, and drop their results."""
+        while self._in_flight:
+            yield next(iter(self._in_flight)), None
+        self._ready.clear()
+        for state in self._states:
+            state.sent = False
+
+    # Arguments and results.
+
+    def _check_open(self) -> None:
         if self._closed:
             raise ClosedError("the vector environment is closed; make another with make_vec")
-        return InterruptibleCall(self._scheduler, self._replace_scheduler)
 
-    def _replace_scheduler(self) -> None:
-        """Replace the scheduler after an interrupt has left it in an inconsistent state."""
-        old = self._scheduler
-        self._scheduler = old.renewed()
-        if self._own_source is old.rules.source:
-            self._own_source = self._scheduler.rules.source
-        # In a thread, since the old scheduler may hold its own locks for ever.
-        threading.Thread(target=old.close, name="gem-close", daemon=True).start()
+    def _refuse_busy(self, indices: Iterable[int]) -> None:
+        for index in indices:
+            if self._states[index].sent or self._states[index].working:
+                raise ArgumentError(f"slot {index} is under way; call recv() until it has come back")
 
-    def _received(self) -> Received:
-        order = self._scheduler.collect()
-        return Received(order, *self._results(order))
+    def _checked_pairs(self, actions: Actions) -> list[tuple[int, Action]]:
+        self._check_open()
+        pairs = indices_and_actions(actions, self.num_envs)
+        for index, action in pairs:
+            state = self._states[index]
+            if state.phase is LIVE:
+                if state.sent or state.working:
+                    self._refuse_busy([index])
+                if self.slots[index].is_joint or type(action) is not str:
+                    check_joint_action(index, action, state.result[0])
+            else:
+                self._refuse_busy([index])
+                self._is_idle(index)
+        return pairs
 
     def _results(self, order: Sequence[int]) -> VectorStep:
-        slots = self._slots
-        results = [slots[index].result for index in order]
+        results = [self._states[index].result for index in order]
         if not results:
             empty = np.zeros(0)
             return VectorStep([], empty, empty.astype(bool), empty.astype(bool), [])
-        if error := next((result for result in results if not isinstance(result, tuple)), None):
-            raise error
+        self._raise_first_error(order)
         observations, rewards, terminated, truncated, infos = zip(*results, strict=True)
-        # One byte for each flag, read as bools: a third of the time of np.array.
         return VectorStep(
             list(observations),
             _rewards(rewards),
-            np.frombuffer(bytearray(terminated), np.bool_),
-            np.frombuffer(bytearray(truncated), np.bool_),
+            np.array(terminated, np.bool_),
+            np.array(truncated, np.bool_),
             list(map(dict.copy, infos)),  # some environments reuse their info dictionary
         )
 
-    def _reset_results(self, chosen: list[int]) -> tuple[list[Observation], list[Info]]:
-        self._results(chosen)
-        began = set(chosen)
-        observations = [slot.result[0] if isinstance(slot.result, tuple) else "" for slot in self._slots]
-        infos = [slot.result[4] if slot.index in began else {} for slot in self._slots]
-        return observations, infos
+    def _raise_first_error(self, order: Iterable[int]) -> None:
+        for index in order:
+            if isinstance(self._states[index].result, BaseException):
+                raise self._states[index].result
+
+
+async def _gather(jobs: list[Coroutine[Any, Any, T]]) -> list[T | BaseException]:
+    return await asyncio.gather(*jobs, return_exceptions=True)
+
+
+async def wait_for_future(future: Future[Any], seconds: float | None) -> None:
+    """Wait for a future of another thread, which goes on if the waiter is cancelled."""
+    loop, done = asyncio.get_running_loop(), asyncio.Event()
+
+    def tell(_: object) -> None:
+        with suppress(RuntimeError):  # the loop was closed
+            loop.call_soon_threadsafe(done.set)
+
+    future.add_done_callback(tell)
+    with suppress(TimeoutError):
+        async with asyncio.timeout(seconds):
+            await done.wait()
+
+
+def _num_tasks(env: AnyEnv) -> tuple[int | None, bool]:
+    task: Any = env.unwrapped
+    return task.num_tasks, task.endless_tasks
+
+
+def _failed_reset(slot: Slot, start: EpisodeStart, error: dict[str, Any]) -> dict[str, Any]:
+    """Return what ``info["failed_resets"]`` tells of a reset that failed."""
+    env_id, kwargs = slot.target(start)
+    return {
+        "id": env_id,
+        "kwargs": dict(kwargs),
+        "options": None if start.item.options is None else dict(start.item.options),
+        "seed": start.seed,
+        "run_seed": start.run_seed,
+        "group": start.item.group,
+        "agent": start.item.agent,
+        "key": start.key,
+        "repeat": start.repeat,
+        "error": error,
+    }
 
 
 def _rewards(rewards: tuple[Any, ...]) -> npt.NDArray[np.float64]:

@@ -1,11 +1,10 @@
-"""Commands to an environment and their outcomes, as plain records that can be sent to another process."""
+"""``Failure``: what is kept of an exception, a hang or a death, as plain data that can be sent to another process."""
 
 from __future__ import annotations
 
 import pickle
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 from gem_core.errors import (
     DatasetError,
@@ -17,7 +16,6 @@ from gem_core.errors import (
     UsageError,
 )
 from gem_core.failures import author_frames, failure_info
-from gem_core.types import Action, Observation, ResetResult, StepResult
 
 _PERMANENT = (UsageError, RegistrationError, MissingRequirementError, EntryPointError, DatasetError)
 """Errors of making an environment that would occur again in every episode."""
@@ -25,41 +23,9 @@ _PERMANENT = (UsageError, RegistrationError, MissingRequirementError, EntryPoint
 _LONGEST_MESSAGE = 2000
 
 
-class Reset(NamedTuple):
-    """Begin an episode, in the environment of an id and keyword arguments.
-
-    Args:
-        env_id: Id of the environment; None for the one that was given to ``VectorEnv.around``.
-        kwargs: Keyword arguments that override those of the run.
-        seed: Seed of the episode.
-        options: Passed to ``reset``; None for no options.
-    """
-
-    env_id: str | None
-    kwargs: Mapping[str, Any]
-    seed: int
-    options: dict[str, Any] | None
-
-
-class Rebuild(NamedTuple):
-    """Replay the episode of an environment that was lost with its process, and then step it.
-
-    Args:
-        reset: Command that began the episode.
-        actions: Actions stepped since then.
-        observation: The last observation; a replay that ends with a different one is a failure.
-        action: Action to step now.
-    """
-
-    reset: Reset
-    actions: list[Action]
-    observation: Observation
-    action: Action
-
-
 @dataclass
 class Failure:
-    """The outcome of a command that failed.
+    """Why a reset or a step of an environment has no result.
 
     Args:
         kind: ``"exception"``, ``"timeout"``, ``"died"`` or ``"collateral"``.
@@ -110,15 +76,20 @@ class Failure:
         return Failure, (self.kind, self.message, error, details, self.permanent, self.frames)
 
 
-Command = Action | Reset | Rebuild
-"""An action to step, a ``Reset`` or a ``Rebuild``."""
-
-Outcome = ResetResult | StepResult | Failure
-"""Result of a command: two values of a ``Reset``, five of any other, or a ``Failure``."""
-
-
 def _can_be_pickled(error: BaseException) -> bool:
     try:
         return type(pickle.loads(pickle.dumps(error))) is type(error)
     except Exception:  # noqa: BLE001 - an exception's own pickling may raise anything
         return False
+
+
+class WorkerFailureError(GemError):
+    """An environment in a worker failed, or its worker did.
+
+    Args:
+        failure: What happened.
+    """
+
+    def __init__(self, failure: Failure) -> None:
+        super().__init__(failure.message)
+        self.failure = failure

@@ -1,0 +1,301 @@
+"""``RemoteEnv``: an environment that lives in a worker, and ``WorkerPool``, which keeps the workers.
+
+A worker is another process, or an actor of a plugin. It serves the environments of some slots, one request after
+another. When it dies, or is killed since a request takes too long, the episodes in it end as errors: the one that was
+asked ``"died"`` or ``"timeout"``, the others ``"collateral"``. The next reset starts another worker.
+"""
+
+from __future__ import annotations
+
+import pickle
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, cast
+
+import cloudpickle  # type: ignore[import-untyped]  # it has no types
+
+from gem_core.closing import CLOSING_S
+from gem_core.env.base import Env
+from gem_core.errors import ArgumentError, GemError
+from gem_core.making.layers import wrapper_targets
+from gem_core.registry.lookup import registry
+from gem_core.types import ResetResult, StepResult
+from gem_core.vector.failures import Failure, WorkerFailureError
+from gem_core.vector.setup import VectorSetup
+
+
+class WorkerDiedError(Exception):
+    """The worker has ended; the text says how, as part of a sentence."""
+
+
+class Worker(ABC):
+    """A worker as the program sees it. In it runs a ``WorkerLoop``."""
+
+    @abstractmethod
+    def request(self, data: bytes, timeout_s: float | None) -> bytes:
+        """Return the reply of ``WorkerLoop.handle`` to a request; called by one thread at a time.
+
+        Raises:
+            TimeoutError: It took longer than ``timeout_s``.
+            WorkerDiedError: The worker has ended.
+        """
+
+    @abstractmethod
+    def is_alive(self) -> bool:
+        """Tell whether it has not ended, as far as is known."""
+
+    @abstractmethod
+    def kill(self) -> None:
+        """End the worker and all that it started, at once; calling it again does nothing."""
+
+
+class _Place:
+    """One worker of a pool, and who waits for it."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        """Held while a request is answered."""
+        self.worker: Worker | None = None
+
+
+class WorkerPool:
+    """Starts workers when they are needed, and replaces those that died.
+
+    Args:
+        setup: What environments are made from.
+        start: Starts a worker from the pickled setup.
+        count: Number of workers; slots are assigned to them in turn.
+
+    Raises:
+        ArgumentError: The setup cannot be pickled.
+    """
+
+    def __init__(self, setup: VectorSetup, start: Callable[[bytes], Worker], count: int) -> None:
+        self.setup = setup
+        self._start = start
+        self._packed = _pack_setup(setup)
+        self._places = [_Place() for _ in range(count)]
+        self._closed = False
+
+    def make(self, slot: int, env_id: str | None, kwargs: Mapping[str, Any]) -> RemoteEnv:
+        """Return the environment of a slot; its worker makes it at the first reset."""
+        return RemoteEnv(self, slot, env_id, kwargs)
+
+    def request(
+        self,
+        slot: int,
+        method: str,
+        *args: Any,
+        on: Worker | None = None,
+        timeout_s: float | None = None,
+    ) -> tuple[Any, Worker]:
+        """Call a method of ``WorkerLoop`` in the worker of a slot.
+
+        Args:
+            slot: Number of the slot.
+            method: Name of the method.
+            *args: Its arguments.
+            on: The worker in which the slot's episode began; None takes the present worker, or starts one.
+            timeout_s: Seconds that it may take, from when the worker turns to it.
+
+        Returns:
+            What the method returned, and the worker.
+
+        Raises:
+            WorkerFailureError: The method failed, or the worker did.
+        """
+        data = _packed_request(slot, method, args)
+        place = self._places[slot % len(self._places)]
+        with place.lock:
+            worker = self._worker(place, on)
+            try:
+                reply = worker.request(data, timeout_s)
+            except (TimeoutError, WorkerDiedError) as error:
+                worker.kill()
+                place.worker = None
+                failure = Failure("died", f"its worker process {error}")
+                if isinstance(error, TimeoutError):
+                    told = f"a step or reset took longer than step_timeout, {timeout_s:g} s"
+                    failure = Failure("timeout", told)
+                raise WorkerFailureError(failure) from None
+        value = _unpack(reply)
+        if isinstance(value, Failure):
+            raise WorkerFailureError(value)
+        return value, worker
+
+    def _worker(self, place: _Place, on: Worker | None) -> Worker:
+        """Return the worker at a place; start one if there is none, or it is dead."""
+        if self._closed:
+            raise WorkerFailureError(Failure("died", "the vector environment was closed before it answered"))
+        if place.worker is not None and not place.worker.is_alive():
+            place.worker.kill()
+            place.worker = None
+        if on is not None and on is not place.worker:
+            raise WorkerFailureError(Failure("collateral", "its worker was lost with another environment"))
+        if place.worker is None:
+            try:
+                place.worker = self._start(self._packed)
+            except WorkerDiedError as death:
+                raise WorkerFailureError(Failure("died", f"its worker process {death}")) from None
+            except GemError as error:  # none can be started
+                raise WorkerFailureError(Failure("exception", str(error), error, permanent=True)) from error
+        return place.worker
+
+    def close(self) -> int:
+        """End all workers at once; each closes its environments first. Return how many of these had not ended."""
+        self._closed = True
+        left: list[int] = []
+
+        def end(place: _Place) -> None:
+            # A worker that is busy with a request is not asked to close: it would not hear it.
+            if place.worker is None:
+                return
+            if place.lock.acquire(timeout=1.0):
+                try:
+                    reply = place.worker.request(_packed_request(-1, "close_all", ()), CLOSING_S + 1.0)
+                    left.append(_unpack(reply))
+                except (TimeoutError, WorkerDiedError):
+                    left.append(1)
+                finally:
+                    place.lock.release()
+            else:
+                left.append(1)
+            place.worker.kill()
+
+        threads = [threading.Thread(target=end, args=(place,), daemon=True) for place in self._places]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        return sum(left)
+
+
+class RemoteEnv(Env):
+    """An environment that lives in a worker: its methods are requests, which block the calling thread.
+
+    Args:
+        pool: The workers.
+        slot: Number of the slot, which tells the worker.
+        made_id: Id of the environment.
+        made_kwargs: Its keyword arguments.
+    """
+
+    concurrency = "thread"
+
+    def __init__(self, pool: WorkerPool, slot: int, made_id: str | None, made_kwargs: Mapping[str, Any]) -> None:
+        super().__init__()
+        self._pool, self._slot, self._made_for = pool, slot, (made_id, dict(made_kwargs))
+        self._worker: Worker | None = None
+        self.described: dict[str, Any] = {}
+        """``id``, ``kwargs`` and ``wrappers`` of the environment, once it was reset."""
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
+        """Begin an episode; the worker makes the environment unless it has it."""
+        asked = not self.described
+        value, self._worker = self._request("reset", *self._made_for, self._record(), seed, options, asked)
+        result, described = value
+        self.described = described or self.described
+        return cast("ResetResult", result)
+
+    def step(self, action: Any) -> StepResult:
+        """Step the environment."""
+        return cast("StepResult", self._request("step", action, on=self._worker)[0])
+
+    def apply(self, function: Callable[..., Any], *args: Any) -> Any:
+        """Return ``function(env, *args)``, called in the worker; the environment is made there if need be."""
+        value, worker = self._request("apply", *self._made_for, self._record(), function, args, on=self._worker)
+        self._worker = self._worker or worker
+        return value
+
+    def draw_action(self, seed: int | None, agent: str | None) -> str:
+        """Return a valid action; see ``EnvRunner.sample_random_action``."""
+        return cast("str", self._request("sample_random_action", seed, agent, on=self._worker)[0])
+
+    def close(self) -> None:
+        """Close the environment, if its worker lives."""
+        worker, self._worker = self._worker, None
+        if worker is not None:
+            try:
+                self._pool.request(self._slot, "close", on=worker)
+            except WorkerFailureError:
+                return  # it has ended with its worker
+
+    def _request(self, method: str, *args: Any, on: Worker | None = None) -> tuple[Any, Worker]:
+        limit = self._pool.setup.step_timeout if method in ("reset", "step") else None
+        return self._pool.request(self._slot, method, *args, on=on, timeout_s=limit)
+
+    def _record(self) -> bytes | None:
+        """Return the record of an id that the setup does not have, as one that a script registered."""
+        env_id = self._made_for[0]
+        if env_id is None or env_id in self._pool.setup.all_ids:
+            return None
+        record = self._pool.setup.record(env_id)
+        return pack_by_value(record, [record.entry_point])
+
+
+def _packed_request(slot: int, method: str, args: tuple[Any, ...]) -> bytes:
+    try:
+        content = pickle.dumps(args, protocol=5)
+    except Exception:  # noqa: BLE001 - an object's own pickling may raise anything
+        try:
+            content = bytes(cloudpickle.dumps(args))  # lambdas, and classes defined in a script
+        except Exception as error:
+            what = "its action" if method == "step" else "what it is made from"
+            told = ArgumentError(f"{what} cannot be sent to another process:{why(error)}")
+            raise WorkerFailureError(Failure("exception", str(told), told, permanent=method != "step")) from error
+    return pickle.dumps((slot, method, content), protocol=5)
+
+
+def _unpack(reply: bytes) -> Any:
+    try:
+        return pickle.loads(reply)
+    except Exception as error:  # noqa: BLE001 - as above
+        return Failure("exception", f"its result cannot be read in another process:{why(error)}")
+
+
+def why(error: Exception) -> str:
+    """Return the kind and the text of an error of pickling."""
+    return Failure.of(error, "").message.removeprefix(" raised")
+
+
+def pack_by_value(thing: object, targets: list[Any]) -> bytes:
+    """Pickle an object so that a worker, which does not run the caller's script, can read it.
+
+    Args:
+        thing: The object.
+        targets: Classes and functions that it refers to; those in modules that a worker could not import are pickled
+            by value.
+
+    Raises:
+        ArgumentError: It contains an object that cannot be pickled, such as a lock or an open connection.
+    """
+    import importlib.util
+    import sys
+
+    for target in targets:
+        module = sys.modules.get(getattr(target, "__module__", None) or "")
+        if isinstance(target, str) or module is None or module.__name__ == "__main__":
+            continue
+        try:
+            found = importlib.util.find_spec(module.__name__) is not None
+        except (ImportError, ValueError):
+            found = False
+        if not found and module.__name__ not in cloudpickle.list_registry_pickle_by_value():
+            cloudpickle.register_pickle_by_value(module)
+    try:
+        return cast("bytes", cloudpickle.dumps(thing))
+    except Exception as error:
+        raise ArgumentError(
+            f"what environments are made from cannot be sent to another process: {type(error).__name__}: {error}; give "
+            "arguments that can be pickled, and an entry point 'package.module:Class', which is imported there"
+        ) from error
+
+
+def _pack_setup(setup: VectorSetup) -> bytes:
+    records = {env_id: registry().env(env_id) for env_id in setup.all_ids}
+    wrappers = setup.wrappers if isinstance(setup.wrappers, str | Mapping) else list(setup.wrappers)
+    sent = replace(setup, plan=None, wrappers=wrappers, kwargs=dict(setup.kwargs), records=records)
+    entry_points = [record.entry_point for record in records.values()]
+    return pack_by_value(sent, [*entry_points, *wrapper_targets(wrappers)])

@@ -1,0 +1,188 @@
+"""``WorkerLoop``: serves the environments of some slots in another process; and the program of such a process."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import queue
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from multiprocessing.connection import Connection
+from typing import Any
+
+from gem_core.closing import CLOSING_S, close_all
+from gem_core.errors import EnvFaultError, GemError
+from gem_core.records.plain_json import to_plain
+from gem_core.registry.entry_points import load_entry_point
+from gem_core.vector.failures import Failure
+from gem_core.vector.remote import why
+from gem_core.vector.runner import EnvRunner
+from gem_core.vector.setup import VectorSetup
+
+
+class WorkerLoop:
+    """Serves the environments of some slots, one request after another.
+
+    Args:
+        setup: Pickled ``VectorSetup``.
+
+    Raises:
+        GemError: The setup cannot be used.
+    """
+
+    def __init__(self, setup: bytes) -> None:
+        try:
+            self._setup: VectorSetup = pickle.loads(setup)
+            for env_id in self._setup.all_ids:  # imports do not count as time of the first reset
+                load_entry_point(self._setup.record(env_id).entry_point, f"environment {env_id!r}")
+        except BaseException as error:
+            raise _as_gem_error(error) from error
+        self._runners: dict[int, EnvRunner] = {}
+
+    def handle(self, request: bytes) -> bytes:
+        """Return the reply to a request; what fails is a ``Failure``."""
+        slot, method, content = pickle.loads(request)
+        try:
+            args = pickle.loads(content)
+        except Exception as error:  # noqa: BLE001 - an object's own pickling may raise anything
+            thing = "its action" if method == "step" else "what it is made from"
+            return pickle.dumps(Failure("exception", f"{thing} cannot be read in another process:{why(error)}"))
+        handlers: dict[str, Callable[..., Any]] = {
+            "reset": self._reset,
+            "step": lambda runner, action: runner.step(action),
+            "apply": self._apply,
+            "sample_random_action": self._sample,
+            "close": lambda runner: runner.close(),
+            "close_all": lambda _: close_all(self._runners.values()),
+        }
+        value = handlers[method](self._runner(slot), *args)
+        try:
+            return pickle.dumps(value, protocol=5)
+        except Exception as error:  # noqa: BLE001 - as above
+            return pickle.dumps(Failure("exception", f"its result cannot be sent to another process:{why(error)}"))
+
+    def _runner(self, slot: int) -> EnvRunner:
+        if slot not in self._runners:
+            self._runners[slot] = EnvRunner(self._setup.make)
+        return self._runners[slot]
+
+    def _reset(
+        self,
+        runner: EnvRunner,
+        env_id: str | None,
+        kwargs: Mapping[str, Any],
+        record: bytes | None,
+        seed: int,
+        options: Mapping[str, Any] | None,
+        describe: bool,
+    ) -> Any:
+        if failure := self._make(runner, env_id, kwargs, record):
+            return failure
+        described = to_plain(runner.describe()) if describe else None
+        outcome = runner.reset(seed, options)
+        return outcome if isinstance(outcome, Failure) else (outcome, described)
+
+    def _apply(
+        self,
+        runner: EnvRunner,
+        env_id: str | None,
+        kwargs: Mapping[str, Any],
+        record: bytes | None,
+        function: Callable[..., Any],
+        args: tuple[Any, ...],
+    ) -> Any:
+        if runner.env is None and (failure := self._make(runner, env_id, kwargs, record)):
+            return failure
+        try:
+            return runner.apply(function, *args)
+        except Exception as error:  # noqa: BLE001 - raised again in the program
+            return Failure.of(error, getattr(function, "__name__", "a question"))
+
+    def _make(
+        self, runner: EnvRunner, env_id: str | None, kwargs: Mapping[str, Any], record: bytes | None
+    ) -> Failure | None:
+        if record is not None and env_id not in self._setup.records:
+            self._setup.records[str(env_id)] = pickle.loads(record)
+        return runner.make(env_id, kwargs)
+
+    @staticmethod
+    def _sample(runner: EnvRunner, seed: int | None, agent: str | None) -> Any:
+        try:
+            return runner.sample_random_action(seed, agent)
+        except Exception as error:  # noqa: BLE001 - raised again in the program
+            return Failure.of(error, "sample_random_action")
+
+
+def _as_gem_error(error: BaseException) -> GemError:
+    if isinstance(error, GemError):
+        return error
+    message = Failure.of(error, "starting a worker").message
+    return EnvFaultError(
+        f"{message}. A worker imports what the environment is made from; give it an entry point "
+        "'package.module:Class' that can be imported, or define it in the script itself"
+    )
+
+
+def main(socket: int, memory_bytes: int) -> None:
+    """Serve the program at the other end of a socket until it hangs up; the program of a worker process.
+
+    Args:
+        socket: Descriptor of the open socket.
+        memory_bytes: Address space that may be used; 0 for no limit.
+    """
+    connection = Connection(socket)
+    os.set_inheritable(socket, False)
+    _raise_oom_score()
+    requests: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+    threading.Thread(target=_read, args=(connection, requests), name="gem-requests", daemon=True).start()
+    code = 1
+    loop = None
+    try:
+        setup = requests.get()
+        if memory_bytes:
+            import resource
+
+            resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
+        try:
+            loop = WorkerLoop(setup or b"")
+        except GemError as error:
+            connection.send_bytes(pickle.dumps(error))
+        else:
+            connection.send_bytes(pickle.dumps(None))
+            while (request := requests.get()) is not None:
+                connection.send_bytes(loop.handle(request))
+            loop.handle(pickle.dumps((-1, "close_all", pickle.dumps(()))))
+        code = 0
+    except OSError:
+        code = 0  # the program is gone
+    except KeyboardInterrupt:
+        code = 130  # an environment raised it: this process has no terminal
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        if not code:
+            os.killpg(0, signal.SIGKILL)  # also all processes that its environments started
+        os._exit(code)  # without waiting for threads that hang
+
+
+def _read(connection: Connection, requests: queue.SimpleQueue[bytes | None]) -> None:
+    """Pass requests on. When the program is gone, environments have a limited time to close."""
+    try:
+        while True:
+            requests.put(connection.recv_bytes())
+    except (EOFError, OSError):
+        requests.put(None)
+    time.sleep(CLOSING_S + 1.0)
+    os.killpg(0, signal.SIGKILL)
+
+
+def _raise_oom_score() -> None:
+    """Let a machine that runs out of memory kill this process before the one that trains."""
+    try:
+        with open("/proc/self/oom_score_adj", "w") as file:
+            file.write("1000")
+    except OSError:
+        return  # not Linux, or not allowed

@@ -1,1 +1,0 @@
-"""Workers: processes, or actors of a plugin, in which environments live and can be killed and replaced."""
