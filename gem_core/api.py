@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from gem_core.registry.lookup import registry
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from gem_core.making.environment import MadeSpec
     from gem_core.making.layers import Wrappers
     from gem_core.records.plans import PlanItem
-    from gem_core.vector.setup import Autoreset, IdOrIds, OnError
+    from gem_core.vector.setup import Autoreset, Backend, IdOrIds, OnError
     from gem_core.vector.vector_env import VectorEnv
 
 _SPEC_KEYWORDS = ("summary", "tags", "max_turns", "requires", "deterministic", "seats")
@@ -67,7 +67,7 @@ def make_vec(
     ids: IdOrIds,
     num_envs: int | None = None,
     *,
-    backend: str | tuple[str, Mapping[str, Any]] = "auto",
+    backend: Backend = "auto",
     autoreset: Autoreset = "same_step",
     wrappers: Wrappers = (),
     seed: int | None = None,
@@ -87,7 +87,7 @@ def make_vec(
         num_envs: Number of slots; by default one for each id.
         backend: Where environments live: ``"sync"``, ``"async"``, ``"process"``, one that a plugin brings, or
             ``"auto"``, which chooses by each environment's ``concurrency``. Its options go along as in
-            ``("process", {"workers": 4})``.
+            ``"process:workers=4"`` or ``("process", {"workers": 4})``.
         autoreset: When the next episode begins. ``"same_step"``: in the step that ended the last one, whose end is in
             ``info["final_obs"]`` and ``info["final_info"]``. ``"next_step"``: in the next step, whose action is
             ignored. ``"disabled"``: when ``reset(options={"reset_mask": …})`` says so.

@@ -20,6 +20,7 @@ LAYERS = [
         "progress",
         "arguments",
         "background",
+        "closing",
         "docs",
         "terminal",
     },

@@ -232,14 +232,13 @@ def test_keywords_of_make_go_over_the_registered_ones() -> None:
 
 
 def test_register_splits_keywords() -> None:
-    """Description goes to the record, every other keyword to the environment, max_turns too."""
+    """Description goes to the record, max_turns is its limit, every other keyword goes to the environment."""
     gem.register(
         "word:Guess-v0", WordEnv, summary="s", tags=["a"], requires=["network"], deterministic=False, max_turns=4
     )
     record = gem.spec("word:Guess-v0")
     assert (record.summary, record.tags, record.requires, record.deterministic) == ("s", ("a",), ("network",), False)
-    assert dict(record.kwargs) == {"max_turns": 4}
-    assert (record.max_turns, record.turn_limit) == (None, 4)
+    assert (dict(record.kwargs), record.max_turns, record.turn_limit) == ({}, 4, 4)
 
 
 # Registration.

@@ -78,7 +78,7 @@ _WHAT_RUNS = ("agents", "swap_seats", "arguments", "max_turns", "wrappers", "too
     default="auto",
     show_default=True,
     type=BACKENDS,
-    help="Where environments live: auto, sync, async, process, or a plugin's.",
+    help="Where environments live: auto, sync, async, process:workers=2, or a plugin's.",
 )
 @click.option(
     "--step-timeout",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import json
 import os
 import stat
@@ -149,6 +148,10 @@ def lock_file(descriptor: int, path: Path) -> None:
         return
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         return
+    try:
+        import fcntl
+    except ImportError:
+        return  # the system has no such locks
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -25,7 +25,7 @@ from gem_core.rollouts.loop import Players, Run, run_slots
 from gem_core.rollouts.resume import FinishedEpisodes, finished_episodes
 from gem_core.rollouts.seating import Seated, Seating, as_seating, seated
 from gem_core.vector.backends import make_vector
-from gem_core.vector.setup import IdOrIds
+from gem_core.vector.setup import Backend, IdOrIds
 from gem_core.vector.vector_env import VectorEnv
 
 T = TypeVar("T")
@@ -50,6 +50,7 @@ class RolloutOptions(TypedDict, total=False):
     episodes: int | None
     seed: int | None
     num_envs: int | None
+    backend: Backend
     max_requests: int | None
     resume: Resume
     progress: bool | OnProgress
@@ -68,6 +69,7 @@ def rollout(
     episodes: int | None = None,
     seed: int | None = None,
     num_envs: int | None = None,
+    backend: Backend = "auto",
     max_requests: int | None = None,
     resume: Resume = None,
     progress: bool | OnProgress = False,
@@ -99,6 +101,7 @@ def rollout(
         num_envs: Where ids are given, how many environments run at once; None for as many as the agent may be asked at
             once: ``max_requests``, or else its ``max_concurrency``, or else 64 for an asynchronous one, and one for
             each id where the agent is plain. Of several agents, the one that may be asked most decides.
+        backend: Where ids are given, where environments live; see ``make_vec``.
         max_requests: Questions to asynchronous agents that are open at once; None for as many as there are.
         resume: Episodes of this run that are there already, or the file that holds them, to which new ones are then
             appended: they are left out, but for those that ended in an error, which are run again. The seed is theirs;
@@ -119,7 +122,7 @@ def rollout(
     What stops a run is raised after the episodes that had finished by then.
     """
     acting, loaded = _who_acts(agent, agents)
-    return _drive(_Run(env, acting, loaded, plan, episodes, seed, num_envs, max_requests, resume, progress))
+    return _drive(_Run(env, acting, loaded, plan, episodes, seed, num_envs, backend, max_requests, resume, progress))
 
 
 @overload
@@ -135,6 +138,7 @@ def arollout(
     episodes: int | None = None,
     seed: int | None = None,
     num_envs: int | None = None,
+    backend: Backend = "auto",
     max_requests: int | None = None,
     resume: Resume = None,
     progress: bool | OnProgress = False,
@@ -155,12 +159,13 @@ def arollout(
         episodes: Number of episodes for each environment.
         seed: Seed of the run.
         num_envs: How many environments run at once.
+        backend: Where environments live.
         max_requests: Questions that are open at once.
         resume: Episodes of this run that are there already.
         progress: Show how far the run is.
     """
     acting, loaded = _who_acts(agent, agents)
-    return _episodes(_Run(env, acting, loaded, plan, episodes, seed, num_envs, max_requests, resume, progress))
+    return _episodes(_Run(env, acting, loaded, plan, episodes, seed, num_envs, backend, max_requests, resume, progress))
 
 
 def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[PlanItem]:
@@ -190,6 +195,7 @@ class _Run:
     episodes: int | None
     seed: int | None
     num_envs: int | None
+    backend: Backend
     max_requests: int | None
     resume: Resume
     progress: bool | OnProgress
@@ -225,9 +231,11 @@ class _Run:
         """
         if isinstance(self.env, Sequence):
             num_envs = _asked_at_once(self.agents, self.max_requests) if self.num_envs is None else self.num_envs
-            return make_vector(self.env, num_envs, seed=self.seed)
+            return make_vector(self.env, num_envs, backend=self.backend, seed=self.seed)
         if self.num_envs is not None:
             raise ArgumentError("num_envs goes with an id: what is made already has its number of environments")
+        if self.backend != "auto":
+            raise ArgumentError("backend goes with an id: what is made already lives somewhere")
         if isinstance(self.env, VectorEnv):
             return self.env
         if not isinstance(self.env, gymnasium.Env):

@@ -214,6 +214,8 @@ async def ask(run: Run, agent: Agent, seat: RunningSeat) -> Response:
         EpisodeLimitError: A limit of the agent is reached, as the context of its model.
         EnvFaultError: The environment failed, which should have sampled an action.
     """
+    if not run.is_plain:
+        await asyncio.sleep(0)  # the turn of the other slots, also where the agent need not wait
     async with run.requests:
         seen = seat.conversation.sent(), seat.context
         answer: Any = agent(*seen) if run.is_asynchronous(agent) else await run.here(agent, *seen)

@@ -10,6 +10,7 @@ from typing import Any
 
 from gem_core.arguments import with_options
 from gem_core.errors import ArgumentError
+from gem_core.registry.choices import parsed_choices
 from gem_core.registry.entry_points import construct
 from gem_core.registry.lookup import registry
 from gem_core.types import Concurrency
@@ -21,7 +22,9 @@ from gem_core.vector.vector_env import VectorEnv
 
 def make_vector(ids: IdOrIds, num_envs: int | None, *, backend: object = "auto", **options: Any) -> VectorEnv:
     """Make several environments that are reset and stepped together; see ``make_vec`` for the arguments."""
-    rule = "a backend is a name, or (name, {option: value})"
+    if isinstance(backend, str) and ":" in backend:
+        backend = parsed_choices(backend, "backend")[0]
+    rule = "a backend is a name, as 'process' or 'process:workers=2', or (name, {option: value})"
     name, backend_options = with_options(backend, rule, lambda one: isinstance(one, str))
     setup = VectorSetup.of(ids, num_envs, **options)
     vector: VectorEnv = construct(registry().backend(name), setup, **backend_options)

@@ -22,6 +22,9 @@ Autoreset = Literal["same_step", "next_step", "disabled"]
 
 OnError = Literal["truncate", "raise"]
 
+Backend = str | tuple[str, Mapping[str, Any]]
+"""Name of a backend, with options as in ``"process:workers=2"``; or the name, and the options."""
+
 IdWithKwargs = tuple[str, Mapping[str, Any]]
 """An id, and keyword arguments."""
 

@@ -467,7 +467,7 @@ class VectorEnv(VectorAttributes):
         left += sum(runner.abandoned for runner in self.config.busy)
         self.config.pool.close()
         if left:
-            logger.warning("gem: %d environments had not closed after %g seconds, and were left", left, CLOSING_S)
+            logger.warning("gem: what had not closed after %g seconds was left; environments: %d", CLOSING_S, left)
 
     def __enter__(self) -> Self:
         return self

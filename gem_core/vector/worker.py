@@ -81,7 +81,11 @@ class WorkerLoop:
     ) -> Any:
         if failure := self._make(runner, env_id, kwargs, record):
             return failure
-        described = to_plain(runner.describe()) if describe else None
+        described = runner.describe() if describe else None
+        try:
+            pickle.dumps(described)
+        except Exception:  # noqa: BLE001 - as above; then in the form that a file of episodes has
+            described = to_plain(described)
         outcome = runner.reset(seed, options)
         return outcome if isinstance(outcome, Failure) else (outcome, described)
 

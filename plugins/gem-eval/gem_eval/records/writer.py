@@ -11,8 +11,7 @@ from typing import Any, Self
 
 from gem_core import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records import ImageFolder, to_plain
-from gem_core.records.files import lock_holder
+from gem_core.records import ImageFolder, lock_holder, to_plain
 from gem_eval.files import write_whole
 from gem_eval.records.frames import frame_at, frames, pack, unpack
 from gem_eval.records.row import Row

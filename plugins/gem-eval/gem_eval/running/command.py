@@ -115,6 +115,7 @@ wrong argument, 130 after Ctrl-C.
 )
 @click.option("-k", "--num-envs", type=AtLeast(min=1), help="Episodes at once.  [default: --max-concurrency, or 8]")
 @click.option("--step-timeout", type=click.FloatRange(min=0, min_open=True), help="Most seconds of a step or a reset.")
+@click.option("--backend", default="auto", show_default=True, help="Where environments live, as process:workers=2.")
 @click.option("-o", "--out", metavar="FOLDER", help="Folder of the run.  [default: a new one in runs/]")
 @click.option("--new", is_flag=True, help="Begin a new run, even if one was stopped.")
 @click.option("--go-on-anyway", is_flag=True, help="Go on with a run although code of it was changed.")
@@ -131,6 +132,7 @@ def command(
     error_threshold: float,
     num_envs: int | None,
     step_timeout: float | None,
+    backend: str,
     prices: str | None,
     cache: str | None,
     out: str | None,
@@ -168,6 +170,7 @@ def command(
         error_threshold=error_threshold,
         max_concurrency=num_envs,
         step_timeout=step_timeout,
+        backend=backend,
         new=new,
         go_on_anyway=go_on_anyway,
         command=shlex.join(without_secrets(shlex.split(call_again(ctx, {"new", "go_on_anyway", "retry_errors"})))),

@@ -49,6 +49,7 @@ class EvaluationOptions(SuiteChanges, total=False):
     error_threshold: float
     max_concurrency: int | None
     step_timeout: float | None
+    backend: str
     new: bool
     go_on_anyway: bool
 
@@ -74,6 +75,7 @@ def evaluate(
         max_concurrency: Episodes at once, of all models and tasks together; None for as many requests as a model may
             be asked at once.
         step_timeout: Seconds that a step or a reset of an environment may take; None for no limit.
+        backend: Where environments live; see ``make_vec``.
         new: Begin another run, also where one of the same suite and models was stopped.
         go_on_anyway: Go on with a run although the code of its environments or agents was changed.
         on_episode: Called with the row of each episode when it has been written.
@@ -114,6 +116,7 @@ class EvaluationSession:
         error_threshold: float = 0.5,
         max_concurrency: int | None = None,
         step_timeout: float | None = None,
+        backend: str = "auto",
         new: bool = False,
         go_on_anyway: bool = False,
         command: str | None = None,
@@ -126,7 +129,7 @@ class EvaluationSession:
         self._retry = retry_errors
         self._threshold = error_threshold
         self._max_concurrency = max_concurrency
-        self._step_timeout = step_timeout
+        self._step_timeout, self._backend = step_timeout, backend
         self._command = command
         self._scores: list[Score] | None = None
         self._given = models or self.suite.models
@@ -235,7 +238,12 @@ class EvaluationSession:
         slots = min(left, self._slots())
         # What stops a run that fails is the threshold alone.
         vector = gem.make_vec(
-            entries, slots, seed=self.suite.seed, step_timeout=self._step_timeout, max_faults=self.plan.episodes
+            entries,
+            slots,
+            backend=self._backend,
+            seed=self.suite.seed,
+            step_timeout=self._step_timeout,
+            max_faults=self.plan.episodes,
         )
         at_end.callback(vector.close)
         count = errors = 0
