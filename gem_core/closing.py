@@ -40,8 +40,13 @@ def close_all(resources: Iterable[Any], limit_s: float = CLOSING_S) -> int:
 
 
 def wait_for_closing(limit_s: float = CLOSING_S) -> int:
-    """Wait for all that is closing in this process; return how many had not ended after the limit."""
-    return 0 if on_background_loop() else _join(list(_closing), limit_s)
+    """Wait for all that is closing in this process; return how many had not ended after the limit, each only once."""
+    if on_background_loop():
+        return 0
+    threads = list(_closing)
+    left = _join(threads, limit_s)
+    _closing.difference_update(threads)
+    return left
 
 
 def _join(threads: list[threading.Thread], limit_s: float) -> int:

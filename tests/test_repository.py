@@ -29,7 +29,7 @@ PRIVATE = re.compile(
 )
 MAX_LINES = 800
 # Tests go through what users have. These do not, since nothing public shows or sets what they need; others are refused.
-# Not ours are names of TextArena, Gymnasium, threading and Ray.
+# Not ours are names of TextArena, Gymnasium and threading.
 PRIVATE_IN_TESTS = {
     "plugins/gem-games/tests/test_textarena_mends.py": {
         "_count_solutions",
@@ -40,7 +40,6 @@ PRIVATE_IN_TESTS = {
     "plugins/gem-games/tests/test_wiki_servers.py": {"_server"},
     "plugins/gem-math/tests/test_reasoning.py": {"_all", "_pool", "_process", "_rows"},
     "plugins/gem-qa/tests/test_qa_judging.py": {"_judge"},
-    "plugins/gem-ray/tests/test_ray_backend.py": {"_actor_id", "_reading"},
     "plugins/gem-tools/tests/test_python_attacks_memory.py": {"_spare_uid"},
     "plugins/gem-tools/tests/test_python_attacks_oneself.py": {"_spare_uid"},
     "plugins/gem-tools/tests/test_python_docker.py": {"_answer"},

@@ -20,6 +20,7 @@ from vector_envs import IMAGES, INLINE, PROCESS, THREAD
 
 import gem_core as gem
 from gem_core.records.plans import PlanItem
+from gem_core.vector import NoRoomError, VectorEnv, VectorSetup, Worker, WorkerLoop, WorkerPool
 
 TESTS = str(Path(__file__).parent)
 
@@ -59,6 +60,45 @@ def kill_worker(pid: int) -> None:
 def no_workers_of_others() -> None:
     """What other tests left to the garbage collector has ended."""
     assert eventually(lambda: gc.collect() is not None and not workers())
+
+
+class HereWorker(Worker):
+    """A worker in this process."""
+
+    def __init__(self, packed: bytes) -> None:
+        self.loop, self.alive = WorkerLoop(packed), True
+
+    def request(self, data: bytes, timeout_s: float | None) -> bytes:
+        return self.loop.handle(data)
+
+    def is_alive(self) -> bool:
+        return self.alive
+
+    def kill(self) -> None:
+        self.alive = False
+
+
+def test_slots_without_room_for_a_worker_share_a_living_one() -> None:
+    """An episode in the lost worker is collateral; without any worker, the run ends."""
+    found: list[HereWorker] = []
+
+    def start(packed: bytes) -> HereWorker:
+        if len(found) == 2:
+            raise NoRoomError("the cluster is full")
+        found.append(HereWorker(packed))
+        return found[-1]
+
+    setup = VectorSetup.of(INLINE, 4, seed=3)
+    vector = VectorEnv(setup, pool=WorkerPool(setup, start, 2))
+    vector.reset()
+    found[0].alive = False
+    errors = [info.get("final_info", {}).get("error") for info in vector.step(["a"] * 4).infos]
+    assert sorted(error["kind"] for error in errors if error) == ["collateral"] * 2
+    assert not any("final_info" in info for info in vector.step(["a"] * 4).infos)
+    found[1].alive = False
+    with pytest.raises(NoRoomError):
+        vector.step(["a"] * 4)
+    vector.close()
 
 
 # Death from outside.

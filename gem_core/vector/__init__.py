@@ -6,13 +6,14 @@ a request to a ``WorkerLoop`` in another process, and returns the reply. The plu
 """
 
 from gem_core.vector.failures import Failure
-from gem_core.vector.remote import RemoteEnv, Worker, WorkerDiedError, WorkerPool
+from gem_core.vector.remote import NoRoomError, RemoteEnv, Worker, WorkerDiedError, WorkerPool
 from gem_core.vector.setup import VectorSetup
 from gem_core.vector.vector_env import VectorEnv
 from gem_core.vector.worker import WorkerLoop
 
 __all__ = [
     "Failure",
+    "NoRoomError",
     "RemoteEnv",
     "VectorEnv",
     "VectorSetup",

@@ -7,6 +7,7 @@ asked ``"died"`` or ``"timeout"``, the others ``"collateral"``. The next reset s
 
 from __future__ import annotations
 
+import logging
 import pickle
 import threading
 from abc import ABC, abstractmethod
@@ -25,9 +26,15 @@ from gem_core.types import ResetResult, StepResult
 from gem_core.vector.failures import Failure, WorkerFailureError
 from gem_core.vector.setup import VectorSetup
 
+logger = logging.getLogger("gem_core")
+
 
 class WorkerDiedError(Exception):
     """The worker has ended; the text says how, as part of a sentence."""
+
+
+class NoRoomError(GemError):
+    """There is no room for another worker: its slots share a living one, or, if none lives, the run ends with this."""
 
 
 class Worker(ABC):
@@ -65,7 +72,7 @@ class WorkerPool:
 
     Args:
         setup: What environments are made from.
-        start: Starts a worker from the pickled setup.
+        start: Starts a worker from the pickled setup; it may raise ``NoRoomError``.
         count: Number of workers; slots are assigned to them in turn.
 
     Raises:
@@ -77,6 +84,7 @@ class WorkerPool:
         self._start = start
         self._packed = _pack_setup(setup)
         self._places = [_Place() for _ in range(count)]
+        """Where the slots live, in turn; a place that has no room for a worker is replaced by a living one."""
         self._closed = False
 
     def make(self, slot: int, env_id: str | None, kwargs: Mapping[str, Any]) -> RemoteEnv:
@@ -107,26 +115,32 @@ class WorkerPool:
             WorkerFailureError: The method failed, or the worker did.
         """
         data = _packed_request(slot, method, args)
-        place = self._places[slot % len(self._places)]
-        with place.lock:
-            worker = self._worker(place, on)
-            try:
-                reply = worker.request(data, timeout_s)
-            except (TimeoutError, WorkerDiedError) as error:
-                worker.kill()
-                place.worker = None
-                failure = Failure("died", f"its worker process {error}")
-                if isinstance(error, TimeoutError):
-                    told = f"a step or reset took longer than step_timeout, {timeout_s:g} s"
-                    failure = Failure("timeout", told)
-                raise WorkerFailureError(failure) from None
+        while True:
+            place = self._places[slot % len(self._places)]
+            with place.lock:
+                if place is not self._places[slot % len(self._places)]:
+                    continue  # the slot moved while it waited
+                worker = self._worker(place, on)
+                if worker is None:
+                    continue
+                try:
+                    reply = worker.request(data, timeout_s)
+                    break
+                except (TimeoutError, WorkerDiedError) as error:
+                    worker.kill()
+                    place.worker = None
+                    failure = Failure("died", f"its worker process {error}")
+                    if isinstance(error, TimeoutError):
+                        told = f"a step or reset took longer than step_timeout, {timeout_s:g} s"
+                        failure = Failure("timeout", told)
+                    raise WorkerFailureError(failure) from None
         value = _unpack(reply)
         if isinstance(value, Failure):
             raise WorkerFailureError(value)
         return value, worker
 
-    def _worker(self, place: _Place, on: Worker | None) -> Worker:
-        """Return the worker at a place; start one if there is none, or it is dead."""
+    def _worker(self, place: _Place, on: Worker | None) -> Worker | None:
+        """Return the worker at a place; start one if there is none, or it is dead. None if the slots moved."""
         if self._closed:
             raise WorkerFailureError(Failure("died", "the vector environment was closed before it answered"))
         if place.worker is not None and not place.worker.is_alive():
@@ -140,8 +154,23 @@ class WorkerPool:
             except WorkerDiedError as death:
                 raise WorkerFailureError(Failure("died", f"its worker process {death}")) from None
             except GemError as error:  # none can be started
+                if isinstance(error, NoRoomError) and self._move(place):
+                    logger.warning("gem: a worker's slots move to another, which they share: %s", error)
+                    return None
                 raise WorkerFailureError(Failure("exception", str(error), error, permanent=True)) from error
+            if self._closed:  # meanwhile
+                place.worker.kill()
         return place.worker
+
+    def _move(self, place: _Place) -> bool:
+        """Let the slots of a place share the worker of the least used place that has one; tell whether there is one."""
+        living = [each for each in self._places if each.worker is not None and each.worker.is_alive()]
+        if living:
+            shared = min(living, key=living.count)
+            for index, each in enumerate(self._places):
+                if each is place:
+                    self._places[index] = shared
+        return bool(living)
 
     def close(self) -> int:
         """End all workers at once; each closes its environments first. Return how many of these had not ended."""
@@ -164,7 +193,7 @@ class WorkerPool:
                 left.append(1)
             place.worker.kill()
 
-        threads = [threading.Thread(target=end, args=(place,), daemon=True) for place in self._places]
+        threads = [threading.Thread(target=end, args=(place,), daemon=True) for place in set(self._places)]
         for thread in threads:
             thread.start()
         for thread in threads:

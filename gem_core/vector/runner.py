@@ -177,9 +177,12 @@ class EnvRunner:
 
     def close(self) -> None:
         """Forget the environment, and close it unless the caller owns it."""
+        close_all(self.forget())
+
+    def forget(self) -> list[AnyEnv]:
+        """Forget the environment; return it, unless there is none or the caller owns it."""
         env, self.env, self._made_for, self.concurrency = self.env, None, None, None
-        if env is not None and env is not self.borrowed:
-            close_all([env])
+        return [] if env is None or env is self.borrowed else [env]
 
 
 def _equal(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:

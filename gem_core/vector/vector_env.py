@@ -461,9 +461,9 @@ class VectorEnv(VectorAttributes):
         for slot in self.slots:
             slot.abandon_if_busy()
         here = [slot.runner for slot in self.slots if not isinstance(slot.runner.env, RemoteEnv)]
-        left = close_all([runner for runner in here if runner.env is not None])
-        left += 0 if self._pool is None else self._pool.close()
-        left += wait_for_closing(0.0 if left else CLOSING_S)
+        hanging = close_all([env for runner in here for env in runner.forget()])
+        left = 0 if self._pool is None else self._pool.close()
+        left += wait_for_closing(0.0 if hanging or left else CLOSING_S)
         left += sum(runner.abandoned for runner in self.config.busy)
         self.config.pool.close()
         if left:

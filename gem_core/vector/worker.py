@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from multiprocessing.connection import Connection
 from typing import Any
 
-from gem_core.closing import CLOSING_S, close_all
+from gem_core.closing import CLOSING_S, close_all, wait_for_closing
 from gem_core.errors import EnvFaultError, GemError
 from gem_core.records.plain_json import to_plain
 from gem_core.registry.entry_points import load_entry_point
@@ -56,13 +56,18 @@ class WorkerLoop:
             "apply": self._apply,
             "sample_random_action": self._sample,
             "close": lambda runner: runner.close(),
-            "close_all": lambda _: close_all(self._runners.values()),
+            "close_all": lambda _: self.close(),
         }
         value = handlers[method](self._runner(slot), *args)
         try:
             return pickle.dumps(value, protocol=5)
         except Exception as error:  # noqa: BLE001 - as above
             return pickle.dumps(Failure("exception", f"its result cannot be sent to another process:{why(error)}"))
+
+    def close(self) -> int:
+        """Close all environments at once; return how many had not ended after some seconds."""
+        close_all([env for runner in self._runners.values() for env in runner.forget()])
+        return wait_for_closing(0.0)
 
     def _runner(self, slot: int) -> EnvRunner:
         if slot not in self._runners:
@@ -158,7 +163,7 @@ def main(socket: int, memory_bytes: int) -> None:
             connection.send_bytes(pickle.dumps(None))
             while (request := requests.get()) is not None:
                 connection.send_bytes(loop.handle(request))
-            loop.handle(pickle.dumps((-1, "close_all", pickle.dumps(()))))
+            loop.close()
         code = 0
     except OSError:
         code = 0  # the program is gone

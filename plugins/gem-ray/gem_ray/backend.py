@@ -8,9 +8,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from gem_core.errors import ArgumentError
-from gem_core.vector import RemoteExecutor, VectorEnv, VectorSetup
-from gem_ray.cluster import Lease, cluster_resources
-from gem_ray.link import RayLink, Watches
+from gem_core.vector import VectorEnv, VectorSetup, WorkerPool
+from gem_ray.cluster import Lease, room
+from gem_ray.worker import RayWorker
+
+_START_S, _PREPARING_S = 30.0, 600.0
+"""Seconds that an actor may take to start; the second for the first one, if Ray prepares a ``runtime_env``."""
 
 
 def actors(
@@ -23,6 +26,7 @@ def actors(
     resources: Mapping[str, float] | None = None,
     runtime_env: Mapping[str, Any] | None = None,
     scheduling_strategy: Any = "SPREAD",
+    start_timeout: float | None = None,
     address: str | None = None,
     init: Mapping[str, Any] | None = None,
 ) -> VectorEnv:
@@ -38,6 +42,9 @@ def actors(
         resources: Other resources that each actor takes, by name.
         runtime_env: What Ray prepares where an actor runs, as in ``{"pip": ["gem-ray"]}``.
         scheduling_strategy: Where Ray places actors; by default they are spread over the nodes.
+        start_timeout: Seconds that an actor may take to start, not counting imports; then the slots of a place without
+            an actor move to the actors that live, or, if none does, the run ends with an error. By default 30, and 600
+            for the first actor with a ``runtime_env``.
         address: Of the cluster: ``"auto"`` for the one that this machine belongs to, ``"local"`` for one of our own,
             which ends with the last vector environment that uses it. None takes the connection that the program has;
             else the cluster that this machine belongs to; else one of our own.
@@ -49,7 +56,8 @@ def actors(
     """
     if num_actors is not None and (type(num_actors) is not int or num_actors < 1):
         raise ArgumentError(f"num_actors must be a positive whole number, not {num_actors!r}")
-    for name, number in (("num_cpus", num_cpus), ("num_gpus", num_gpus), ("memory", memory)):
+    numbers = {"num_cpus": num_cpus, "num_gpus": num_gpus, "memory": memory, "start_timeout": start_timeout}
+    for name, number in numbers.items():
         if number is not None and not (isinstance(number, int | float) and 0 <= number < math.inf):
             raise ArgumentError(f"{name} must be a number from 0 up, not {number!r}")
     options = {
@@ -60,43 +68,42 @@ def actors(
         "runtime_env": None if runtime_env is None else dict(runtime_env),
         "scheduling_strategy": scheduling_strategy,
     }
+    given = {name: value for name, value in options.items() if value is not None}
     lease = Lease(address, init or {})
-    lease.take()
-    count = min(len(setup.ids), num_actors or _places(num_cpus))
-    return VectorEnv(
-        setup, RayExecutor(setup, count, lease, {name: each for name, each in options.items() if each is not None})
-    )
+    count = min(len(setup.ids), num_actors or room(num_cpus, len(setup.ids)))
+    return VectorEnv(setup, pool=RayPool(setup, count, lease, given, start_timeout))
 
 
-class RayExecutor(RemoteExecutor):
-    """Runs environments in actors, many in each, and replaces an actor that dies or has to be killed.
+class RayPool(WorkerPool):
+    """Workers in actors, and the connection to Ray that they need.
 
     Args:
         setup: What environments are made from.
-        actors: Number of actors.
+        count: Number of actors.
         lease: The right to use Ray.
         options: Of each actor, such as ``num_cpus``.
+        start_timeout: See ``actors``.
     """
 
-    def __init__(self, setup: VectorSetup, actors: int, lease: Lease, options: Mapping[str, Any]) -> None:
-        super().__init__(setup, actors)
-        self.options = options
-        self.watches = Watches(options.get("runtime_env"))
+    def __init__(
+        self, setup: VectorSetup, count: int, lease: Lease, options: Mapping[str, Any], start_timeout: float | None
+    ) -> None:
+        later = _START_S if start_timeout is None else start_timeout
+        limit = _PREPARING_S if start_timeout is None and "runtime_env" in options else later
+
+        def start(packed: bytes) -> RayWorker:
+            nonlocal limit
+            lease.check()
+            worker = RayWorker(packed, options, limit)
+            limit = later
+            return worker
+
+        super().__init__(setup, start, count)
         self._lease = lease
-        weakref.finalize(self.watches, lease.drop).atexit = False  # shared by all that replace this one
+        weakref.finalize(self, lease.drop).atexit = False
 
-    def start_worker(self) -> RayLink:
-        """Start an actor."""
-        self._lease.take()
-        return RayLink(self, len(self.setup.ids), self.options, self.watches)
-
-    def close(self) -> None:
-        """End every actor, and a Ray that was started for them; their environments are closed first."""
-        super().close()
-        self.watches.close()
+    def close(self) -> int:
+        """End all actors, and a connection that was made for them; see ``WorkerPool.close``."""
+        left = super().close()
         self._lease.give_back()
-
-
-def _places(num_cpus: float) -> int:
-    """Return how many actors there is room for now."""
-    return max(1, int(cluster_resources(free=num_cpus > 0).get("CPU", 1) // (num_cpus or 1)))
+        return left

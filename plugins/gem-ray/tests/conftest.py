@@ -8,11 +8,13 @@ import secrets
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+import gem_core as gem
 
 sys.path.append(str(Path(__file__).parent))  # for ray_toys, in actors too
 
@@ -37,20 +39,34 @@ def toys() -> None:
 
 
 @pytest.fixture
-def executors(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """The executors that have started an actor in this test, in order; ``links`` of each are its actors."""
-    from gem_ray.backend import RayExecutor
+def workers(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The workers that were started in this test, in order; ``actor`` of each is its actor."""
+    from gem_ray import backend
 
     found: list[Any] = []
-    start_worker = RayExecutor.start_worker
 
-    def noted(self: Any) -> Any:
-        if self not in found:
+    class NotedWorker(backend.RayWorker):
+        def __init__(self, *args: Any) -> None:
+            super().__init__(*args)
             found.append(self)
-        return start_worker(self)
 
-    monkeypatch.setattr(RayExecutor, "start_worker", noted)
+    monkeypatch.setattr(backend, "RayWorker", NotedWorker)
     return found
+
+
+@pytest.fixture
+def vec() -> Iterator[Callable[..., gem.VectorEnv]]:
+    """Make vector environments on Ray, closed with the test."""
+    made: list[gem.VectorEnv] = []
+
+    def make(num_envs: int, env_id: str = "raytoy:Tally-v0", *, options: Any = None, **kwargs: Any) -> gem.VectorEnv:
+        backend = ("ray", {"num_actors": 1, **(options or {})})
+        made.append(gem.make_vec(env_id, num_envs, backend=backend, **{"seed": 1, **kwargs}))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
 
 
 @pytest.fixture(scope="module")

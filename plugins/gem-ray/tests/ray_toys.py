@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import re
+import secrets
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +48,11 @@ class TallyEnv(gem.Env):
     def _big(self, operand: str) -> str:
         return "x" * int(operand)
 
+    def _node(self, operand: str) -> str:
+        import ray
+
+        return str(ray.get_runtime_context().get_node_id())
+
     def _variable(self, operand: str) -> str:
         return os.environ.get(operand, "unset")
 
@@ -80,13 +87,22 @@ class PairEnv(gem.MultiAgentEnv):
         return "x" * int(self.action_random.integers(10))
 
 
-class DiceEnv(TallyEnv):
-    """Registered as not deterministic."""
+class FarewellEnv(TallyEnv):
+    """Notes in a folder that it was closed; or hangs there."""
+
+    def __init__(self, folder: str, hangs: bool = False) -> None:
+        super().__init__()
+        self.folder, self.hangs = folder, hangs
+
+    def close(self) -> None:
+        if self.hangs:
+            threading.Event().wait()
+        Path(self.folder, secrets.token_hex(8)).touch()
 
 
 def register_toys() -> None:
     """Register the environments above."""
     gem.register("raytoy:Tally-v0", "ray_toys:TallyEnv")
     gem.register("raytoy:Blocking-v0", "ray_toys:BlockingTallyEnv")
-    gem.register("raytoy:Dice-v0", "ray_toys:DiceEnv", deterministic=False)
+    gem.register("raytoy:Farewell-v0", "ray_toys:FarewellEnv")
     gem.register("raytoy:Pair-v0", "ray_toys:PairEnv", seats=("left", "right"))

@@ -27,5 +27,5 @@ def test_it_ends_with_the_last_that_uses_it(ray_folder: str, capfd: pytest.Captu
 
 @pytest.mark.thorough
 def test_an_address_without_ray_is_an_error_that_says_what_to_do(ray_folder: str) -> None:
-    with pytest.raises(EnvFaultError, match=r"there is no Ray at address 'auto'.* Start one by 'ray start --head'"):
+    with pytest.raises(EnvFaultError, match=r"'auto'.*ray start --head"):
         gem.make_vec("raytoy:Tally-v0", 2, backend=("ray", {"address": "auto"}))

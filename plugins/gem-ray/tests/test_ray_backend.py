@@ -1,37 +1,23 @@
-"""The backend ``ray`` on one machine: it does what every backend does, and keeps faults to their slots."""
+"""The backend ``ray`` on one machine: it does what every backend does, and keeps faults to their actor."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import gem_core as gem
-from gem_core.types import TERMINAL_STATE
+from gem_core.errors import EnvFaultError
+from gem_core.vector import NoRoomError
 
 pytestmark = [pytest.mark.usefixtures("local_ray"), pytest.mark.skipif(sys.platform == "win32", reason="POSIX")]
 
 LONG_S = 120.0
 """Ends what hangs, by no means what is slow."""
-
-
-@pytest.fixture
-def vec() -> Iterator[Callable[..., gem.VectorEnv]]:
-    """Make vector environments on Ray, closed with the test."""
-    made: list[gem.VectorEnv] = []
-
-    def make(num_envs: int, env_id: str = "raytoy:Tally-v0", *, options: Any = None, **kwargs: Any) -> gem.VectorEnv:
-        backend = ("ray", {"num_actors": 1, **(options or {})})
-        made.append(gem.make_vec(env_id, num_envs, backend=backend, **{"seed": 1, **kwargs}))
-        return made[-1]
-
-    yield make
-    for each in made:
-        each.close()
 
 
 def observed(vector: gem.VectorEnv, turns: list[list[str]]) -> list[list[Any]]:
@@ -44,15 +30,17 @@ def observed(vector: gem.VectorEnv, turns: list[list[str]]) -> list[list[Any]]:
     return seen
 
 
-def plain(num_envs: int, turns: list[list[str]]) -> list[list[Any]]:
-    """Return what is observed of the toys in this process."""
-    return observed(gem.make_vec("raytoy:Tally-v0", num_envs, backend="sync", seed=1), turns)
+def kinds(infos: list[dict[str, Any]]) -> list[str | None]:
+    """Return the kind of the error that ended the episode of each slot."""
+    errors = [info.get("final_info", {}).get("error") for info in infos]
+    return [error and error["kind"] for error in errors]
 
 
 def test_trajectories_are_those_of_sync(vec: Callable[..., gem.VectorEnv]) -> None:
     """The same seed and actions give the same, over the ends of episodes, with several environments an actor."""
     turns = [[f"{turn} {slot}" for slot in range(5)] for turn in range(30)]
-    assert observed(vec(5, options={"num_actors": 2}), turns) == plain(5, turns)
+    here = gem.make_vec("raytoy:Tally-v0", 5, backend="sync", seed=1)
+    assert observed(vec(5, options={"num_actors": 2}), turns) == observed(here, turns)
 
 
 def test_several_agents_play_as_in_this_process(vec: Callable[..., gem.VectorEnv]) -> None:
@@ -68,98 +56,34 @@ def test_several_agents_play_as_in_this_process(vec: Callable[..., gem.VectorEnv
     assert all(joint.turns == 3 for joint in played.values())
 
 
-def test_an_exception_ends_one_episode(vec: Callable[..., gem.VectorEnv]) -> None:
-    vector = vec(3)
+@pytest.mark.thorough
+@pytest.mark.parametrize(("order", "kind"), [("exit 3", "died"), ("hang", "timeout")])
+def test_an_actor_that_is_lost_ends_its_episodes(vec: Callable[..., gem.VectorEnv], order: str, kind: str) -> None:
+    """Also in code that lets no other thread run; the slots of the other actor go on."""
+    vector = vec(4, options={"num_actors": 2}, step_timeout=5.0)
     vector.reset()
-    step = vector.step(["raise it", "a", "a"])
-    assert step.truncated.tolist() == [True, False, False]
-    assert step.infos[0]["final_info"]["error"]["message"] == "step raised ValueError: it"
-    assert step.infos[0]["final_obs"] == TERMINAL_STATE
-    assert vector.faults == 1
-
-
-@pytest.mark.thorough
-def test_only_the_slot_that_ends_the_process_is_truncated(vec: Callable[..., gem.VectorEnv]) -> None:
-    """The others of its actor go on as if nothing had been."""
-    turns = [["a"] * 3, ["a", "exit 3", "a"], ["a"] * 3]
-    seen = observed(vec(3), turns)
-    undisturbed = plain(3, [["a"] * 3] * 3)
-    assert [seen[0], seen[2]] == [undisturbed[0], undisturbed[2]]
-    _, reward, terminated, truncated, info = seen[1][2]
-    assert (reward, terminated, truncated) == (0.0, False, True)
-    assert info["final_info"]["error"]["kind"] == "died"
-    assert info["final_info"]["error"]["message"].startswith("its worker process died on Ray: ")
-
-
-@pytest.mark.thorough
-def test_what_hangs_is_killed_past_step_timeout(vec: Callable[..., gem.VectorEnv]) -> None:
-    """Also in code that lets no other thread run; a slot that waited behind it is not blamed."""
-    turns = [["a"] * 3, ["a", "hang", "a"], ["a"] * 3]
-    seen = observed(vec(3, step_timeout=3.0), turns)
-    undisturbed = plain(3, [["a"] * 3] * 3)
-    assert [seen[0], seen[2]] == [undisturbed[0], undisturbed[2]]
-    error = seen[1][2][4]["final_info"]["error"]
-    assert error == {"kind": "timeout", "message": "a step or reset took longer than step_timeout, 3 s"}
-
-
-@pytest.mark.thorough
-def test_an_idle_actor_that_is_killed_costs_nothing(vec: Callable[..., gem.VectorEnv], executors: list[Any]) -> None:
-    """Nothing ran: what was there is replayed in a new actor."""
-    import ray
-
-    vector = vec(2)
-    seen = observed(vector, [["a", "a"]])
-    (old,) = executors[0].links
-    ray.kill(old.actor)
-    old._reading.join(LONG_S)
-    seen = [[*each, step] for each, step in zip(seen, zip(*vector.step(["a", "a"]), strict=True), strict=True)]
-    assert seen == plain(2, [["a", "a"]] * 2)
-    assert vector.faults == 0
+    assert kinds(vector.step(["a", order, "a", "a"]).infos) in ([None, kind, None, "collateral"], [None, kind] * 2)
+    assert vector.step(["a"] * 4).rewards.tolist() == [2.0, 1.0, 2.0, 1.0]
 
 
 def test_an_actor_killed_in_a_step_is_a_truncated_slot(
-    vec: Callable[..., gem.VectorEnv], executors: list[Any], tmp_path: Path
+    vec: Callable[..., gem.VectorEnv], workers: list[Any], tmp_path: Path
 ) -> None:
-    """The one that ran; the other, which waited for its turn, goes on."""
+    """The next reset starts another actor."""
     import ray
 
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    vector = vec(2)
+    vector = vec(1)
     vector.reset()
-    vector.send([f"await {pipe}", "a"])
+    vector.send([f"await {pipe}"])
     # Opened for writing once the environment has opened it for reading, and then never written to.
     with open(pipe, "w"):
-        ray.kill(executors[0].links[0].actor)
-        received = vector.recv(min_envs=2, timeout=LONG_S)
-    by_slot = dict(zip(received.slots, received.infos, strict=True))
-    assert by_slot[0]["final_info"]["error"]["kind"] == "died"
-    assert "killed by `ray.kill`" in by_slot[0]["final_info"]["error"]["message"]
-    assert by_slot[1] == {"turn": 1}
-
-
-@pytest.mark.thorough
-def test_what_cannot_be_replayed_is_collateral(vec: Callable[..., gem.VectorEnv]) -> None:
-    vector = vec(2, "raytoy:Dice-v0")
-    vector.reset()
-    step = vector.step(["exit 1", "a"])
-    assert [info["final_info"]["error"]["kind"] for info in step.infos] == ["died", "collateral"]
-
-
-def test_a_straggler_holds_up_nobody(vec: Callable[..., gem.VectorEnv], tmp_path: Path) -> None:
-    """In one actor, the results of the others are there while it waits."""
-    pipe = tmp_path / "pipe"
-    os.mkfifo(pipe)
-    vector = vec(4, "raytoy:Blocking-v0")
-    vector.reset()
-    vector.send([f"await {pipe}", "a", "a", "a"])
-    assert sorted(vector.recv(min_envs=3, timeout=LONG_S).slots) == [1, 2, 3]
-    vector.send({2: "a"})
-    assert vector.recv(timeout=LONG_S).slots == [2]
-    assert vector.under_way == 1
-    pipe.write_text("at last")
-    received = vector.recv(timeout=LONG_S)
-    assert (received.slots, received.observations) == ([0], ["at last"])
+        ray.kill(workers[0].actor)
+        received = vector.recv(timeout=LONG_S)
+    assert kinds(received.infos) == ["died"]
+    assert "ray.kill" in received.infos[0]["final_info"]["error"]["message"]
+    assert len(workers) == 2
 
 
 @pytest.mark.thorough
@@ -167,8 +91,7 @@ def test_observations_of_megabytes_arrive(vec: Callable[..., gem.VectorEnv]) -> 
     """They take Ray's way for large things."""
     vector = vec(2)
     vector.reset()
-    for _ in range(3):
-        assert [len(each) for each in vector.step(["big 3000000", "big 5"]).observations] == [3_000_000, 5]
+    assert [len(each) for each in vector.step(["big 3000000", "big 5"]).observations] == [3_000_000, 5]
 
 
 @pytest.mark.thorough
@@ -179,48 +102,63 @@ def test_runtime_env_reaches_the_actor(vec: Callable[..., gem.VectorEnv]) -> Non
 
 
 @pytest.mark.thorough
-def test_a_runtime_env_that_cannot_be_made_is_said_once(vec: Callable[..., gem.VectorEnv], tmp_path: Path) -> None:
+def test_a_runtime_env_that_cannot_be_made_ends_the_run(vec: Callable[..., gem.VectorEnv], tmp_path: Path) -> None:
     """Trying again would not help."""
     vector = vec(2, options={"runtime_env": {"working_dir": (tmp_path / "missing.zip").as_uri()}})
-    with pytest.raises(gem.GemError, match="an actor could not be started on Ray"):
+    with pytest.raises(EnvFaultError, match=r"missing\.zip"):
         vector.reset()
 
 
-@pytest.mark.thorough
-def test_rollouts_sample_in_the_actors(vec: Callable[..., gem.VectorEnv]) -> None:
-    """A random agent asks the environments; the episodes say what they were made from."""
-    from gem_core.agents import RandomAgent
-
-    theirs = list(gem.rollout(vec(3, options={"num_actors": 2}), RandomAgent(), episodes=6))
-    ours = list(gem.rollout(gem.make_vec("raytoy:Tally-v0", 3, backend="sync", seed=1), RandomAgent(), episodes=6))
-    assert len(theirs) == 6
-    actions = [
-        {episode.seed: [each.action for each in episode.transitions] for episode in some} for some in (theirs, ours)
-    ]
-    assert actions[0] == actions[1]
-    assert {episode.id for episode in theirs} == {"raytoy:Tally-v0"}
+def test_no_room_for_any_actor_is_an_error(vec: Callable[..., gem.VectorEnv]) -> None:
+    """It names the option, in place of waiting for ever."""
+    vector = vec(2, options={"num_cpus": 99, "start_timeout": 1})
+    with pytest.raises(NoRoomError, match=r"'num_cpus': 99"):
+        vector.reset()
 
 
-@pytest.mark.thorough
-def test_close_leaves_no_actor_and_keeps_the_connection(
-    vec: Callable[..., gem.VectorEnv], executors: list[Any]
+def test_actors_that_have_just_ended_leave_their_cpus(vec: Callable[..., gem.VectorEnv], workers: list[Any]) -> None:
+    """By default there is an actor for each CPU, one run after another; and no more than slots."""
+    for _ in range(3):
+        vector = vec(2, options={"num_actors": None})
+        vector.reset()
+        vector.close()
+    assert len(workers) == 6
+    vec(1, options={"num_actors": 9}).reset()
+    assert len(workers) == 7
+
+
+def test_close_closes_environments_and_ends_actors(
+    vec: Callable[..., gem.VectorEnv], workers: list[Any], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The program's own connection is not ours to cut."""
+    """What does not close is counted; the program's own connection is not ours to cut."""
     import ray
-    from ray._private.state import actors
+    from ray.exceptions import ActorDiedError
 
-    vector = vec(3, options={"num_actors": 2})
+    kwargs = [{"folder": str(tmp_path), "hangs": slot == 1} for slot in range(4)]
+    vector = vec(4, [("raytoy:Farewell-v0", each) for each in kwargs], options={"num_actors": 2})
     vector.reset()
-    ids = [link.actor._actor_id.hex() for link in executors[0].links]
     vector.close()
+    assert len(list(tmp_path.iterdir())) == 3
+    assert "1 environments had not closed" in caplog.text
     assert ray.is_initialized()
-    assert [actors(actor_id=each)["State"] for each in ids] == ["DEAD", "DEAD"]
+    for worker in workers:
+        with pytest.raises(ActorDiedError):
+            ray.get(worker.actor.__ray_ready__.remote(), timeout=LONG_S)
 
 
 @pytest.mark.thorough
-def test_there_are_no_more_actors_than_slots(vec: Callable[..., gem.VectorEnv], executors: list[Any]) -> None:
-    """By default, and when more are asked for."""
-    for number in (None, 9):
-        vector = vec(1, options={"num_actors": number, "num_cpus": 0.5})
-        vector.reset()
-        assert len(executors[-1].links) == 1
+def test_a_connection_that_the_program_cuts_ends_the_run(
+    ray_folder: str, vec: Callable[..., gem.VectorEnv], tmp_path: Path
+) -> None:
+    """Also in the middle of a step. The last test here: it ends the Ray of the others."""
+    import ray
+
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    vector = vec(1)
+    vector.reset()
+    vector.send([f"await {pipe}"])
+    with open(pipe, "w"):
+        ray.shutdown()
+        with pytest.raises(EnvFaultError, match="connection to Ray"):
+            vector.recv(timeout=LONG_S)
