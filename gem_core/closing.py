@@ -34,8 +34,9 @@ def close_all(resources: Iterable[Any], limit_s: float = CLOSING_S) -> int:
     """
     threads = [threading.Thread(target=_close, args=(each,), name="gem-close", daemon=True) for each in resources]
     for thread in threads:
-        _closing.add(thread)
         thread.start()
+    _closing.difference_update([thread for thread in list(_closing) if not thread.is_alive()])
+    _closing.update(threads)
     return 0 if on_background_loop() else _join(threads, limit_s)
 
 
@@ -62,5 +63,3 @@ def _close(resource: Any) -> None:
         resource.close()
     except BaseException:
         logger.warning("gem: closing an environment failed", exc_info=True)
-    finally:
-        _closing.discard(threading.current_thread())

@@ -139,7 +139,7 @@ def test_close_closes_environments_and_ends_actors(
     vector.reset()
     vector.close()
     assert len(list(tmp_path.iterdir())) == 3
-    assert "1 environments had not closed" in caplog.text
+    assert "was left; environments: 1" in caplog.text
     assert ray.is_initialized()
     for worker in workers:
         with pytest.raises(ActorDiedError):
