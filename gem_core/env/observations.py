@@ -33,14 +33,21 @@ def split_observation(observation: Observation, info: dict[str, Any]) -> tuple[O
     return observation, ""
 
 
-def join_observations(pieces: Sequence[Observation]) -> Observation:
-    """Join outputs and actions, each beginning on a line of its own; parts once there is one list of parts."""
+def join_observations(pieces: Sequence[Observation], suffix: Observation = "") -> Observation:
+    """Join outputs and actions, each beginning on a line of its own; parts once there is one list of parts.
+
+    Args:
+        pieces: Oldest first.
+        suffix: What follows the last piece as it is.
+    """
+    if not isinstance(suffix, str):
+        return as_parts(join_observations(pieces)) + suffix
     text = ""
     for piece in pieces:
         if not isinstance(piece, str):
-            return _join_as_parts(pieces)
+            return _join_as_parts(pieces) + as_parts(suffix)
         text += f"\n{piece}" if piece and text and not text.endswith("\n") else piece
-    return text
+    return text + suffix
 
 
 def _join_as_parts(pieces: Sequence[Observation]) -> list[dict[str, Any]]:

@@ -11,6 +11,8 @@ from gem_core.errors import ArgumentError
 from gem_core.types import ResetResult, StepResult
 
 _OBSERVATIONS = (str, list)
+_TEXTS = (str, bytes)
+_FLAGS = (bool, np.bool_, int, np.integer)
 
 
 def checked_result(result: object) -> StepResult:
@@ -25,9 +27,12 @@ def checked_result(result: object) -> StepResult:
     if not isinstance(result, tuple) or len(result) != 5:
         raise TypeError(f"step must return (observation, reward, terminated, truncated, info), not {result!r:.200}")
     observation, reward, terminated, truncated, info = result
-    number = checked_reward(reward)
     _check_types(observation, info)
-    return observation, number, _flag("terminated", terminated), _flag("truncated", truncated), info.copy()
+    if not isinstance(terminated, _FLAGS) or terminated not in (0, 1):  # else any object would count as true or false
+        raise TypeError(f"terminated must be True or False, not {terminated!r:.200}")
+    if not isinstance(truncated, _FLAGS) or truncated not in (0, 1):
+        raise TypeError(f"truncated must be True or False, not {truncated!r:.200}")
+    return observation, checked_reward(reward), bool(terminated), bool(truncated), info.copy()
 
 
 def checked_reward(reward: Any, whose: str = "the reward") -> float:
@@ -38,7 +43,7 @@ def checked_reward(reward: Any, whose: str = "the reward") -> float:
         ValueError: It is not finite.
     """
     try:
-        number = math.nan if isinstance(reward, str | bytes) else float(reward)
+        number = math.nan if isinstance(reward, _TEXTS) else float(reward)
     except (TypeError, ValueError, OverflowError) as error:
         raise TypeError(f"{whose} must be a finite number, not {reward!r:.200}") from error
     if not math.isfinite(number):
@@ -69,14 +74,7 @@ def refuse_action(action: object) -> NoReturn:
 
 
 def _check_types(observation: object, info: object) -> None:
-    if type(observation) is not str and not isinstance(observation, _OBSERVATIONS):
+    if not isinstance(observation, _OBSERVATIONS):
         raise TypeError(f"an observation must be text or a list, not {type(observation).__name__}")
     if not isinstance(info, dict):
         raise TypeError(f"info must be a dictionary, not {type(info).__name__}")
-
-
-def _flag(name: str, flag: object) -> bool:
-    # Any other object would silently count as true or false.
-    if isinstance(flag, bool | np.bool_) or (isinstance(flag, int | np.integer) and flag in (0, 1)):
-        return bool(flag)
-    raise TypeError(f"{name} must be True or False, not {flag!r:.200}")

@@ -95,7 +95,7 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         """Answer one response of the agent; see ``Env.step``."""
         if not isinstance(action, str):
             refuse_action(action)
-        before = self.before_step(action)  # not by run_hook, with which each layer would take a third longer
+        before = self.before_step(action)
         if not isinstance(before, str | tuple):
             before = run_sync(self._awaitable(before, "before_step"))
         if isinstance(before, tuple):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import Any, Protocol, Self
 
 from gem_core.env.observations import is_messages, join_observations, observation_from, split_observation
@@ -74,20 +75,25 @@ class History:
     system: str | None = None
     turns: list[Turn] = field(default_factory=list)
 
+    @property
+    def present(self) -> Observation:
+        """How things stand now."""
+        return self.turns[-1].suffix if self.turns else self.suffix
+
     def latest(self) -> Observation:
         """Return the newest output, and how things stand now."""
-        return observation_from(self.turns[-1].feedback if self.turns else self.task, self._present())
+        return observation_from(self.turns[-1].feedback if self.turns else self.task, self.present)
 
     def outputs(self) -> Observation:
         """Return all outputs, and how things stand now once, at the end."""
-        return observation_from(join_observations([self.task, *[t.feedback for t in self.turns]]), self._present())
+        return join_observations([self.task, *map(attrgetter("feedback"), self.turns)], self.present)
 
     def text(self) -> Observation:
         """Return all outputs and actions, and how things stand now once, at the end."""
         pieces = [self.task]
         for turn in self.turns:
             pieces += [turn.action, *map(_call_as_text, turn.tool_calls or ()), turn.feedback]
-        return observation_from(join_observations(pieces), self._present())
+        return join_observations(pieces, self.present)
 
     def messages(self) -> list[ChatMessage]:
         """Return the chat; the list and its messages are the caller's own.
@@ -106,9 +112,6 @@ class History:
         if self.system is not None and not any(message.get("role") in ("system", "developer") for message in chat):
             chat.insert(0, {"role": "system", "content": self.system})
         return [dict(message) for message in chat]
-
-    def _present(self) -> Observation:
-        return self.turns[-1].suffix if self.turns else self.suffix
 
 
 class Turned(Protocol):
