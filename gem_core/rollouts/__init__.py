@@ -3,8 +3,8 @@
 from gem_core.rollouts.agent import (
     READS,
     Agent,
+    AgentTraits,
     Context,
-    Reading,
     as_agent,
     close_agent,
     current_folder_importable,
@@ -22,10 +22,10 @@ from gem_core.rollouts.seating import League, Seated, Seating, as_seating
 __all__ = [
     "READS",
     "Agent",
+    "AgentTraits",
     "Context",
     "FinishedEpisodes",
     "League",
-    "Reading",
     "Seated",
     "Seating",
     "SingleAgentEnv",

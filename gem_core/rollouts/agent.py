@@ -103,8 +103,8 @@ It raises ``RequestError`` where it failed and only that episode is lost, as whe
 READS = ("messages", "observation")
 
 
-class Reading(NamedTuple):
-    """What an agent is sent, read from its attributes of these names; see ``Agent``."""
+class AgentTraits(NamedTuple):
+    """The attributes of an agent that decide what it is sent; see ``Agent``."""
 
     reads: str | None = None
     system: str | None = None
@@ -138,7 +138,7 @@ def as_agent(agent: Any) -> Agent:
         agent = agent()
     if not callable(agent):
         raise AgentError(f"an agent is a callable of (observation, context), not {agent!r:.100}")
-    Reading.of(agent)
+    AgentTraits.of(agent)
     try:
         signature = inspect.signature(agent)
     except (TypeError, ValueError):  # a callable of C code may not tell its signature
@@ -158,7 +158,7 @@ def _wants_context(signature: inspect.Signature) -> bool:
     return not second or second[0].default is inspect.Parameter.empty or second[0].name == "context"
 
 
-_ATTRIBUTES = ("prepare", "close", "aclose", "interactive", "max_concurrency", *Reading._fields)
+_ATTRIBUTES = ("prepare", "close", "aclose", "interactive", "max_concurrency", *AgentTraits._fields)
 """What an agent may have besides being called; see ``Agent``."""
 
 

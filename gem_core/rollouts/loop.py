@@ -29,7 +29,7 @@ from gem_core.failures import author_frames, failure_info
 from gem_core.records.episode import Episode
 from gem_core.records.joint import JointEpisode, Record
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
-from gem_core.rollouts.agent import Agent, Reading, is_asynchronous
+from gem_core.rollouts.agent import Agent, AgentTraits, is_asynchronous
 from gem_core.rollouts.seat import RunningSeat, common_fields, new_episode
 from gem_core.rollouts.seating import Seated, Seating
 from gem_core.rollouts.shared_episode import SharedEpisode
@@ -121,7 +121,7 @@ async def play(run: Run, slot: Slot, start: EpisodeStart) -> Episode:
     _check_seats(described["id"], info, alone=True)
     episode = new_episode(described, start, observation, info)
     episode.agent = name
-    seat = RunningSeat(episode, Reading.of(agent), slot.sample_random_action)
+    seat = RunningSeat(episode, AgentTraits.of(agent), slot.sample_random_action)
     while True:
         # Ask.
         try:

@@ -24,7 +24,7 @@ from gem_core.making.environment import make_from
 from gem_core.records.episode import Episode
 from gem_core.records.plans import EpisodeStart, PlanItem
 from gem_core.registry.lookup import registry
-from gem_core.rollouts.agent import Agent, Reading, close_agent, is_asynchronous, load_agent
+from gem_core.rollouts.agent import Agent, AgentTraits, close_agent, is_asynchronous, load_agent
 from gem_core.rollouts.seat import RunningSeat, new_episode
 from gem_core.rollouts.seating import Seated, seated
 from gem_core.types import Concurrency, Info, ResetResult, Response, StepResult
@@ -226,7 +226,7 @@ class SingleAgentEnv(AroundEnv, Env):
         self._running[agent] = self._running_seat(agent, episode)
 
     def _running_seat(self, agent: str, episode: Episode) -> RunningSeat:
-        return RunningSeat(episode, Reading.of(self._player(agent)), partial(self._draw_for, agent))
+        return RunningSeat(episode, AgentTraits.of(self._player(agent)), partial(self._draw_for, agent))
 
     # Asking the others.
 

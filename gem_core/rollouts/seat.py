@@ -11,7 +11,7 @@ from gem_core.records.conversation import CONCAT_WITH_ACTION, Conversation
 from gem_core.records.episode import Episode, Transition
 from gem_core.records.plans import EpisodeStart
 from gem_core.registry.lookup import registry
-from gem_core.rollouts.agent import Context, Reading
+from gem_core.rollouts.agent import AgentTraits, Context
 from gem_core.types import Info, Observation, Response
 
 
@@ -20,16 +20,16 @@ class RunningSeat:
 
     Args:
         episode: The record, with its first observation; turns are added to it.
-        reading: What the agent is to be sent.
+        traits: The agent's attributes, which decide what it is sent.
         draw_action: Returns a valid random action.
     """
 
-    def __init__(self, episode: Episode, reading: Reading, draw_action: Callable[[], str]) -> None:
+    def __init__(self, episode: Episode, traits: AgentTraits, draw_action: Callable[[], str]) -> None:
         info = episode.info
         self.episode = episode
-        self.episode.reads = _what_to_read(reading, info)
-        self.episode.system = reading.system
-        self.episode.native_tools = reading.native_tools and bool(info.get("tools"))
+        self.episode.reads = _what_to_read(traits, info)
+        self.episode.system = traits.system
+        self.episode.native_tools = traits.native_tools and bool(info.get("tools"))
         self.conversation = Conversation(episode)
         self.response = Response()
         """What was sent to the environment last."""
@@ -68,12 +68,12 @@ class RunningSeat:
             episode.info = {**episode.info, **reported}
 
 
-def _what_to_read(reading: Reading, info: Info) -> str:
+def _what_to_read(traits: AgentTraits, info: Info) -> str:
     """Return what an agent is sent in an episode that begins: what it reads, unless a view was named."""
     if info.get("view") is not None:
         return "observation"
-    if reading.reads is not None:
-        return reading.reads
+    if traits.reads is not None:
+        return traits.reads
     return CONCAT_WITH_ACTION if info.get("tools") else "observation"
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from gem_core.records.joint import JointEpisode
 from gem_core.records.plans import EpisodeStart
-from gem_core.rollouts.agent import Agent, Reading
+from gem_core.rollouts.agent import Agent, AgentTraits
 from gem_core.rollouts.seat import RunningSeat, common_fields, new_episode
 from gem_core.rollouts.seating import Seating
 from gem_core.types import TERMINAL_STATE, Info, Observation, Response
@@ -99,7 +99,7 @@ class SharedEpisode:
         episode = new_episode(described, self._start, observation, info)
         episode.seat, episode.agent, episode.first_reward = seat, name, reward
         draw = partial(self._slot.sample_random_action, seat)
-        self.running[seat] = RunningSeat(episode, Reading.of(agent), draw)
+        self.running[seat] = RunningSeat(episode, AgentTraits.of(agent), draw)
         joint.seats = {each: self.running[each].episode for each in self._seated if each in self.running}
 
     def _lose(self, info: Info) -> None:

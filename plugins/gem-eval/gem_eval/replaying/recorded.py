@@ -9,7 +9,7 @@ from typing import Any
 from gem_core import Episode, Observation
 from gem_core.errors import EpisodeLimitError, RequestError
 from gem_core.records import from_plain, to_plain
-from gem_core.rollouts import Agent, Context, Reading
+from gem_core.rollouts import Agent, AgentTraits, Context
 
 END_OF_RECORD = "end of the record"
 """What cuts a replay off that has no more actions, where the episode is not over."""
@@ -31,7 +31,9 @@ class RecordedActions:
 
     def __init__(self, episode: Episode, turns: int, agent: Agent | None, *, force: bool) -> None:
         self._episode, self._turns, self._agent, self._force = episode, turns, agent, force
-        self.reads, self.system, self.native_tools = Reading("observation") if agent is None else Reading.of(agent)
+        self.reads, self.system, self.native_tools = (
+            AgentTraits("observation") if agent is None else AgentTraits.of(agent)
+        )
 
     def __call__(self, observation: Observation, context: Context) -> str | Awaitable[str]:
         """Return the recorded response, or ask the other agent.

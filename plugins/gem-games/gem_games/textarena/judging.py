@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from gem_core.background import run_sync
-from gem_core.rollouts import Context, Reading, as_agent, load_agent
+from gem_core.rollouts import AgentTraits, Context, as_agent, load_agent
 
 
 class JudgeError(Exception):
@@ -64,8 +64,8 @@ class AgentJudge:
         Raises:
             JudgeError: The agent failed.
         """
-        reading = Reading.of(self._agent)
-        messages = [{"role": "system", "content": reading.system}] if reading.system is not None else []
+        traits = AgentTraits.of(self._agent)
+        messages = [{"role": "system", "content": traits.system}] if traits.system is not None else []
         messages.append({"role": "user", "content": question})
         context = Context(
             episode=episode,
@@ -75,11 +75,11 @@ class AgentJudge:
             info={},
             tools=[],
             transitions=[],
-            system=reading.system,
+            system=traits.system,
             read_messages=messages.copy,
         )
         try:
-            answer = self._agent(context.messages if reading.reads == "messages" else question, context)
+            answer = self._agent(context.messages if traits.reads == "messages" else question, context)
             return str(answer if isinstance(answer, str) else run_sync(answer))
         except Exception as error:
             raise JudgeError(f"{type(error).__name__}: {error}"[:300]) from error
