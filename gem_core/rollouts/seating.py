@@ -1,4 +1,4 @@
-"""Which agent sits at which seat of an episode: fixed, self-play, taking turns at the seats, or a league."""
+"""Which agent sits at which seat of an episode: fixed, self-play, rotating over the seats, or a league."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class NamedSeats(Seating):
         return _rotated(seats, [self._agents[seat] for seat in seats], start, 0)
 
 
-class TakingTurns(Seating):
+class RotatingSeats(Seating):
     """As many agents as seats, which move on by one seat from item to item of the plan; or one agent at every seat.
 
     Each is as often at each seat as any other, but for the last episodes of a run.
@@ -188,8 +188,8 @@ def as_seating(agents: Any) -> Seating:
     if isinstance(agents, Mapping | list | tuple) and not isinstance(agents, Seated):
         if not agents:
             raise ArgumentError("agents names no agent; give {seat: agent}, a list of agents, or one for all seats")
-        return NamedSeats(agents) if isinstance(agents, Mapping) else TakingTurns(agents)
-    return TakingTurns([agents])
+        return NamedSeats(agents) if isinstance(agents, Mapping) else RotatingSeats(agents)
+    return RotatingSeats([agents])
 
 
 def seated(agent: Any) -> Seated:
