@@ -210,12 +210,12 @@ class _Run:
 
     @property
     def agents(self) -> list[Agent]:
-        """Everyone who may act, as far as they are known, each once."""
+        """Every agent that may act, as far as known, each once."""
         if isinstance(self.acting, Seating):
-            everyone = self.acting.everyone()
+            agents = self.acting.agents()
         else:
-            everyone = [self.acting.agent] if isinstance(self.acting, Seated) else self.acting.values()
-        return list({id(agent): agent for agent in everyone}.values())
+            agents = [self.acting.agent] if isinstance(self.acting, Seated) else self.acting.values()
+        return list({id(agent): agent for agent in agents}.values())
 
     def close_loaded(self) -> None:
         """Close the agents that were given by name, those that a league was given meanwhile included."""

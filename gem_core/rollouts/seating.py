@@ -40,7 +40,7 @@ class Seating(ABC):
         return one
 
     @abstractmethod
-    def everyone(self) -> Iterable[Agent]:
+    def agents(self) -> Iterable[Agent]:
         """Return every agent that may act, to be prepared before the first episode."""
 
     @abstractmethod
@@ -66,7 +66,7 @@ class NamedSeats(Seating):
     def __init__(self, agents: Mapping[str, Any]) -> None:
         self._agents = {seat: self._seated(agent) for seat, agent in agents.items()}
 
-    def everyone(self) -> Iterable[Agent]:
+    def agents(self) -> Iterable[Agent]:
         """Return the agents."""
         return [each.agent for each in self._agents.values()]
 
@@ -89,7 +89,7 @@ class RotatingSeats(Seating):
     def __init__(self, agents: Sequence[Any]) -> None:
         self._agents = [self._seated(agent) for agent in agents]
 
-    def everyone(self) -> Iterable[Agent]:
+    def agents(self) -> Iterable[Agent]:
         """Return the agents."""
         return [each.agent for each in self._agents]
 
@@ -162,7 +162,7 @@ class League(Seating):
         if not any(weight for _, weight in self._pool.values()):
             raise ArgumentError("a league needs an opponent whose weight is above 0; the learner's own is 'latest'")
 
-    def everyone(self) -> Iterable[Agent]:
+    def agents(self) -> Iterable[Agent]:
         """Return the learner and the pool."""
         return [one.agent for one, _ in self._pool.values()]
 
