@@ -126,7 +126,7 @@ class _Commands(click.Group):
             from gem_core.registry.lookup import registry
 
             names = self.list_commands(ctx)
-            hint = registry().how_to_get(args[0], "command") or did_you_mean(args[0], names)
+            hint = registry().install_hint(args[0], "command") or did_you_mean(args[0], names)
             raise click.UsageError(f"no command {args[0]!r}.{hint} There are: {', '.join(names)}")
         return super().resolve_command(ctx, args)
 

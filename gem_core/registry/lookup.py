@@ -111,7 +111,7 @@ class Registry:
         record = self._named.get("wrapper", {}).get(name)
         if not isinstance(record, ToolSpec):
             names = [tool.name for tool in self.named(ToolSpec)]
-            hint = self.how_to_get(name, "tool") or did_you_mean(name, names)
+            hint = self.install_hint(name, "tool") or did_you_mean(name, names)
             if names:
                 hint += f" There are: {', '.join(names)}."
             elif not hint:
@@ -276,7 +276,7 @@ class Registry:
 
     # Error messages.
 
-    def how_to_get(self, name: str, kind: str | None = None) -> str:
+    def install_hint(self, name: str, kind: str | None = None) -> str:
         """Return the sentence that says which plugin to install for a name, or which one is disabled.
 
         Args:
@@ -284,7 +284,7 @@ class Registry:
             kind: Of the record, or ``"namespace"``; None for any.
 
         Returns:
-            It begins with a space; empty where no distribution of this project has the name, or where it is installed.
+            It begins with a space; empty if no distribution of this project has the name, or if it is installed.
         """
         owners = distributions_with(name, kind)
         present = {plugin.distribution: plugin for plugin in self.plugins()}
@@ -301,7 +301,7 @@ class Registry:
         if name in records:
             return records[name]
         what = "wrapper or tool" if space == "wrapper" else space
-        hint = self.how_to_get(name, "tool" if space == "wrapper" else space) or did_you_mean(name, records)
+        hint = self.install_hint(name, "tool" if space == "wrapper" else space) or did_you_mean(name, records)
         raise error(f"no {what} {name!r}.{hint} There are: {', '.join(sorted(records))}.{self._failed_plugins()}")
 
     def _unknown_env(self, env_id: str) -> str:
@@ -309,14 +309,14 @@ class Registry:
         namespaces = sorted({record.namespace for record in self._envs.values()})
         failed = self._failed_plugins()
         if colon and namespace not in namespaces:
-            advice = self.how_to_get(namespace)
+            advice = self.install_hint(namespace)
             if not advice and not failed:
                 near = did_you_mean(env_id, self._envs) or did_you_mean(namespace, namespaces)
                 known = f" Namespaces: {', '.join(namespaces) or 'none'}."
                 advice = near or f"{known} What gem.register adds is known to its own process alone."
             return f"no environment {env_id!r}.{advice}{failed} Run 'gem list'"
         candidates = [name for name in self._envs if not colon or name.startswith(f"{namespace}:")]
-        hint = "" if colon else self.how_to_get(env_id)  # 'gem info' takes the names of all kinds
+        hint = "" if colon else self.install_hint(env_id)  # 'gem info' takes the names of all kinds
         hint = hint or did_you_mean(env_id, candidates) or did_you_mean(env_id, self._envs)
         if not hint:
             variants = sorted(name for name in self._envs if name.startswith(env_id))[:3] if env_id else []

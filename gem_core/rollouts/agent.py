@@ -222,7 +222,7 @@ def load_agent(name: str, **options: Any) -> Agent:
     head, colon, rest = name.partition(":")
     registry().refuse_contested("agent", head)
     registered = [record.name for record in registry().named(AgentSpec)]
-    is_of_plugin = bool(registry().how_to_get(head, "agent"))  # of one that is not installed
+    is_of_plugin = bool(registry().install_hint(head, "agent"))  # of one that is not installed
     if head in registered or (is_of_plugin and not rest):
         return as_agent(construct(registry().agent(head), *([rest] if colon else []), **options))
     if colon and not (head and rest):

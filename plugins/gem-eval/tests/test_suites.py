@@ -34,7 +34,7 @@ def test_a_suite_that_is_built_in_names_environments_that_there_are(name: str) -
     jsonschema.validate(yaml.safe_load(builtin_suites()[name].read_text()), json.loads(SCHEMA.read_text()))
     for task in suite.tasks:
         namespace = task.id.partition(":")[0]
-        if not registry().how_to_get(namespace, "namespace"):  # its plugin is installed here
+        if not registry().install_hint(namespace, "namespace"):  # its plugin is installed here
             gem.spec(task.id)
 
 
