@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, cast
 
 from gem_core.env.base import Env
@@ -14,9 +15,9 @@ from gem_core.errors import ArgumentError
 from gem_core.testing.comparing import differences, plain, record_of
 from gem_core.testing.contract import promise
 from gem_core.testing.findings import shown
-from gem_core.testing.joint import acting, fitted, say, seats_of
-from gem_core.testing.subject import CLUMSY_ACTIONS, PlainResult, Subject
-from gem_core.types import Action, Response
+from gem_core.testing.joint import acting, fitted, seats_of
+from gem_core.testing.subject import PlainResult, Subject
+from gem_core.types import Response
 
 
 @promise(
@@ -43,15 +44,15 @@ def turns(subject: Subject) -> Iterator[str]:
     """Observations are of those who act, rewards and infos also of those who ended, and flags of all who took part."""
     for moment in _moments(subject):
         hearers = moment.acting | moment.ended_now
-        parts = [("observations", moment.observations, moment.acting), ("infos", moment.infos, hearers)]
-        if moment.rewards is not None:
-            parts += [
-                ("rewards", moment.rewards, hearers),
-                ("terminations", moment.terminations, moment.part),
-                ("truncations", moment.truncations, moment.part),
-            ]
-        for name, given, agents in parts:
-            if set(given) != agents:
+        for name, agents in (
+            ("observations", moment.acting),
+            ("infos", hearers),
+            ("rewards", hearers),
+            ("terminations", moment.part),
+            ("truncations", moment.part),
+        ):
+            given = moment.parts.get(name)
+            if given is not None and set(given) != agents:
                 yield f"{moment.where} gave {name} of {_listed(given)}, not of {_listed(agents)}"
 
 
@@ -59,7 +60,7 @@ def turns(subject: Subject) -> Iterator[str]:
 def leaving(subject: Subject) -> Iterator[str]:
     """Who ends is told so once, with final_obs, and never acts again; until all have ended, somebody acts."""
     for moment in _moments(subject):
-        for agent, info in moment.infos.items():
+        for agent, info in moment.parts["infos"].items():
             if ("final_obs" in info) != (agent in moment.ended_now):
                 ends = "ends" if agent in moment.ended_now else "does not end"
                 yield f"{moment.where}: {agent!r} {ends} then, and the keys of its info are {_listed(info)}"
@@ -79,25 +80,20 @@ def accounting(subject: Subject) -> Iterator[str]:
     given: dict[str, float] = {}
     has_ended = False
     for moment in _moments(subject):
-        if moment.rewards is None:
+        if "rewards" not in moment.parts:
             given = {}
             continue
-        for agent, reward in moment.rewards.items():
+        for agent, reward in moment.parts["rewards"].items():
             given[agent] = given.get(agent, 0.0) + reward
             if reward and agent in moment.ended_before:
                 yield f"{moment.where} rewarded {agent!r}, which had ended"
         if moment.part - moment.ended:
             continue
         has_ended = True
-        sums = moment.cumulative
-        if set(sums) != moment.part:
-            yield f"{moment.where}: cumulative is of {_listed(sums)}, not of {_listed(moment.part)}"
-        for agent in sums:
-            if not math.isclose(sums[agent], given.get(agent, 0.0), rel_tol=1e-9, abs_tol=1e-9):
-                yield (
-                    f"{moment.where}: step gave {agent!r} {given.get(agent, 0.0):g} in all, and its cumulative reward "
-                    f"is {sums[agent]:g}"
-                )
+        for agent in moment.part | set(moment.cumulative):
+            total, gave = moment.cumulative.get(agent, math.nan), given.get(agent, 0.0)
+            if not math.isclose(total, gave, rel_tol=1e-9, abs_tol=1e-9):
+                yield f"{moment.where}: step gave {agent!r} {gave:g} in all, and its cumulative reward is {total:g}"
     if not has_ended:
         subject.notes.append(f"accounting: no episode ended within {subject.limits.max_turns} turns")
 
@@ -126,29 +122,33 @@ def refused_actions(subject: Subject) -> Iterator[str]:
             yield from differences(what, subject.recorded[number], found)
 
 
+_THINKING = ("<think>{0}</think>{1}", "{0}</think>{1}", "{1}<think>{0}")
+"""How a response shows what was thought: in a block, in one that the prompt opened, and in one that is never closed."""
+
+
 @promise(
     "show others what you extract of a response, with gem_core.records.without_thinking where all of it is said.",
     of="several",
 )
 def reasoning(subject: Subject) -> Iterator[str]:
     """What an agent thinks reaches nobody else: no observation and no info of another shows it."""
-    subject.need_episodes()
     env = subject.new()
-    names = seats_of(env)
-    marks = {agent: f"thought{stable_hash(subject.limits.seed, agent)}" for agent in names}
-    sampling = subject.can_sample()
-    for form, add_thought in _THINKING.items():
-        for number, seed in enumerate(subject.seeds):
-            result = subject.reset(env, seed)
-            for turn in range(subject.limits.max_turns):
-                clumsy = say(env, CLUMSY_ACTIONS[turn % len(CLUMSY_ACTIONS)])
-                action = subject.sample(env) if sampling and number else clumsy
-                result = subject.step(env, _thinking(action, marks, add_thought))
-                for reader, author in _leaks(result, marks):
+    marks = {agent: f"thought{stable_hash(subject.limits.seed, agent)}" for agent in seats_of(env)}
+    for form, script in product(_THINKING, subject.scripts):
+        subject.reset(env, script.seed)
+        for planned in script.actions:
+            action = cast("Mapping[str, str]", fitted(env, planned))
+            observations, *_, terminated, truncated, info = subject.step(
+                env,
+                {who: Response(form.format(marks[who], text), reasoning=marks[who]) for who, text in action.items()},
+            )
+            for reader, (author, mark) in product({**observations, **info["agents"]}, marks.items()):
+                seen = plain([observations.get(reader), info["agents"].get(reader)])
+                if author != reader and mark in repr(seen).lower():
                     yield f"{reader!r} was shown what {author!r} thought, in the form {form}"
                     return
-                if result[2] or result[3]:
-                    break
+            if terminated or truncated:
+                break
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class _Moment:
 
     Args:
         where: The call.
-        observations: As returned, and so are the others; of a reset ``rewards`` is None.
+        parts: What it returned, by name; of a reset ``observations`` and ``infos``.
         part: Everyone who has taken part in the episode.
         ended_before: Those of them who had ended before the call.
         ended: Those whose flags say that they have ended.
@@ -167,11 +167,7 @@ class _Moment:
     """
 
     where: str
-    observations: Mapping[str, Any]
-    rewards: Mapping[str, float] | None
-    terminations: Mapping[str, bool]
-    truncations: Mapping[str, bool]
-    infos: Mapping[str, Mapping[str, Any]]
+    parts: Mapping[str, Mapping[str, Any]]
     part: frozenset[str]
     ended_before: frozenset[str]
     ended: frozenset[str]
@@ -188,29 +184,19 @@ class _Moment:
 def _moments(subject: Subject) -> Iterator[_Moment]:
     """Play all scripts and keep account of who takes part."""
     env = subject.new()
-    part: set[str] = set()
-    before: set[str] = set()
+    part: frozenset[str] = frozenset()
+    before: frozenset[str] = frozenset()
     for where, (observations, *middle, info) in subject.calls_of(env):
-        if not middle:
-            part, before = set(), set()
-        terminations, truncations = info.get("terminations", {}), info.get("truncations", {})
-        ended = {agent for flags in (terminations, truncations) for agent, flag in flags.items() if flag}
-        agents = frozenset(env.get_wrapper_attr("agents"))
-        part |= agents | ended
-        yield _Moment(
-            where,
-            observations,
-            middle[0] if middle else None,
-            terminations,
-            truncations,
-            info["agents"],
-            frozenset(part),
-            frozenset(before),
-            frozenset(ended),
-            agents,
-            frozenset(acting(env)),
-            dict(env.get_wrapper_attr("cumulative")),
-        )
+        parts = {"observations": observations, "infos": info["agents"]}
+        flags = {name: info.get(name, {}) for name in ("terminations", "truncations")}
+        if middle:
+            parts |= {"rewards": middle[0], **flags}
+        else:
+            part = before = frozenset()
+        ended = frozenset(agent for each in flags.values() for agent, flag in each.items() if flag)
+        agents, cumulative = env.get_wrapper_attr("agents"), env.get_wrapper_attr("cumulative")
+        part |= {*agents, *ended}
+        yield _Moment(where, parts, part, before, ended, frozenset(agents), frozenset(acting(env)), dict(cumulative))
         before |= ended
 
 
@@ -221,31 +207,6 @@ def _wrong_actions(env: AnyEnv, action: Mapping[str, str]) -> Iterator[tuple[str
     for other in ("nobody at all", *seats_of(env)):
         if other not in action:
             yield f"an action of {other!r}", {**action, other: "hello"}
-
-
-_THINKING: dict[str, Callable[[str, str], str]] = {
-    "<think>...</think>": lambda thought, text: f"<think>{thought}</think>{text}",
-    "...</think>, opened by the prompt": lambda thought, text: f"{thought}</think>{text}",
-    "<think>..., never closed": lambda thought, text: f"{text}<think>{thought}",
-}
-"""How a response shows what was thought."""
-
-
-def _thinking(action: Action, marks: Mapping[str, str], add_thought: Callable[[str, str], str]) -> Action:
-    def thought_of(agent: str, text: str) -> Response:
-        return Response(add_thought(marks[agent], text), reasoning=marks[agent])
-
-    return {agent: thought_of(agent, text) for agent, text in cast("Mapping[str, str]", action).items()}
-
-
-def _leaks(result: Any, marks: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """Yield who was shown a thought, and whose."""
-    observations, *_, info = result
-    for reader in {**observations, **info["agents"]}:
-        shown_to_it = repr(plain([observations.get(reader), info["agents"].get(reader)])).lower()
-        for author, mark in marks.items():
-            if author != reader and mark in shown_to_it:
-                yield reader, author
 
 
 def _listed(names: Any) -> str:
