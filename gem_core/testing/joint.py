@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple, cast
 
 from gem_core.env.multi_agent import MultiAgentEnv
@@ -94,11 +94,6 @@ def fitted(env: AnyEnv, action: Action) -> Action:
     if not isinstance(action, Mapping) or action.keys() == set(acting(env)):
         return action
     return {agent: action.get(agent, "hello") for agent in acting(env)}
-
-
-def changed(action: Action, change: Callable[[str], str]) -> Action:
-    """Return an action with every response changed."""
-    return change(action) if isinstance(action, str) else {agent: change(text) for agent, text in action.items()}
 
 
 def responses(action: Action) -> Mapping[str, str]:

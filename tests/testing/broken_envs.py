@@ -255,14 +255,6 @@ class InvalidSampleEnv(GoodEnv):
         return "\\boxed{0}"
 
 
-@breaks("response")
-class ExactTypeEnv(GoodEnv):
-    """It understands a str, and no kind of it."""
-
-    def parse(self, action: str) -> int | None:
-        return super().parse(action) if type(action) is str else None
-
-
 @breaks("hostile-actions")
 class DigitsEnv(GoodEnv):
     """It believes that what isdigit() is a number: a superscript two is not, and 5,000 digits are too many."""
