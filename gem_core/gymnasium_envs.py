@@ -35,7 +35,7 @@ class GymnasiumEnv(Wrapper):
     ``env.unwrapped.sample_random_action()``.
     """
 
-    implicit = True
+    hidden_in_spec = True
     spec: Any = None
 
     def __init__(self, env: AnyEnv) -> None:

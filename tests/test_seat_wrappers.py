@@ -305,7 +305,7 @@ def test_specification_keeps_the_wrappers_of_each_seat() -> None:
     assert same.spec.wrappers == (("concat", {}), ("episode_stats", {}))
     env = auction({"b": [("concat", {"max_turns": 2})]})
     assert env.spec.wrappers == {"b": (("concat", {"max_turns": 2}),)}
-    assert env.spec.listed_wrappers() == {"b": [["concat", {"max_turns": 2}]]}
+    assert env.spec.recorded()["wrappers"] == {"b": [["concat", {"max_turns": 2}]]}
     more = gem.make(env.spec, wrappers="episode_stats")
     assert more.spec.wrappers == {  # type: ignore[union-attr]
         "a": (("episode_stats", {}),),

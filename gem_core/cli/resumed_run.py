@@ -23,7 +23,7 @@ from gem_core.rollouts.resume import FinishedEpisodes
 
 if TYPE_CHECKING:
     from gem_core.cli.acting import Acting
-    from gem_core.env.spec import EnvRecipe
+    from gem_core.making.environment import MadeSpec
     from gem_core.making.layers import Wrappers
 
 Envs = Sequence[tuple[EnvSpec, Mapping[str, Any]]]
@@ -165,9 +165,7 @@ def _agents_of(episode: Record) -> dict[str, str | None]:
 def _recorded(spec: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers) -> dict[str, Any]:
     """Return the arguments and wrappers of an environment as the records of its episodes hold them."""
     with closing(make(spec, wrappers=wrappers, **kwargs)) as env:
-        made = cast("EnvRecipe", env.spec)
-        listed = cast("list[Any]", made.listed_wrappers())
-        fields = Episode("", None, "", {}, kwargs=made.overrides(), wrappers=listed).to_dict()
+        fields = Episode(seed=None, observation="", info={}, **cast("MadeSpec", env.spec).recorded()).to_dict()
     return {"arguments": fields["kwargs"], "wrappers": fields["wrappers"]}
 
 

@@ -22,7 +22,6 @@ from gem_core.env.seeding import (
     start_generator,
 )
 from gem_core.env.spaces import Text
-from gem_core.env.spec import EnvRecipe
 from gem_core.errors import GemError, SamplingNotSupported, StateError, StateNotSupported
 from gem_core.types import Concurrency, ResetResult, StepResult
 
@@ -90,7 +89,8 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
     metadata: dict[str, Any] = {"render_modes": ["ansi", "human"], "render_fps": 4}  # noqa: RUF012 - as in Gymnasium
     """The render modes that ``make`` offers: a text of the state, returned by ``render`` or printed at every step."""
 
-    spec: EnvRecipe | None = None
+    spec: Any = None
+    """The ``MadeSpec`` that ``make`` made it from; None for one that was made by its class."""
 
     _generator: np.random.Generator | None = None
     _generator_started: bool = True

@@ -14,7 +14,7 @@ from gem_core.types import ResetResult, StepResult
 class Guard(Wrapper):
     """Refuses steps outside an episode and malformed results, and reports seeds; ``make`` puts it innermost."""
 
-    implicit = True
+    hidden_in_spec = True
     checks_results = True
     """Whether malformed results are refused; ``check_env`` turns it off and checks them itself."""
     _live = False

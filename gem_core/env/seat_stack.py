@@ -9,7 +9,6 @@ from typing import Any, cast
 from gem_core.env.base import Env
 from gem_core.env.joint_calls import AroundEnv, PlainCalls, of_env
 from gem_core.env.multi_agent import MultiAgentEnv
-from gem_core.env.spec import EnvRecipe
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, StateError
 from gem_core.types import ResetResult, Response, StepResult
@@ -34,7 +33,7 @@ class SeatEnv(AroundEnv, Env):
     np_random_seed = of_env("np_random_seed")
 
     @property
-    def spec(self) -> EnvRecipe | None:  # type: ignore[override]  # read from the environment
+    def spec(self) -> Any:  # type: ignore[override]  # read from the environment
         """What the environment was made from, with the wrappers that this seat has inside it."""
         spec = self.env.spec
         return None if spec is None else dataclasses.replace(spec, wrappers=spec.wrappers_of(self.seat))

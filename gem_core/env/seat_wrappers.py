@@ -13,7 +13,6 @@ from gem_core.env.joint_calls import AroundEnv, AwaitedCalls, PlainCalls, of_env
 from gem_core.env.joint_checks import check_actions, check_in_episode, check_seats
 from gem_core.env.multi_agent import JointResetResult, JointStepResult, MultiAgentEnv, result_of
 from gem_core.env.seat_stack import SeatEnv, SeatStack, restored_response, saved_response
-from gem_core.env.spec import EnvRecipe
 from gem_core.env.wrapper import AnyEnv, concurrency_of, most_demanding
 from gem_core.errors import GemError, StateError
 from gem_core.types import Concurrency, StepResult
@@ -83,12 +82,12 @@ class SeatWrappers(AroundEnv, MultiAgentEnv):
         return most_demanding(concurrency_of(self.env), *(concurrency_of(stack.env) for stack in self._stacks.values()))
 
     @property
-    def spec(self) -> EnvRecipe | None:  # type: ignore[override]  # made anew
+    def spec(self) -> Any:  # type: ignore[override]  # made anew
         """What the environment was made from; ``wrappers`` by seat, or one list where it is the same for all."""
         spec = self.env.spec
         if spec is None:
             return None
-        by_seat = {seat: cast("EnvRecipe", stack.env.spec).wrappers_of(seat) for seat, stack in self._stacks.items()}
+        by_seat = {seat: cast("Any", stack.env.spec).wrappers_of(seat) for seat, stack in self._stacks.items()}
         first, *others = by_seat.values()
         if all(first == other for other in others):
             return dataclasses.replace(spec, wrappers=first)

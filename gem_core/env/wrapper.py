@@ -14,7 +14,6 @@ from gem_core.docs import page_url
 from gem_core.env.base import AsyncEnv, Env, reset_arguments
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.results import refuse_action
-from gem_core.env.spec import EnvRecipe
 from gem_core.errors import ArgumentError, GemError, StateError, StateNotSupported
 from gem_core.types import Concurrency, ResetResult, StepResult
 
@@ -43,11 +42,13 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
     needs: Concurrency = "inline"
     """What the hooks themselves need; ``"thread"`` when they block. See ``Env.concurrency``."""
 
-    implicit = False
+    hidden_in_spec = False
     """Whether ``make`` puts it there by itself, so that ``spec`` does not list it."""
 
     env: AnyEnv
-    made_as: tuple[str, dict[str, Any]] | None = None
+    registered_as: tuple[str, dict[str, Any]] | None = None
+    """The name by which ``make`` put it there, with its options."""
+
     _plain_only = False
 
     def __init__(self, env: AnyEnv) -> None:
@@ -166,12 +167,12 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         return self.unwrapped.env_id
 
     @property
-    def spec(self) -> EnvRecipe | None:  # type: ignore[override]  # Gymnasium has a property too, typed as its EnvSpec
-        """What the environment was made from, this wrapper included; None for one that ``make`` did not make."""
-        inner = cast("EnvRecipe | None", self.env.spec)
-        if inner is None or self.implicit:
+    def spec(self) -> Any:  # type: ignore[override]  # Gymnasium has a property, too
+        """The ``MadeSpec`` of the environment, this wrapper included; None for one that ``make`` did not make."""
+        inner: Any = self.env.spec
+        if inner is None or self.hidden_in_spec:
             return inner
-        return inner.with_wrapper(*(self.made_as or self._own_record()))
+        return inner.with_wrapper(*(self.registered_as or self._own_record()))
 
     def _own_record(self) -> tuple[str, dict[str, Any]]:
         args, kwargs = self._init_args
@@ -222,7 +223,7 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         args, kwargs = self._init_args
         inner = _inner(self.env).spawn(**overrides)
         sibling = type(self)(inner, *args[1:], **kwargs) if args else type(self)(**{**kwargs, "env": inner})
-        sibling.made_as, sibling.implicit = self.made_as, self.implicit
+        sibling.registered_as, sibling.hidden_in_spec = self.registered_as, self.hidden_in_spec
         if same_state:
             sibling.set_state(self.get_state())
         return sibling

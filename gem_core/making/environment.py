@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Mapping
-from functools import partial, reduce
-from typing import Any, cast
+from functools import partial
+from typing import Any, Self, cast
 
 import gymnasium
+from gymnasium.envs.registration import EnvSpec as GymnasiumSpec
+from gymnasium.envs.registration import WrapperSpec as GymnasiumWrapperSpec
 
 from gem_core.arguments import check_arguments, takes_keyword
 from gem_core.env.base import Env
@@ -16,10 +18,9 @@ from gem_core.env.guard import Guard
 from gem_core.env.joint_checks import check_seats
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.seat_wrappers import SeatWrappers
-from gem_core.env.spec import EnvRecipe
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, RegistrationError
-from gem_core.making.layers import Layer, Wrappers, check_options, choices, layers_of
+from gem_core.making.layers import Wrappers, check_options, choices, layers_of
 from gem_core.registry.entry_points import call_entry_point, load_entry_point
 from gem_core.registry.lookup import registry
 from gem_core.registry.requirements import check_requirements
@@ -27,10 +28,30 @@ from gem_core.registry.specs import EnvSpec
 from gem_core.wrappers.rendering import TEXT_MODES, Rendered
 from gem_core.wrappers.turn_limit import TurnLimit
 
+Layers = tuple[tuple[str, dict[str, Any]], ...]
+"""Wrappers by name or entry point, each with its options, innermost first."""
+
+_ABSENT = object()
+
 
 @dataclasses.dataclass
-class MadeSpec(EnvRecipe):
-    """What ``make`` made an environment from: it can be made again, with the same wrappers and arguments."""
+class MadeSpec(GymnasiumSpec):
+    """What an environment was made from, as its ``spec``: it can be made again, with the same wrappers and arguments.
+
+    ``record`` is what is registered, ``kwargs`` the arguments in force, and ``wrappers`` what was put around the task:
+    names or entry points with their options, innermost first; by seat, where several agents differ in them. Copies
+    share the values of ``kwargs``: data sets are referenced, never copied.
+    """
+
+    id: str = ""
+    record: EnvSpec | None = None
+    wrappers: Layers | Mapping[str, Layers] = ()
+
+    def __post_init__(self) -> None:
+        # Gymnasium's own would parse the id in its syntax, which has no variants.
+        record = cast("EnvSpec", self.record)
+        self.id, self.namespace, self.name, self.version = record.id, record.namespace, record.name, record.version
+        self.entry_point, self.nondeterministic = record.entry_point, not record.deterministic
 
     def make(self, wrappers: Wrappers = (), **kwargs: Any) -> AnyEnv:
         """Make the same environment again, with some arguments changed and ``wrappers`` around it."""
@@ -39,29 +60,71 @@ class MadeSpec(EnvRecipe):
             return make_from(record, arguments, self.stack, wrappers)
         return make_from(record, arguments, [*self.stack, *choices(wrappers)])
 
+    @property
+    def stack(self) -> Layers | Mapping[str, Layers]:
+        """All wrappers, innermost first: ours, and those of Gymnasium's that were put around them since."""
+        if isinstance(self.wrappers, Mapping):
+            return self.wrappers
+        theirs = tuple(_as_layer(wrapper) for wrapper in self.additional_wrappers)
+        if self.max_episode_steps is not None:  # how Gymnasium's TimeLimit records itself
+            theirs += (("gymnasium.wrappers:TimeLimit", {"max_episode_steps": self.max_episode_steps}),)
+        return (*self.wrappers, *theirs)
+
+    def wrappers_of(self, seat: str) -> Layers:
+        """Return the wrappers around one seat, in an environment of several agents."""
+        return self.wrappers.get(seat, ()) if isinstance(self.wrappers, Mapping) else self.wrappers
+
+    def with_kwargs(self, overrides: Mapping[str, Any]) -> Self:
+        """Return a copy whose keyword arguments are changed."""
+        return dataclasses.replace(self, kwargs={**self.kwargs, **overrides}) if overrides else self
+
+    def with_wrapper(self, name: str, options: Mapping[str, Any]) -> Self:
+        """Return a copy with one more wrapper outside."""
+        wrappers = (*cast("Layers", self.stack), (name, dict(options)))
+        return dataclasses.replace(self, wrappers=wrappers, additional_wrappers=(), max_episode_steps=None)
+
+    def recorded(self) -> dict[str, Any]:
+        """Return ``id``, ``kwargs`` over the registered ones and ``wrappers``, as the record of an episode has them."""
+        record = cast("EnvSpec", self.record)
+        limit = {} if record.max_turns is None else {"max_turns": record.max_turns}
+        registered = {**limit, **record.kwargs}
+        kwargs = {name: value for name, value in self.kwargs.items() if registered.get(name, _ABSENT) is not value}
+        return {"id": self.id, "kwargs": kwargs, "wrappers": _as_lists(self.wrappers)}
+
+    def to_json(self) -> str:
+        """Return the id, the arguments and the wrappers as JSON, for ``from_json``."""
+        return json.dumps({"id": self.id, "kwargs": self.kwargs, "wrappers": self.stack})
+
     @staticmethod
     def from_json(json_env_spec: str) -> MadeSpec:
         """Return the specification that ``to_json`` wrote; its id is looked up in the registry."""
         fields = json.loads(json_env_spec)
         wrappers = _as_layers(fields["wrappers"])
-        return dataclasses.replace(_made_spec(registry().env(fields["id"]), fields["kwargs"]), wrappers=wrappers)
+        return MadeSpec(kwargs=fields["kwargs"], record=registry().env(fields["id"]), wrappers=wrappers)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return dataclasses.replace(self)
+
+
+def _as_layer(wrapper: GymnasiumWrapperSpec) -> tuple[str, dict[str, Any]]:
+    if wrapper.kwargs is None:
+        raise ArgumentError(
+            f"{wrapper.name} does not record its arguments, so it cannot be made again; "
+            "derive it from gymnasium.utils.RecordConstructorArgs"
+        )
+    return wrapper.entry_point, dict(wrapper.kwargs)
 
 
 def _as_layers(listed: Any) -> Any:
-    """Return wrappers that were read from JSON, by seat or not, as a specification holds them."""
     if isinstance(listed, Mapping):
         return {seat: _as_layers(stack) for seat, stack in listed.items()}
     return tuple((name, options) for name, options in listed)
 
 
-def _made_spec(record: EnvSpec, kwargs: dict[str, Any]) -> MadeSpec:
-    return MadeSpec(
-        id=record.id,
-        entry_point=record.entry_point,
-        nondeterministic=not record.deterministic,
-        kwargs=kwargs,
-        record=record,
-    )
+def _as_lists(layers: Any) -> Any:
+    if isinstance(layers, Mapping):
+        return {seat: _as_lists(stack) for seat, stack in layers.items()}
+    return [list(layer) for layer in layers]
 
 
 def make_from(record: EnvSpec, kwargs: Mapping[str, Any], *wrappers: Wrappers) -> AnyEnv:
@@ -77,6 +140,7 @@ def make_from(record: EnvSpec, kwargs: Mapping[str, Any], *wrappers: Wrappers) -
         EntryPointError: What the record points to cannot be imported.
         ArgumentError: A keyword that the environment, or an option that a wrapper, does not have.
     """
+    # Its arguments; the limit of turns is the task's own where it takes one.
     arguments = {**record.kwargs, **kwargs}
     check_requirements(record, arguments)
     render_mode = arguments.pop("render_mode", None)
@@ -85,33 +149,34 @@ def make_from(record: EnvSpec, kwargs: Mapping[str, Any], *wrappers: Wrappers) -
     limit = record.max_turns
     if limit is not None and takes_keyword(maker, "max_turns"):
         arguments, limit = {"max_turns": limit, **arguments}, None
+
+    # The task.
     env = call_entry_point(maker, (), arguments, owner)
     if not isinstance(env, gymnasium.Env):
         raise RegistrationError(f"{record.id}: the entry point returned {type(env).__name__}, not an environment")
     try:
-        return reduce(wrap, wrappers, _finish_env(env, record, arguments, render_mode, limit))
+        task, as_text = env.unwrapped, False
+        if render_mode is not None:
+            as_text = _set_render_mode(task, render_mode, record)
+            arguments = {**arguments, "render_mode": render_mode}
+        task.spec = MadeSpec(kwargs=arguments, record=record)
+
+        # What is around every task; one of several agents has these itself.
+        if not isinstance(task, MultiAgentEnv):
+            env = Guard(env)
+            if limit is not None:
+                env = TurnLimit(env, max_turns=limit)
+                env.hidden_in_spec = True
+            if as_text:
+                env = Rendered(env, render_mode)
+
+        # What was asked for.
+        for stack in wrappers:
+            env = wrap(env, stack)
     except BaseException:
         env.close()  # it may have started a server or a container
         raise
-
-
-def _finish_env(
-    env: AnyEnv, record: EnvSpec, arguments: dict[str, Any], render_mode: str | None, limit: int | None
-) -> AnyEnv:
-    """Give a task its render mode, record, guard and limit of turns; one of several agents has both of these itself."""
-    task = env.unwrapped
-    as_text = False
-    if render_mode is not None:
-        as_text = _set_render_mode(task, render_mode, record)
-        arguments = {**arguments, "render_mode": render_mode}
-    task.spec = _made_spec(record, arguments)
-    if isinstance(task, MultiAgentEnv):
-        return env
-    guarded: AnyEnv = Guard(env)
-    if limit is not None:
-        guarded = TurnLimit(guarded, max_turns=limit)
-        guarded.implicit = True
-    return Rendered(guarded, cast("str", render_mode)) if as_text else guarded
+    return cast("AnyEnv", env)
 
 
 def _set_render_mode(task: AnyEnv, render_mode: str, record: EnvSpec) -> bool:
@@ -146,18 +211,13 @@ def wrap(env: AnyEnv, wrappers: Wrappers) -> AnyEnv:
             f"{env.get_wrapper_attr('env_id') or type(env.unwrapped).__name__} has one; give a list"
         )
     for layer in layers_of(wrappers):
-        env = _apply_layer(env, layer)
+        wrapper = load_entry_point(layer.entry_point, layer.owner)
+        env = call_entry_point(wrapper, (env,), layer.options, layer.owner)
+        if not isinstance(env, gymnasium.Env):
+            raise ArgumentError(f"{layer.owner} returned {type(env).__name__}, not an environment")
+        if layer.name is not None and isinstance(env, Wrapper):
+            env.registered_as = (layer.name, layer.options)
     return env
-
-
-def _apply_layer(env: AnyEnv, layer: Layer) -> AnyEnv:
-    wrapper = load_entry_point(layer.entry_point, layer.owner)
-    wrapped = call_entry_point(wrapper, (env,), layer.options, layer.owner)
-    if not isinstance(wrapped, gymnasium.Env):
-        raise ArgumentError(f"{layer.owner} returned {type(wrapped).__name__}, not an environment")
-    if layer.name is not None and isinstance(wrapped, Wrapper):
-        wrapped.made_as = (layer.name, layer.options)
-    return cast("AnyEnv", wrapped)
 
 
 def check_choices(record: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers) -> None:

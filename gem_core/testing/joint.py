@@ -18,7 +18,7 @@ _PATIENCE = 200
 class JointView(Wrapper):
     """Gives the results of a ``MultiAgentEnv`` the form that a slot has, so that one check plays all environments."""
 
-    implicit = True
+    hidden_in_spec = True
 
     def after_reset(self, result: Any) -> ResetResult:
         """Join the infos."""

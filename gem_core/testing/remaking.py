@@ -47,7 +47,7 @@ def remaker(env: AnyEnv) -> Callable[[], AnyEnv]:
     if isinstance(env, Wrapper | SeatWrappers):
         args, kwargs = env._init_args
         if isinstance(env, Wrapper):
-            set_by_make = {"made_as": env.made_as, "implicit": env.implicit}
+            set_by_make = {"registered_as": env.registered_as, "hidden_in_spec": env.hidden_in_spec}
     elif isinstance(env, gymnasium.Wrapper):
         args, kwargs = (None,), getattr(env, "_saved_kwargs", {})
     else:

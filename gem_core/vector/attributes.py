@@ -14,7 +14,7 @@ from gem_core.errors import ArgumentError, EnvFaultError, GemError
 from gem_core.vector.failures import Failure
 
 if TYPE_CHECKING:
-    from gem_core.env.spec import EnvRecipe
+    from gem_core.making.environment import MadeSpec
     from gem_core.vector.setup import Autoreset
     from gem_core.vector.slot import Slot, VectorConfig
 
@@ -69,9 +69,9 @@ class VectorAttributes:
         return cast("str | None", self._first("render_mode"))
 
     @property
-    def spec(self) -> EnvRecipe | None:
+    def spec(self) -> MadeSpec | None:
         """What the first slot's environment was made from; its ``make`` makes another."""
-        return cast("EnvRecipe | None", self._first("spec"))
+        return cast("MadeSpec | None", self._first("spec"))
 
     @property
     def single_observation_space(self) -> spaces.Space[Any]:

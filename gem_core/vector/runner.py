@@ -15,9 +15,9 @@ from gem_core.env.base import Env
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.results import checked_reset, checked_result
 from gem_core.env.seeding import checked_seed, stable_hash
-from gem_core.env.spec import EnvRecipe
 from gem_core.env.wrapper import AnyEnv, concurrency_of, reset_async, step_async
 from gem_core.errors import ArgumentError
+from gem_core.making.environment import MadeSpec
 from gem_core.records.episode import return_range_of
 from gem_core.types import Action, Concurrency, ResetResult, StepResult
 from gem_core.vector.failures import Failure, WorkerFailureError
@@ -147,11 +147,11 @@ class EnvRunner:
         spec = None if env is None else env.spec
         if spec is None:
             return {"id": None if env is None else type(env.unwrapped).__name__, "kwargs": {}, "wrappers": []}
-        if not isinstance(spec, EnvRecipe):
+        if not isinstance(spec, MadeSpec):
             raise ArgumentError(
                 f"{spec.id} was made by gymnasium.make; a record needs what gem_core.make returns, or the id alone"
             )
-        described = {"id": spec.id, "kwargs": spec.overrides(), "wrappers": spec.listed_wrappers()}
+        described = spec.recorded()
         declared = return_range_of(env.get_wrapper_attr("return_range") if isinstance(env.unwrapped, Env) else None)
         return described if declared is None else {**described, "return_range": declared}
 

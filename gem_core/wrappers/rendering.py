@@ -25,7 +25,7 @@ class Rendered(Wrapper):
     Source: the render modes of Gymnasium, https://gymnasium.farama.org/api/env/#gymnasium.Env.render.
     """
 
-    implicit = True
+    hidden_in_spec = True
     _observation: Observation = ""
 
     def __init__(self, env: AnyEnv, mode: str) -> None:

@@ -73,7 +73,7 @@ class ObservationView(Wrapper):
         observation, info = result
         task, suffix = split_observation(observation, info)
         info["feedback"], info["suffix"] = task, suffix  # since the view may show something else
-        info["view"] = self.made_as[0] if self.made_as else type(self).__name__
+        info["view"] = self.registered_as[0] if self.registered_as else type(self).__name__
         self._history = History(task, suffix, info.get("system"))
         shown = self.show(self._history)
         if self.max_tokens is not None and self._length(shown) > self.max_tokens:

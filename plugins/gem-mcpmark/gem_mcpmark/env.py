@@ -76,7 +76,7 @@ class PostgresEnv(ToolEnv):
     Source: MCPMark, arXiv:2509.24002.
     """
 
-    implicit = True  # it is the environment itself, and no wrapper that was put around one
+    hidden_in_spec = True  # it is the environment itself, and no wrapper that was put around one
 
     def __init__(
         self,

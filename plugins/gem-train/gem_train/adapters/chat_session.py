@@ -282,4 +282,5 @@ def _described(env: AnyEnv) -> dict[str, Any]:
     spec: Any = env.spec
     if spec is None:
         return {"id": type(env.unwrapped).__name__, "kwargs": {}, "wrappers": []}
-    return {"id": spec.id, "kwargs": spec.overrides(), "wrappers": spec.listed_wrappers()}
+    recorded: dict[str, Any] = spec.recorded()
+    return recorded
