@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-PROGRAM = "from toys import register_toys\nregister_toys()\nfrom gem_core.cli import main\nmain()"
+PROGRAM = "from toys import register_toys\nregister_toys()\nfrom gem_core.__main__ import main\nmain()"
 
 
 @dataclass

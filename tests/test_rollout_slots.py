@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import time
 from collections import Counter
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 from held_envs import GATES, KINDS, LONG_S, register_held
 from toys import CountdownEnv, sampling_agent
+from vector_envs import INLINE
 
 import gem_core as gem
 from gem_core.errors import ArgumentError, EnvFaultError, FaultBudgetError, RequestError, SamplingNotSupported
@@ -234,6 +236,14 @@ def test_rollout_of_an_id_asks_an_asynchronous_agent_for_many_episodes_at_once()
     assert (most(64), most(3, num_envs=3), most(5, max_requests=5)) == (64, 3, 5)
     Counting.max_concurrency = 7  # type: ignore[attr-defined]
     assert most(7) == 7
+
+
+def test_a_backend_is_for_ids() -> None:
+    """With its options; what is made already lives somewhere."""
+    (episode,) = gem.rollout(INLINE, lambda observation: "!pid", episodes=1, seed=1, backend="process:workers=1")
+    assert episode.transitions[0].info["pid"] != os.getpid()
+    with pytest.raises(ArgumentError, match="backend goes with an id"):
+        list(gem.rollout(gem.make_vec(INLINE, 1), lambda observation: "a", episodes=1, backend="process"))
 
 
 def test_num_envs_is_for_ids() -> None:

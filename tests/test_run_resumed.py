@@ -44,9 +44,10 @@ def by_key(path: str | Path) -> list[gem.Episode]:
     return sorted(read_episodes(path), key=lambda episode: int(episode.key))
 
 
-def test_an_interrupted_run_says_how_to_go_on_and_then_does(tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", ["SIGINT", "SIGTERM"])
+def test_an_interrupted_run_says_how_to_go_on_and_then_does(how: str, tmp_path: Path) -> None:
     """The last line is a command; what it completes is the run in one go, and its table counts all episodes."""
-    (tmp_path / "mine.py").write_text(STOPPED_AGENT)
+    (tmp_path / "mine.py").write_text(STOPPED_AGENT.replace("os.getpid(), signal.SIGINT", f"os.getpid(), signal.{how}"))
     (tmp_path / "stop").touch()
     options = ["-n", "20", "-k", "2", "-w", "episode_stats", "-t", "9", "-a", "mine:act"]
     stopped = subprocess_gem("run", "toy:Count*", *options, "--seed=5", "-oa b.jsonl", "--overwrite", cwd=tmp_path)

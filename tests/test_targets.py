@@ -66,7 +66,7 @@ COLUMNS = ("--set", "question_key=problem", "--set", "answer_key=result")
 )
 def test_run_takes_what_is_in_files(folder: Path, words: tuple[str, ...], id: str, episodes: int) -> None:
     """Worker processes make the same environments; each row of a data set is asked once."""
-    done = gem(folder, "run", *words, "--backend", "process", "--num-envs", "2", "--out", "out.jsonl")
+    done = gem(folder, "run", *words, "--backend", "process:workers=1", "--num-envs", "2", "--out", "out.jsonl")
     assert done.returncode == 0, done.stderr
     played: list[Any] = list(read_episodes(folder / "out.jsonl"))
     assert [episode.id for episode in played] == [id] * episodes

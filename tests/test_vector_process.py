@@ -361,6 +361,23 @@ def test_interrupt_ends_a_program_that_waits(how: str, backend: str) -> None:
     assert eventually(lambda: not any(is_alive(pid) for pid in workers))
 
 
+@pytest.mark.parametrize("backend", ["sync", "process"])
+def test_a_child_that_an_environment_forks_ends_by_itself(backend: str) -> None:
+    """It does not go on with the program, nor with its worker's."""
+    process = program(
+        "class ForkingEnv(gem.Env):\n"
+        "    def reset(self, seed=None, options=None):\n        super().reset(seed=seed)\n        return 'x', {}\n"
+        "    def step(self, action):\n        child = os.fork()\n        if not child:\n            sys.exit(7)\n"
+        "        status = os.waitpid(child, 0)[1]\n"
+        "        return str(os.waitstatus_to_exitcode(status)), 0.0, False, False, {}\n"
+        "gem.register('own:Forking-v0', ForkingEnv)\n"
+        f"with gem.make_vec('own:Forking-v0', backend={backend!r}) as vector:\n"
+        "    vector.reset()\n    print(vector.step(['a']).observations, flush=True)\n"
+    )
+    out, errors = process.communicate(timeout=LONGEST_S)
+    assert out.splitlines() == ["['7']"], errors
+
+
 def test_hung_thread_does_not_hold_up_the_exit() -> None:
     """It is abandoned, and ends with the process."""
     process = program(
