@@ -2,39 +2,39 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import click
+from click.shell_completion import CompletionItem
 
 from gem_core import __version__
 from gem_core._plugin import gem_add_commands
-from gem_core.cli.layout import Column, counted, echo_line, output_width, print_table, table_lines, wrapped
+from gem_core.cli.completion import AGENTS, ENVS, Words, env_ids
+from gem_core.cli.documented import Documented
+from gem_core.cli.layout import (
+    Column,
+    counted,
+    echo_line,
+    output_width,
+    print_table,
+    shown,
+    shown_count,
+    table_lines,
+    wrapped,
+)
+from gem_core.cli.list_command import matching
+from gem_core.cli.model_options import agent_options, given
+from gem_core.cli.targets import find_env, find_envs
+from gem_core.cli.tool_options import AtLeast, arguments_option, call_again, env_arguments, stack_options, wrapper_stack
 from gem_core.errors import GemError
+from gem_core.registry.choices import parsed_choices
+from gem_core.registry.entry_points import load_entry_point
+from gem_core.registry.lookup import registry
 from gem_core.registry.specs import CommandSpec
 from gem_core.suggestions import did_you_mean
-
-if TYPE_CHECKING:
-    from click.shell_completion import CompletionItem
-
-    from gem_core.cli.completion import AGENTS, ENVS, Words, env_ids
-    from gem_core.cli.list_command import matching
-    from gem_core.cli.model_options import agent_options, given
-    from gem_core.cli.play_session import PlaySession
-    from gem_core.cli.report import shown, shown_count
-    from gem_core.cli.targets import find_env, find_envs
-    from gem_core.cli.tool_options import (
-        AtLeast,
-        arguments_option,
-        call_again,
-        env_arguments,
-        stack_options,
-        wrapper_stack,
-    )
-    from gem_core.registry.choices import parsed_choices
 
 __all__ = [
     "AGENTS",
@@ -42,7 +42,6 @@ __all__ = [
     "INTERRUPTED",
     "AtLeast",
     "Column",
-    "PlaySession",
     "Words",
     "agent_options",
     "arguments_option",
@@ -68,50 +67,22 @@ __all__ = [
     "wrapper_stack",
 ]
 
-_OF_MODULES = {
-    "completion": ("AGENTS", "ENVS", "Words", "env_ids"),
-    "list_command": ("matching",),
-    "model_options": ("agent_options", "given"),
-    "play_session": ("PlaySession",),
-    "report": ("shown", "shown_count"),
-    "targets": ("find_env", "find_envs"),
-    "tool_options": ("AtLeast", "arguments_option", "call_again", "env_arguments", "stack_options", "wrapper_stack"),
-    ".registry.choices": ("parsed_choices",),
-}
-"""Where the names that plugins use for their commands come from; they are imported on first use."""
-_HOME = {name: module for module, names in _OF_MODULES.items() for name in names}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
-
-
 _OWN = {record.name: record for record in gem_add_commands()}
-
-_EPILOG = """\b
-Examples:
-  gem list 'game:*-easy'
-  gem info game:Mastermind-v0-hard
-  gem play game:GuessTheNumber-v0
-  gem run game:GuessTheNumber-v0 --agent bisect --episodes 50
-  gem run ./my_env.py:MyEnv --agent my_module:my_agent --num-envs 16 --out runs/mine.jsonl
-"""
 
 INTERRUPTED = 130
 
 
-class _Commands(click.Group):
+class _Commands(Documented, click.Group):
     """Finds subcommands by name: the core's, which load no plugin, then those of plugins."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return [record.name for record in _all_commands()]
+        return list(_all_commands())
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        from gem_core.registry.entry_points import load_entry_point
-
-        record = _OWN.get(cmd_name) or _of_plugins(cmd_name)
+        record = _OWN.get(cmd_name)
+        if record is None:
+            registry().refuse_contested("command", cmd_name)
+            record = _all_commands().get(cmd_name)
         if record is None:
             return None
         loaded = load_entry_point(record.entry_point, f"command {cmd_name!r}")
@@ -123,8 +94,6 @@ class _Commands(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
-            from gem_core.registry.lookup import registry
-
             names = self.list_commands(ctx)
             hint = registry().install_hint(args[0], "command") or did_you_mean(args[0], names)
             raise click.UsageError(f"no command {args[0]!r}.{hint} There are: {', '.join(names)}")
@@ -132,24 +101,29 @@ class _Commands(click.Group):
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """Complete the names of commands from the table, where click would import every one of them."""
-        from click.shell_completion import CompletionItem
-
-        items = [CompletionItem(name, help=summary) for name, summary in _rows() if name.startswith(incomplete)]
-        return [*items, *click.Command.shell_complete(self, ctx, incomplete)]
+        items = [CompletionItem(name, help=record.summary) for name, record in _all_commands().items()]
+        begun = [item for item in items if item.value.startswith(incomplete)]
+        return [*begun, *click.Command.shell_complete(self, ctx, incomplete)]
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl(_rows())
+            formatter.write_dl([(name, record.summary) for name, record in _all_commands().items()])
 
 
-@click.command(
-    cls=_Commands, epilog=_EPILOG, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
-)
+@click.command(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="gem-core", message="%(prog)s %(version)s")
 @click.option("--traceback", is_flag=True, help="Show the whole traceback of an error.")
 @click.pass_context
 def cli(ctx: click.Context, traceback: bool) -> None:
-    """GEM: a gym for language-model agents."""
+    """GEM: a gym for language-model agents.
+
+    Examples:
+      gem list 'game:*-easy'
+      gem info game:Mastermind-v0-hard
+      gem play game:GuessTheNumber-v0
+      gem run game:GuessTheNumber-v0 --agent bisect --episodes 50
+      gem run ./my_env.py:MyEnv --agent my_module:my_agent --num-envs 16 --out runs/mine.jsonl
+    """
     if os.environ.get("NO_COLOR"):  # see no-color.org; rich heeds it by itself
         ctx.color = False
 
@@ -160,8 +134,6 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     with_traceback = "--traceback" in arguments
     arguments = [argument for argument in arguments if argument != "--traceback"]
     if os.environ.get("_GEM_COMPLETE"):
-        from gem_core.cli import completion  # noqa: F401 - it registers completers of our own
-
         cli.main(prog_name="gem")  # answers the shell, and exits
     code: Any = 0
     try:
@@ -211,25 +183,9 @@ def _click_message(error: click.ClickException, arguments: Sequence[str]) -> str
     if not isinstance(error, click.UsageError):
         return message
     # click leaves the context out where an option lacks its value.
-    path = f"gem {arguments[0]}" if arguments and arguments[0] in _OWN else "gem"
-    if error.ctx is not None:
-        path = error.ctx.command_path
-    message = message.rstrip(".")
-    return f"{message}{'' if message.endswith('?') else '.'} Run '{path} --help'"
+    path = error.ctx.command_path if error.ctx else " ".join(["gem", *(word for word in arguments[:1] if word in _OWN)])
+    return f"{message.rstrip('.')}{'' if message.endswith('?') else '.'} Run '{path} --help'"
 
 
-def _of_plugins(name: str) -> CommandSpec | None:
-    from gem_core.registry.lookup import registry
-
-    registry().refuse_contested("command", name)
-    return next((record for record in registry().named(CommandSpec) if record.name == name), None)
-
-
-def _all_commands() -> list[CommandSpec]:
-    from gem_core.registry.lookup import registry
-
-    return [*_OWN.values(), *(record for record in registry().named(CommandSpec) if record.name not in _OWN)]
-
-
-def _rows() -> list[tuple[str, str]]:
-    return [(record.name, record.summary) for record in _all_commands()]
+def _all_commands() -> dict[str, CommandSpec]:
+    return _OWN | {record.name: record for record in registry().named(CommandSpec) if record.name not in _OWN}

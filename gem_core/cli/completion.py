@@ -74,19 +74,10 @@ def env_ids(ctx: click.Context, incomplete: str) -> list[tuple[str, str]]:
     return [(record.id, record.summary) for record in records]
 
 
-def _seats(ctx: click.Context, incomplete: str) -> list[tuple[str, str]]:
-    """Return the seats of the environments that were named before."""
-    # While an option still lacks its value, click leaves the other words where they are.
-    ids = [*ctx.args, *(ctx.params.get("ids") or ()), ctx.params.get("env_id")]
-    seats = dict.fromkeys(seat for record in registry().envs() if record.id in ids for seat in record.seats)
-    return [(seat, "") for seat in seats if seat.startswith(incomplete)]
-
-
 def _agents(ctx: click.Context, incomplete: str) -> list[tuple[str, str]]:
-    """Return seats, as ``white=``, and agents; behind an equals sign agents."""
+    """Return agents, also behind the equals sign of a seat."""
     seat, equals, begun = incomplete.rpartition("=")
-    agents = [(f"{seat}{equals}{name}", summary) for name, summary in _names(AgentSpec)(ctx, begun)]
-    return agents if equals else [*((f"{seat}=", "") for seat, _ in _seats(ctx, incomplete)), *agents]
+    return [(f"{seat}{equals}{name}", summary) for name, summary in _names(AgentSpec)(ctx, begun)]
 
 
 def _ids_and_names(ctx: click.Context, incomplete: str) -> Iterable[tuple[str, str]]:
@@ -101,7 +92,6 @@ def _plugins(ctx: click.Context, incomplete: str) -> Iterable[tuple[str, str]]:
 
 ENVS = Words(env_ids, files=True)
 ENVS_AND_NAMES = Words(_ids_and_names, files=True)
-SEATS = Words(_seats)
 AGENTS = Words(_agents)
 TOOLS = Words(_names(ToolSpec))
 WRAPPERS = Words(_names(WrapperSpec, ToolSpec))
@@ -113,29 +103,20 @@ class ColonBash(BashComplete):
     """Completion for bash where words have colons, as ids do, and equals signs, as agents at seats do.
 
     bash takes either for the end of a word, so that click's own script would see three words in ``game:Mast``. Here
-    the line is read instead, and the part before the last of them is removed from the completions.
+    the line is read instead, and the part before the last colon or equals sign is removed from the completions.
     """
 
     source_template = """\
 %(complete_func)s() {
-    local line=${COMP_LINE:0:COMP_POINT} IFS=$'\\n' response word prefix="" type value
-    local breaks=${COMP_WORDBREAKS//[^:=]/}
-    word=${line##*[[:space:]]}
-    if [[ -n $breaks && $word == *[$breaks]* ]]; then
-        prefix=${word%%"${word##*[$breaks]}"}
-    fi
-    response=$(env GEM_COMP_LINE="$line" %(complete_var)s=bash_complete "$1" 2>/dev/null)
+    local line=${COMP_LINE:0:COMP_POINT} IFS=$'\\n' type value
+    local word=${line##*[[:space:]]}
+    local before=${word%%%%"${word##*[:=]}"}
     COMPREPLY=()
     while IFS=',' read -r type value; do
-        case $type in
-            dir) compopt -o dirnames ;;
-            file) compopt -o default ;;
-            plain)
-                COMPREPLY+=("${value#"$prefix"}")
-                [[ $value == *[:=] ]] && compopt -o nospace ;;
-        esac
-    done <<< "$response"
-    return 0
+        if [[ $type != plain ]]; then compopt -o default; continue; fi
+        COMPREPLY+=("${value#"$before"}")
+        if [[ $value == *: ]]; then compopt -o nospace; fi
+    done < <(env GEM_COMP_LINE="$line" %(complete_var)s=bash_complete "$1" 2>/dev/null)
 }
 complete -o nosort -F %(complete_func)s %(prog_name)s
 """

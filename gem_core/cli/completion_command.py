@@ -10,13 +10,10 @@ import click
 from gem_core.cli.completion import SHELLS
 from gem_core.cli.documented import Documented
 
-PROGRAMS = ("gem", "gem-core")
-
 
 @click.command("completion", cls=Documented)
 @click.argument("shell", type=click.Choice(list(SHELLS)), required=False)
-@click.option("--program", type=click.Choice(PROGRAMS), help="Which command to complete.  [default: as it was called]")
-def command(shell: str | None, program: str | None) -> None:
+def command(shell: str | None) -> None:
     """Print the script that completes words in bash, zsh or fish.
 
     Without an argument it is the shell that $SHELL names. Let your shell's start-up file load it, as below.
@@ -31,13 +28,12 @@ def command(shell: str | None, program: str | None) -> None:
       gem info <Tab>
 
     If another program is called gem, complete gem-core instead:
-      eval "$(gem-core completion bash --program gem-core)"
+      eval "$(gem-core completion bash)"
     """
     if shell is None:
         shell = os.path.basename(os.environ.get("SHELL", ""))
         if shell not in SHELLS:
             raise click.UsageError(f"name a shell: {', '.join(SHELLS)}")
-    called = os.path.basename(sys.argv[0])
-    program = program or (called if called in PROGRAMS else PROGRAMS[0])
+    program = "gem-core" if os.path.basename(sys.argv[0]) == "gem-core" else "gem"
     root = click.get_current_context().find_root().command
     click.echo(SHELLS[shell](root, {}, program, "_GEM_COMPLETE").source(), nl=False)

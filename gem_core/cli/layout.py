@@ -58,6 +58,21 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
+def shown(number: float | None, form: str) -> str:
+    """Show a number in a form, and a dash where there is none."""
+    return "-" if number is None else format(number, form)
+
+
+def shown_count(number: int | None) -> str:
+    """Show a large count in few characters: 999, 12.3k, 4.5M."""
+    if number is None:
+        return "-"
+    for unit, size in (("M", 10**6), ("k", 10**3)):
+        if number >= size:
+            return f"{number / size:,.1f}{unit}"
+    return str(number)
+
+
 def cut_at_word(text: str, width: int) -> str:
     """Return text in at most ``width`` characters, cut after a whole word, with a mark where it was cut."""
     if len(text) <= width:

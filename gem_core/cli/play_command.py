@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gem_core.api import make
-from gem_core.cli.completion import AGENTS, ENVS, SEATS
+from gem_core.cli.completion import AGENTS, ENVS
 from gem_core.cli.documented import Documented
 from gem_core.cli.run_command import free_path
 from gem_core.cli.targets import find_env
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @click.command("play", cls=Documented)
 @click.argument("env_id", metavar="ID", type=ENVS)
-@click.option("--seat", type=SEATS, help="Your seat in a game of several agents.  [default: the first]")
+@click.option("--seat", help="Your seat in a game of several agents.  [default: the first]")
 @click.option(
     "-a",
     "--agent",

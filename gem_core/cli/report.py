@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gem_core.cli.layout import Column
+from gem_core.cli.layout import Column, shown, shown_count
 from gem_core.records.summary import EnvSummary, RunSummary
 
 
@@ -59,18 +59,3 @@ def _mean_return(rows: list[EnvSummary]) -> str:
 def _with_error(number: float | None, error: float | None, form: str) -> str:
     text = shown(number, form)
     return text if error is None else f"{text} ± {format(error, form)}"
-
-
-def shown(number: float | None, form: str) -> str:
-    """Show a number in a form, and a dash where there is none."""
-    return "-" if number is None else format(number, form)
-
-
-def shown_count(number: int | None) -> str:
-    """Show a large count in few characters: 999, 12.3k, 4.5M."""
-    if number is None:
-        return "-"
-    for unit, size in (("M", 10**6), ("k", 10**3)):
-        if number >= size:
-            return f"{number / size:,.1f}{unit}"
-    return str(number)
