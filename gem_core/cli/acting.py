@@ -57,24 +57,27 @@ def load_acting(
     from gem_core.rollouts.agent import load_agents
     from gem_core.rollouts.seating import Seated
 
-    if not any(env.seats for env in envs):
-        agents = load_agents([_only_agent(given, envs[0].id, swap_seats=swap_seats)], **agent_options)
-        return Acting(agents, {"agent": Seated(*next(iter(agents.items())))})
+    matches = [_AT_SEAT.fullmatch(each) for each in given]
     alone = next((env for env in envs if not env.seats), None)
+    if not any(env.seats for env in envs):
+        if swap_seats or len(given) > 1 or any(matches):
+            raise ArgumentError(f"{envs[0].id} is registered without seats, as for one agent: give one --agent AGENT")
+        agents = load_agents(given, **agent_options)
+        return Acting(agents, {"agent": Seated(given[0], agents[given[0]])})
     if alone is not None:
-        several = next(env for env in envs if env.seats)
-        raise ArgumentError(
-            f"{alone.id} is for one agent, and {_seats_of(several)}: run those of one agent and those of several apart"
-        )
-    by_seat = _agents_by_seat(given, envs)
-    if swap_seats and by_seat is None:
-        raise ArgumentError(
-            f"--swap-seats goes with agents by seat, as in {_form(envs[0])}; a list changes seats anyway"
-        )
-    names = list(given) if by_seat is None else [by_seat[seat] for seat in envs[0].seats]
+        raise ArgumentError(f"{alone.id} is for one agent, and others have seats: run those of one agent apart")
+    by_seat = {match[1]: match[2] for match in matches if match and match[2]}
+    for env in envs:
+        check_seats(by_seat, env)
+        form = f"{env.id} has the seats {', '.join(env.seats)}: write {_form(env.seats)}"
+        if any(matches) and (len(by_seat) < len(env.seats) or len(by_seat) < len(given)):
+            raise ArgumentError(f"--agent names some seats, and not each once; {form}")
+        if not any(matches) and (swap_seats or len(given) not in (1, len(env.seats))):
+            raise ArgumentError(f"{form}, or without --swap-seats one agent for all or {len(env.seats)} that change")
+    names = [by_seat[seat] for seat in envs[0].seats] if by_seat else list(given)
     agents = load_agents(names, **agent_options)
     seated = [Seated(name, agents[name]) for name in names]
-    stay = by_seat is not None and not swap_seats
+    stay = by_seat and not swap_seats
     return Acting(agents, {"agents": dict(zip(envs[0].seats, seated, strict=True)) if stay else seated})
 
 
@@ -94,59 +97,12 @@ def seats_of_others(given: Sequence[str], seat: str | None, env: EnvSpec) -> tup
     by_seat = {match[1]: match[2] for match in matches if match is not None}
     check_seats([seat, *by_seat], env)
     others = [each for each in env.seats if each != seat]
-    form = " ".join(f"--agent {each}=AGENT" for each in others)
-    if seat in by_seat:
-        raise ArgumentError(f"the seat {seat} of {env.id} is yours: write {form}, or sit elsewhere by --seat")
-    if len(by_seat) < len(given) and len(given) > 1:
-        raise ArgumentError(f"give one --agent for all other seats of {env.id}, or one for each: write {form}")
+    if seat in by_seat or (len(by_seat) < len(given) and len(given) > 1):
+        raise ArgumentError(
+            f"the seat {seat} of {env.id} is yours: give one --agent for all others, or write {_form(others)}"
+        )
     all_others = given[0] if given and not by_seat else "random"
     return seat, {each: by_seat.get(each) or all_others for each in others}
-
-
-def _only_agent(given: Sequence[str], env_id: str, *, swap_seats: bool) -> str:
-    """Return the name of the agent that acts alone."""
-    if swap_seats or len(given) > 1:
-        option = "--swap-seats" if swap_seats else "a second --agent"
-        raise ArgumentError(
-            f"{env_id} is registered without seats, as for one agent: leave {option} out ('gem info ID' names the "
-            "seats of others)"
-        )
-    at_seat = _AT_SEAT.fullmatch(given[0])
-    if at_seat is not None:
-        raise ArgumentError(
-            f"{env_id} is registered without seats, as for one agent: give --agent {at_seat[2] or 'AGENT'}"
-        )
-    return given[0]
-
-
-def _agents_by_seat(given: Sequence[str], envs: Sequence[EnvSpec]) -> dict[str, str] | None:
-    """Return the name of the agent at each seat; None where they are given without seats.
-
-    Raises:
-        ArgumentError: They do not fit the seats.
-    """
-    matches = [_AT_SEAT.fullmatch(each) for each in given]
-    if not any(matches):
-        for env in envs:
-            if len(given) not in (1, len(env.seats)):
-                raise ArgumentError(
-                    f"{_seats_of(env)}, and {len(given)} agents are given: give one --agent for all seats, "
-                    f"{len(env.seats)} that change seats, or {_form(env)}"
-                )
-        return None
-    by_seat: dict[str, str] = {}
-    for each, match in zip(given, matches, strict=True):
-        if match is None or not match[2]:
-            raise ArgumentError(f"--agent {each} names no {'agent' if match else 'seat'}: write {_form(envs[0])}")
-        if match[1] in by_seat:
-            raise ArgumentError(f"--agent is given twice for the seat {match[1]}: write {_form(envs[0])}")
-        by_seat[match[1]] = match[2]
-    for env in envs:
-        check_seats(by_seat, env)
-        missing = [seat for seat in env.seats if seat not in by_seat]
-        if missing:
-            raise ArgumentError(f"{_seats_of(env)}, and there is no agent for {', '.join(missing)}: write {_form(env)}")
-    return by_seat
 
 
 def check_seats(seats: Iterable[str], env: EnvSpec) -> None:
@@ -157,9 +113,5 @@ def check_seats(seats: Iterable[str], env: EnvSpec) -> None:
             raise ArgumentError(f"{env.id} has no seat {seat!r}.{hint} Its seats are {', '.join(env.seats)}")
 
 
-def _seats_of(env: EnvSpec) -> str:
-    return f"{env.id} has the seats {', '.join(env.seats)}"
-
-
-def _form(env: EnvSpec) -> str:
-    return " ".join(f"--agent {seat}=AGENT" for seat in env.seats)
+def _form(seats: Iterable[str]) -> str:
+    return " ".join(f"--agent {seat}=AGENT" for seat in seats)

@@ -16,9 +16,9 @@ from gem_core.cli.layout import Column, output_width, print_table
 from gem_core.docs import page_url
 from gem_core.errors import UnknownEnvError
 from gem_core.registry.lookup import registry
-from gem_core.registry.plugins import Plugin, Record
+from gem_core.registry.plugins import Record
 from gem_core.registry.requirements import unmet
-from gem_core.registry.specs import CommandSpec, EnvSpec
+from gem_core.registry.specs import CommandSpec, EnvSpec, NamedSpec
 from gem_core.suggestions import did_you_mean
 
 
@@ -30,7 +30,7 @@ def command(pattern: str | None, show_all: bool, as_json: bool) -> None:
     """List the environments that can be made; in a terminal, a line for each namespace.
 
     PATTERN is a namespace, a part of an id, or a glob in quotes. The words tools, wrappers, agents and backends list
-    these; the name of a plugin lists all that it offers.
+    these.
 
     Examples:
       gem list
@@ -40,25 +40,22 @@ def command(pattern: str | None, show_all: bool, as_json: bool) -> None:
       gem list | grep Sudoku              in a pipe: every id, one a line
       gem list --json | python -m json.tool
     """
-    kind = None if pattern in {record.namespace for record in registry().envs()} else KINDS.get(pattern or "")
-    records: Sequence[Record]
-    records = registry().named(kind) if kind is not None else _offered_by(pattern) or matching(pattern)
+    found = registry()
+    kind = None if pattern in {record.namespace for record in found.envs()} else KINDS.get(pattern or "")
+    records: Sequence[Record] = matching(pattern) if kind is None else found.named(kind)
+    in_terminal = output_width() is not None
     if as_json:
         click.echo(json.dumps([describe_record(record) for record in records], indent=1))
     elif not records:
         distribution = {None: "gem-games", "tools": "gem-tools"}.get(pattern)
         advice = f" Try 'pip install {distribution}'." if distribution else ""
         click.echo(f"No {pattern or 'environments'} are installed.{advice}")
-        if pattern is None:
-            _print_rows(map(_row, _usable(plugin for plugin in registry().plugins() if not plugin.is_core)))
-    elif kind is not None:
-        _print_rows((record.name, record.summary) for record in registry().named(kind))
-    elif pattern is None and not show_all and output_width() is not None:
-        _print_overview(registry().envs())
+    elif pattern is None and not show_all and in_terminal:
+        _print_overview(found.envs())
     else:
         _print_rows(map(_row, records))
-        if output_width() is not None and any(isinstance(record, EnvSpec) for record in records):
-            click.echo(click.style(f"\n{_gallery_line()}", dim=True))
+        if kind is None and in_terminal:
+            click.secho(f"\n{_gallery_line()}", dim=True)
 
 
 def matching(pattern: str | None) -> list[EnvSpec]:
@@ -79,27 +76,9 @@ def matching(pattern: str | None) -> list[EnvSpec]:
     return records
 
 
-def _offered_by(name: str | None) -> list[Record]:
-    """Return the records of the plugins of a name; none if the name is a namespace, or of no plugin."""
-    if name is None or any(record.namespace == name.removesuffix(":") for record in registry().envs()):
-        return []
-    return _usable(plugin for plugin in registry().plugins() if name in (plugin.name, plugin.distribution))
-
-
-def _usable(plugins: Iterable[Plugin]) -> list[Record]:
-    """Return the records of some plugins that can be used: ids and names that no other plugin claims."""
-    found = registry()
-    return [
-        record
-        for plugin in plugins
-        for record in plugin.records
-        if record in (found.envs() if isinstance(record, EnvSpec) else found.named(type(record)))
-    ]
-
-
 def _row(record: Record) -> tuple[str, str]:
     if not isinstance(record, EnvSpec):
-        return f"{record.kind} {record.name}", record.summary
+        return record.name, record.summary
     needs = f" [needs {', '.join(record.requires)}]" if record.requires else ""
     return record.id, f"{record.summary}{needs}"
 
@@ -119,16 +98,11 @@ def _print_overview(envs: list[EnvSpec]) -> None:
         rows.append((f"{namespace + ':':<{width}} {len(records):>4}", needs + ", ".join(names)))
     _print_rows(rows)
     click.echo()
-    others = {word: [record.name for record in registry().named(kind)] for word, kind in KINDS.items()}
-    offered = _usable(plugin for plugin in registry().plugins() if not plugin.is_core)
-    others["commands"] = [record.name for record in offered if isinstance(record, CommandSpec)]
-    _print_rows((word, ", ".join(names)) for word, names in others.items() if names)
-    click.echo(
-        click.style(
-            f"\n'gem list {next(iter(members))}' shows a namespace, 'gem list --all' every id.\n{_gallery_line()}",
-            dim=True,
-        )
-    )
+    kinds: dict[str, type[NamedSpec]] = {**KINDS, "commands": CommandSpec}
+    others = {word: ", ".join(record.name for record in registry().named(kind)) for word, kind in kinds.items()}
+    _print_rows((word, names) for word, names in others.items() if names)
+    shown = f"'gem list {next(iter(members))}' shows a namespace, 'gem list --all' every id."
+    click.secho(f"\n{shown}\n{_gallery_line()}", dim=True)
 
 
 def _gallery_line() -> str:

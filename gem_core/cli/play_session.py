@@ -11,7 +11,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import cast
 
 from gem_core.agents.answer_form import AnswerForm
@@ -51,6 +51,7 @@ class _PlayNext(Exception):
     """Raised to leave the present episode for the next."""
 
 
+@dataclass(eq=False)
 class PlaySession:
     """Plays one episode after another, the same ones that a run of this seed has.
 
@@ -66,28 +67,22 @@ class PlaySession:
         begun: What an episode started from, and its first turns: each episode goes on from there.
     """
 
+    env: AnyEnv
+    seed: int | None
+    repeatable: bool
+    raw: bool = False
+    exact: bool = False
+    summary: str = ""
+    writer: EpisodeWriter | None = None
+    seat: str | None = None
+    begun: tuple[EpisodeStart, Sequence[Transition]] | None = None
     reads = "observation"
 
-    def __init__(
-        self,
-        env: AnyEnv,
-        *,
-        seed: int | None,
-        repeatable: bool,
-        raw: bool = False,
-        exact: bool = False,
-        summary: str = "",
-        writer: EpisodeWriter | None = None,
-        seat: str | None = None,
-        begun: tuple[EpisodeStart, Sequence[Transition]] | None = None,
-    ) -> None:
-        self._env, self._repeatable, self._raw, self._exact, self._summary = env, repeatable, raw, exact, summary
-        self._writer, self._seat, self._begun = writer, seat, begun
-        self._vector = VectorEnv.from_env(env, seed=seed, on_error="raise", keep_open=True)
+    def __post_init__(self) -> None:
+        self._vector = VectorEnv.from_env(self.env, seed=self.seed, on_error="raise", keep_open=True)
         self._starts = EpisodeQueue(default_plan(self._vector, sys.maxsize), self._vector.seed)
         self._terminal = Terminal()
-        self._images = None if writer is None else ImageFolder.beside(writer.path)
-        self._number = 0
+        self._images = None if self.writer is None else ImageFolder.beside(self.writer.path)
         self._repeated: Sequence[Transition] = ()
         self._show: Callable[[], None] = self._show_opening
         self._context: Context | None = None
@@ -105,7 +100,7 @@ class PlaySession:
         """
         asks = episodes is None and self._terminal.interactive
         for self._number in itertools.count(1):
-            start = cast("EpisodeStart", self._starts.draw(0)) if self._begun is None else self._begun[0]
+            start = cast("EpisodeStart", self._starts.draw(0)) if self.begun is None else self.begun[0]
             self._restart()
             try:
                 episode = self._play_out(start)
@@ -113,8 +108,8 @@ class PlaySession:
                 continue
             self._show_ending(episode)
             self.finished.append(episode)
-            if self._writer is not None:
-                self._writer.write(episode)
+            if self.writer is not None:
+                self.writer.write(episode)
             if asks:
                 if self._terminal.line("Play another? [Y/n] ").strip().casefold().startswith(("n", "q", "!q")):
                     return
@@ -126,13 +121,13 @@ class PlaySession:
         show, episodes = self._terminal.show, self.finished
         if self._context is not None:
             left = f"{counted(self._context.turn, 'turn')}, return {_return(self._context.transitions)}"
-            show(f"Left unfinished after {left}{'; it is not recorded' if self._writer else ''}.", fg="yellow")
+            show(f"Left unfinished after {left}{'; it is not recorded' if self.writer else ''}.", fg="yellow")
         if len(episodes) > 1:
             won = sum(episode.success is True for episode in episodes)
             mean = sum(episode.episode_return for episode in episodes) / len(episodes)
             show(f"{len(episodes)} episodes, {won} won, mean return {mean:.4g}.")
-        if self._writer is not None and episodes:
-            show(f"{counted(len(episodes), 'episode')} written to {self._writer.path}.")
+        if self.writer is not None and episodes:
+            show(f"{counted(len(episodes), 'episode')} written to {self.writer.path}.")
         show(f"The same again: {again}", dim=True)
 
     def _play_out(self, start: EpisodeStart) -> Episode:
@@ -144,7 +139,7 @@ class PlaySession:
             except EnvFaultError as error:
                 raise (error.__cause__ or error) from None
             last = episode.transitions[-1]
-            if self._raw or not self._repeatable or not _was_not_played(last):
+            if self.raw or not self.repeatable or not _was_not_played(last):
                 break
             self._repeated, self._show = episode.transitions[:-1], lambda: None
             # The reason is not shown: the last observation of a task may reveal its solution.
@@ -154,12 +149,12 @@ class PlaySession:
                 fg="yellow",
             )
         episode.key = start.key
-        if self._seat is not None:
-            episode.seat, episode.agent = self._seat, "human"
+        if self.seat is not None:
+            episode.seat, episode.agent = self.seat, "human"
         return episode
 
     def _restart(self) -> None:
-        self._repeated, self._show = () if self._begun is None else self._begun[1], self._show_opening
+        self._repeated, self._show = () if self.begun is None else self.begun[1], self._show_opening
 
     # Turns.
 
@@ -179,7 +174,7 @@ class PlaySession:
     def _answer(self, typed: Typed, context: Context) -> str | None:
         """Return the answer that was typed, or that a command gives."""
         if not typed.is_command:
-            return typed.text if self._raw else self._form(context).around(typed.text, _tool_names(context))
+            return typed.text if self.raw else self._form(context).around(typed.text, _tool_names(context))
         match whole_command(typed.text, ("help", "undo", "random", "restart", "next", "quit")):
             case "help":
                 self._show_help(context)
@@ -189,7 +184,7 @@ class PlaySession:
             case "undo":
                 if not context.transitions:
                     raise ArgumentError("there is no turn to take back")
-                if not self._repeatable:
+                if not self.repeatable:
                     raise ArgumentError(
                         "turns of this environment cannot be taken back: a seed and the actions do not repeat it"
                     )
@@ -212,9 +207,9 @@ class PlaySession:
     def _show_opening(self) -> None:
         show, context = self._terminal.show, cast("Context", self._context)
         show(f"\n{context.env_id} · episode {self._number}", bold=True)
-        if self._summary and self._number == 1:
-            show(self._summary, dim=True)
-        form = None if self._raw else self._form(context)
+        if self.summary and self._number == 1:
+            show(self.summary, dim=True)
+        form = None if self.raw else self._form(context)
         show(f"An answer is sent as {in_one_line(str(form)) if form else 'you type it'}. Type ? for help.", dim=True)
         if context.system:
             show()
@@ -244,7 +239,7 @@ class PlaySession:
 
     def _show_help(self, context: Context) -> None:
         """Show the keys, an example of an action, and the first observation, which has the rules."""
-        show, form, task = self._terminal.show, self._form(context), self._env.unwrapped
+        show, form, task = self._terminal.show, self._form(context), self.env.unwrapped
         show(_KEYS)
         if context.tools:
             show(f"  Tools: {', '.join(_tool_names(context))}. A call is sent as you type it.")
@@ -261,12 +256,12 @@ class PlaySession:
         result = f"reward {turn.reward:.4g} · return {_return(transitions)}"
         colour = "green" if turn.reward > 0 else "red" if turn.reward < 0 else None
         self._terminal.show(
-            f"turn {len(transitions)} · {in_one_line(turn.action)} · {result}", fg=colour, bold=not self._exact
+            f"turn {len(transitions)} · {in_one_line(turn.action)} · {result}", fg=colour, bold=not self.exact
         )
 
     def _show_observation(self, observation: Observation, info: Info, title: str) -> None:
         show = self._terminal.show
-        if self._exact:
+        if self.exact:
             show(f"──── {title} ".ljust(40, "─"), dim=True)
             self._terminal.show_exactly(self._text(observation))
             show("─" * 40, dim=True)
@@ -276,7 +271,7 @@ class PlaySession:
             show()
             self._terminal.show_plainly(self._text(feedback).strip("\n"))
         # The board shows a person what the suffix tells a model.
-        board = self._env.render() if suffix and self._env.render_mode == "ansi" else None
+        board = self.env.render() if suffix and self.env.render_mode == "ansi" else None
         if isinstance(board, str) and board:
             show()
             self._terminal.show_drawing(textwrap.indent(board.strip("\n"), "  "))

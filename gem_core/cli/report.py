@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gem_core.cli.layout import Column, shown, shown_count
-from gem_core.records.summary import EnvSummary, RunSummary
+from gem_core.records.summary import RunSummary
 
 
 def run_columns(summary: RunSummary, seconds: float) -> list[Column]:
@@ -36,24 +36,13 @@ def run_columns(summary: RunSummary, seconds: float) -> list[Column]:
 
 
 def status_of(summary: RunSummary) -> str:
-    """Return the scores of a run so far, for the progress line; of several agents, the mean return of each."""
+    """Return the scores of a run so far, for the progress line; of several agents, the mean return at each seat."""
     total = summary.total
     if summary.by_seat:
-        several = len({agent for _, agent in summary.by_agent}) > 1
-        returns: dict[str, list[EnvSummary]] = {}
-        for row in summary.by_seat.values():
-            returns.setdefault(str(row.agent if several else row.seat), []).append(row)
-        parts = [f"return of {name} {_mean_return(rows)}" for name, rows in returns.items()]
+        parts = [f"return of {row.seat} {shown(row.mean_return, '.2f')}" for row in list(summary.by_seat.values())[:4]]
     else:
         parts = [f"success {shown(total.success_rate, '.0%')}", f"return {shown(total.mean_return, '.2f')}"]
-    if summary.errors:
-        parts.append(f"{summary.errors} errors")
-    return ", ".join(parts)
-
-
-def _mean_return(rows: list[EnvSummary]) -> str:
-    episodes = sum(row.episodes for row in rows)
-    return shown(sum(row.total_return for row in rows) / episodes if episodes else None, ".2f")
+    return ", ".join([*parts, *([f"{summary.errors} errors"] if summary.errors else [])])
 
 
 def _with_error(number: float | None, error: float | None, form: str) -> str:

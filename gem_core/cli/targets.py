@@ -6,7 +6,7 @@ import importlib
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -144,31 +144,22 @@ def find_envs(given: tuple[str, ...], *, several: bool) -> list[tuple[EnvSpec, d
     expanded: list[tuple[EnvSpec, dict[str, Any]]] = []
     for each in given:
         if any(character in each for character in "*?["):
-            expanded += [(record, {}) for record in _runnable(_of_one_kind(matching(each), several=several))]
+            others = f"for {'one agent' if several else 'several agents'}"
+            fitting = _fitting(matching(each), lambda record: bool(record.seats) == several, others)
+            closed = "that cannot run here ('gem info ID' says why)"
+            expanded += [
+                (record, {}) for record in _fitting(fitting, lambda record: not unmet(record.requires), closed)
+            ]
         else:
             expanded.append(find_env(each))
     return [one for place, one in enumerate(expanded) if one not in expanded[:place]]
 
 
-def _of_one_kind(records: Sequence[EnvSpec], *, several: bool) -> Sequence[EnvSpec]:
-    """Return the records of environments of several agents, or else those of one; all if they are of one kind."""
-    kept = [record for record in records if bool(record.seats) == several]
-    left_out = [record.id for record in records if bool(record.seats) != several]
+def _fitting(records: Sequence[EnvSpec], fits: Callable[[EnvSpec], bool], others: str) -> Sequence[EnvSpec]:
+    """Return the records that fit, and name the others; all if none fits."""
+    kept = [record for record in records if fits(record)]
+    left_out = [record.id for record in records if record not in kept]
     if not kept or not left_out:
         return records
-    kind = "one agent" if several else "several agents"
-    click.echo(f"gem: left out {len(left_out)} of {len(records)} for {kind}: {', '.join(left_out)}", err=True)
+    click.echo(f"gem: left out {len(left_out)} of {len(records)} {others}: {', '.join(left_out)}", err=True)
     return kept
-
-
-def _runnable(records: Sequence[EnvSpec]) -> Sequence[EnvSpec]:
-    """Return the records that match a glob, without those that cannot run here; all if none can."""
-    closed = {record.id for record in records if unmet(record.requires)}
-    if not closed or len(closed) == len(records):
-        return records
-    click.echo(
-        f"gem: left out {len(closed)} of {len(records)} that cannot run here ('gem info ID' says why): "
-        f"{', '.join(sorted(closed))}",
-        err=True,
-    )
-    return [record for record in records if record.id not in closed]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Callable, Collection
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from click.core import ParameterSource
@@ -53,22 +53,13 @@ def stack_options(view: str) -> Callable[[Command], Command]:
         "Wrappers and tools, innermost first, with options after a colon: 'concat:max_turns=2,episode_stats'. "
         f"Can be repeated; 'gem info NAME' shows the options. {view}"
     )
+    tools_help = "Tools that the agent may call, with options after a colon: 'python,search:top_k=2'. Can be repeated."
+    uses_help = f"Most tool calls of an episode, or '{NO_LIMIT}' for no limit.  [default: 5]"
     options = [
         click.option("-t", "--max-turns", type=AtLeast(min=1), help="Cut off an episode after this many turns."),
         click.option("-w", "--wrappers", multiple=True, metavar="NAMES", type=WRAPPERS, help=wrappers_help),
-        click.option(
-            "--tools",
-            multiple=True,
-            metavar="NAMES",
-            type=TOOLS,
-            help="Tools that the agent may call, with options after a colon: 'python,search:top_k=2'. Can be repeated.",
-        ),
-        click.option(
-            "--max-tool-uses",
-            callback=_uses,
-            metavar="INTEGER",
-            help=f"Most tool calls of an episode, or '{NO_LIMIT}' for no limit.  [default: 5]",
-        ),
+        click.option("--tools", multiple=True, metavar="NAMES", type=TOOLS, help=tools_help),
+        click.option("--max-tool-uses", callback=_uses, metavar="INTEGER", help=uses_help),
     ]
 
     def add(command: Command) -> Command:
@@ -88,27 +79,15 @@ def wrapper_stack(
         ArgumentError: Wrappers or tools cannot be read, or a limit is given for tools and there are none.
         UnknownWrapperError: No wrapper or tool of that name.
     """
-    stack: list[Any] = [tool for text in tools for tool in parsed_choices(text, "--tools")]
-    for name, _ in stack:
-        registry().tool(name)
-    stack += [wrapper for text in wrappers for wrapper in parsed_choices(text, "--wrappers")]
-    place = next((number for number, (name, _) in enumerate(stack) if _is_tool(name)), None)
-    if max_tool_uses is not None:
-        if place is None:
-            raise ArgumentError("--max-tool-uses is a limit of tools, and there are none; name some by --tools")
-        limit = None if max_tool_uses == NO_LIMIT else max_tool_uses
-        stack.insert(place, ("tools", {"max_tool_uses": limit}))
-    if max_turns is not None:
-        # Outside the tools, which are gathered in the place of the first and whose calls are turns too, and inside the
-        # views and statistics, which see the end.
-        stack.insert(0 if place is None else place + 1, ("turn_limit", {"max_turns": max_turns}))
+    stack, has_tools = _stack(wrappers, tools, max_tool_uses, max_turns)
+    _check_limit(max_tool_uses, has_tools)
     return stack
 
 
 def wrapper_stacks(
     wrappers: tuple[str, ...],
     tools: tuple[str, ...],
-    max_tool_uses: int | str | None,
+    uses: int | str | None,
     max_turns: int | None,
     env: EnvSpec,
 ) -> Wrappers:
@@ -116,27 +95,41 @@ def wrapper_stacks(
 
     Those without a seat are for all. See ``wrapper_stack``.
     """
-    if not env.seats or not any(map(_AT_SEAT.fullmatch, (*wrappers, *tools))):
-        return wrapper_stack(wrappers, tools, max_tool_uses, max_turns)
-    split = {text: _seat_and_names(text) for text in (*wrappers, *tools)}
-    check_seats((seat for seat, _ in split.values() if seat is not None), env)
+    seats = {text: _AT_SEAT.fullmatch(text) for text in (*wrappers, *tools)}
+    if not env.seats or not any(seats.values()):
+        return wrapper_stack(wrappers, tools, uses, max_turns)
+    check_seats((match[1] for match in seats.values() if match), env)
 
-    def stack_of(seats: tuple[str | None, ...], uses: int | str | None) -> list[WrapperChoice]:
-        own = [tuple(split[text][1] for text in texts if split[text][0] in seats) for texts in (wrappers, tools)]
-        return wrapper_stack(own[0], own[1], uses, max_turns)
+    def names_of(texts: tuple[str, ...], seat: str) -> tuple[str, ...]:
+        matches = [(text, seats[text]) for text in texts]
+        return tuple(match[2] if match else text for text, match in matches if match is None or match[1] == seat)
 
-    stack_of((None, *env.seats), max_tool_uses)  # raises where no seat has tools
-    stacks: dict[str, list[WrapperChoice]] = {}
-    for seat in env.seats:
-        bare = stack_of((None, seat), None)
-        has_tools = any(_is_tool(name) for name, _ in cast("list[tuple[str, Any]]", bare))
-        stacks[seat] = stack_of((None, seat), max_tool_uses) if has_tools else bare
-    return stacks
+    stacks = {seat: _stack(names_of(wrappers, seat), names_of(tools, seat), uses, max_turns) for seat in env.seats}
+    _check_limit(uses, any(has_tools for _, has_tools in stacks.values()))
+    return {seat: stack for seat, (stack, _) in stacks.items()}
 
 
-def _seat_and_names(text: str) -> tuple[str | None, str]:
-    match = _AT_SEAT.fullmatch(text)
-    return (None, text) if match is None else (match[1], match[2])
+def _check_limit(max_tool_uses: int | str | None, has_tools: bool) -> None:
+    if max_tool_uses is not None and not has_tools:
+        raise ArgumentError("--max-tool-uses is a limit of tools, and there are none; name some by --tools")
+
+
+def _stack(
+    wrappers: tuple[str, ...], tools: tuple[str, ...], max_tool_uses: int | str | None, max_turns: int | None
+) -> tuple[list[WrapperChoice], bool]:
+    """Return the wrappers, innermost first, and whether there are tools among them."""
+    stack: list[Any] = [tool for text in tools for tool in parsed_choices(text, "--tools")]
+    for name, _ in stack:
+        registry().tool(name)
+    stack += [wrapper for text in wrappers for wrapper in parsed_choices(text, "--wrappers")]
+    place = next((number for number, (name, _) in enumerate(stack) if _is_tool(name)), None)
+    if max_tool_uses is not None and place is not None:
+        stack.insert(place, ("tools", {"max_tool_uses": None if max_tool_uses == NO_LIMIT else max_tool_uses}))
+    if max_turns is not None:
+        # Outside the tools, which are gathered in the place of the first and whose calls are turns too, and inside the
+        # views and statistics, which see the end.
+        stack.insert(0 if place is None else place + 1, ("turn_limit", {"max_turns": max_turns}))
+    return stack, place is not None
 
 
 def _import(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> None:
