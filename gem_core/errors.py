@@ -20,9 +20,8 @@
     ├── ResetNeededError           step before the first reset, or after the end
     ├── ClosedError                a vector environment was used after it had been closed
     ├── NotSupportedError          an optional ability that this environment does not have
-    │   ├── StateNotSupported      get_state / set_state / spawn(same_state=True)
+    │   ├── StateNotSupported      fork()
     │   └── SamplingNotSupported   sample_random_action
-    ├── StateError                 a saved state that does not fit
     ├── BridgeError                synchronous call from the library's own event loop
     ├── EnvFaultError              an environment failed, at its reset or with on_error="raise"
     │   └── WorkerLostError        a worker died before it answered
@@ -122,15 +121,11 @@ class NotSupportedError(GemError):
 
 
 class StateNotSupported(NotSupportedError):
-    """The environment cannot give its state as data, or take it back."""
+    """The environment holds something that ``fork`` cannot copy, such as a container or a connection."""
 
 
 class SamplingNotSupported(NotSupportedError):
     """The environment cannot draw a valid random action."""
-
-
-class StateError(GemError, ValueError):
-    """A saved state belongs to something else, or is damaged."""
 
 
 class BridgeError(GemError, RuntimeError):

@@ -35,12 +35,6 @@ class EchoEnv(gem.Env):
     def sample_random_action(self) -> str:
         return "echo"
 
-    def _get_state(self) -> dict[str, Any]:
-        return {"turn": self.turn}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self.turn = state["turn"]
-
 
 class ThreadEchoEnv(EchoEnv):
     """Blocks, as it says."""

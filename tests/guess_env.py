@@ -34,12 +34,6 @@ class GuessEnv(gem.Env):
     def render(self) -> Any:
         return f"turn {self.turn}"
 
-    def _get_state(self) -> dict[str, Any]:
-        return {"secret": self.secret, "turn": self.turn}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self.secret, self.turn = state["secret"], state["turn"]
-
 
 class StatelessEnv(gem.Env):
     """Saves no state and says nothing of valid actions."""

@@ -41,12 +41,6 @@ class CountdownEnv(MultiAgentEnv):
         """Take any number."""
         return f"\\boxed{{{self.action_random.integers(1, 4)}}}"
 
-    def _get_state(self) -> dict[str, Any]:
-        return {"heap": self.heap, "unread": self.unread}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self.heap, self.unread = int(state["heap"]), str(state["unread"])
-
 
 class AuctionEnv(MultiAgentEnv):
     """Who bids gets the number, and the agent before it in the alphabet pays it; ``quit`` leaves.
@@ -91,12 +85,6 @@ class AuctionEnv(MultiAgentEnv):
         """Bid anything, or quit once in five times."""
         draw = int(self.action_random.integers(0, 10))
         return "quit" if draw > 7 else str(draw)
-
-    def _get_state(self) -> dict[str, Any]:
-        return {"bids": list(self.bids)}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self.bids = list(map(str, state["bids"]))
 
 
 class BrokenAuctionEnv(AuctionEnv):

@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from guess_env import GuessEnv, StatelessEnv, play
-from hypothesis import given
-from hypothesis import strategies as st
 
 import gem_core as gem
 from gem_core.env.observations import as_parts, observation_from
-from gem_core.errors import ArgumentError, SamplingNotSupported, StateError, StateNotSupported
+from gem_core.errors import ArgumentError, SamplingNotSupported
 from gem_core.registry import lookup as registry
 
 
@@ -168,116 +166,6 @@ def test_sampling_unsupported_says_what_to_override() -> None:
 # State.
 
 
-@given(st.integers(0, 2**53), st.integers(0, 3), st.integers(0, 3), st.booleans())
-def test_state_survives_json(seed: int, turns: int, samples: int, reseeded: bool) -> None:
-    """A state that went through JSON makes another instance go on the same, sampled actions included."""
-    env = GuessEnv(turns=20)
-    env.reset(seed=seed)
-    if reseeded:
-        env.seed_actions(3)
-    play(env, turns)
-    for _ in range(samples):
-        env.sample_random_action()
-    state = env.get_state()
-    assert json.loads(json.dumps(state)) == state
-    other = GuessEnv(turns=20)
-    other.set_state(json.loads(json.dumps(state)))
-    assert other.sample_random_action() == env.sample_random_action()
-    assert play(other) == play(env)
-    assert other.reset() == env.reset()
-    assert play(other) == play(env)
-
-
-def test_state_names_id_and_version() -> None:
-    """A state says what it belongs to."""
-    env = gem.make("test:Guess-v3")
-    env.reset(seed=1)
-    state = env.get_wrapper_attr("get_state")()["env"]
-    assert (state["id"], state["version"], state["seed"]) == ("test:Guess-v3", 3, 1)
-
-
-@pytest.mark.parametrize(
-    ("state", "found"),
-    [
-        ({"id": "other:Env"}, "'other:Env'"),
-        ({}, "None"),
-        (None, "'NoneType'"),
-        ({"wrapper": "Guard", "own": {}, "env": {}}, "'Guard'"),
-    ],
-)
-def test_state_of_something_else_is_refused(state: Any, found: str) -> None:
-    """A state of another environment, or of a wrapper, is named."""
-    with pytest.raises(StateError) as caught:
-        GuessEnv().set_state(state)
-    assert str(caught.value) == f"this is a state of {found}, and the environment is 'GuessEnv'"
-
-
-@pytest.mark.parametrize(
-    "damage",
-    [
-        {"generator": [2**200, 1, 0, 0]},
-        {"generator": [-1, 1, 0, 0]},
-        {"generator": [1, 1, 0, 2**40]},
-        {"generator": ["a", 1, 0, 0]},
-        {"generator": [1]},
-        {"generator": 3},
-        {"actions": "x"},
-        {"seed": "x"},
-        {"action_seed": 1.5},
-        {"task": {}},
-        {"task": None},
-    ],
-)
-def test_damaged_state_is_a_state_error(damage: dict[str, Any]) -> None:
-    """Whatever part is damaged, the error says whose state it is and what to do."""
-    env = GuessEnv()
-    env.reset(seed=1)
-    with pytest.raises(StateError) as caught:
-        env.set_state({**env.get_state(), **damage})
-    assert str(caught.value).startswith("the state of 'GuessEnv' is damaged (")
-    assert str(caught.value).endswith("); call reset(), or give a state that get_state() returned")
-
-
-def test_missing_part_of_a_state_is_named() -> None:
-    """A state without one of its keys names the key."""
-    env = GuessEnv()
-    env.reset(seed=1)
-    state = env.get_state()
-    del state["generator"]
-    with pytest.raises(StateError) as caught:
-        env.set_state(state)
-    assert str(caught.value) == (
-        "the state of 'GuessEnv' is damaged (KeyError: 'generator'); "
-        "call reset(), or give a state that get_state() returned"
-    )
-
-
-def test_own_state_error_of_an_author_is_kept() -> None:
-    """A StateError that _set_state raises is not wrapped in another."""
-
-    class Picky(GuessEnv):
-        def _set_state(self, state: dict[str, Any]) -> None:
-            raise StateError("rows have changed")
-
-    env = Picky()
-    env.reset(seed=1)
-    with pytest.raises(StateError, match=r"^rows have changed$"):
-        env.set_state(env.get_state())
-
-
-def test_unsupported_state_says_what_to_override() -> None:
-    """An environment without state says which methods to write."""
-    env = StatelessEnv()
-    with pytest.raises(StateNotSupported) as saved:
-        env.get_state()
-    assert str(saved.value) == "StatelessEnv cannot save its state; override _get_state and _set_state"
-    with pytest.raises(StateNotSupported) as restored:
-        env.set_state(
-            {"id": "StatelessEnv", "seed": 1, "generator": None, "actions": None, "action_seed": None, "task": {}}
-        )
-    assert str(restored.value) == "StatelessEnv cannot restore a state; override _get_state and _set_state"
-
-
 # Siblings, copies.
 
 
@@ -290,12 +178,12 @@ def test_spawn_takes_the_arguments_over(make: Any) -> None:
     assert (env.spawn(turns=2).high, env.spawn(turns=2).turns) == (7, 2)
 
 
-def test_spawn_in_the_same_state_goes_on_the_same() -> None:
+def test_fork_through_make_goes_on_the_same() -> None:
     """A sibling in the same state gives the same results, and does not touch its original."""
     env = gem.make("test:Guess-v3")
     env.reset(seed=4)
     play(env, 1)
-    sibling = env.get_wrapper_attr("spawn")(same_state=True)
+    sibling = env.fork()
     assert play(sibling) == play(env)
 
 

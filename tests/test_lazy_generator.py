@@ -19,12 +19,6 @@ class Dice(Env):
         super().reset(seed=seed)
         return " ".join(str(int(self.np_random.integers(6))) for _ in range(self.throws)), {}
 
-    def _get_state(self) -> dict[str, Any]:
-        return {}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        pass
-
 
 def test_generator_starts_from_the_seed_of_the_latest_reset() -> None:
     """Starting late changes nothing of what is drawn, however many resets went before."""
@@ -36,18 +30,6 @@ def test_generator_starts_from_the_seed_of_the_latest_reset() -> None:
     env.reset(seed=4)
     assert env.np_random is first, "the generator object is reused"
     assert env.np_random.random() == start_generator(None, 4).random()
-
-
-def test_unstarted_generator_has_a_state() -> None:
-    """A state that is taken before the first draw equals one taken after the generator was merely looked at."""
-    env, looked_at = Dice(throws=0), Dice(throws=0)
-    env.reset(seed=5)
-    looked_at.reset(seed=5)
-    assert looked_at.np_random is not None
-    assert env.get_state() == looked_at.get_state()
-    other = Dice(throws=0)
-    other.set_state(env.get_state())
-    assert other.np_random.random() == env.np_random.random()
 
 
 def test_gymnasiums_private_attribute_sees_the_started_generator() -> None:

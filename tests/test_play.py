@@ -60,12 +60,6 @@ class BoardEnv(gem.Env):
     def render(self) -> Any:
         return f"[\x1b[31m{self.letters:<4}\x1b[0m]"
 
-    def _get_state(self) -> dict[str, Any]:
-        return {"letters": self.letters}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self.letters = state["letters"]
-
 
 gem.register(BOARD, BoardEnv, summary="Write letters.")
 

@@ -24,11 +24,6 @@ class Good(gem.Env):
     def sample_random_action(self):
         return str(int(self.action_random.integers(10)))
 
-    def _get_state(self):
-        return {{"number": self.number}}
-
-    def _set_state(self, state):
-        self.number = state["number"]
 
 class Bad(Good):
     def step(self, action):

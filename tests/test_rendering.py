@@ -94,16 +94,6 @@ def test_human_prints_the_drawing_of_several_agents(capsys: pytest.CaptureFixtur
     assert [line.rpartition(" to ")[2] for line in capsys.readouterr().out.splitlines()] == ["take", "take"]
 
 
-def test_a_state_goes_from_an_environment_with_a_mode_to_one_without() -> None:
-    """Showing is no part of the state."""
-    shown, plain = gem.make("test:Guess-v3", render_mode="ansi"), gem.make("test:Guess-v3")
-    shown.reset(seed=1)
-    shown.step("3")
-    plain.reset(seed=2)
-    plain.get_wrapper_attr("set_state")(shown.get_wrapper_attr("get_state")())
-    assert plain.step("4") == shown.step("4")
-
-
 def test_the_mode_is_kept_by_spec_and_spawn(capsys: pytest.CaptureFixture[str]) -> None:
     """What is made again shows itself as well."""
     env: Any = gem.make("test:Guess-v3", render_mode="human")

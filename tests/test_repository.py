@@ -37,7 +37,12 @@ PRIVATE_IN_TESTS = {
         "_generate_random_puzzle",
         "_is_solvable",
     },
+    "plugins/gem-games/tests/test_fifteen_puzzle.py": {"_put"},
+    "plugins/gem-games/tests/test_minesweeper.py": {"_set_mines"},
+    "plugins/gem-games/tests/test_sokoban.py": {"_set_cells"},
+    "plugins/gem-games/tests/test_sudoku.py": {"_put"},
     "plugins/gem-games/tests/test_wiki_servers.py": {"_server"},
+    "plugins/gem-games/tests/test_word_rewards.py": {"_begin"},
     "plugins/gem-math/tests/test_reasoning.py": {"_all", "_pool", "_process", "_rows"},
     "plugins/gem-qa/tests/test_qa_judging.py": {"_judge"},
     "plugins/gem-tools/tests/test_python_attacks_memory.py": {"_spare_uid"},
@@ -50,7 +55,7 @@ PRIVATE_IN_TESTS = {
     "tests/test_doctor.py": {"_named"},
     "tests/test_lazy_generator.py": {"_np_random"},
     "tests/test_tool_limits.py": {"_sessions"},
-    "tests/testing/reference_envs.py": {"_get_state", "_np_random", "_set_state"},
+    "tests/testing/reference_envs.py": {"_np_random"},
 }
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
 import threading
 from typing import Any
 
@@ -16,7 +15,7 @@ from joint_toys import AuctionEnv, CountdownEnv
 
 import gem_core as gem
 from gem_core.background import run_sync
-from gem_core.errors import ArgumentError, ResetNeededError, StateError
+from gem_core.errors import ArgumentError, ResetNeededError
 from gem_core.making.environment import MadeSpec
 
 NOTE = "```note\n{}\n```"
@@ -281,22 +280,19 @@ def test_unknown_seats_are_refused() -> None:
         gem.make("toy:Echo-v0", wrappers={"a": "concat"})
 
 
-def test_state_survives_json_while_a_response_is_held() -> None:
-    """Another instance goes on the same, with the held response and what each wrapper remembers."""
-    env, other = (auction({"a": [TOOLS, "concat_with_action"], "b": "messages"}) for _ in range(2))
+def test_fork_goes_on_while_a_response_is_held() -> None:
+    """With the held response and what each wrapper remembers; a fork of the fork too."""
+    env = auction({"a": [TOOLS, "concat_with_action"], "b": "messages"})
     env.reset(seed=2)
     call = gem.Response(NOTE.format("mine"), tool_calls=None, finish_reason="stop")
     env.step({"a": call, "b": gem.Response("7", reasoning="hm", finish_reason="stop")})
-    other.set_state(json.loads(json.dumps(env.get_state())))
-    assert other.get_state() == env.get_state()
-    sibling = env.spawn(same_state=True)
+    other = env.fork()
+    sibling = other.fork()
     for each in (other, sibling):
         assert each.acting == ("a",)
     results = [each.step({"a": "2"}) for each in (env, other, sibling)]
     assert results[0] == results[1] == results[2]
     assert env.unwrapped.bids == ["2", "7"]
-    with pytest.raises(StateError, match=r"^this is no state of 'joint:Auction-v1' with wrappers around its seats"):
-        env.set_state(env.unwrapped.get_state())
 
 
 def test_specification_keeps_the_wrappers_of_each_seat() -> None:

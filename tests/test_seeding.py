@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
@@ -14,13 +13,11 @@ from gem_core.env.seeding import (
     SEED_LIMIT,
     checked_seed,
     fresh_seed,
-    generator_state,
     next_seed,
-    restore_generator,
     stable_hash,
     start_generator,
 )
-from gem_core.errors import ArgumentError, StateError
+from gem_core.errors import ArgumentError
 
 PARTS = st.lists(st.none() | st.integers() | st.text(st.characters(), max_size=8), max_size=4).map(tuple)
 
@@ -134,30 +131,3 @@ def test_near_seeds_are_unrelated() -> None:
     """Neighbouring seeds do not draw alike."""
     draws = [start_generator(None, seed).integers(0, 2**63) for seed in range(100)]
     assert len(set(draws)) == 100
-
-
-@given(st.integers(0, 2**64), st.lists(st.sampled_from(["random", "normal", "integers"]), max_size=5))
-def test_state_survives_json(seed: int, draws: list[str]) -> None:
-    """A generator that is restored from JSON goes on as the first, half-used words included."""
-    generator = start_generator(None, seed)
-    for name in draws:
-        generator.integers(0, 9, dtype=np.int32) if name == "integers" else getattr(generator, name)()
-    state = generator_state(generator)
-    assert json.loads(json.dumps(state)) == state
-    other = restore_generator(start_generator(None, 1), json.loads(json.dumps(state)))
-    assert other is not None
-    assert (
-        other.integers(0, 2**31, 5, dtype=np.int32).tolist() == generator.integers(0, 2**31, 5, dtype=np.int32).tolist()
-    )
-
-
-def test_no_generator_has_no_state() -> None:
-    """None stands for a generator that was never started."""
-    assert generator_state(None) is None
-    assert restore_generator(None, None) is None
-
-
-def test_other_generators_cannot_be_saved() -> None:
-    """A generator of another kind is refused by its name."""
-    with pytest.raises(StateError, match=r"^only PCG64 generators can be saved, and np_random is a MT19937$"):
-        generator_state(np.random.Generator(np.random.MT19937(1)))

@@ -32,12 +32,6 @@ class Counting(gem.Tool):
         session["calls"] += 1
         return str(session["calls"])
 
-    def get_session_state(self, session: Any) -> Any:
-        return session
-
-    def set_session_state(self, state: Any) -> Any:
-        return dict(state)
-
 
 def counted(env: ToolEnv, name: str) -> str:
     """Call a tool and return its count."""
@@ -65,12 +59,10 @@ def test_tools_with_one_key_share_a_session_that_is_opened_and_closed_once():
     assert log[4:] == ["a opens", "a closes"]
 
 
-def test_a_shared_session_is_saved_once_and_restored_for_all():
+def test_a_shared_session_is_forked_once_for_all():
     env = make([])
     counted(env, "a")
-    state = env.get_state()
-    other = make([])
-    other.set_state(state)
+    other = env.fork()
     assert counted(other, "b") == "2"
     env.close()
     other.close()

@@ -143,7 +143,7 @@ def test_each_other_seat_has_a_conversation_of_its_own() -> None:
     assert rest == ["8.0", "AuctionEnv", 2]
     assert [message["role"] for message in messages] == ["system", "user", "assistant", "user", "assistant", "user"]
     assert messages[2] == {"role": "assistant", "content": "7"}
-    assert "greedy" not in json.dumps([results, env.get_state()["task"]["env"]])
+    assert "greedy" not in json.dumps([results, env.env.bids])
 
 
 def test_an_opponent_is_drawn_by_the_seed_of_the_episode() -> None:
@@ -357,7 +357,7 @@ def test_tools_of_seats_and_around_the_result() -> None:
     assert "mine" in play(inside, [call])[1][0]
 
 
-def test_state_survives_json_in_the_middle_of_an_episode() -> None:
+def test_fork_goes_on_in_the_middle_of_an_episode() -> None:
     """What the others have said and how many random actions were drawn is part of it."""
 
     class Counting:
@@ -367,10 +367,10 @@ def test_state_survives_json_in_the_middle_of_an_episode() -> None:
             return str((len(messages) + context.turn) % 10)
 
     others = {"a": Counting()}
-    env, other = (single_agent(AuctionEnv(["a", "b", "c"], "sequential"), "b", others) for _ in range(2))
+    env = single_agent(AuctionEnv(["a", "b", "c"], "sequential"), "b", others)
     play(env, ["1", "2"], seed=4)
-    other.set_state(json.loads(json.dumps(env.get_state())))
-    sibling = env.spawn(same_state=True)
+    other = env.fork()
+    sibling = other.fork()
     results = [[each.step(action) for action in ("3", "4", "5")] for each in (env, other, sibling)]
     assert results[0] == results[1] == results[2]
 

@@ -18,7 +18,7 @@ from toys import AsyncNotebook, Calculator, CountdownEnv, EchoEnv, Notebook
 import gem_core as gem
 from gem_core.background import run_sync
 from gem_core.env.guard import Guard
-from gem_core.errors import ArgumentError, ResetNeededError, StateNotSupported, UnknownToolError
+from gem_core.errors import ArgumentError, ResetNeededError, UnknownToolError
 from gem_core.testing.hostile import hostile_actions
 from gem_core.tools.env import ToolEnv
 
@@ -262,32 +262,11 @@ def test_mixed_tools_run_blocking_calls_in_threads() -> None:
     assert "5.0" in str(asyncio.run(env.step_async(json_call("calculator", left=2, right=3)))[0])
 
 
-def test_state_holds_counters_and_sessions() -> None:
-    """Another instance goes on with the same notebook and the same number of calls left."""
-    env, other = tool_env(), tool_env()
-    env.step("<note>a</note>")
-    other.set_state(json.loads(json.dumps(env.get_state())))
-    assert other.step("<note>b</note>") == env.step("<note>b</note>")
-
-
-def test_open_session_that_cannot_be_saved_says_so() -> None:
-    """A state without the session would go on with another one."""
-
-    class Forgetful(Notebook):
-        get_session_state = gem.Tool.get_session_state
-
-    env = tool_env(Forgetful())
-    env.get_state()
-    env.step("<note>a</note>")
-    with pytest.raises(StateNotSupported, match="the tool 'note' cannot save its session"):
-        env.get_state()
-
-
-def test_state_holds_how_things_stand() -> None:
-    """A tool step after a restore shows the board of the saved episode, not that of the one before."""
-    env, other = tool_env(), tool_env()
+def test_fork_knows_how_things_stand() -> None:
+    """A tool step of a fork shows the board of the episode."""
+    env = tool_env()
     env.step("a turn of the task")
-    other.set_state(env.get_state())
+    other = env.fork()
     assert other.step("<note>a</note>")[0].endswith("Left: 8.")
 
 
@@ -376,7 +355,7 @@ def test_parameters_without_exactly_one_text_have_no_text_form() -> None:
 
 
 def test_tools_are_refused_outside_an_episode() -> None:
-    """Before the first reset and after the end, as every other step is; the state knows it too."""
+    """Before the first reset and after the end, as every other step is; a fork knows it too."""
     notebook = Notebook()
     env = ToolEnv(CountdownEnv(), [notebook])
     for _ in range(2):
@@ -384,11 +363,8 @@ def test_tools_are_refused_outside_an_episode() -> None:
             env.step("<note>a</note>")
         env.reset(seed=1, options={"left": 1})
         env.step("the answer")
-    other = ToolEnv(CountdownEnv(), [notebook])
-    other.reset(seed=1)
-    other.set_state(env.get_state())
     with pytest.raises(ResetNeededError):
-        other.step("<note>a</note>")
+        env.fork().step("<note>a</note>")
     assert notebook.opened == 0
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import copy
-import json
 import pickle
 import subprocess
 import sys
@@ -21,7 +20,7 @@ import gem_core as gem
 from gem_core.background import background_loop
 from gem_core.env.guard import Guard
 from gem_core.env.wrapper import Wrapper, concurrency_of, step_async
-from gem_core.errors import BridgeError, ResetNeededError, StateError, StateNotSupported
+from gem_core.errors import BridgeError, NotSupportedError, ResetNeededError
 from gem_core.registry import lookup as registry
 from gem_core.wrappers.episode_stats import EpisodeStats
 from gem_core.wrappers.turn_limit import TurnLimit
@@ -320,50 +319,13 @@ def test_bare_stack_has_no_specification() -> None:
 # State.
 
 
-def test_state_of_a_stack_goes_on_elsewhere() -> None:
-    """The state of wrappers goes through JSON with the task's, and another stack goes on the same."""
-    wrappers: list[Any] = [("turn_limit", {"max_turns": 3}), "episode_stats"]
-    env, other = gem.make("test:Echo-v0", wrappers=wrappers), gem.make("test:Echo-v0", wrappers=wrappers)
+def test_wrapper_of_gymnasium_inside_is_forked_but_not_spawned() -> None:
+    """The error of ``spawn`` names the wrapper."""
+    env = Noting(gym_wrappers.OrderEnforcing(EchoEnv()))
     env.reset(seed=1)
-    env.step("x")
-    state = env.get_wrapper_attr("get_state")()
-    assert json.loads(json.dumps(state)) == state
-    other.get_wrapper_attr("set_state")(json.loads(json.dumps(state)))
-    for expected in ((False, 2), (True, 3)):
-        result = other.step("x")
-        assert result[:4] == env.step("x")[:4]
-        assert (result[3], result[4].get("episode", {}).get("l", 2)) == expected
-
-
-@pytest.mark.parametrize(
-    ("state", "text"),
-    [
-        ({"id": "test:Echo-v0"}, "this is a state of 'test:Echo-v0', and the wrapper is 'TurnLimit'"),
-        ({"wrapper": "Guard"}, "this is a state of 'Guard', and the wrapper is 'TurnLimit'"),
-        (None, "this is a state of 'NoneType', and the wrapper is 'TurnLimit'"),
-        ({"wrapper": "TurnLimit"}, "the state of wrapper 'TurnLimit' is damaged (KeyError: 'own')"),
-        (
-            {"wrapper": "TurnLimit", "own": {"turn": "x"}, "env": {}},
-            "the state of wrapper 'TurnLimit' is damaged (ValueError: invalid literal for int() with base 10: 'x')",
-        ),
-    ],
-)
-def test_state_of_another_wrapper_is_refused(state: Any, text: str) -> None:
-    """A state that does not fit the wrapper says whose it is, or what is damaged."""
-    with pytest.raises(StateError) as caught:
-        TurnLimit(EchoEnv(), 3).set_state(state)
-    assert str(caught.value) == text
-
-
-@pytest.mark.parametrize("call", [lambda env: env.get_state(), lambda env: env.spawn()])
-def test_wrapper_of_gymnasium_inside_cannot_save(call: Any) -> None:
-    """A wrapper of Gymnasium's between ours has no state, and the message says where to put it."""
-    with pytest.raises(StateNotSupported) as caught:
-        call(Noting(gym_wrappers.OrderEnforcing(EchoEnv())))
-    assert str(caught.value) == (
-        "OrderEnforcing is a wrapper of Gymnasium's, which cannot save its state or spawn; "
-        "put it outermost, or call the method on env.unwrapped"
-    )
+    assert env.fork().step("x") == env.step("x")
+    with pytest.raises(NotSupportedError, match="OrderEnforcing"):
+        env.spawn()
 
 
 @pytest.mark.parametrize("put", [lambda env: Noting(env, "q"), lambda env: Noting(env=env, mark="q")])
@@ -374,14 +336,6 @@ def test_spawn_makes_the_whole_stack(put: Any) -> None:
     assert str(sibling) == str(env)
     assert (sibling.mark, sibling.max_turns, sibling.turns) == ("q", 4, 2)
     assert sibling.unwrapped is not env.unwrapped
-
-
-def test_spawn_in_the_same_state() -> None:
-    """A sibling in the same state goes on with the counts of its wrappers."""
-    env = TurnLimit(Guard(EchoEnv()), 2)
-    env.reset(seed=1)
-    env.step("x")
-    assert env.spawn(same_state=True).step("x") == env.step("x") == ("x2", 1.0, False, True, {})
 
 
 # The guard.

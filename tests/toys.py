@@ -55,12 +55,6 @@ class CountdownEnv(gem.Env):
         suffix = f"Left: {self.left}."
         return feedback + suffix, {"feedback": feedback, "suffix": suffix}
 
-    def _get_state(self) -> dict[str, Any]:
-        return {"left": self.left, "turn": self.turn}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self.left, self.turn = state["left"], state["turn"]
-
 
 class EchoEnv(gem.Env):
     """Repeats what it is told, without feedback and suffix, until it is told 'stop'."""
@@ -121,12 +115,6 @@ class Notebook(gem.Tool):
     def call(self, arguments: Parameters, session: list[str]) -> gem.ToolResult:
         session.append(arguments.line)
         return gem.ToolResult("\n".join(session), info={"lines": len(session)})
-
-    def get_session_state(self, session: list[str]) -> list[str]:
-        return list(session)
-
-    def set_session_state(self, state: list[str]) -> list[str]:
-        return list(state)
 
 
 class AsyncNotebook(Notebook):

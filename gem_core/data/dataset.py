@@ -245,12 +245,6 @@ class DatasetEnv(Env):
                 f"It may name {{question}} or a column: {places}"
             )
 
-    def _get_state(self) -> dict[str, Any]:
-        return {"index": self._index}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self._take(chosen_index({"index": state["index"]}, self.num_tasks))
-
 
 def chosen_index(options: Mapping[str, Any], count: int) -> int:
     """Return the task that the options of a reset choose: ``{"index": i}``, with ``i`` from 0 to under ``count``.

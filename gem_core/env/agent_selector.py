@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping
-from typing import Any, Literal, get_args
+from collections.abc import Iterable
+from typing import Literal, get_args
 
-from gem_core.errors import ArgumentError, StateError
+from gem_core.errors import ArgumentError
 
 SelectionMode = Literal["sequential", "parallel"]
 
@@ -15,8 +15,7 @@ class AgentSelector:
     """Says which agents act next: one after another, all at once, or as a subclass decides.
 
     An environment changes the turns with ``override``, ``skip`` and ``reorder``; a subclass that decides by other rules
-    overrides ``choose``. Everything that a subclass remembers in attributes has to be plain data: it is part of the
-    environment's state.
+    overrides ``choose``.
 
     Args:
         agents: Names in the order of their turns.
@@ -101,20 +100,6 @@ class AgentSelector:
             if agent in names:
                 names.remove(agent)
         self._skips.pop(agent, None)
-
-    def get_state(self) -> dict[str, Any]:
-        """Return all that it remembers, as plain data."""
-        return copy.deepcopy(vars(self))
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """Restore what ``get_state`` returned.
-
-        Raises:
-            StateError: It belongs to another selector.
-        """
-        if state.keys() != vars(self).keys():
-            raise StateError(f"this is no state of a {type(self).__name__}: it holds {', '.join(map(str, state))}")
-        vars(self).update(copy.deepcopy(dict(state)))
 
     def _is_skipped(self, agent: str) -> bool:
         left = self._skips.get(agent, 0)

@@ -15,14 +15,12 @@ from gem_core.env.seeding import (
     SEED_MAXIMUM,
     checked_seed,
     fresh_seed,
-    generator_state,
     next_seed,
-    restore_generator,
     stable_hash,
     start_generator,
 )
 from gem_core.env.spaces import Text
-from gem_core.errors import GemError, SamplingNotSupported, StateError, StateNotSupported
+from gem_core.errors import SamplingNotSupported
 from gem_core.types import Concurrency, ResetResult, StepResult
 
 if TYPE_CHECKING:
@@ -48,8 +46,8 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
                 right = extract_last_boxed_answer(action) == self.word[::-1]
                 return TERMINAL_STATE, float(right), True, False, {"correct": right}
 
-    It may override ``sample_random_action``, ``gold_action``, ``render`` and ``close``, and ``_get_state`` with
-    ``_set_state``. Where ``reset`` takes ``options={"index": i}``, it sets ``num_tasks``.
+    It may override ``sample_random_action``, ``gold_action``, ``render`` and ``close``; and ``__deepcopy__``, where it
+    holds something that ``fork`` cannot copy. Where ``reset`` takes ``options={"index": i}``, it sets ``num_tasks``.
     ``gem_core.testing.check_env`` tries whether it keeps what this class promises.
 
     A response is untrusted text of a model: any string gives an observation and a reward, in bounded time.
@@ -208,10 +206,6 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         _ = self.np_random
         return cast("int", self._np_random_seed)
 
-    def _own_generator(self) -> np.random.Generator | None:
-        # A generator that was set from outside may be shared, or of another kind: it is never set in place.
-        return None if self._np_random_seed == _SET_FROM_OUTSIDE else self._generator
-
     @property
     def _np_random(self) -> np.random.Generator | None:
         """What Gymnasium's own code reads and sets: the generator, or None before the first reset or draw."""
@@ -242,68 +236,14 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         """The id that it was made by, or None."""
         return None if self.spec is None else self.spec.id
 
-    def get_state(self) -> dict[str, Any]:
-        """Return all that decides how the episode goes on, as plain data that JSON keeps exactly.
-
-        Raises:
-            StateNotSupported: The environment cannot, as with a live container.
-        """
-        task = self._get_state()
-        return {
-            "id": self.env_id or type(self).__name__,
-            "version": None if self.spec is None else self.spec.version,
-            "seed": self._np_random_seed,
-            "generator": generator_state(self._np_random),
-            "actions": generator_state(self._action_generator) if self._action_started else None,
-            "action_seed": self._action_seed,
-            "task": task,
-        }
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """Restore a state that ``get_state`` of an instance of this environment returned.
-
-        Raises:
-            StateError: It belongs to another environment, or is damaged.
-            StateNotSupported: The environment cannot.
-        """
-        identity = self.env_id or type(self).__name__
-        if not isinstance(state, Mapping) or state.get("id") != identity:
-            found = (state.get("wrapper") or state.get("id")) if isinstance(state, Mapping) else type(state).__name__
-            raise StateError(f"this is a state of {found!r}, and the environment is {identity!r}")
-        try:
-            self._np_random = restore_generator(self._own_generator(), state["generator"])
-            self._np_random_seed = _seed_or_none(state["seed"])
-            self._action_seed = _seed_or_none(state["action_seed"])
-            self._action_started = state["actions"] is not None
-            if self._action_started:
-                self._action_generator = restore_generator(self._action_generator, state["actions"])
-            self._set_state(state["task"])
-        except GemError:
-            raise
-        except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
-            raise StateError(
-                f"the state of {identity!r} is damaged ({type(error).__name__}: {error}); "
-                "call reset(), or give a state that get_state() returned"
-            ) from error
-
-    def _get_state(self) -> dict[str, Any]:
-        """Return the state of the task as plain data; override together with ``_set_state``."""
-        raise StateNotSupported(f"{type(self).__name__} cannot save its state; override _get_state and _set_state")
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        """Restore what ``_get_state`` returned; override together with it."""
-        raise StateNotSupported(f"{type(self).__name__} cannot restore a state; override _get_state and _set_state")
-
-    def spawn(self, same_state: bool = False, **overrides: Any) -> Env:
-        """Return a sibling: the same environment with arguments of its own.
+    def spawn(self, **overrides: Any) -> Env:
+        """Return another instance of the same environment, made with the same arguments.
 
         Args:
-            same_state: Also put it into the present state.
             **overrides: Keyword arguments of the constructor to change.
 
         Raises:
             ArgumentError: The constructor does not take an override; the message names what it takes.
-            StateNotSupported: ``same_state`` was asked for and the environment cannot save its state.
         """
         args, kwargs = overridden(type(self), self._init_args, overrides)
         check_arguments(type(self), args, kwargs, f"environment {self.env_id or type(self).__name__!r}")
@@ -311,8 +251,6 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         if self.spec is not None:
             sibling.spec = self.spec.with_kwargs(overrides)
         sibling.render_mode = self.render_mode
-        if same_state:
-            sibling.set_state(self.get_state())
         return sibling
 
     async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
@@ -357,9 +295,3 @@ class AsyncEnv(Env):
 def reset_arguments(seed: int | None, options: dict[str, Any] | None) -> dict[str, Any]:
     """Return the keywords for an author's ``reset``, which need not know ``options`` while there are none."""
     return {"seed": seed, "options": options} if options else {"seed": seed}
-
-
-def _seed_or_none(value: Any) -> int | None:
-    if value is not None and type(value) is not int:
-        raise TypeError(f"{value!r} is no seed")
-    return value

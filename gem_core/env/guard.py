@@ -50,12 +50,6 @@ class Guard(Wrapper):
         except (TypeError, ValueError) as error:
             raise type(error)(f"{type(self.unwrapped).__name__}: {error}") from None
 
-    def _get_state(self) -> dict[str, Any]:
-        return {"live": self._live}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self._live = bool(state["live"])
-
 
 def reset_needed(env: Wrapper) -> ResetNeededError:
     """Return the error of a step outside an episode."""

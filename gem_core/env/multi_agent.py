@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +19,7 @@ from gem_core.env.joint_checks import (
     named,
 )
 from gem_core.env.spaces import Text
-from gem_core.errors import ArgumentError, SamplingNotSupported, StateError
+from gem_core.errors import ArgumentError, SamplingNotSupported
 from gem_core.types import Info, Observation, StepResult
 
 if TYPE_CHECKING:
@@ -71,7 +70,7 @@ class MultiAgentEnv(Env):
                 return {"guesser": float(right), "chooser": -float(right)}, over, {}, {}
 
     It draws all randomness from ``np_random``, and may override ``sample_random_action``, ``render`` and ``close``, and
-    ``_get_state`` with ``_set_state``. ``agent_selector`` decides whose turn it is. What an agent *says* to another is
+    ``__deepcopy__`` as any ``Env``. ``agent_selector`` decides whose turn it is. What an agent *says* to another is
     what the environment extracts of its response and shows in ``observe``; the response itself reaches nobody.
 
     Agents leave when they are terminated or truncated, and never come back; others of ``possible_agents`` may join by
@@ -263,26 +262,6 @@ class MultiAgentEnv(Env):
         """Who has to act now; nobody outside an episode."""
         return tuple(self.agent_selector.selected) if self.__turns.live else ()
 
-    def get_state(self) -> dict[str, Any]:
-        """Return all that decides how the episode goes on; see ``Env.get_state``."""
-        shown = {name: value for name, value in vars(self).items() if name in _SHOWN}
-        turns = copy.deepcopy({**shown, **asdict(self.__turns)})
-        return {**super().get_state(), "turns": turns, "selector": self.agent_selector.get_state()}
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """Restore a state that ``get_state`` of an instance of this environment returned; see ``Env.set_state``."""
-        super().set_state(state)
-        try:
-            self.agent_selector.set_state(state["selector"])
-            turns = copy.deepcopy(dict(state["turns"]))
-            vars(self).update({name: turns.pop(name) for name in _SHOWN if name in turns})
-            self.__turns = _Turns(**turns)
-        except (LookupError, TypeError, ValueError, AttributeError) as error:
-            raise StateError(
-                f"the state of {self.env_id or type(self).__name__!r} is damaged ({type(error).__name__}: {error}); "
-                "call reset(), or give a state that get_state() returned"
-            ) from error
-
     def __enter(self, agent: str) -> None:
         self.cumulative[agent] = self.__turns.unpaid[agent] = 0.0
         self.terminations[agent] = self.truncations[agent] = False
@@ -345,7 +324,3 @@ class _Turns:
     steps: int = 0
     unpaid: dict[str, float] = field(default_factory=dict)
     news: dict[str, Info] = field(default_factory=dict)
-
-
-_SHOWN = ("agents", "cumulative", "terminations", "truncations")
-"""Public attributes that are part of the state."""

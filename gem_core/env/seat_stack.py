@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any
 
 from gem_core.env.base import Env
 from gem_core.env.joint_calls import AroundEnv, PlainCalls, of_env
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.wrapper import AnyEnv, Wrapper
-from gem_core.errors import ArgumentError, StateError
-from gem_core.types import ResetResult, Response, StepResult
+from gem_core.errors import ArgumentError
+from gem_core.types import ResetResult, StepResult
 
 
 class SeatEnv(AroundEnv, Env):
@@ -45,15 +44,6 @@ class SeatEnv(AroundEnv, Env):
     def gold_action(self) -> str | None:
         """Return a response by which the task of this seat is solved."""
         return self.env.gold_action(self.seat)
-
-    def get_state(self) -> dict[str, Any]:
-        """Return the name of the seat; its environment keeps the rest."""
-        return {"seat": self.seat}
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """Check that it is a state of this seat."""
-        if not isinstance(state, Mapping) or state.get("seat") != self.seat:
-            raise StateError(f"this is a state of other wrappers than those of the seat {self.seat!r}")
 
 
 class SeatStack:
@@ -113,19 +103,6 @@ class SeatStack:
             result = await calls.hook(layer, "after_step", action, result)
         return result
 
-    def get_state(self) -> dict[str, Any]:
-        """Return the state of the wrappers, and what they wait for."""
-        return {
-            "sent": None if self._sent is None else list(map(saved_response, self._sent)),
-            "wrappers": cast("Env", self.env).get_state(),
-        }
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """Restore what ``get_state`` returned."""
-        sent = state["sent"]
-        self._sent = None if sent is None else list(map(restored_response, sent))
-        cast("Env", self.env).set_state(state["wrappers"])
-
 
 _METHODS = ("reset", "step", "reset_async", "step_async")
 
@@ -149,13 +126,3 @@ def _layers(env: AnyEnv) -> list[Wrapper]:
         layers.append(env)
         env = env.env
     return layers
-
-
-def saved_response(response: str) -> dict[str, Any]:
-    """Return a response as plain data."""
-    return {"text": str(response), **(response.reported() if isinstance(response, Response) else {})}
-
-
-def restored_response(saved: Mapping[str, Any]) -> str:
-    """Return the response that ``saved_response`` made plain."""
-    return Response(**saved) if len(saved) > 1 else str(saved["text"])

@@ -12,9 +12,8 @@ from gem_core.env.base import Env
 from gem_core.env.joint_calls import AroundEnv, AwaitedCalls, PlainCalls, of_env
 from gem_core.env.joint_checks import check_actions, check_in_episode, check_seats
 from gem_core.env.multi_agent import JointResetResult, JointStepResult, MultiAgentEnv, result_of
-from gem_core.env.seat_stack import SeatEnv, SeatStack, restored_response, saved_response
+from gem_core.env.seat_stack import SeatEnv, SeatStack
 from gem_core.env.wrapper import AnyEnv, concurrency_of, most_demanding
-from gem_core.errors import GemError, StateError
 from gem_core.types import Concurrency, StepResult
 
 if TYPE_CHECKING:
@@ -212,42 +211,9 @@ class SeatWrappers(AroundEnv, MultiAgentEnv):
                 self.terminations[agent], self.truncations[agent] = terminated, truncated
         return observations, rewards, dict(self.terminations), dict(self.truncations), infos
 
-    def get_state(self) -> dict[str, Any]:
-        """Return the state of the environment and of all wrappers; see ``Env.get_state``."""
-        return {
-            "env": self.env.get_state(),
-            "seats": {seat: stack.get_state() for seat, stack in self._stacks.items()},
-            "held": {seat: saved_response(response) for seat, response in self._held.items()},
-            "added": self._added.copy(),
-            "terminations": self.terminations.copy(),
-            "truncations": self.truncations.copy(),
-        }
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """Restore what ``get_state`` returned; see ``Env.set_state``."""
-        try:
-            for seat, stack in self._stacks.items():
-                stack.set_state(state["seats"][seat])
-            self._held = {seat: restored_response(response) for seat, response in state["held"].items()}
-            self._added = dict(state["added"])
-            self.terminations, self.truncations = dict(state["terminations"]), dict(state["truncations"])
-            inner = state["env"]
-        except GemError:
-            raise
-        except (LookupError, TypeError, ValueError, AttributeError) as error:
-            name = self.env_id or type(self.unwrapped).__name__
-            raise StateError(
-                f"this is no state of {name!r} with wrappers around its seats ({type(error).__name__}: {error}); "
-                "call reset(), or give a state that get_state() returned"
-            ) from error
-        self.env.set_state(inner)
-
-    def spawn(self, same_state: bool = False, **overrides: Any) -> SeatWrappers:
-        """Return a sibling, wrappers included; see ``Env.spawn``."""
-        sibling = SeatWrappers(cast("MultiAgentEnv", self.env.spawn(**overrides)), self._around)
-        if same_state:
-            sibling.set_state(self.get_state())
-        return sibling
+    def spawn(self, **overrides: Any) -> SeatWrappers:
+        """Return another instance, wrappers included; see ``Env.spawn``."""
+        return SeatWrappers(cast("MultiAgentEnv", self.env.spawn(**overrides)), self._around)
 
     def close(self) -> None:
         """Close the wrappers of all seats, then the environment."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 import operator
 import secrets
 from hashlib import blake2b
-from typing import Any, SupportsIndex
+from typing import SupportsIndex
 
 import numpy as np
 
-from gem_core.errors import ArgumentError, StateError
+from gem_core.errors import ArgumentError
 
 SEED_LIMIT = 1 << 53
 """Seeds that the library makes lie below this, so that they are exact in JSON readers that use doubles."""
@@ -98,31 +98,5 @@ def start_generator(generator: np.random.Generator | None, seed: int) -> np.rand
         "state": {"state": value >> 128, "inc": (value & ((1 << 128) - 1)) | 1},
         "has_uint32": 0,
         "uinteger": 0,
-    }
-    return generator
-
-
-def generator_state(generator: np.random.Generator | None) -> list[int] | None:
-    """Return the state of a generator as whole numbers, which JSON keeps exactly; None for None."""
-    if generator is None:
-        return None
-    state: Any = generator.bit_generator.state
-    if state["bit_generator"] != "PCG64":
-        raise StateError(f"only PCG64 generators can be saved, and np_random is a {state['bit_generator']}")
-    return [int(state["state"]["state"]), int(state["state"]["inc"]), int(state["has_uint32"]), int(state["uinteger"])]
-
-
-def restore_generator(generator: np.random.Generator | None, state: list[int] | None) -> np.random.Generator | None:
-    """Return a generator in the state that ``generator_state`` gave; None for None."""
-    if state is None:
-        return None
-    if generator is None or generator.bit_generator.state["bit_generator"] != "PCG64":
-        generator = np.random.Generator(np.random.PCG64(0))
-    position, increment, has_uint32, uinteger = state
-    generator.bit_generator.state = {
-        "bit_generator": "PCG64",
-        "state": {"state": position, "inc": increment},
-        "has_uint32": has_uint32,
-        "uinteger": uinteger,
     }
     return generator

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Awaitable, Mapping
+from collections.abc import Awaitable
 from typing import Any, Self, cast
 
 import gymnasium
@@ -14,7 +14,7 @@ from gem_core.docs import page_url
 from gem_core.env.base import AsyncEnv, Env, reset_arguments
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.results import refuse_action
-from gem_core.errors import ArgumentError, GemError, StateError, StateNotSupported
+from gem_core.errors import ArgumentError, NotSupportedError
 from gem_core.types import Concurrency, ResetResult, StepResult
 
 AnyEnv = gymnasium.Env[Any, str]
@@ -192,40 +192,12 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         """Return a response that solves the task from the present state; see ``Env.gold_action``."""
         return cast("str | None", self.env.get_wrapper_attr("gold_action")())
 
-    def get_state(self) -> dict[str, Any]:
-        """Return the state of this wrapper and of all inside it; see ``Env.get_state``."""
-        return {"wrapper": type(self).__name__, "own": self._get_state(), "env": _inner(self.env).get_state()}
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """Restore what ``get_state`` returned; see ``Env.set_state``."""
-        name = type(self).__name__
-        if not isinstance(state, Mapping) or state.get("wrapper") != name:
-            found = (state.get("wrapper") or state.get("id")) if isinstance(state, Mapping) else type(state).__name__
-            raise StateError(f"this is a state of {found!r}, and the wrapper is {name!r}")
-        try:
-            self._set_state(state["own"])
-            inner = state["env"]
-        except GemError:
-            raise
-        except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
-            raise StateError(f"the state of wrapper {name!r} is damaged ({type(error).__name__}: {error})") from error
-        _inner(self.env).set_state(inner)
-
-    def _get_state(self) -> dict[str, Any]:
-        """Return what this wrapper remembers of the episode; override together with ``_set_state``."""
-        return {}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        """Restore what ``_get_state`` returned; override together with it."""
-
-    def spawn(self, same_state: bool = False, **overrides: Any) -> Self:
-        """Return a sibling of the whole stack; see ``Env.spawn``."""
+    def spawn(self, **overrides: Any) -> Self:
+        """Return another instance of the whole stack; see ``Env.spawn``."""
         args, kwargs = self._init_args
         inner = _inner(self.env).spawn(**overrides)
         sibling = type(self)(inner, *args[1:], **kwargs) if args else type(self)(**{**kwargs, "env": inner})
         sibling.registered_as, sibling.hidden_in_spec = self.registered_as, self.hidden_in_spec
-        if same_state:
-            sibling.set_state(self.get_state())
         return sibling
 
     def __getattr__(self, name: str) -> Any:
@@ -283,7 +255,7 @@ async def step_async(env: AnyEnv, action: str) -> StepResult:
 def _inner(env: AnyEnv) -> Any:
     if isinstance(env, Env | Wrapper):
         return env
-    raise StateNotSupported(
-        f"{type(env).__name__} is a wrapper of Gymnasium's, which cannot save its state or spawn; "
+    raise NotSupportedError(
+        f"{type(env).__name__} is a wrapper of Gymnasium's, which cannot spawn; "
         "put it outermost, or call the method on env.unwrapped"
     )

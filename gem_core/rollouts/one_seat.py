@@ -15,7 +15,6 @@ from gem_core.env.joint_calls import AroundEnv, AwaitedCalls, PlainCalls, of_env
 from gem_core.env.joint_checks import check_in_episode, check_seats
 from gem_core.env.multi_agent import JointStepResult, MultiAgentEnv, result_of
 from gem_core.env.results import refuse_action
-from gem_core.env.seat_stack import restored_response, saved_response
 from gem_core.env.seeding import stable_hash
 from gem_core.env.wrapper import concurrency_of, most_demanding
 from gem_core.errors import AgentError, ArgumentError, EnvFaultError
@@ -325,36 +324,12 @@ class SingleAgentEnv(AroundEnv, Env):
 
     # State and the rest.
 
-    def _get_state(self) -> dict[str, Any]:
-        return {
-            "env": self.env.get_state(),
-            "live": self._live,
-            "acting": self._acting.copy(),
-            "reward": self._reward,
-            "draws": self._draws.copy(),
-            "others": {
-                agent: {"episode": running.episode.to_dict(), "response": saved_response(running.response)}
-                for agent, running in self._running.items()
-            },
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self.env.set_state(state["env"])
-        self._live, self._acting = bool(state["live"]), list(map(str, state["acting"]))
-        self._reward, self._draws = float(state["reward"]), dict(state["draws"])
-        self._running = {}
-        for agent, saved in state["others"].items():
-            running = self._running_seat(agent, Episode.from_dict(saved["episode"]))
-            running.response = Response.of(restored_response(saved["response"]))
-            running.context.turn, running.context.info = running.episode.turns, running.episode.final_info
-            self._running[agent] = running
-
-    def spawn(self, same_state: bool = False, **overrides: Any) -> Env:
-        """Return a sibling; overrides that ``single_agent`` does not know go to the environment inside."""
+    def spawn(self, **overrides: Any) -> Env:
+        """Return another instance; overrides that ``single_agent`` does not know go to the environment inside."""
         if not self._made_here:
             inner = {name: overrides.pop(name) for name in list(overrides) if name not in _OWN_ARGUMENTS}
             overrides["env"] = self.env.spawn(**inner)
-        return super().spawn(same_state, **overrides)
+        return super().spawn(**overrides)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         memo[id(self._loaded)] = {}  # a fork asks the same agents, and leaves it to the first one to close them

@@ -52,9 +52,3 @@ class SmallTask(Env):
         self._number = int(self.np_random.integers(10))
         suffix = f"The number is {self._number}. Turn {self._turn + 1} of 3."
         return observation_from(feedback, suffix), {"feedback": feedback, "suffix": suffix}
-
-    def _get_state(self) -> dict[str, Any]:
-        return {"number": self._number, "turn": self._turn}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self._number, self._turn = int(state["number"]), int(state["turn"])

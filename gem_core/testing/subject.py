@@ -7,7 +7,7 @@ import io
 import os
 import pickle
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
@@ -21,7 +21,7 @@ from gem_core.api import make, spec
 from gem_core.env.base import Env
 from gem_core.env.seeding import stable_hash
 from gem_core.env.wrapper import AnyEnv, Wrapper
-from gem_core.errors import ArgumentError, StateNotSupported
+from gem_core.errors import ArgumentError
 from gem_core.registry.requirements import check_requirements
 from gem_core.registry.specs import EnvSpec
 from gem_core.testing.comparing import play
@@ -234,18 +234,9 @@ class Subject:
             raise NotTriedError("its record says deterministic=False")
 
     def cuts(self, script: Script) -> list[int]:
-        """Return the numbers of actions after which states are saved: none, half, and all but the last."""
+        """Return the numbers of actions after which to fork: none, half, and all but the last."""
         last = len(script.actions) - 1
         return sorted({0, last // 2, max(last, 0)})
-
-    def saved(self, env: AnyEnv) -> Mapping[str, Any]:
-        """Return the state of an environment, where it has one to give."""
-        try:
-            return cast("Mapping[str, Any]", self.called("get_state()", cast("Env", env).get_state))
-        except StateNotSupported as error:
-            raise NotTriedError(str(error)) from error
-
-    # Promises.
 
     def sightings(self, check: Callable[[Subject], Iterator[str]]) -> Iterator[str]:
         """Yield how a promise is broken; an exception breaks it too.

@@ -12,7 +12,7 @@ import pydantic
 from gem_core.env.guard import reset_needed
 from gem_core.env.observations import join_observations, observation_from, split_observation
 from gem_core.env.wrapper import AnyEnv, Wrapper
-from gem_core.errors import ArgumentError, StateError, StateNotSupported
+from gem_core.errors import ArgumentError
 from gem_core.tools.calls import CallReader, native_calls
 from gem_core.tools.selection import ToolChoice, ToolChoices, tool_choices, tools_by_name
 from gem_core.tools.sessions import ToolSessions
@@ -275,27 +275,6 @@ class ToolEnv(Wrapper):
 
     def _own_record(self) -> tuple[str, dict[str, Any]]:
         return "tools", super()._own_record()[1]
-
-    def _get_state(self) -> dict[str, Any]:
-        if self._suffix is not None and not isinstance(self._suffix, str):
-            raise StateNotSupported("the task's suffix holds content parts, whose images are not plain data")
-        holders = self._sessions.holders
-        return {
-            "live": self._live,
-            "counters": [self._uses, self._successes, self._failures],
-            "suffix": self._suffix,
-            "sessions": {key: holders[key].get_session_state(session) for key, session in self._sessions.open.items()},
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self._sessions.close()
-        self._uses, self._successes, self._failures = map(int, state["counters"])
-        suffix = state["suffix"]
-        if suffix is not None and not isinstance(suffix, str):
-            raise StateError(f"the suffix in a state must be text or None, not {type(suffix).__name__}")
-        self._suffix, self._live = suffix, bool(state["live"])
-        for key, session in state["sessions"].items():
-            self._sessions.open[key] = self._sessions.holders[key].set_session_state(session)
 
 
 def _title(call: ToolCall, result: ToolResult) -> str:

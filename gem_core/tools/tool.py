@@ -11,7 +11,6 @@ from typing import Any, Self
 
 import pydantic
 
-from gem_core.errors import StateNotSupported
 from gem_core.parsing import extract_code_blocks, unclosed_code_block
 from gem_core.types import Concurrency, Observation
 
@@ -122,16 +121,6 @@ class Tool:
         By default the tool's name, so that each has its own.
         """
         return self.name
-
-    def get_session_state(self, session: Any) -> Any:
-        """Return a session as plain data; a tool without sessions has none to save."""
-        if session is None:
-            return None
-        raise StateNotSupported(f"the tool {self.name!r} cannot save its session")
-
-    def set_session_state(self, state: Any) -> Any:
-        """Return a session from what ``get_session_state`` returned."""
-        return None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         return self  # one object serves many environments, a fork among them

@@ -92,13 +92,6 @@ class ConcatChat(ObservationView):
         )
         return cast("str", text)
 
-    def _get_state(self) -> dict[str, Any]:
-        return {**super()._get_state(), "text": self._text}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        self._text = str(state["text"])
-
 
 def _load_tokenizer(tokenizer: Any) -> Any:
     if isinstance(tokenizer, str):

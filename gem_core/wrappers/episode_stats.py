@@ -38,10 +38,3 @@ class EpisodeStats(Wrapper):
             seconds = round(time.perf_counter() - self._started, 6)
             info["episode"] = {"r": self._return, "l": self._length, "t": seconds}
         return result
-
-    def _get_state(self) -> dict[str, Any]:
-        return {"return": self._return, "length": self._length}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self._return, self._length = float(state["return"]), int(state["length"])
-        self._started = time.perf_counter()

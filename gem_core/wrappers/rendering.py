@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from gem_core.env.wrapper import AnyEnv, Wrapper
@@ -50,15 +49,6 @@ class Rendered(Wrapper):
         """Show what the step led to."""
         self._show(result[0])
         return result
-
-    def get_state(self) -> dict[str, Any]:
-        """Return the state of the environment inside, which is the same without this wrapper."""
-        return self.env.get_wrapper_attr("get_state")()  # type: ignore[no-any-return]
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """Restore the environment inside; the last observation is not known then."""
-        self._observation = ""
-        self.env.get_wrapper_attr("set_state")(state)
 
     def _show(self, observation: Observation) -> None:
         self._observation = observation

@@ -40,9 +40,3 @@ class TurnLimit(Wrapper):
         self.turn += 1
         observation, reward, terminated, truncated, info = result
         return observation, reward, terminated, truncated or (self.turn >= self.max_turns and not terminated), info
-
-    def _get_state(self) -> dict[str, Any]:
-        return {"turn": self.turn}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self.turn = int(state["turn"])

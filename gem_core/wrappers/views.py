@@ -6,12 +6,12 @@ A view keeps a ``History`` and shows it; limits work on its turns, never on rend
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any, ClassVar
 
 from gem_core.env.observations import split_observation, texts_of
 from gem_core.env.wrapper import AnyEnv, Wrapper
-from gem_core.errors import ArgumentError, StateNotSupported
+from gem_core.errors import ArgumentError
 from gem_core.parsing import without_thinking
 from gem_core.records.conversation import History, Turn
 from gem_core.types import Observation, ResetResult, StepResult
@@ -104,18 +104,6 @@ class ObservationView(Wrapper):
         text = "\n".join(texts_of(observation))
         encode = getattr(self.count_tokens, "encode", None)
         return len(encode(text)) if encode is not None else int(self.count_tokens(text))
-
-    def _get_state(self) -> dict[str, Any]:
-        outputs = [self._history.task, self._history.suffix]
-        for turn in self._history.turns:
-            outputs += [turn.feedback, turn.suffix, *(m.get("content") or "" for m in turn.messages or ())]
-        if not all(isinstance(output, str) for output in outputs):
-            raise StateNotSupported(f"{type(self).__name__} holds content parts, whose images are not plain data")
-        return asdict(self._history)
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        turns = [Turn(**turn) for turn in state["turns"]]
-        self._history = History(state["task"], state["suffix"], state["system"], turns)
 
 
 class Latest(ObservationView):

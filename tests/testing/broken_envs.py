@@ -185,7 +185,7 @@ class LeftoverEnv(GoodEnv):
         return f"{super().hint(guess)} Step {self.steps}."
 
 
-@breaks("interleaving", "spawn")
+@breaks("interleaving", "fork")
 class ClassStateEnv(GoodEnv):
     """It keeps the number to guess in its class."""
 
@@ -231,15 +231,8 @@ class EpisodeCountEnv(GoodEnv):
         self.number = self.number + 1 if seed is None else 0
         return self.answer(f"Episode {self.number}.\n")
 
-    def _get_state(self) -> dict[str, Any]:
-        return {**super()._get_state(), "number": self.number}
 
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        self.number = state["number"]
-
-
-@breaks("action-sampling", may=("state-instance",))
+@breaks("action-sampling", may=("fork",))
 class TaskGeneratorSamplingEnv(GoodEnv):
     """It samples actions from the task's generator."""
 
@@ -264,28 +257,21 @@ class DigitsEnv(GoodEnv):
         return int(content) if content.isdigit() and 1 <= int(content) <= self.limit else None
 
 
-@breaks("state-json")
-class LiveStateEnv(GoodEnv):
-    """Its state is its own list, which goes on changing."""
+@breaks("fork")
+class SharingForkEnv(GoodEnv):
+    """Its forks write into its own list."""
 
-    def _get_state(self) -> dict[str, Any]:
-        return {"secret": self.secret, "guesses": self.guesses}
-
-
-@breaks("state-instance", "spawn")
-class ForgetfulStateEnv(GoodEnv):
-    """Its state lacks the guesses."""
-
-    def _get_state(self) -> dict[str, Any]:
-        return {"secret": self.secret, "guesses": []}
+    shared_by_forks = ("guesses",)
 
 
-@breaks("spawn")
-class WrongSpawnEnv(GoodEnv):
-    """Its siblings have other arguments."""
+@breaks("fork")
+class ForgetfulForkEnv(GoodEnv):
+    """Its forks lack the guesses."""
 
-    def spawn(self, same_state: bool = False, **overrides: Any) -> Any:
-        return super().spawn(same_state, **{"limit": self.limit + 90, **overrides})
+    def __deepcopy__(self, memo: dict[int, Any]) -> Any:
+        other = super().__deepcopy__(memo)
+        other.guesses = []
+        return other
 
 
 # Not in the table: these need more than check_env(maker).

@@ -78,14 +78,6 @@ class GoodJointEnv(MultiAgentEnv):
     def sample_random_action(self, agent: str) -> str:
         return f"\\boxed{{{int(self.action_random.integers(0, self.limit + 1))}}}"
 
-    def _get_state(self) -> dict[str, Any]:
-        names = ("secret", "guesses", "feedback", "unread")
-        return {name: list(value) if isinstance(value := getattr(self, name), list) else value for name in names}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self.secret, self.feedback = state["secret"], state["feedback"]
-        self.guesses, self.unread = list(state["guesses"]), list(state["unread"])
-
 
 breaks("seats")(EnvSpec(id="check:Seats-v0", entry_point=GoodJointEnv, seats=("red", "green")))
 
@@ -160,7 +152,7 @@ class PartsForGreenEnv(GoodJointEnv):
         return {agent: {} for agent in self.possible_agents}
 
 
-@breaks("interleaving", "spawn", may=("state-instance",))
+@breaks("interleaving")
 class SharedSelectorEnv(GoodJointEnv):
     """All instances have one selector, as one has who makes it in the body of the class."""
 

@@ -60,13 +60,6 @@ class GoodEnv(Env):
     def sample_random_action(self) -> str:
         return f"\\boxed{{{int(self.action_random.integers(1, self.limit + 1))}}}"
 
-    def _get_state(self) -> dict[str, Any]:
-        return {"secret": self.secret, "guesses": list(self.guesses)}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self.secret = state["secret"]
-        self.guesses = list(state["guesses"])
-
 
 class GoodAsyncEnv(AsyncEnv):
     """The same game, written as coroutines."""
@@ -86,13 +79,6 @@ class GoodAsyncEnv(AsyncEnv):
 
     def sample_random_action(self) -> str:
         return f"\\boxed{{{int(self.action_random.integers(1, self.game.limit + 1))}}}"
-
-    def _get_state(self) -> dict[str, Any]:
-        return self.game._get_state()
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self.game._np_random = self.np_random
-        self.game._set_state(state)
 
 
 class ThreadEnv(GoodEnv):
@@ -132,12 +118,6 @@ class CountingWrapper(Wrapper):
         self.count += self.width
         result[4]["count"] = self.count
         return result
-
-    def _get_state(self) -> dict[str, Any]:
-        return {"count": self.count}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self.count = state["count"]
 
 
 class ReverseStringEnv(Env):

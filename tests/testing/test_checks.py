@@ -34,12 +34,6 @@ class Notes(gem.Tool):
     def open(self):
         return []
 
-    def get_session_state(self, session):
-        return session
-
-    def set_session_state(self, state):
-        return state
-
 
 class Shared(Notes):
     """Keeps one session for all episodes."""
@@ -64,11 +58,18 @@ class Failing(Notes):
         raise ValueError("out of order")
 
 
-class Forgetful(Notes):
-    """Loses what it is given back."""
+class Session(list):
+    """Has forks that go on with it."""
 
-    def set_session_state(self, state):
-        return []
+    def __deepcopy__(self, memo):
+        return self
+
+
+class SharingForks(Notes):
+    """Gives a fork the session of the first one."""
+
+    def open(self):
+        return Session()
 
 
 @pytest.mark.parametrize("tool", [Notes, Notes()])
@@ -85,7 +86,7 @@ def test_good_tool_passes(tool) -> None:
         (Nameless, "Its name is one that model servers take. Seen: 'two words'"),
         (Nameless, "It has a description. Seen: an empty one"),
         (Failing, "A call succeeds. Seen: Error from notes: The tool failed: ValueError: out of order"),
-        (Forgetful, "Its session is restored as it was. Seen: another state"),
+        (SharingForks, "A fork has its own session. Seen: calls of the first one changed it"),
     ],
 )
 @pytest.mark.few(2)
@@ -128,17 +129,15 @@ class OnlyPlain(gem.Wrapper):
 
 
 class Counting(gem.Wrapper):
-    """Remembers something, and does not save it."""
+    """Counts in its class, for all stacks at once."""
 
-    def __init__(self, env):
-        super().__init__(env)
-        self.turns = 0
+    turns = 0
 
     def before_reset(self, seed, options):
-        self.turns = 0
+        Counting.turns = 0
 
     def after_step(self, action, result):
-        self.turns += 1
+        Counting.turns += 1
         observation, _, *rest = result
         return observation, float(self.turns), *rest
 
@@ -148,7 +147,7 @@ class Counting(gem.Wrapper):
     [
         (Hiding, CheckError, "Attributes of the task are read through it. Seen: 'its own'"),
         (OnlyPlain, CheckError, "Its coroutines give what its plain methods give. Seen: "),
-        (Counting, ContractError, "state"),
+        (Counting, ContractError, "interleaving"),
         (lambda env: env, CheckError, "It derives from gem_core.Wrapper. Seen: a SmallTask"),
     ],
 )

@@ -18,7 +18,6 @@ from broken_envs import (
     BROKEN,
     BacktrackingEnv,
     DyingEnv,
-    LiveStateEnv,
     NullHangsEnv,
     OtherProcessEnv,
     RaisingEnv,
@@ -110,15 +109,15 @@ def test_paper_listing_breaks_what_it_breaks() -> None:
     assert "does not provide an `options`" in broken["gymnasium"]
 
 
-def test_state_that_is_not_supported_is_skipped() -> None:
-    with pytest.raises(ContractError) as caught:
-        check_env(ReverseStringEnv)
-    assert "cannot save its state" in caught.value.report.skipped["state-json"]
+def test_what_cannot_be_forked_is_skipped() -> None:
+    """With what it holds."""
 
+    class Locked(GoodEnv):
+        def __init__(self) -> None:
+            super().__init__()
+            self.lock = threading.Lock()
 
-def test_state_that_changes_later_is_shown_where_it_does() -> None:
-    """Not the beginning of two long states that look the same."""
-    assert "was changed by later ones, at env task guesses: [], then [" in broken_by(LiveStateEnv)["state-json"]
+    assert "cannot pickle '_thread.lock' object" in check_env(Locked).skipped["fork"]
 
 
 @pytest.mark.few(2)
@@ -159,7 +158,7 @@ def test_class_of_a_test_is_tried_there_too() -> None:
 
 def test_arguments_that_cannot_be_pickled_are_a_reason_to_skip() -> None:
     report = check_env(OtherProcessEnv(os.getpid(), threading.Lock()))  # type: ignore[arg-type]
-    assert set(report.skipped) == {"process-determinism"}
+    assert set(report.skipped) == {"process-determinism", "fork"}
     assert "hostile-actions" in report.kept
 
 
@@ -208,9 +207,9 @@ def test_given_instance_is_left_alone() -> None:
     """An environment can be checked in the middle of an episode."""
     env = GoodEnv()
     env.reset(seed=3)
-    before = env.get_state()
+    other = env.fork()
     check_env(env)
-    assert env.get_state() == before
+    assert env.step("x") == other.step("x")
 
 
 def test_global_random_state_survives_the_check() -> None:
@@ -268,11 +267,10 @@ def test_gymnasium_wrapper_outside_is_taken_off_and_noted() -> None:
     assert report.notes == ("checked inside Gymnasium's TimeLimit, which has none of GEM's methods",)
 
 
-def test_gymnasium_wrapper_within_cannot_spawn_and_is_not_asked_to() -> None:
-    """What cannot be spawned or saved is left out with the reason, and is no broken promise."""
+def test_gymnasium_wrapper_within_is_checked() -> None:
+    """Its fork too."""
     target = CountingWrapper(gymnasium.wrappers.TransformReward(Guard(GoodEnv(limit=5)), float))
-    report = check_env(target)
-    assert "wrapper of Gymnasium's, which cannot save its state or spawn" in report.skipped["spawn"]
+    assert "fork" in check_env(target).kept
 
 
 def test_images_in_observations_and_info_are_compared() -> None:

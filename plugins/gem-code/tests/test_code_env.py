@@ -325,9 +325,7 @@ def test_state_goes_on_in_another_instance() -> None:
     """By the index alone."""
     env = CodeEnv(ROWS)
     env.reset(seed=3, options={"index": 1})
-    state = json.loads(json.dumps(env.get_state()))
-    other = CodeEnv(ROWS)
-    other.set_state(state)
+    other = env.fork()
     action = env.sample_random_action()
     assert action == other.sample_random_action()
     assert "def twice(*arguments)" in action

@@ -32,12 +32,6 @@ class Notebook(gem.Tool):
         session += [arguments.text] * arguments.times
         return gem.ToolResult("\n".join(session))
 
-    def get_session_state(self, session: list[str]) -> list[str]:
-        return list(session)
-
-    def set_session_state(self, state: list[str]) -> list[str]:
-        return list(state)
-
 
 class SlowNotebook(Notebook):
     """The same as a coroutine."""
@@ -66,12 +60,6 @@ class Dice(gem.Env):
     def _shown(self, feedback: str) -> ResetResult:
         suffix = f"Thrown: {int(self.np_random.integers(1000))}."
         return feedback + suffix, {"feedback": feedback, "suffix": suffix}
-
-    def _get_state(self) -> dict[str, Any]:
-        return {"turn": self.turn}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self.turn = int(state["turn"])
 
 
 class Echo(gem.Env):

@@ -80,15 +80,13 @@ def test_a_seed_fixes_which_calls_fail() -> None:
     assert first[1:] != other[1:]
 
 
-def test_a_saved_state_goes_on_with_the_same_failures() -> None:
-    """The counter of draws is part of the state, through JSON."""
+def test_a_fork_goes_on_with_the_same_failures() -> None:
+    """It has a counter of draws of its own, which its tools read."""
     env = Tool429(with_tools(), rate=0.5)
     played(env, 1, [CALL] * 3)
-    state = json.loads(json.dumps(env.get_state()))
+    other = env.fork()
     went_on = [env.step(CALL)[0] for _ in range(8)]
-    sibling = env.spawn()
-    sibling.set_state(state)
-    assert [sibling.step(CALL)[0] for _ in range(8)] == went_on
+    assert [other.step(CALL)[0] for _ in range(8)] == went_on
 
 
 @pytest.mark.parametrize("tool", [Notebook, SlowNotebook])

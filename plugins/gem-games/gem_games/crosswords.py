@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
@@ -189,26 +189,6 @@ class CrosswordsEnv(Game):
             for row, column, across, word in self.placed
         )
         return "\n".join([coloured_grid(rows, colours), "", *listed])
-
-    def _get_state(self) -> dict[str, Any]:
-        return {
-            **super()._get_state(),
-            "hardcore": self.hardcore,
-            "placed": [list(placed) for placed in self.placed],
-            "filled": [[row, column] for row, column in self.solution if self.grid[row][column] != "_"],
-            "wrong": list(self.wrong),
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        self.hardcore = bool(state["hardcore"])
-        self.placed = [
-            Placed(int(row), int(column), bool(across), str(word)) for row, column, across, word in state["placed"]
-        ]
-        self._begin()
-        self.wrong = dict.fromkeys(map(str, state["wrong"]))
-        for row, column in state["filled"]:
-            self._fill(int(row), int(column))
 
 
 @cache

@@ -3,7 +3,6 @@ r"""FifteenPuzzle: slide numbered tiles into order, on boards of 2x2 (three tile
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 from gem_core.types import StepResult
 from gem_games.cheap_random import CheapRandom
@@ -160,19 +159,6 @@ class FifteenPuzzleEnv(Game):
             for number, tile in enumerate(self.tiles, start=1)
         ]
         return "\n".join("".join(cells[row : row + self.num_rows]) for row in range(0, len(cells), self.num_rows))
-
-    def _get_state(self) -> dict[str, Any]:
-        return {
-            **super()._get_state(),
-            "num_rows": self.num_rows,
-            "max_turns": self.max_turns,
-            "tiles": self.tiles,
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        self._set_size(int(state["num_rows"]), int(state["max_turns"]))
-        self._put([_LABELS[int(tile)] for tile in state["tiles"]])
 
 
 def gap_path(num_rows: int, moves: int, draws: CheapRandom) -> list[int]:

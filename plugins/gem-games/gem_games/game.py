@@ -31,10 +31,10 @@ class Game(Env):
     r"""A game of turns, won or lost within ``max_turns``; the base of one's own, here and in other plugins.
 
     A game sets ``max_turns``, and defines ``_deal``, ``_rules``, ``_situation``, ``_read``, ``_play``,
-    ``_random_answer``, ``_drawing`` and, with what it remembers, ``_get_state`` and ``_set_state``. ``_play`` gets what
-    ``_read`` makes of the last ``\boxed{}`` that it can read, and returns the verdict on it: ``_invalid``, ``_move`` or
-    ``_win``. ``reset``, ``step``, sampling and rendering are made from these. An observation is ``info["feedback"]``,
-    what happened, followed by ``info["suffix"]``, how things stand. For example::
+    ``_random_answer`` and ``_drawing``. ``_play`` gets what ``_read`` makes of the last ``\boxed{}`` that it can read,
+    and returns the verdict on it: ``_invalid``, ``_move`` or ``_win``. ``reset``, ``step``, sampling and rendering are
+    made from these. An observation is ``info["feedback"]``, what happened, followed by ``info["suffix"]``, how things
+    stand. For example::
 
         from gem_games.game import Game, painted, quote
 
@@ -73,13 +73,6 @@ class Game(Env):
 
             def _drawing(self):  # for a person: what gem play shows
                 return painted("?" if self.outcome == "playing" else str(self.number), "bold")
-
-            def _get_state(self):
-                return {**super()._get_state(), "number": self.number}
-
-            def _set_state(self, state):
-                super()._set_state(state)
-                self.number = int(state["number"])
 
     Args:
         format_error_ends: Whether a response that cannot be read ends the game; otherwise it costs a turn.
@@ -261,12 +254,6 @@ class Game(Env):
         if self.outcome != _PLAYING:
             return f"The game is over: you {self.outcome}."
         return f"Turns left: {self.max_turns - self.turn}. {how_to_answer}"
-
-    def _get_state(self) -> dict[str, Any]:
-        return {"turn": self.turn, "outcome": self.outcome}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self.turn, self.outcome = int(state["turn"]), str(state["outcome"])
 
 
 def whole_number(text: str) -> int | None:

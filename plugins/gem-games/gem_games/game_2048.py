@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any
 
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
@@ -145,22 +144,6 @@ class Game2048Env(Game):
 
     def _drawing(self) -> str:
         return "\n".join("".join(map(_painted_tile, line)) for line in self.board)
-
-    def _get_state(self) -> dict[str, Any]:
-        return {
-            **super()._get_state(),
-            "target_tile": self.target_tile,
-            "max_turns": self.max_turns,
-            "board": [list(line) for line in self.board],
-            "first_tile": self.first_tile,
-            "largest_tile": self.largest_tile,
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        self.target_tile, self.max_turns = int(state["target_tile"]), int(state["max_turns"])
-        self.board = [tuple(map(int, line)) for line in state["board"]]
-        self.first_tile, self.largest_tile = int(state["first_tile"]), int(state["largest_tile"])
 
 
 def slide(board: list[Line], direction: str) -> list[Line]:

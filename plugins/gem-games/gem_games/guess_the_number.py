@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable
-from typing import Any
 
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
@@ -138,21 +137,3 @@ class GuessTheNumberEnv(Game):
         line = painted("█" * (last - first), "cyan").join(closed)
         guesses = ", ".join(map(str, self.guesses)) or "none"
         return f"{self.min_number} {line} {self.max_number}\nopen: {low} to {high} · guesses: {guesses}"
-
-    def _get_state(self) -> dict[str, Any]:
-        return {
-            **super()._get_state(),
-            "min_number": self.min_number,
-            "max_number": self.max_number,
-            "max_turns": self.max_turns,
-            "number": self.number,
-            "guesses": list(self.guesses),
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        self.min_number, self.max_number = int(state["min_number"]), int(state["max_number"])
-        self.max_turns, self.number = int(state["max_turns"]), int(state["number"])
-        self._begin()
-        self.guesses = [int(guess) for guess in state["guesses"]]
-        self._hints = ", ".join(self._hint(guess) for guess in self.guesses if guess != self.number)

@@ -3,7 +3,6 @@ r"""Hangman: find a word by asking for letters, and say it."""
 from __future__ import annotations
 
 from collections.abc import Hashable
-from typing import Any
 
 from gem_core.types import StepResult
 from gem_games.cheap_random import CheapRandom
@@ -161,22 +160,3 @@ class HangmanEnv(Game):
         if letter not in self.tried:
             return letter
         return painted(letter, "green") if letter in self.word else painted("·", "dim")
-
-    def _get_state(self) -> dict[str, Any]:
-        return {
-            **super()._get_state(),
-            "word_length": self.word_length,
-            "max_turns": self.max_turns,
-            "word": self.word,
-            "tried": list(self.tried),
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        self.word_length, self.max_turns = int(state["word_length"]), int(state["max_turns"])
-        self.word = str(state["word"])
-        self._begin()
-        self.tried = [str(guess) for guess in state["tried"]]
-        for letter in self.tried:
-            if len(letter) == 1:
-                self._show(letter)

@@ -2,7 +2,6 @@ r"""``JointGame``: what games of two seats share, so that each game's own file h
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterable
 from typing import Any
 
@@ -25,8 +24,8 @@ class JointGame(MultiAgentEnv):
     r"""A game of two seats, whose moves are written inside ``\boxed{}``; the base of one's own.
 
     A game sets ``possible_agents`` and ``stake``, and defines ``_deal``, ``_rules``, ``_situation``, ``_read``,
-    ``_fault``, ``_play``, ``_random_answer``, ``_drawing`` and, with what it remembers, ``_get_state`` and
-    ``_set_state``. Seats act one after the other unless it sets another ``agent_selector``.
+    ``_fault``, ``_play``, ``_random_answer`` and ``_drawing``. Seats act one after the other unless it sets another
+    ``agent_selector``.
 
     A seat's observation is ``info["feedback"]``, what happened since it acted last (at first the rules), followed by
     ``info["suffix"]``, how things stand for it. ``info["parsed_action"]`` is the move that was read of its last
@@ -206,12 +205,3 @@ class JointGame(MultiAgentEnv):
         """Say how the game ended for a seat, as the last line of a situation."""
         outcome = self.outcomes[seat]
         return "The game is over: it is a draw." if outcome == _DRAWN else f"The game is over: you {outcome}."
-
-    def _get_state(self) -> dict[str, Any]:
-        kept = {"outcomes": self.outcomes, "heard": self._heard, "faults": self._faults, "moves": self._moves}
-        return copy.deepcopy(kept)
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        kept = copy.deepcopy(state)
-        self.outcomes, self._heard = kept["outcomes"], kept["heard"]
-        self._faults, self._moves = kept["faults"], kept["moves"]

@@ -2,8 +2,6 @@ r"""KuhnPoker: poker with three cards and one bet, for two seats."""
 
 from __future__ import annotations
 
-from typing import Any
-
 from gem_games.cheap_random import CheapRandom
 from gem_games.game import painted
 from gem_games.joint_game import JointGame
@@ -99,13 +97,6 @@ class KuhnPokerEnv(JointGame):
         shown = self.cards if self.outcomes else dict.fromkeys(self.cards, "?")
         cards = "   ".join(f"{seat}: {painted(card, 'bold')}" for seat, card in shown.items())
         return f"{cards}\n{' · '.join(self.history) or 'no move yet'}"
-
-    def _get_state(self) -> dict[str, Any]:
-        return {**super()._get_state(), "cards": dict(self.cards), "history": list(self.history)}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        self.cards, self.history = dict(state["cards"]), tuple(state["history"])
 
 
 _TURNS = "first", "second", "first"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable
 from operator import eq
-from typing import Any
 
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
@@ -163,24 +162,6 @@ class MastermindEnv(Game):
             numbers = "  ".join(f"{number:>2}" for number in guess)
             rows.append(f"{turn:>3}. {numbers}   {painted('●' * black, 'green')}{painted('○' * white, 'yellow')}")
         return "\n".join(rows)
-
-    def _get_state(self) -> dict[str, Any]:
-        return {
-            **super()._get_state(),
-            "code_length": self.code_length,
-            "num_numbers": self.num_numbers,
-            "max_turns": self.max_turns,
-            "code": list(self.code),
-            "guesses": [list(guess) for guess in self.guesses],
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        self.code_length, self.num_numbers = int(state["code_length"]), int(state["num_numbers"])
-        self.max_turns, self.code = int(state["max_turns"]), [int(number) for number in state["code"]]
-        self._begin()
-        for guess in state["guesses"]:
-            self.best = max(self.best, self._mark(tuple(guess), " ".join(map(str, guess))))
 
 
 def count_pegs(guess: tuple[int, ...], code: list[int] | tuple[int, ...]) -> tuple[int, int]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
-from typing import Any
 
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
@@ -220,28 +219,6 @@ class MinesweeperEnv(Game):
         header = "   " + "".join(f"{column:>2}"[-2:] for column in range(self.cols))
         rows = [f"{row:>2} {''.join(shown[row * self.cols : (row + 1) * self.cols])}" for row in range(self.rows)]
         return "\n".join([painted(header, "dim"), *rows])
-
-    def _get_state(self) -> dict[str, Any]:
-        return {
-            **super()._get_state(),
-            "rows": self.rows,
-            "cols": self.cols,
-            "num_mines": self.num_mines,
-            "max_turns": self.max_turns,
-            "mines": None if self.mines is None else sorted(self.mines),
-            "shown": self.shown,
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        self.rows, self.cols = int(state["rows"]), int(state["cols"])
-        self.num_mines, self.max_turns = int(state["num_mines"]), int(state["max_turns"])
-        self._clear()
-        if state["mines"] is not None:
-            self._set_mines(frozenset(map(int, state["mines"])))
-        for place, character in zip(self._places, str(state["shown"]), strict=True):
-            self._board[place] = ord(character)
-            self._left -= character.isdigit()
 
 
 @lru_cache(maxsize=64)

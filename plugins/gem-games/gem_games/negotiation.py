@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from gem_core.errors import ArgumentError
 from gem_games.cheap_random import CheapRandom
@@ -200,24 +200,6 @@ class NegotiationEnv(JointGame):
             return painted("no deal", "red")
         gains = (f"{seat} {worth(share, self.values[seat])}" for seat, share in self.table.items())
         return painted(f"deal: {', '.join(gains)}", "green")
-
-    def _get_state(self) -> dict[str, Any]:
-        return {
-            **super()._get_state(),
-            "turn": self.turn,
-            "pool": list(self.pool),
-            "values": {seat: list(values) for seat, values in self.values.items()},
-            "table": {seat: list(share) for seat, share in self.table.items()},
-            "proposer": self.proposer,
-            "agreed": self.agreed,
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        self.turn, self.proposer, self.agreed = int(state["turn"]), str(state["proposer"]), bool(state["agreed"])
-        self.pool = tuple(state["pool"])
-        self.values = {seat: tuple(values) for seat, values in state["values"].items()}
-        self.table = {seat: tuple(share) for seat, share in state["table"].items()}
 
 
 class Split(NamedTuple):

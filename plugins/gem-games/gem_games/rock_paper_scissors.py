@@ -3,7 +3,6 @@ r"""RockPaperScissors: two seats move at once, in one round or several; with the
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from gem_core.env import AgentSelector
 from gem_core.errors import ArgumentError
@@ -91,13 +90,6 @@ class RockPaperScissorsEnv(JointGame):
     def _drawing(self) -> str:
         rows = (f"{left:>8} : {right}" for left, right in self.history)
         return "\n".join([painted("    left : right", "bold"), *rows])
-
-    def _get_state(self) -> dict[str, Any]:
-        return {**super()._get_state(), "history": [list(choices) for choices in self.history]}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        self.history = [(left, right) for left, right in state["history"]]
 
 
 def points(mine: str, other: str) -> int:

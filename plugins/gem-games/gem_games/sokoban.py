@@ -3,7 +3,6 @@ r"""Sokoban: push boxes onto goals; they can be pushed, never pulled."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
@@ -151,21 +150,6 @@ class SokobanEnv(Game):
     def _drawing(self) -> str:
         rows = self._board.decode("ascii").splitlines()
         return "\n".join("".join(painted(_PICTURES[cell], _COLOURS[cell]) for cell in row.split()) for row in rows)
-
-    def _get_state(self) -> dict[str, Any]:
-        return {
-            **super()._get_state(),
-            "dim_room": list(self.dim_room),
-            "num_boxes": self.num_boxes,
-            "max_turns": self.max_turns,
-            "cells": self.cells,
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        rows, columns = map(int, state["dim_room"])
-        self._set_size((rows, columns), int(state["num_boxes"]), int(state["max_turns"]))
-        self._set_cells(str(state["cells"]))
 
 
 def _checked_room(dim_room: Sequence[int]) -> tuple[int, int]:

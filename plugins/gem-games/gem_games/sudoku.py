@@ -3,7 +3,6 @@ r"""Sudoku: fill a grid so that each row, column and box has every number once."
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
@@ -147,22 +146,6 @@ class SudokuEnv(Game):
         bold = ["".join(painted(mark, "bold") if mark.isdigit() else mark for mark in row[1:]) for row in rows]
         marks = [painted(row[0], "dim") for row in rows]
         return "\n".join([painted(header, "dim"), *map(str.__add__, marks, bold)])
-
-    def _get_state(self) -> dict[str, Any]:
-        return {
-            **super()._get_state(),
-            "scale": self.scale,
-            "clues": self.clues,
-            "max_turns": self.max_turns,
-            "cells": list(self.cells),
-            "solution": list(self.solution),
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        self._set_size(int(state["scale"]), int(state["clues"]), int(state["max_turns"]))
-        self.solution = list(map(int, state["solution"]))
-        self._put(list(map(int, state["cells"])))
 
 
 @lru_cache(maxsize=len(FEWEST_CLUES))

@@ -3,7 +3,6 @@ r"""TicTacToe: three marks in a row on a board of 3x3, for two seats; with all b
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
 from gem_games.cheap_random import CheapRandom
 from gem_games.game import painted
@@ -70,13 +69,6 @@ class TicTacToeEnv(JointGame):
 
     def _drawing(self) -> str:
         return _TEMPLATE % tuple(painted(cell, _COLOURS.get(cell, "dim")) for cell in self.board)
-
-    def _get_state(self) -> dict[str, Any]:
-        return {**super()._get_state(), "board": self.board}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        self.board = str(state["board"])
 
 
 def free_cells(board: str) -> str:

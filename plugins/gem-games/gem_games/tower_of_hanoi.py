@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Hashable, Mapping
-from typing import Any
 
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
@@ -142,20 +141,6 @@ class TowerOfHanoiEnv(Game):
         rows.append(" ".join("─" * width for _ in self.pegs))
         rows.append(" ".join(peg.center(width) for peg in self.pegs))
         return "\n".join(row.rstrip() for row in rows)
-
-    def _get_state(self) -> dict[str, Any]:
-        return {
-            **super()._get_state(),
-            "num_disks": self.num_disks,
-            "max_turns": self.max_turns,
-            "pegs": [list(peg) for peg in self.pegs.values()],
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        self.num_disks, self.max_turns = int(state["num_disks"]), int(state["max_turns"])
-        self.pegs = {name: list(map(int, peg)) for name, peg in zip("ABC", state["pegs"], strict=True)}
-        self._rows = {name: "".join(f" {disk}" for disk in peg) for name, peg in self.pegs.items()}
 
 
 def best_move(place: Mapping[int, str]) -> tuple[str, str]:

@@ -281,27 +281,6 @@ class WikiGameEnv(Game):
             ]
         )
 
-    def _get_state(self) -> dict[str, Any]:
-        return {
-            **super()._get_state(),
-            "max_turns": self.max_turns,
-            "start": self.start,
-            "target": self.target,
-            "distance": self.distance,
-            "path": [article.title for article in self.path],
-            "went_back": self.went_back,
-            "part": self.part,
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        path = [self.graph.article(str(title)) for title in state["path"]]
-        super()._set_state(state)
-        self.max_turns, self.path = int(state["max_turns"]), path
-        self.start, self.target = str(state["start"]), str(state["target"])
-        self.distance = None if state["distance"] is None else int(state["distance"])
-        self._begin()
-        self.went_back, self.part = bool(state["went_back"]), int(state["part"])
-
 
 @lru_cache(maxsize=2_000)
 def _summary(article: Article, length: int, unit: str) -> str:

@@ -225,26 +225,6 @@ class WordSearchEnv(Game):
         words = (word.lower() if word in self.found else word if named else "?" for word in self.words)
         return f"{drawn}\n{' '.join(words)}"
 
-    def _get_state(self) -> dict[str, Any]:
-        return {
-            **super()._get_state(),
-            "hardcore": self.hardcore,
-            "words": list(self.words),
-            "grid": list(self.grid),
-            "found": {word: list(line) for word, line in self.found.items()},
-            "tried": sorted(map(list, self.tried)),
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        self.hardcore = bool(state["hardcore"])
-        self.words, self.grid = [str(word) for word in state["words"]], [str(row) for row in state["grid"]]
-        self._begin()
-        self.tried = {_line(line) for line in state["tried"]}
-        for word, line in state["found"].items():
-            self._find(str(word), _line(line))
-        self._show_grid()
-
 
 @cache
 def _pool(hardcore: bool) -> tuple[str, ...]:

@@ -3,7 +3,6 @@ r"""Wordle: find a secret word; each guess is marked letter by letter."""
 from __future__ import annotations
 
 from collections.abc import Hashable
-from typing import Any
 
 from gem_core.types import StepResult
 from gem_games.cheap_random import CheapRandom
@@ -153,23 +152,6 @@ class WordleEnv(Game):
             rows.append("  " + painted(" ".join(self.word), "bold"))
         keys = (painted(letter, _COLOURS[best[letter]]) if letter in best else letter for letter in _ALPHABET)
         return "\n".join([*rows, "", "".join(keys)])
-
-    def _get_state(self) -> dict[str, Any]:
-        return {
-            **super()._get_state(),
-            "word_length": self.word_length,
-            "max_turns": self.max_turns,
-            "word": self.word,
-            "guesses": list(self.guesses),
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        super()._set_state(state)
-        self.word_length, self.max_turns = int(state["word_length"]), int(state["max_turns"])
-        self.word = str(state["word"])
-        self._begin()
-        for guess in state["guesses"]:
-            self._mark(str(guess))
 
 
 def marks_of(guess: str, word: str) -> list[str]:

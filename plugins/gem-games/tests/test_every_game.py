@@ -108,36 +108,6 @@ def test_same_seed_same_episode(env_id: str) -> None:
     assert len({json.dumps(records) for records in first}) == 12
 
 
-@pytest.mark.parametrize("env_id", IDS)
-def test_state_goes_through_json_into_another_instance(env_id: str) -> None:
-    """At every turn, the first and the last included; the drawn parameters and the drawing come along."""
-    env, sibling = gem.make(env_id, render_mode="ansi"), gem.make(env_id, render_mode="ansi")
-    for seed in range(3):
-        env.reset(seed=seed)
-        over = False
-        while not over:
-            state = env.get_state()
-            assert state == json.loads(json.dumps(state))
-            sibling.reset(seed=seed + 1)
-            sibling.set_state(json.loads(json.dumps(state)))
-            assert sibling.render() == env.render()
-            action = env.sample_random_action()
-            assert sibling.sample_random_action() == action
-            result = env.step(action)
-            assert sibling.step(action) == result
-            assert sibling.get_state() == env.get_state()
-            assert env.spawn(same_state=True).get_state() == env.get_state()
-            over = result[2]
-
-
-@pytest.mark.parametrize("env_id", IDS)
-def test_state_before_the_first_reset(env_id: str) -> None:
-    env, other = gem.make(env_id), gem.make(env_id)
-    other.reset(seed=1)
-    other.set_state(env.get_state())
-    assert other.get_state() == env.get_state()
-
-
 @pytest.mark.parametrize("format_error_ends", [True, False])
 @pytest.mark.parametrize("env_id", IDS)
 def test_hostile_responses_are_answered_briefly(env_id: str, format_error_ends: bool) -> None:

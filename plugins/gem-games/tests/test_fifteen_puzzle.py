@@ -21,9 +21,12 @@ def puzzle(*tiles: int, max_turns: int = 10) -> FifteenPuzzleEnv:
     """Return a game of 2x2 whose board is known."""
     env = FifteenPuzzleEnv(max_turns, 2)
     env.reset(seed=0)
-    state = env.get_state()
-    state["task"]["tiles"] = list(tiles)
-    env.set_state(state)
+    return put(env, *tiles)
+
+
+def put(env: FifteenPuzzleEnv, *tiles: int) -> FifteenPuzzleEnv:
+    """Put a game into a position."""
+    env._put([b"%2d" % tile if tile else b" _" for tile in tiles])
     return env
 
 
@@ -143,9 +146,7 @@ def test_every_slide_can_be_taken_back() -> None:
     """In all four ways, on a board of which the gap is in the middle."""
     env = FifteenPuzzleEnv(50, 3)
     env.reset(seed=0)
-    state = env.get_state()
-    state["task"]["tiles"] = [1, 2, 3, 4, 0, 5, 6, 7, 8]
-    env.set_state(state)
+    put(env, 1, 2, 3, 4, 0, 5, 6, 7, 8)
     boards = set()
     for direction, back in BACK.items():
         env.step(box(direction))

@@ -21,8 +21,7 @@ def field(*mines: int, rows: int = 3, cols: int = 4, **kwargs: Any) -> Minesweep
     """Return a game whose mines are known."""
     env = MinesweeperEnv(rows, cols, len(mines), **kwargs)
     env.reset(seed=0)
-    state = env.get_state()
-    env.set_state({**state, "task": {**state["task"], "mines": list(mines)}})
+    env._set_mines(frozenset(mines))
     return env
 
 

@@ -26,9 +26,8 @@ def corridor(**kwargs: Any) -> SokobanEnv:
 
 
 def put(env: SokobanEnv, cells: str) -> SokobanEnv:
-    """Put a game into a position, by its state."""
-    state = env.get_state()
-    env.set_state({**state, "task": {**state["task"], "cells": cells}})
+    """Put a game into a position."""
+    env._set_cells(cells)
     return env
 
 

@@ -24,8 +24,8 @@ def small(*empty: int, **kwargs: Any) -> SudokuEnv:
     env = SudokuEnv(clues=16 - len(empty), scale=4, **kwargs)
     env.reset(seed=0)
     cells = [0 if cell in empty else number for cell, number in enumerate(SOLUTION)]
-    state = env.get_state()
-    env.set_state({**state, "task": {**state["task"], "solution": SOLUTION, "cells": cells}})
+    env.solution = list(SOLUTION)
+    env._put(cells)
     return env
 
 

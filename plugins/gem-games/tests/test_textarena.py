@@ -85,8 +85,7 @@ def test_a_state_goes_on_in_another_instance():
     one = TextArenaEnv("ConnectFour-v0", players=2)
     one.reset(seed=3)
     one.step(one.sample_random_action())
-    other = TextArenaEnv("ConnectFour-v0", players=2)
-    other.set_state(json.loads(json.dumps(one.get_state())))
+    other = one.fork()
     move = one.sample_random_action()
     assert other.step(move)[:4] == one.step(move)[:4]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import pytest
@@ -79,7 +78,7 @@ def test_a_game_without_any_limit_is_cut_off_in_the_end(monkeypatch: pytest.Monk
     env.reset(seed=1)
     for _ in range(11):
         env.step("Hm.")
-    other = env.spawn(same_state=True)
+    other = env.fork()
     assert other.step("Hm.")[3]
 
 
@@ -146,8 +145,7 @@ def test_a_judge_answers_as_the_game_master() -> None:
     observation, *_ = env.step("Can it fly?")
     assert observation == "[GAME] No"
     assert "Q: Can it fly?\nOptions: 'Yes', 'No', 'I don't know'" in asked[0]
-    other = env.spawn(same_state=True)
-    other.set_state(json.loads(json.dumps(env.get_state())))
+    other = env.fork()
     assert len(asked) == 1
     word = other.unwrapped.table.game.game_word
     assert other.step(f"[{word}]")[1:3] == (1.0, True)

@@ -286,28 +286,6 @@ def test_drawing() -> None:
     )
 
 
-def test_state_names_articles_and_restores_everything() -> None:
-    env = small_game("oneback", links_per_part=1)
-    for title in ("Coast", "Sand", "<PREV_PAGE>", "<LINKS 2>"):
-        env.step(says(title))
-    state = json.loads(json.dumps(env.get_state()))
-    assert state["task"] == {
-        "turn": 4,
-        "outcome": "playing",
-        "max_turns": 10,
-        "start": "Sea",
-        "target": "Goal",
-        "distance": None,
-        "path": ["Sea", "Coast"],
-        "went_back": True,
-        "part": 2,
-    }
-    other = WikiGameEnv(10, "oneback", backend=small_graph(), links_per_part=1)
-    other.set_state(state)
-    assert other.get_state() == env.get_state()
-    assert other.step(says("<PREV_PAGE>")) == env.step(says("<PREV_PAGE>"))
-
-
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [

@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 import gem_core as gem
-from gem_games.crosswords import CrosswordsEnv
-from gem_games.game import Game
+from gem_games.crosswords import CrosswordsEnv, Placed
 from gem_games.hangman import HangmanEnv
 from gem_games.word_search import WordSearchEnv
 from gem_games.wordle import WordleEnv
@@ -41,7 +40,7 @@ def crossword(**kwargs: Any) -> CrosswordsEnv:
     env = CrosswordsEnv(**{"num_words": 2, **kwargs})
     env.render_mode = "ansi"
     env.reset(seed=0)
-    return put(env, placed=[[0, 0, True, "LAMP"], [0, 2, False, "MAP"]], filled=[], wrong=[])
+    return put(env, placed=[Placed(0, 0, True, "LAMP"), Placed(0, 2, False, "MAP")])
 
 
 def word_search(**kwargs: Any) -> WordSearchEnv:
@@ -49,13 +48,13 @@ def word_search(**kwargs: Any) -> WordSearchEnv:
     env = WordSearchEnv(**{"num_words": 2, **kwargs})
     env.render_mode = "ansi"
     env.reset(seed=0)
-    return put(env, words=["STAR", "TREE"], grid=["TREES", "EXXXT", "EXXXA", "RXXXR", "TXXXX"], found={}, tried=[])
+    return put(env, words=["STAR", "TREE"], grid=["TREES", "EXXXT", "EXXXA", "RXXXR", "TXXXX"])
 
 
-def put(env: Game, **position: Any) -> Any:
-    """Put a game into a position, by its state."""
-    state = env.get_state()
-    env.set_state({**state, "task": {**state["task"], **position}})
+def put(env: Any, **position: Any) -> Any:
+    """Put a game into a position."""
+    vars(env).update(position)
+    env._begin()
     return env
 
 

@@ -431,7 +431,7 @@ def test_options_and_states_are_checked() -> None:
     with pytest.raises(ArgumentError, match="must be from 0 to 1073741823, not -1"):
         env.reset(options={"index": -1})
     observation, _ = env.reset(seed=5)
-    sibling = env.unwrapped.spawn(same_state=True)
+    sibling = env.unwrapped.fork()
     assert sibling.present_row()["question"] in observation
 
 

@@ -97,10 +97,8 @@ class PostgresEnv(ToolEnv):
             task.close()
             raise
 
-    def spawn(self, same_state: bool = False, **overrides: Any) -> Self:
-        """Return a sibling with other arguments; a living database has no state to hand over."""
-        if same_state:
-            raise StateNotSupported(_NO_STATE)
+    def spawn(self, **overrides: Any) -> Self:
+        """Return another instance, with other arguments."""
         sibling = type(self)(**{**self._arguments, **overrides})
         spec = self.unwrapped.spec
         if spec is not None:
@@ -140,6 +138,12 @@ class PostgresTask(Env):
     def task(self) -> Task:
         """The task of this episode."""
         return self.tasks[self._index]
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        raise StateNotSupported(
+            "a living database cannot be copied; make another environment, reset it with the same seed and options, "
+            "and repeat the actions"
+        )
 
     def make_tools(self, call_timeout_s: float) -> list[Tool]:
         """Return the MCP server's tools, which start it on the database of the episode."""
@@ -197,12 +201,6 @@ class PostgresTask(Env):
         statement = _RANDOM_SQL[int(self.action_random.integers(len(_RANDOM_SQL)))]
         return f"{CALL_OPEN}{json.dumps({'name': 'execute_sql', 'arguments': {'sql': statement}})}{CALL_CLOSE}"
 
-    def _get_state(self) -> dict[str, Any]:
-        raise StateNotSupported(_NO_STATE)
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        raise StateNotSupported(_NO_STATE)
-
     def _end_episode(self) -> None:
         episode, self._episode = self._episode, None
         if episode is not None:
@@ -236,9 +234,6 @@ class PostgresTask(Env):
         descriptor = os.open(self._launch_file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
         with open(descriptor, "w", encoding="utf-8") as file:
             json.dump(launch, file)
-
-
-_NO_STATE = "a living database cannot be saved or restored; keep the seed, the options and the actions instead"
 
 
 def _launcher(mcp_server: Mapping[str, Any] | None) -> dict[str, Any]:

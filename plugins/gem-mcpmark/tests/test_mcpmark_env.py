@@ -51,13 +51,13 @@ def test_an_episode_by_the_tools():
 
 
 def test_it_is_made_again_from_its_record():
-    """As worker processes and records do; a living database cannot be saved."""
+    """As worker processes and records do; a living database cannot be forked."""
     env = gem.make("mcp:Sample", tasks="lending/missing_fees", max_tool_uses=3)
     again = env.spec.make()
     assert again.unwrapped.num_tasks == 1
     assert env.spawn(tasks="lending/*").unwrapped.num_tasks == 8
     with pytest.raises(StateNotSupported, match="living database"):
-        env.get_state()
+        env.fork()
 
 
 def test_wrong_arguments_are_refused():

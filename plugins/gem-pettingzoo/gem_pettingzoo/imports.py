@@ -10,7 +10,7 @@ from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]
 
 from gem_core.env import Env, MultiAgentEnv, Verdict, join_observations
 from gem_core.errors import ArgumentError, SamplingNotSupported
-from gem_core.records import from_plain, to_plain
+from gem_core.records import to_plain
 from gem_core.types import Info, Observation
 from gem_pettingzoo.driving import Position, look, reset_env, step_env
 from gem_pettingzoo.texts import ActionText, describe_observation, legal_numbers, mask_of
@@ -32,8 +32,7 @@ class PettingZooEnv(MultiAgentEnv):
     ``retries`` more times in a row it forfeits: it gets ``illegal_reward``, and the episode is terminated for all, the
     others without a reward, as PettingZoo's ``TerminateIllegalWrapper`` does.
 
-    The state that ``get_state`` returns is the actions so far, which ``set_state`` plays again: the environment has to
-    be deterministic, given its seed.
+    A fork has a deep copy of PettingZoo's environment.
 
     Args:
         env: The environment, or a function without arguments that makes it, which ``spawn`` and ``gem.register`` need.
@@ -156,8 +155,8 @@ class PettingZooEnv(MultiAgentEnv):
         """Close PettingZoo's environment."""
         self.pettingzoo_env.close()
 
-    def spawn(self, same_state: bool = False, **overrides: Any) -> Env:
-        """Return a sibling; see ``Env.spawn``.
+    def spawn(self, **overrides: Any) -> Env:
+        """Return another instance; see ``Env.spawn``.
 
         Raises:
             ArgumentError: This was made of an environment, which two cannot share, and not of a function.
@@ -167,31 +166,7 @@ class PettingZooEnv(MultiAgentEnv):
                 "a sibling needs a PettingZoo environment of its own: give from_pettingzoo a function that makes it, "
                 'as in from_pettingzoo(lambda: pettingzoo.make("aec", "classic/chess_v6"))'
             )
-        return super().spawn(same_state, **overrides)
-
-    def _get_state(self) -> dict[str, Any]:
-        return {
-            "options": self._options,
-            "moves": [{agent: self._kept(agent, action) for agent, action in moves.items()} for moves in self.moves],
-            "ready": {agent: self._kept(agent, action) for agent, action in self._ready.items()},
-            "failures": dict(self._failures),
-            "forfeited": list(self._forfeited),
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self._options = state["options"]
-        self._restart()
-        for moves in state["moves"]:
-            self._advance({agent: self._restored(agent, action) for agent, action in moves.items()})
-        self._ready = {agent: self._restored(agent, action) for agent, action in state["ready"].items()}
-        self._failures = {agent: int(count) for agent, count in state["failures"].items()}
-        self._forfeited = list(map(str, state["forfeited"]))
-
-    def _kept(self, agent: str, action: Any) -> Any:
-        return to_plain(self._action_spaces[agent].to_jsonable([action]))
-
-    def _restored(self, agent: str, kept: Any) -> Any:
-        return self._action_spaces[agent].from_jsonable(from_plain(kept))[0]
+        return super().spawn(**overrides)
 
     def _begin(self) -> None:
         """Forget the episode before."""

@@ -158,7 +158,7 @@ def test_record_names_the_seats_and_siblings_go_on_alone(name: str) -> None:
     observations, _ = env.reset(seed=4)
     for _ in range(3):
         observations, *_ = env.step({agent: env.sample_random_action(agent) for agent in observations})
-    sibling = env.spawn(same_state=True)
+    sibling = env.fork()
     responses = {agent: sibling.sample_random_action(agent) for agent in observations}
     assert responses == {agent: env.sample_random_action(agent) for agent in observations}
     assert sibling.step(responses) == env.step(responses)

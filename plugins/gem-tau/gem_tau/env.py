@@ -14,7 +14,7 @@ from gem_core.data import chosen_index
 from gem_core.errors import ArgumentError, DatasetError
 from gem_core.tools import CALL_CLOSE, CALL_OPEN, CallReader, Tool, ToolCall, native_calls, spoken
 from gem_core.types import TERMINAL_STATE, Info
-from gem_tau.database import changed_records, fork, restore
+from gem_tau.database import fork
 from gem_tau.folders import TaskSet, read_folder
 from gem_tau.prompts import GREETING, NOTHING_SAID, STOP, STOPS, tool_instructions, user_system
 from gem_tau.rewards import reward
@@ -194,24 +194,6 @@ class TauEnv(MultiAgentEnv):
     def _truncate(self, info: Info) -> Verdict:
         self._shown[USER] = TERMINAL_STATE
         return {}, {}, dict.fromkeys(self.agents, True), {ASSISTANT: {**info, "correct": False}}
-
-    def _get_state(self) -> dict[str, Any]:
-        return {
-            "index": self._index,
-            "changed": copy.deepcopy(changed_records(self._database, self.task_set.database)),
-            "calls": [[call.name, copy.deepcopy(call.arguments)] for call in self._calls],
-            "said": list(self._said),
-            "shown": dict(self._shown),
-            "responses": self._responses,
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self._index = chosen_index({"index": state["index"]}, len(self.task_set.tasks))
-        self._database = restore(state["changed"], self.task_set.database)
-        self._calls = [Action(name, copy.deepcopy(arguments)) for name, arguments in state["calls"]]
-        self._said = list(state["said"])
-        self._shown = dict(state["shown"])
-        self._responses = int(state["responses"])
 
 
 def solo(

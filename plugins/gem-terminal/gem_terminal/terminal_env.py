@@ -6,7 +6,7 @@ import functools
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 from gem_core.data import chosen_index
 from gem_core.env import Env
@@ -183,6 +183,12 @@ class TerminalEnv(Env):
                 self.backend.check(task)
                 self._holdings.prestart(self.backend, task, self.settings.limits, max(1, pool_size))
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        raise StateNotSupported(
+            "a running machine cannot be copied; make another environment, reset it with the same seed and options, "
+            "and repeat the actions"
+        )
+
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Begin a task on a machine that nothing has touched.
 
@@ -259,12 +265,6 @@ class TerminalEnv(Env):
             return None if episode is None else "<finish/>"
         command = as_command(episode.step)
         return None if command is None else f'<bash timeout="{SOLUTION_S:g}">{command}</bash>'
-
-    def _get_state(self) -> dict[str, Any]:
-        raise StateNotSupported("a running machine cannot be saved; keep the seed, the options and the actions instead")
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        raise StateNotSupported("a running machine cannot be restored; reset it with the seed, and repeat the actions")
 
     def _act(self, episode: Episode, action: Action, info: dict[str, Any]) -> StepResult:
         if episode.agent_left_s() <= 0:

@@ -439,11 +439,10 @@ def test_wrong_values_are_refused(monkeypatch: pytest.MonkeyPatch, script: Scrip
         make(monkeypatch, script, **{name: value})
 
 
-def test_state_cannot_be_saved(env: TerminalEnv) -> None:
-    """A running machine is no data."""
+def test_running_machine_cannot_be_forked(env: TerminalEnv) -> None:
     env.reset(seed=1)
-    with pytest.raises(StateNotSupported, match="a running machine cannot be saved"):
-        env.get_state()
+    with pytest.raises(StateNotSupported, match="a running machine cannot be copied"):
+        env.fork()
 
 
 def test_sampled_actions_are_valid_and_end_in_time(env: TerminalEnv) -> None:

@@ -97,9 +97,3 @@ class ShapesEnv(gem.Env):
             else:
                 draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=_COLOURS[colour])
         return image
-
-    def _get_state(self) -> dict[str, Any]:
-        return {"question": self._question, "answer": self._answer}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self._question, self._answer = state["question"], state["answer"]

@@ -32,14 +32,6 @@ class Vault(Tool):
         session.append(arguments.lock)
         return "The word is 'heron'." if set(session) == set(KEYS) else "One lock is open."
 
-    def get_session_state(self, session):
-        """Which locks are open."""
-        return session
-
-    def set_session_state(self, state):
-        """Open them again."""
-        return state or []
-
 
 class Listed(Tool):
     """A tool of a list: name, description and schema come at run time."""

@@ -60,14 +60,6 @@ class ChangedTool(Tool):
         """That of the other tool."""
         return self.tool.session_key
 
-    def get_session_state(self, session: Any) -> Any:
-        """Return what the other tool returns."""
-        return self.tool.get_session_state(session)
-
-    def set_session_state(self, state: Any) -> Any:
-        """Return what the other tool returns."""
-        return self.tool.set_session_state(state)
-
     def __deepcopy__(self, memo: dict[int, Any]) -> ChangedTool:
         # What is called before and after may be methods of a wrapper, of which a fork has its own.
         return ChangedTool(self.tool, before=copy.deepcopy(self._before, memo), after=copy.deepcopy(self._after, memo))

@@ -54,12 +54,6 @@ class Perturbation(Wrapper):
         self._draws += 1
         return drawn(self.rate, self._seed, type(self).__name__, self._draws)
 
-    def _get_state(self) -> dict[str, Any]:
-        return {"seed": self._seed, "draws": self._draws}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self._seed, self._draws = int(state["seed"]), int(state["draws"])
-
 
 def drawn(rate: float, *what: int | str | None) -> bool:
     """Draw from a hash of some values whether something happens that has a probability."""

@@ -46,9 +46,9 @@ class TextArenaEnv(SingleAgentEnv):
         super().__init__(env, env.possible_agents[seat], by_seat)
         self.game, self.table = game, env.table
 
-    def spawn(self, same_state: bool = False, **overrides: Any) -> Env:
-        """Return a sibling; see ``Env.spawn``."""
-        return Env.spawn(self, same_state, **overrides)
+    def spawn(self, **overrides: Any) -> Env:
+        """Return another instance; see ``Env.spawn``."""
+        return Env.spawn(self, **overrides)
 
 
 def _by_seat(opponents: Any, others: list[int]) -> dict[int, Any]:

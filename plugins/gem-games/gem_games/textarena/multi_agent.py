@@ -158,16 +158,3 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
         if agent not in self.acting and not self.table.done:
             raise ArgumentError(f"{self.env_id or self.game}: it is not the turn of {agent!r}")
         return random_move(self.table, random.Random(int(self.action_random.integers(2**53))))
-
-    def _get_state(self) -> dict[str, Any]:
-        table = self.table
-        return {
-            "dealt": bool(table.turns),
-            "seed": table.seed,
-            "actions": list(table.actions),
-            "verdicts": list(table.verdicts),
-        }
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        if state["dealt"]:
-            self.table.replay(int(state["seed"]), list(map(str, state["actions"])), list(map(str, state["verdicts"])))

@@ -213,15 +213,6 @@ class ReasoningGymEnv(Env):
             self._asked({"do": "check", "spec": self._spec})
             _checked.add(self._key)
 
-    def _get_state(self) -> dict[str, Any]:
-        return {"index": self._index, "begun": self._row is not None}
-
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self._index = chosen_index({"index": state["index"]}, MOST_ROWS)
-        self._row = None
-        if state["begun"]:
-            self.present_row()
-
 
 def _response(answer: str) -> str:
     """Return a response that gives an answer, which stays as it is."""
