@@ -152,8 +152,8 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
     @property
     def concurrency(self) -> Concurrency:
         """What the whole stack needs, this wrapper and all inside it; coroutine hooks need ``"async"``."""
-        coroutines = any(inspect.iscoroutinefunction(getattr(self, hook)) for hook in _RETURNED_BY)
-        own: Concurrency = "async" if coroutines else "inline"
+        hooks = [self.before_reset, self.after_reset, self.before_step, self.after_step]
+        own: Concurrency = "async" if any(map(inspect.iscoroutinefunction, hooks)) else "inline"
         return most_demanding(own, self.needs, concurrency_of(self.env))
 
     @property

@@ -172,7 +172,8 @@ def make_from(record: EnvSpec, kwargs: Mapping[str, Any], *wrappers: Wrappers) -
 
         # What was asked for.
         for stack in wrappers:
-            env = wrap(env, stack)
+            if stack != ():
+                env = wrap(env, stack)
     except BaseException:
         env.close()  # it may have started a server or a container
         raise
@@ -220,7 +221,7 @@ def wrap(env: AnyEnv, wrappers: Wrappers) -> AnyEnv:
     return env
 
 
-def check_choices(record: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers) -> None:
+def check_choices(record: EnvSpec, kwargs: Mapping[str, Any], *wrappers: Wrappers) -> None:
     """Raise an error for an unknown keyword or option, as ``make_from`` would, before anything is made.
 
     Raises:
@@ -231,6 +232,8 @@ def check_choices(record: EnvSpec, kwargs: Mapping[str, Any], wrappers: Wrappers
         owner = f"environment {record.id!r}"
         arguments = {name: value for name, value in {**record.kwargs, **kwargs}.items() if name != "render_mode"}
         check_arguments(load_entry_point(record.entry_point, owner), (), arguments, owner)
-    if isinstance(wrappers, Mapping) and record.seats:
-        check_seats(wrappers, record.seats)
-    check_options(wrappers)
+    for stack in wrappers:
+        if isinstance(stack, Mapping) and record.seats:
+            check_seats(stack, record.seats)
+        if stack != ():
+            check_options(stack)

@@ -73,7 +73,7 @@ def layers_of(wrappers: Stack) -> list[Layer]:
 
 def check_options(wrappers: Wrappers) -> None:
     """Raise an error for an unknown wrapper, tool or option, before anything is made."""
-    for target, options in (choice for stack in _stacks(wrappers) for choice in choices(stack)):
+    for target, options in _all_choices(wrappers):
         record = registry().wrapper(target) if is_name(target) else None
         if record is not None and options and target != _TOOLS:
             owner = f"{record.kind} {record.name!r}"
@@ -84,7 +84,7 @@ def check_options(wrappers: Wrappers) -> None:
 def wrapper_targets(wrappers: Wrappers) -> list[Target]:
     """Return the name or object of each wrapper and tool that is asked for, those among the options of tools too."""
     targets: list[Target] = []
-    for target, options in (choice for stack in _stacks(wrappers) for choice in choices(stack)):
+    for target, options in _all_choices(wrappers):
         targets.append(target)
         if target == _TOOLS:
             targets += [each[0] if isinstance(each, Sequence) and not isinstance(each, str) else each
@@ -92,8 +92,10 @@ def wrapper_targets(wrappers: Wrappers) -> list[Target]:
     return targets
 
 
-def _stacks(wrappers: Wrappers) -> list[Stack]:
-    return list(wrappers.values()) if isinstance(wrappers, Mapping) else [wrappers]
+def _all_choices(wrappers: Wrappers) -> list[tuple[Target, dict[str, Any]]]:
+    if isinstance(wrappers, Mapping):
+        return [choice for stack in wrappers.values() for choice in choices(stack)]
+    return choices(wrappers)
 
 
 def choices(wrappers: Stack) -> list[tuple[Target, dict[str, Any]]]:
@@ -104,11 +106,12 @@ def choices(wrappers: Stack) -> list[tuple[Target, dict[str, Any]]]:
     """
     if isinstance(wrappers, str):
         return [*parsed_choices(wrappers, "wrappers")]
-    if isinstance(wrappers, Iterable):
-        return [
-            each for choice in wrappers for each in (choices(choice) if isinstance(choice, str) else [_choice(choice)])
-        ]
-    raise ArgumentError(f"wrappers must be names joined by commas or a list, not {wrappers!r}")
+    if not isinstance(wrappers, Iterable):
+        raise ArgumentError(f"wrappers must be names joined by commas or a list, not {wrappers!r}")
+    found: list[tuple[Target, dict[str, Any]]] = []
+    for choice in wrappers:
+        found += choices(choice) if isinstance(choice, str) else [_choice(choice)]
+    return found
 
 
 def is_name(target: object) -> TypeGuard[str]:

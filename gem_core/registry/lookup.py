@@ -65,7 +65,6 @@ class Registry:
             UnknownEnvError: There is none; the message names the nearest, or the plugin to install.
             RegistrationError: Two plugins claim the id.
         """
-        self.load()
         if not isinstance(env_id, str):
             raise UnknownEnvError(f"an environment id is a string such as 'game:Mastermind-v0', not {env_id!r}")
         self.refuse_contested("env", env_id)
@@ -106,7 +105,6 @@ class Registry:
 
     def tool(self, name: str) -> ToolSpec:
         """Return the record of a tool."""
-        self.load()
         self.refuse_contested("wrapper", name)
         record = self._named.get("wrapper", {}).get(name)
         if not isinstance(record, ToolSpec):
@@ -295,7 +293,6 @@ class Registry:
         return f" It may belong to {', '.join(disabled)}, which GEM_PLUGINS_DISABLE skips." if disabled else ""
 
     def _find(self, space: str, name: str, error: type[UnknownNameError]) -> NamedSpec:
-        self.load()
         self.refuse_contested(space, name)
         records = self._named.get(space, {})
         if name in records:
