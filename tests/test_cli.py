@@ -164,14 +164,6 @@ def test_same_seed_gives_the_same_episodes_whatever_num_envs_is(run_gem) -> None
     assert len(files[0]) == 12
 
 
-def test_run_as_json(run_gem) -> None:
-    """Machines read the same figures."""
-    report = json.loads(run_gem("run", COUNTDOWN, "-n", "4", "--seed", "9", "--json").out)
-    assert report["seed"] == 9
-    assert report["environments"][0]["episodes"] == 4
-    assert Path(report["out"]).is_file()
-
-
 def test_an_existing_file_is_not_overwritten_unasked(run_gem) -> None:
     """The error says how to."""
     run_gem("run", COUNTDOWN, "-n", "2", "-o", "a.jsonl")
@@ -182,15 +174,6 @@ def test_an_existing_file_is_not_overwritten_unasked(run_gem) -> None:
     )
     run_gem("run", COUNTDOWN, "-n", "3", "-o", "a.jsonl", "--overwrite")
     assert len(list(read_episodes("a.jsonl"))) == 3
-
-
-def test_max_turns_truncates(run_gem) -> None:
-    """From outside, so not terminated."""
-    Path("fixed.py").write_text("def act(observation): return 'go on'\n")
-    run_gem("run", "toy:Echo-v0", "-n", "2", "-t", "3", "-a", "fixed:act", "-o", "a.jsonl")
-    assert [(e.turns, e.transitions[-1].truncated, e.transitions[-1].terminated) for e in read_episodes("a.jsonl")] == [
-        (3, True, False)
-    ] * 2
 
 
 def test_max_turns_counts_calls_of_tools(run_gem, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -402,14 +385,6 @@ def test_interrupt_while_the_command_is_imported(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "gem_core", "list"]
     done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (130, "\ngem: interrupted\n")
-
-
-def test_python_dash_m_does_the_same() -> None:
-    """For machines on which another program is called gem."""
-    done = subprocess.run(
-        [sys.executable, "-m", "gem_core", "--version"], capture_output=True, text=True, timeout=60, check=True
-    )
-    assert done.stdout == f"gem-core {gem.__version__}\n"
 
 
 TERMINAL_PROGRAM = "from toys import register_toys; register_toys(); from gem_core.cli import main; main()"

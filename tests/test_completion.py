@@ -172,12 +172,6 @@ def test_completion_prints_the_script(shell: str, mark: str, capsys: pytest.Capt
     assert mark in capsys.readouterr().out
 
 
-def test_fish_keeps_what_stands_behind_a_comma(capsys: pytest.CaptureFixture[str]) -> None:
-    """A list of wrappers is one word; fish splits each answer into its type and the rest."""
-    cli.main(["completion", "fish"], prog_name="gem", standalone_mode=False)
-    assert 'string split --max 1 ","' in capsys.readouterr().out
-
-
 def test_completion_of_the_other_name(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Where gem is another program, gem-core is completed."""
     monkeypatch.setattr(sys, "argv", ["/bin/gem-core"])

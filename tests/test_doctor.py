@@ -184,11 +184,6 @@ def test_words_of_plugins_are_probed_closely(needy: Registry, monkeypatch: pytes
     assert "gems" not in [each["requirement"] for each in diagnosis.requirements(needy)]
 
 
-def test_network_is_untried(needy: Registry) -> None:
-    """Nothing is sent anywhere to find out."""
-    assert row(diagnosis.requirements(needy), "network")["status"] == "untried"
-
-
 @pytest.mark.parametrize(
     ("value", "detail"),
     [("1", "offline by HF_HUB_OFFLINE: only what is in the cache"), ("0", "online, and not tried here")],
@@ -273,16 +268,6 @@ def test_status_that_hangs_is_left_behind() -> None:
     _, error = diagnosis.status_of(hangs, timeout_s=0.01)
     go_on.set()
     assert error == "it did not answer within 0.01 s"
-
-
-def test_status_is_no_part_of_a_listing(toolbox_site: Path) -> None:
-    """Only the doctor asks for it."""
-    done = python(
-        "import sys\nfrom gem_core.cli import main\n"
-        "try:\n    main(['list'])\nexcept SystemExit:\n    pass\nprint('gem_toolbox_status' in sys.modules)",
-        [toolbox_site],
-    )
-    assert done.stdout.splitlines()[-1] == "False"
 
 
 def test_status_must_be_an_entry_point() -> None:

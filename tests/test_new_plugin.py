@@ -47,14 +47,6 @@ def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_tests_of_two_plugins_run_together(tmp_path: Path) -> None:
-    """In one call of pytest with its own defaults, which allow no two test files of one name."""
-    for name in ("one", "two"):
-        write(tmp_path / name, render(names_of(name), ["tool"]))
-    done = run("pytest", "-q", "-p", "no:cacheprovider", "--collect-only", "one/tests", "two/tests", cwd=tmp_path)
-    assert "import file mismatch" not in done.stdout
-
-
 @pytest.mark.parametrize("kinds", CHOICES, ids=ids)
 @pytest.mark.parametrize("name", ["x", LONGEST])
 @pytest.mark.skipif(shutil.which("ruff", path=str(Path(sys.executable).parent)) is None, reason="ruff is not installed")

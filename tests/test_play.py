@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import re
 import sys
 from pathlib import Path
@@ -140,12 +139,6 @@ def test_a_typo_does_not_end_the_episode(play) -> None:
     assert "Lost after 1 turn. Return -1." in play(STRICT, "--raw", typed="a\n").out
 
 
-def test_every_episode_is_drawn(play) -> None:
-    """One after another is played in one environment, whose board is shown."""
-    out = play(BOARD, "-n", "2", typed="a\nb\nc\nd\nx\n").out
-    assert "Noted.\n\n  [x   ]\n" in out.partition("episode 2")[2]
-
-
 def test_a_picture_of_the_board_stands_in_the_place_of_its_text(play) -> None:
     """One of them; where the two cannot be told apart, the observation alone."""
     assert "Letters:" not in play(BOARD, typed="a\n").out
@@ -195,13 +188,6 @@ def test_answers_over_several_lines(play) -> None:
 def test_an_unfinished_block_is_no_answer(play) -> None:
     """It may be half of what was meant."""
     assert "Left unfinished after 0 turns" in play(ECHO, typed=f"{BLOCK}\nstop\n").out
-
-
-def test_raw_sends_what_is_typed(play) -> None:
-    """Without the expected form."""
-    out = play(BOARD, "--raw", typed="a\n").out
-    assert "An answer is sent as you type it." in out
-    assert "turn 1 · a · reward" in out
 
 
 def test_wrappers_show_observations_to_the_letter(play) -> None:
@@ -261,16 +247,6 @@ def test_undone_turns_are_in_no_record(play) -> None:
     assert replayed == episode
 
 
-def test_undo_behind_views_and_wrappers_of_gymnasium(play) -> None:
-    """They forget the turns too."""
-    wrappers = json.dumps(["concat", ["gymnasium.wrappers:TimeLimit", {"max_episode_steps": 9}]])
-    out = play(BOARD, "-w", wrappers, typed="a\nb\n!undo\n!undo\n").out
-    shown = out.split("─── turn ")
-    assert [part[0] for part in shown[1:]] == ["1", "2", "3", "2", "1"]
-    assert shown[1].split("\n")[1:4] == shown[5].split("\n")[1:4]
-    assert shown[2].split("\n")[1:4] == shown[4].split("\n")[1:4]
-
-
 def test_undo_where_episodes_cannot_be_repeated(play) -> None:
     """A line says why, and play goes on."""
     gem.register("play:Once-v0", "toys:EchoEnv", deterministic=False)
@@ -311,11 +287,6 @@ def test_random_restart_and_next(play) -> None:
     assert (second.key, second.seed == first.seed) == ("1", False)
 
 
-def test_random_where_the_environment_cannot_sample(play) -> None:
-    """A line says so."""
-    assert "EchoEnv does not say what a valid action is" in play(ECHO, typed="!random\n").out
-
-
 def test_unknown_and_ambiguous_commands_are_named(play) -> None:
     """With what there is."""
     out = play(BOARD, typed="!undoo\n!r\n!\n").out
@@ -341,13 +312,6 @@ def test_system_text_comes_first(play) -> None:
 
     gem.register("play:Part-v0", Part)
     assert "You play the clerk.\n\n" in play("play:Part-v0").out
-
-
-def test_quit_ends_as_the_end_of_input_does(play) -> None:
-    """Exit code 0."""
-    outcome = play(BOARD, typed="a\n!quit\nb\n")
-    assert outcome.code == 0
-    assert "Left unfinished after 1 turn, return 0.25.\n" in outcome.out
 
 
 # Other environments, and mistakes.

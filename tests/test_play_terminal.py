@@ -87,14 +87,3 @@ def test_ctrl_d_ends_politely(terminal) -> None:
     session.wait_for("Play another? [Y/n]")
     session.type("\x04")
     assert session.end() == 0
-
-
-def test_an_empty_line_is_explained(terminal) -> None:
-    """Pressing Enter is no answer."""
-    session = terminal("play", ECHO)
-    session.wait_for("turn 1> ")
-    session.type("\n")
-    session.wait_for("Type an answer, or ? for help.")
-    session.wait_for("turn 1> ")
-    session.type("!quit\n")
-    assert session.end() == 0

@@ -140,19 +140,6 @@ def test_images_of_the_episodes_stay(run_gem: RunGem) -> None:
     assert by_key("a.jsonl")[0].observation == episodes[0].observation
 
 
-def test_a_link_stays_a_link(run_gem: RunGem) -> None:
-    """What it points to is written."""
-    Path("failing.py").write_text(FAILING_AGENT)
-    Path("down").touch()
-    Path("kept").mkdir()
-    run_gem("run", COUNTDOWN, "-n", "4", "-a", "failing:act", "-o", "kept/run.jsonl")
-    Path("down").unlink()
-    Path("link.jsonl").symlink_to("kept/run.jsonl")
-    assert run_gem("run", COUNTDOWN, "-n", "4", "-a", "failing:act", "--resume", "link.jsonl").code == 0
-    assert Path("link.jsonl").is_symlink()
-    assert len(by_key("kept/run.jsonl")) == 4
-
-
 def test_a_run_that_fails_says_how_to_go_on_as_well(run_gem: RunGem) -> None:
     """Above the error, which stays the last line."""
     Path("raising.py").write_text(
