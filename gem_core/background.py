@@ -197,8 +197,13 @@ class Door:
             queue.SimpleQueue()
         )
 
+        self.interrupted = False
+        """Whether plain code was interrupted while it waited; what is called to clean up then runs in other threads."""
+
     async def here(self, function: Callable[..., T], *args: Any) -> T:
         """Call a function in the thread that waits in ``run``."""
+        if self.interrupted:
+            return await in_thread(function, *args)
         future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
         self._calls.put((future, function, args))
         return await future
@@ -226,15 +231,17 @@ class Door:
         try:
             self._serve()
         except BaseException:
+            self.interrupted = True
             future.cancel()
             with suppress(queue.Empty):
-                self._serve(_CANCELLING_S)
+                while (call := self._calls.get(timeout=_CANCELLING_S)) is not None:
+                    background_loop().call_soon_threadsafe(call[0].cancel)
             raise
         return future.result()
 
-    def _serve(self, seconds: float | None = None) -> None:
+    def _serve(self) -> None:
         outcomes: list[tuple[asyncio.Future[Any], Any, Exception | None]] = []
-        call = self._calls.get(timeout=seconds)
+        call = self._calls.get()
         while call is not None:
             future, function, args = call
             if not future.cancelled():
@@ -245,7 +252,7 @@ class Door:
             if self._calls.empty():  # the loop is woken once for all that were waiting
                 background_loop().call_soon_threadsafe(_tell, outcomes)
                 outcomes = []
-            call = self._calls.get(timeout=seconds)
+            call = self._calls.get()
         background_loop().call_soon_threadsafe(_tell, outcomes)
 
 

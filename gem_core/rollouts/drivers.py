@@ -280,7 +280,8 @@ def _drive(run: _Run) -> Iterator[Record]:
         while (record := door.run(next_episode())) is not None:
             yield record
     finally:
-        door.run(episodes.aclose())
+        if not door.interrupted:  # then they have ended
+            door.run(episodes.aclose())
 
 
 async def _episodes(run: _Run, door: Door | None = None) -> AsyncGenerator[Record]:

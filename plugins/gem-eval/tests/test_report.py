@@ -15,7 +15,6 @@ from click.testing import CliRunner
 
 from gem_core import Episode, Response, Transition
 from gem_core.errors import ArgumentError
-from gem_core.records import write_episodes
 from gem_eval.comparing.comparison import compare
 from gem_eval.records import RunWriter, open_run
 from gem_eval.reporting import plots
@@ -189,15 +188,6 @@ def test_the_files_of_a_run_are_not_written_over(grid: Path, tmp_path: Path) -> 
     with pytest.raises(ArgumentError, match="is part of a run"):
         report(grid, "--out", grid / "run.json")
     assert report(grid, "--out", tmp_path / "r.html") == f"report of 96 episodes written to {tmp_path / 'r.html'}\n"
-
-
-def test_what_is_left_out_is_said(tmp_path: Path) -> None:
-    """Damaged lines, and episodes of several agents."""
-    write_episodes(tmp_path / "games.jsonl", [recorded.duel(), recorded.maze()])
-    assert "games.jsonl, line 1: passed over, because it is an episode of several agents" in report(
-        tmp_path / "games.jsonl", "--format", "markdown"
-    )
-    assert "games: 1 line without a whole episode of one agent left out." in page_of(tmp_path / "games.jsonl").text
 
 
 @pytest.mark.parametrize("values", [[], [3.0], [0.0, 0.0], [-1.0, 1e9], [float("nan"), 1.0], [0.1, 0.25, 7.0]])
