@@ -13,7 +13,7 @@ import functools
 import queue
 import threading
 import weakref
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from contextlib import suppress
 from typing import Any, TypeVar, cast
 
@@ -23,6 +23,9 @@ T = TypeVar("T")
 
 _CANCELLING_S = 6.0
 """Seconds that a coroutine may take to end when the plain code that waits for it is interrupted."""
+
+_plain = threading.local()
+"""``loop``: the event loop in whose thread ``run_without_loop`` runs a coroutine now, which must not wait for it."""
 
 _lock = threading.Lock()
 _loop: asyncio.AbstractEventLoop | None = None
@@ -69,6 +72,8 @@ def run_sync(awaitable: Awaitable[T]) -> T:
 def run_without_loop(coroutine: Coroutine[Any, Any, T], otherwise: str = "plain code cannot wait here") -> T:
     """Return the result of a coroutine that never waits, in plain code.
 
+    ``in_thread``, ``on_library_loop`` and ``side_by_side`` do not wait in it: they return when their work is done.
+
     Args:
         coroutine: What is run.
         otherwise: Message of the error if it waits.
@@ -76,12 +81,22 @@ def run_without_loop(coroutine: Coroutine[Any, Any, T], otherwise: str = "plain 
     Raises:
         ArgumentError: It waits for something.
     """
+    outer = getattr(_plain, "loop", None)
+    _plain.loop = _running_loop()
     try:
         coroutine.send(None)
     except StopIteration as finished:
         return cast("T", finished.value)
+    finally:
+        _plain.loop = outer
     coroutine.close()
     raise ArgumentError(otherwise)
+
+
+def _in_plain_code() -> bool:
+    """Tell whether the coroutine that calls is run by ``run_without_loop``."""
+    loop = _running_loop()
+    return loop is None or loop is getattr(_plain, "loop", None)
 
 
 def finish_or_start(awaitable: Awaitable[object]) -> None:
@@ -133,6 +148,8 @@ def close_later(resource: Any, loop: asyncio.AbstractEventLoop) -> None:
 
 async def on_library_loop(awaitable: Awaitable[T]) -> T:
     """Await on the library's loop, from whichever loop the caller runs on; without a hop on the library's own."""
+    if _in_plain_code():
+        return run_sync(awaitable)
     loop = background_loop()
     if asyncio.get_running_loop() is loop:
         return await awaitable
@@ -163,6 +180,8 @@ async def in_thread(function: Callable[..., T], *args: Any) -> T:
 
     The threads of ``asyncio.to_thread`` are joined at exit, so that one hung call would keep the interpreter alive.
     """
+    if _in_plain_code():
+        return function(*args)
     future: concurrent.futures.Future[T] = concurrent.futures.Future()
     # A future that runs cannot be cancelled any more: the task that waits can, and the result is then dropped.
     future.set_running_or_notify_cancel()
@@ -183,6 +202,23 @@ async def in_thread(function: Callable[..., T], *args: Any) -> T:
 
     threading.Thread(target=work, name="gem-blocking", daemon=True).start()
     return await asyncio.wrap_future(future)
+
+
+async def side_by_side(jobs: Mapping[str, Coroutine[Any, Any, T]]) -> dict[str, T]:
+    """Return the results of coroutines by name; if one fails, the others are cancelled. Plain code runs one by one."""
+    if _in_plain_code() or not jobs:
+        try:
+            return {name: await job for name, job in jobs.items()}
+        finally:
+            for job in jobs.values():
+                job.close()  # those behind one that failed
+    tasks = {name: asyncio.ensure_future(job) for name, job in jobs.items()}
+    try:
+        await asyncio.wait(tasks.values(), return_when=asyncio.FIRST_EXCEPTION)
+        return {name: task.result() for name, task in tasks.items() if task.done()}
+    finally:
+        for task in tasks.values():
+            task.cancel()
 
 
 class Door:

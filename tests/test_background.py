@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from gem_core.background import background_loop, in_thread, on_library_loop, run_sync
+from gem_core.background import background_loop, in_thread, on_library_loop, run_sync, run_without_loop, side_by_side
 from gem_core.errors import BridgeError
 
 
@@ -57,6 +57,24 @@ def test_run_sync_on_the_library_loop_is_refused() -> None:
         "a synchronous step was called on the library's own event loop, where it would wait for itself; "
         "call 'await env.step_async(action)' there instead"
     )
+
+
+def test_run_without_loop_does_in_place_what_coroutines_would_wait_for() -> None:
+    """Threads, the library's loop and coroutines side by side, also inside of somebody's own loop."""
+
+    async def work() -> list[Any]:
+        one_by_one = side_by_side({"a": where_now(), "b": where_now()})
+        return [await in_thread(threading.current_thread), await on_library_loop(where()), await one_by_one]
+
+    async def where_now() -> threading.Thread:
+        return threading.current_thread()
+
+    async def main() -> list[Any]:
+        return run_without_loop(work())
+
+    here = threading.current_thread()
+    expected = [here, background_loop(), {"a": here, "b": here}]
+    assert run_without_loop(work()) == asyncio.run(main()) == expected
 
 
 def test_interrupt_cancels_the_coroutine(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import copy
 import threading
 from typing import Any
@@ -233,6 +234,17 @@ def test_tools_of_two_seats_work_side_by_side() -> None:
     assert env.concurrency == "async"
     env.reset(seed=0)
     assert "hello" in env.step(dict.fromkeys("ab", NOTE.format("hello")))[0]["b"]
+
+
+def test_plain_steps_work_where_an_event_loop_runs() -> None:
+    """As in a notebook: the step blocks that loop, and coroutines of the seats' tools run on the library's."""
+
+    async def play() -> Any:
+        env = auction([toys.AsyncNotebook(), "concat"])
+        env.reset(seed=0)
+        return env.step(dict.fromkeys("ab", NOTE.format("hello")))[0]
+
+    assert all("hello" in observation for observation in asyncio.run(play()).values())
 
 
 class OwnStep(gem.Wrapper):

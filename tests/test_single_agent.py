@@ -221,7 +221,11 @@ NO_TEXT = "AgentError: an agent returns a str or a Response, and this one return
         (failing, SystemExit("bye"), "SystemExit: bye"),
         (failing, None, NO_TEXT),
         (failing_async, RequestError("no answer"), "RequestError: no answer"),
-        (failing_async, asyncio.CancelledError(), "AgentError: its coroutine was cancelled"),
+        (
+            failing_async,
+            asyncio.CancelledError(),
+            "AgentError: the agent's coroutine was cancelled; an agent must not cancel its own task",
+        ),
         (failing_async, None, NO_TEXT),
     ],
 )

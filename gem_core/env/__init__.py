@@ -9,7 +9,7 @@ from gem_core.env.joint_checks import Verdict
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.observations import is_messages, join_observations, observation_from, split_observation, texts_of
 from gem_core.env.results import checked_reset, checked_result
-from gem_core.env.seat_wrappers import SeatWrappers
+from gem_core.env.seats import SeatWrappers
 from gem_core.env.seeding import stable_hash
 from gem_core.env.spaces import Content, Messages, Text
 from gem_core.env.wrapper import AnyEnv, Wrapper, concurrency_of, reset_async, step_async

@@ -17,7 +17,7 @@ from gem_core.env.base import Env
 from gem_core.env.guard import Guard
 from gem_core.env.joint_checks import check_seats
 from gem_core.env.multi_agent import MultiAgentEnv
-from gem_core.env.seat_wrappers import SeatWrappers
+from gem_core.env.seats import SeatWrappers
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, RegistrationError
 from gem_core.making.layers import Wrappers, check_options, choices, layers_of

@@ -15,9 +15,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar, cast
 
-from gem_core.background import run_sync, run_without_loop
+from gem_core.background import run_sync, run_without_loop, side_by_side
 from gem_core.errors import (
-    AgentError,
     ArgumentError,
     ContextOverflowError,
     EnvFaultError,
@@ -183,13 +182,7 @@ async def ask_all(run: Run, shared: SharedEpisode) -> dict[str, Response]:
 
     if run.is_plain or len(shared.acting) == 1:
         return {seat: await answer(seat) for seat in shared.acting}
-    asked = {seat: asyncio.create_task(answer(seat)) for seat in shared.acting}
-    try:
-        await asyncio.wait(asked.values(), return_when=asyncio.FIRST_EXCEPTION)
-        return {seat: task.result() for seat, task in asked.items() if task.done()}
-    finally:
-        for task in asked.values():
-            task.cancel()
+    return await side_by_side({seat: answer(seat) for seat in shared.acting})
 
 
 class NoAnswerError(Exception):
@@ -219,18 +212,9 @@ async def ask(run: Run, agent: Agent, seat: RunningSeat) -> Response:
     async with run.requests:
         seen = seat.conversation.sent(), seat.context
         answer: Any = agent(*seen) if run.is_asynchronous(agent) else await run.here(agent, *seen)
-        if inspect.isawaitable(answer):
-            try:
-                answer = await answer if run.here is not _at_once else run_sync(answer)
-            except asyncio.CancelledError:
-                task = asyncio.current_task()
-                if task is not None and task.cancelling():
-                    raise
-                raise AgentError("the agent's coroutine was cancelled; an agent must not cancel its own task") from None
-    if not isinstance(answer, str):
-        raise AgentError(f"an agent returns a str or a Response, and this one returned {type(answer).__name__}")
-    seat.response = Response.of(answer)
-    return seat.response
+        if run.here is _at_once and inspect.isawaitable(answer):
+            answer = run_sync(answer)
+        return await seat.take(answer)
 
 
 def why_no_answer(slot: Slot, failure: GemError) -> Info:

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import asyncio
 import inspect
-from collections.abc import Awaitable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from functools import partial
 from typing import Any, Self, cast
 
-from gem_core.background import run_without_loop
+from gem_core.background import on_library_loop, run_sync, run_without_loop, side_by_side
 from gem_core.env.base import Env
-from gem_core.env.joint_calls import AroundEnv, AwaitedCalls, PlainCalls, of_env
 from gem_core.env.joint_checks import check_in_episode, check_seats
-from gem_core.env.multi_agent import JointStepResult, MultiAgentEnv, result_of
+from gem_core.env.multi_agent import JointResetResult, JointStepResult, MultiAgentEnv, result_of
 from gem_core.env.results import refuse_action
+from gem_core.env.seats import SeatEnv, reads_from_env, step_joint, truncate_joint
 from gem_core.env.seeding import stable_hash
-from gem_core.env.wrapper import concurrency_of, most_demanding
-from gem_core.errors import AgentError, ArgumentError, EnvFaultError
+from gem_core.env.wrapper import concurrency_of, most_demanding, reset_async
+from gem_core.errors import ArgumentError, EnvFaultError
 from gem_core.failures import author_frames, failure_info
 from gem_core.making.environment import make_from
 from gem_core.records.episode import Episode
@@ -36,7 +35,8 @@ class _OpponentError(Exception):
     """The agent at another seat failed."""
 
 
-class SingleAgentEnv(AroundEnv, Env):
+@reads_from_env("num_tasks", "endless_tasks")
+class SingleAgentEnv(SeatEnv):
     """One seat of an environment of several agents as an environment: the other seats are played inside it.
 
     ``reset`` and ``step`` let the others act until the seat acts again or has ended. What the seat observes and earns
@@ -73,7 +73,6 @@ class SingleAgentEnv(AroundEnv, Env):
         max_other_turns: int = 300,
         **kwargs: Any,
     ) -> None:
-        super().__init__()
         if isinstance(env, MultiAgentEnv) and kwargs:
             raise ArgumentError(
                 f"{', '.join(kwargs)}: keyword arguments go with the id of an environment, and this one is made already"
@@ -86,16 +85,14 @@ class SingleAgentEnv(AroundEnv, Env):
         try:
             if not isinstance(made, MultiAgentEnv):
                 raise ArgumentError(f"single_agent takes an environment of several agents, or its id, not {env!r:.100}")
-            check_seats([seat], made.possible_agents)
-            self.env, self.seat, self.max_other_turns = made, seat, max_other_turns
+            super().__init__(made, seat)
             self._players = self._players_of(others)
         except BaseException:
             if self._made_here:
                 made.close()
             raise
         self._asynchronous = any(is_asynchronous(player) for players in self._players.values() for player in players)
-        self.observation_space = made.observation_space(seat)
-        self.action_space = made.action_space(seat)
+        self.max_other_turns = max_other_turns
         self._prepared = False
         self._live = False
         self._acting: list[str] = []
@@ -108,8 +105,6 @@ class SingleAgentEnv(AroundEnv, Env):
         """What the seat earned and has not been given."""
 
     shared_by_forks = ("_players",)
-    num_tasks = of_env("num_tasks")
-    endless_tasks = of_env("endless_tasks")
 
     @property
     def concurrency(self) -> Concurrency:  # type: ignore[override]  # of this instance
@@ -122,36 +117,36 @@ class SingleAgentEnv(AroundEnv, Env):
         Raises:
             EnvFaultError: Another agent failed, or the turn of the seat never came.
         """
-        return run_without_loop(self._reset(seed, options, PlainCalls()))
+        return (run_sync if self._asynchronous else run_without_loop)(self._reset(seed, options))
 
     def step(self, action: str) -> StepResult:
         """Answer a response of the seat, and let the others act until it is its turn again."""
-        return run_without_loop(self._step(action, PlainCalls()))
+        return (run_sync if self._asynchronous else run_without_loop)(self._step(action))
 
     async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """``reset`` for code that runs in an event loop, without blocking it."""
         if self.concurrency != "async":
             return await super().reset_async(seed, options)
-        return await self._reset(seed, options, AwaitedCalls())
+        return await self._reset(seed, options)
 
     async def step_async(self, action: str) -> StepResult:
         """``step`` for code that runs in an event loop, without blocking it."""
         if self.concurrency != "async":
             return await super().step_async(action)
-        return await self._step(action, AwaitedCalls())
+        return await self._step(action)
 
-    async def _reset(self, seed: int | None, options: dict[str, Any] | None, calls: PlainCalls) -> ResetResult:
+    async def _reset(self, seed: int | None, options: dict[str, Any] | None) -> ResetResult:
         super().reset(seed=seed)
         self._live = False
-        await self._prepare(calls)
+        await self._prepare()
         for deal in range(_MOST_DEALS):
             deal_seed = stable_hash(self.np_random_seed, "deal", deal) if deal else self.np_random_seed
             self._running, self._draws, self._reward = {}, {}, 0.0
-            observations, infos = await calls.reset(self.env, deal_seed, options)
+            observations, infos = cast("JointResetResult", await reset_async(self.env, deal_seed, options))
             flags = dict.fromkeys(observations, False)
             try:
                 joint = (observations, dict.fromkeys(observations, 0.0), flags, flags, infos)
-                result = await self._until_own_turn(joint, calls)
+                result = await self._until_own_turn(joint)
             except _OpponentError as error:
                 raise EnvFaultError(f"{self._name}: {error}") from error.__cause__
             if result is None:
@@ -165,24 +160,23 @@ class SingleAgentEnv(AroundEnv, Env):
                 return observation, info
         raise EnvFaultError(f"{self._name}: {_MOST_DEALS} games in a row were over before {self.seat!r} acted")
 
-    async def _step(self, action: str, calls: PlainCalls) -> StepResult:
+    async def _step(self, action: str) -> StepResult:
         check_in_episode(self._name, self._live)
         if not isinstance(action, str):
             refuse_action(action)
         try:
-            joint = await self._joint_step({self.seat: action}, calls)
-            result = cast("StepResult", await self._until_own_turn(joint, calls))
+            joint = await self._joint_step({self.seat: action})
+            result = cast("StepResult", await self._until_own_turn(joint))
         except _OpponentError as error:
-            result = await self._failed(error, calls)
+            result = await self._failed(error)
         self._live = not (result[2] or result[3])
         return result
 
-    async def _until_own_turn(self, joint: JointStepResult, calls: PlainCalls) -> StepResult | None:
+    async def _until_own_turn(self, joint: JointStepResult) -> StepResult | None:
         """Let the others act until the seat acts or has ended; None where the game is over and the seat was not in it.
 
         Args:
             joint: The result of the last step.
-            calls: How the environment is called.
 
         Raises:
             _OpponentError: One of the others failed, or they never come to an end.
@@ -202,13 +196,14 @@ class SingleAgentEnv(AroundEnv, Env):
             if not observations:
                 return None
             if turn < self.max_other_turns:
-                joint = await self._joint_step({}, calls)
+                joint = await self._joint_step({})
         raise _OpponentError(f"the turn of {self.seat!r} did not come in {self.max_other_turns} turns of the others")
 
-    async def _joint_step(self, own: Mapping[str, str], calls: PlainCalls) -> JointStepResult:
+    async def _joint_step(self, own: Mapping[str, str]) -> JointStepResult:
         """Step the environment with responses of all who act."""
-        responses: Mapping[str, str] = {**await self._responses(calls), **own}
-        return await calls.step(self.env, {agent: responses[agent] for agent in self._acting})
+        others = [agent for agent in self._acting if agent != self.seat]
+        responses = {**await side_by_side({agent: self._ask(agent) for agent in others}), **own}
+        return await step_joint(self.env, {agent: responses[agent] for agent in self._acting})
 
     def _note(self, agent: str, result: StepResult) -> None:
         """Add the result of a step to the episode of another seat."""
@@ -229,47 +224,35 @@ class SingleAgentEnv(AroundEnv, Env):
 
     # Asking the others.
 
-    async def _responses(self, calls: PlainCalls) -> dict[str, Response]:
-        """Return the responses of the others who act now.
+    async def _ask(self, agent: str) -> Response:
+        """Return the response of the agent at another seat.
 
         Raises:
-            _OpponentError: One failed, or returned no text.
+            _OpponentError: It failed, or returned no text.
         """
-        answers: dict[str, Any] = {}
-        for agent in self._acting:
-            if agent != self.seat:
-                running = self._running[agent]
-                try:
-                    answers[agent] = self._player(agent)(running.conversation.sent(), running.context)
-                except (Exception, SystemExit) as error:
-                    for coroutine in filter(inspect.iscoroutine, answers.values()):
-                        coroutine.close()
-                    raise _OpponentError(_described(agent, error)) from error
-        waited = {agent: answer for agent, answer in answers.items() if inspect.isawaitable(answer)}
-        if waited:
-            answers |= await calls.wait(_all_of(waited))
-        for agent, answer in answers.items():
-            if not isinstance(answer, str):
-                problem = f"an agent returns a str or a Response, and this one returned {type(answer).__name__}"
-                raise _OpponentError(_described(agent, AgentError(problem)))
-            self._running[agent].response = Response.of(answer)
-        return {agent: self._running[agent].response for agent in answers}
+        running = self._running[agent]
+        try:
+            answer: Any = self._player(agent)(running.conversation.sent(), running.context)
+            return await running.take(on_library_loop(answer) if inspect.isawaitable(answer) else answer)
+        except (Exception, SystemExit) as error:
+            problem = f"the agent at {agent!r} failed: {type(error).__name__}: {error}"
+            raise _OpponentError(problem[:500]) from error
 
-    async def _failed(self, error: _OpponentError, calls: PlainCalls) -> StepResult:
+    async def _failed(self, error: _OpponentError) -> StepResult:
         """End an episode in which one of the others failed."""
-        observation, reward, _, _, info = result_of(await calls.truncate_all(self.env), self.seat)
+        observation, reward, _, _, info = result_of(await truncate_joint(self.env), self.seat)
         reward, self._reward = self._reward + reward, 0.0
         info["error"] = failure_info("opponent", str(error), author_frames(error))
         return observation, reward, False, True, info
 
-    async def _prepare(self, calls: PlainCalls) -> None:
+    async def _prepare(self) -> None:
         """Prepare the other agents before the first episode."""
         if self._prepared:
             return
         for player in dict.fromkeys(player for players in self._players.values() for player in players):
             waited = getattr(player, "prepare", lambda: None)()
             if inspect.isawaitable(waited):
-                await calls.wait(waited)
+                await on_library_loop(waited)
         self._prepared = True
 
     def _players_of(self, others: Any) -> dict[str, list[Agent]]:
@@ -318,10 +301,6 @@ class SingleAgentEnv(AroundEnv, Env):
         self.env.seed_actions(int(self.action_random.integers(2**53)))
         return self.env.sample_random_action(self.seat)
 
-    def gold_action(self) -> str | None:
-        """Return a response by which the task of the seat is solved; see ``Env.gold_action``."""
-        return self.env.gold_action(self.seat)
-
     # State and the rest.
 
     def spawn(self, **overrides: Any) -> Env:
@@ -360,27 +339,3 @@ def _pass_on_error(info: Info, infos: Mapping[str, Info]) -> None:
 
 def _message_of(error: object) -> object:
     return error.get("message") if isinstance(error, Mapping) else error
-
-
-def _described(agent: str, error: BaseException) -> str:
-    return f"the agent at {agent!r} failed: {type(error).__name__}: {error}"[:500]
-
-
-async def _all_of(answers: Mapping[str, Awaitable[Any]]) -> dict[str, Any]:
-    """Wait for answers side by side.
-
-    Raises:
-        _OpponentError: One failed; the others are then cancelled.
-    """
-    tasks = {agent: asyncio.ensure_future(answer) for agent, answer in answers.items()}
-    try:
-        await asyncio.wait(tasks.values(), return_when=asyncio.FIRST_EXCEPTION)
-        for agent, task in tasks.items():
-            if task.done():
-                error = AgentError("its coroutine was cancelled") if task.cancelled() else task.exception()
-                if error is not None:
-                    raise _OpponentError(_described(agent, error)) from error
-        return {agent: task.result() for agent, task in tasks.items()}
-    finally:
-        for task in tasks.values():
-            task.cancel()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
+import inspect
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
 from gem_core import __version__
+from gem_core.errors import AgentError
 from gem_core.records.conversation import CONCAT_WITH_ACTION, Conversation
 from gem_core.records.episode import Episode, Transition
 from gem_core.records.plans import EpisodeStart
@@ -48,6 +51,25 @@ class RunningSeat:
             read_observation=partial(getattr, episode, "final_observation"),  # a copy of the seat reads its own
             view=info.get("view"),
         )
+
+    async def take(self, answer: Any) -> Response:
+        """Return what the agent answered, a coroutine's result included, as the response of this turn.
+
+        Raises:
+            AgentError: It is no text, or the coroutine was cancelled by the agent itself.
+        """
+        if inspect.isawaitable(answer):
+            try:
+                answer = await answer
+            except asyncio.CancelledError:
+                task = asyncio.current_task()
+                if task is not None and task.cancelling():
+                    raise
+                raise AgentError("the agent's coroutine was cancelled; an agent must not cancel its own task") from None
+        if not isinstance(answer, str):
+            raise AgentError(f"an agent returns a str or a Response, and this one returned {type(answer).__name__}")
+        self.response = Response.of(answer)
+        return self.response
 
     def add(self, reward: float, terminated: bool, truncated: bool, observation: Observation, info: Info) -> None:
         """Add the turn in which ``response`` was sent."""

@@ -10,7 +10,7 @@ import gymnasium
 
 from gem_core.env.base import Env
 from gem_core.env.guard import Guard
-from gem_core.env.seat_wrappers import SeatWrappers
+from gem_core.env.seats import SeatWrappers
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.testing.joint import JointView, is_joint
 

@@ -37,7 +37,7 @@ class GoodJointEnv(MultiAgentEnv):
     def begin_episode(self, options: dict[str, Any] | None) -> Any:
         self.secret = int(self.np_random.integers(1, self.limit + 1))
         self.guesses, self.unread = [], []
-        self.agent_selector.reorder([str(name) for name in self.np_random.permutation(self.possible_agents)])
+        self.agent_selector.order = [str(name) for name in self.np_random.permutation(self.possible_agents)]
         self.feedback = f"Guess from 1 to {self.limit}, as \\boxed{{7}}; \\boxed{{0}} leaves.\n"
         return self.told()
 
