@@ -81,7 +81,7 @@ class _Commands(Documented, click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         record = _OWN.get(cmd_name)
         if record is None:
-            registry().refuse_contested("command", cmd_name)
+            registry().raise_if_ambiguous("command", cmd_name)
             record = _all_commands().get(cmd_name)
         if record is None:
             return None

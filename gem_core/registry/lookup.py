@@ -53,8 +53,8 @@ class Registry:
         # One space of names each for wrappers together with tools, and for every other kind.
         self._named: dict[str, dict[str, NamedSpec]] = {}
         self._providers: dict[str, Plugin] = {}
-        # Ids and names that cannot be had, each with the reason.
-        self._contested: dict[Key, str] = {}
+        # Ids and names that several plugins claim, each with the message of the error.
+        self._ambiguous: dict[Key, str] = {}
 
     # Looking up.
 
@@ -67,7 +67,7 @@ class Registry:
         """
         if not isinstance(env_id, str):
             raise UnknownEnvError(f"an environment id is a string such as 'game:Mastermind-v0', not {env_id!r}")
-        self.refuse_contested("env", env_id)
+        self.raise_if_ambiguous("env", env_id)
         record = self._envs.get(env_id)
         if record is None:
             raise UnknownEnvError(self._unknown_env(env_id))
@@ -105,7 +105,7 @@ class Registry:
 
     def tool(self, name: str) -> ToolSpec:
         """Return the record of a tool."""
-        self.refuse_contested("wrapper", name)
+        self.raise_if_ambiguous("wrapper", name)
         record = self._named.get("wrapper", {}).get(name)
         if not isinstance(record, ToolSpec):
             names = [tool.name for tool in self.named(ToolSpec)]
@@ -165,8 +165,8 @@ class Registry:
         self.load()
         return list(self._plugins)
 
-    def refuse_contested(self, space: str, name: str) -> None:
-        """Raise where an id or a name cannot be had because several plugins claim it.
+    def raise_if_ambiguous(self, space: str, name: str) -> None:
+        """Raise if several plugins claim an id or a name.
 
         Args:
             space: ``"env"``, ``"wrapper"`` (tools too), ``"vector backend"``, ``"agent"`` or ``"command"``.
@@ -176,7 +176,7 @@ class Registry:
             RegistrationError: It names the plugins.
         """
         self.load()
-        message = self._contested.get((space, name))
+        message = self._ambiguous.get((space, name))
         if message:
             raise RegistrationError(f"{message}; uninstall one of them, or disable it with GEM_PLUGINS_DISABLE")
 
@@ -216,7 +216,7 @@ class Registry:
         """
         self.load()
         with self._lock:
-            self.refuse_contested("env", record.id)
+            self.raise_if_ambiguous("env", record.id)
             present, provider = self._envs.get(record.id), self._providers.get(record.id)
             if present is not None and (provider is not None or not _same_entry_point(present, record)):
                 raise RegistrationError(
@@ -244,7 +244,7 @@ class Registry:
                 kinds = sorted({each.kind for _, each in claimants if isinstance(each, NamedSpec)})
                 what = f"{' or '.join(kinds) or key[0]} {key[1]!r}"
                 disputes.setdefault(parties, []).append(self._dispute(key, what, parties))
-            if record is not None and key not in self._contested:
+            if record is not None and key not in self._ambiguous:
                 self._store(record, owner)
         for messages in disputes.values():
             complain(messages[0] + (f" (and {len(messages) - 1} more)" if len(messages) > 1 else ""))
@@ -259,7 +259,7 @@ class Registry:
         else:
             message = f"{what} is offered twice by {owner}"
         if not parties[0].is_core:
-            self._contested[key] = message
+            self._ambiguous[key] = message
         for plugin in parties:
             if not plugin.is_core:
                 plugin.conflicts.append(message)
@@ -293,7 +293,7 @@ class Registry:
         return f" It may belong to {', '.join(disabled)}, which GEM_PLUGINS_DISABLE skips." if disabled else ""
 
     def _find(self, space: str, name: str, error: type[UnknownNameError]) -> NamedSpec:
-        self.refuse_contested(space, name)
+        self.raise_if_ambiguous(space, name)
         records = self._named.get(space, {})
         if name in records:
             return records[name]

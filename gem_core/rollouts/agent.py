@@ -220,7 +220,7 @@ def load_agent(name: str, **options: Any) -> Agent:
         UnknownAgentError: There is no such agent, module or callable.
     """
     head, colon, rest = name.partition(":")
-    registry().refuse_contested("agent", head)
+    registry().raise_if_ambiguous("agent", head)
     registered = [record.name for record in registry().named(AgentSpec)]
     is_of_plugin = bool(registry().install_hint(head, "agent"))  # of one that is not installed
     if head in registered or (is_of_plugin and not rest):
