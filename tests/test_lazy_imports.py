@@ -23,7 +23,7 @@ from gem_core import AgentSpec, CommandSpec, ToolSpec, VectorBackendSpec, Wrappe
 from gem_core.registry.lookup import registry
 list_envs()
 for kind in (AgentSpec, CommandSpec, ToolSpec, VectorBackendSpec, WrapperSpec):
-    registry().named(kind)
+    registry().specs(kind)
 registry().plugins()
 """
 

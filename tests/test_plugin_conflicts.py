@@ -70,7 +70,7 @@ def test_a_conflict_costs_the_name_alone(
         f"RegistrationError: {conflict}; uninstall one of them, or disable it with GEM_PLUGINS_DISABLE"
     )
     assert first.conflicts == second.conflicts == [conflict]
-    known = own_registry.envs() if kind == "env" else own_registry.named(type(record("x")))
+    known = own_registry.envs() if kind == "env" else own_registry.specs(type(record("x")))
     assert {"own-a", "own-b"} <= (names := {each.name for each in known})
     assert "same" not in names
 

@@ -365,14 +365,14 @@ def test_a_form_of_a_plugin_is_read_beside_the_others(
 ) -> None:
     """Of all calls the first that is complete counts, and what is thought, answered or quoted is none in any form."""
     shout = CallFormatSpec(name="shout", opening="([A-Z]+)!", entry_point=read_shout)
-    monkeypatch.setattr(Registry, "named", lambda self, kind: [shout])
+    monkeypatch.setattr(Registry, "specs", lambda self, kind: [shout])
     assert called(text) == (None if expected is None else ("lookup", {"query": expected}))
 
 
 def test_a_form_with_the_shape_of_an_answer_is_none_beside_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     """As bare JSON has it."""
     shout = CallFormatSpec(name="shout", opening="([A-Z]+)!", begins="anything", entry_point=read_shout)
-    monkeypatch.setattr(Registry, "named", lambda self, kind: [shout])
+    monkeypatch.setattr(Registry, "specs", lambda self, kind: [shout])
     assert called("LOOKUP! x!") == QUERY
     assert called("LOOKUP! x! \\boxed{42}") is None
 

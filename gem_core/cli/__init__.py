@@ -188,4 +188,4 @@ def _click_message(error: click.ClickException, arguments: Sequence[str]) -> str
 
 
 def _all_commands() -> dict[str, CommandSpec]:
-    return _OWN | {record.name: record for record in registry().named(CommandSpec) if record.name not in _OWN}
+    return _OWN | {record.name: record for record in registry().specs(CommandSpec) if record.name not in _OWN}

@@ -59,7 +59,7 @@ def _names(*kinds: type[NamedSpec]) -> Offer:
 
     def offer(ctx: click.Context, incomplete: str) -> Iterable[tuple[str, str]]:
         before, comma, begun = incomplete.rpartition(",")
-        records = sorted((record.name, record.summary) for kind in kinds for record in registry().named(kind))
+        records = sorted((record.name, record.summary) for kind in kinds for record in registry().specs(kind))
         return [(f"{before}{comma}{name}", summary) for name, summary in records if name.startswith(begun)]
 
     return offer

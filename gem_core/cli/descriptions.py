@@ -34,7 +34,7 @@ def find_named(name: str) -> list[NamedSpec]:
     kinds = [AgentSpec] if colon else list(KINDS.values())
     if colon and any(record.namespace == head for record in registry().envs()):
         return []
-    return [record for kind in kinds for record in registry().named(kind) if record.name == head]
+    return [record for kind in kinds for record in registry().specs(kind) if record.name == head]
 
 
 def describe_record(record: Record) -> dict[str, Any]:

@@ -51,7 +51,7 @@ def diagnose(*, quick: bool = False) -> dict[str, Any]:
             progress.advance(number + 1)
     tools = [
         {"tool": record.name, "summary": record.summary, "status": status, "error": error}
-        for record in found.named(ToolSpec)
+        for record in found.specs(ToolSpec)
         for status, error in [status_of(record)]
     ]
     broken += [f"the status of tool {tool['tool']!r} failed: {tool['error']}" for tool in tools if tool["error"]]
@@ -117,7 +117,7 @@ def requirements(found: Registry) -> list[dict[str, Any]]:
         for requirement in record.requires:
             needing.setdefault(requirement, []).append(record.id)
     words = {requirement.partition(":")[0] for requirement in needing}
-    probed = [*(record.name for record in found.named(RequirementSpec)), "hub", "network"]
+    probed = [*(record.name for record in found.specs(RequirementSpec)), "hub", "network"]
     needing |= {word: [] for word in probed if word not in words}
     rows = []
     for requirement, ids in needing.items():

@@ -42,7 +42,7 @@ def command(pattern: str | None, show_all: bool, as_json: bool) -> None:
     """
     found = registry()
     kind = None if pattern in {record.namespace for record in found.envs()} else KINDS.get(pattern or "")
-    records: Sequence[Record] = matching(pattern) if kind is None else found.named(kind)
+    records: Sequence[Record] = matching(pattern) if kind is None else found.specs(kind)
     in_terminal = output_width() is not None
     if as_json:
         click.echo(json.dumps([describe_record(record) for record in records], indent=1))
@@ -99,7 +99,7 @@ def _print_overview(envs: list[EnvSpec]) -> None:
     _print_rows(rows)
     click.echo()
     kinds: dict[str, type[NamedSpec]] = {**KINDS, "commands": CommandSpec}
-    others = {word: ", ".join(record.name for record in registry().named(kind)) for word, kind in kinds.items()}
+    others = {word: ", ".join(record.name for record in registry().specs(kind)) for word, kind in kinds.items()}
     _print_rows((word, names) for word, names in others.items() if names)
     shown = f"'gem list {next(iter(members))}' shows a namespace, 'gem list --all' every id."
     click.secho(f"\n{shown}\n{_gallery_line()}", dim=True)

@@ -111,4 +111,4 @@ def _value(text: str, following: list[str]) -> Any:
 
 
 def _is_registered(name: str) -> bool:
-    return any(record.name == name for kind in (WrapperSpec, ToolSpec) for record in registry().named(kind))
+    return any(record.name == name for kind in (WrapperSpec, ToolSpec) for record in registry().specs(kind))

@@ -108,7 +108,7 @@ class Registry:
         self.raise_if_ambiguous("wrapper", name)
         record = self._named.get("wrapper", {}).get(name)
         if not isinstance(record, ToolSpec):
-            names = [tool.name for tool in self.named(ToolSpec)]
+            names = [tool.name for tool in self.specs(ToolSpec)]
             hint = self.install_hint(name, "tool") or did_you_mean(name, names)
             if names:
                 hint += f" There are: {', '.join(names)}."
@@ -154,8 +154,8 @@ class Registry:
         in_namespace = [record for record in records if record.namespace.casefold() == folded]
         return in_namespace or [record for record in records if _matches(pattern, record.id)]
 
-    def named(self, kind: type[N]) -> list[N]:
-        """Return the records of one kind in order of name."""
+    def specs(self, kind: type[N]) -> list[N]:
+        """Return the specs of one kind, such as ``ToolSpec``, in order of name."""
         self.load()
         records = self._named.get(_space(kind.kind), {})
         return [record for name in sorted(records) if isinstance(record := records[name], kind)]
@@ -320,7 +320,7 @@ class Registry:
             hint = did_you_mean_one_of(variants)
         if not hint and not colon:
             kinds = (ToolSpec, WrapperSpec, AgentSpec, VectorBackendSpec)
-            hints = ((kind.kind, did_you_mean(env_id, (each.name for each in self.named(kind)))) for kind in kinds)
+            hints = ((kind.kind, did_you_mean(env_id, (each.name for each in self.specs(kind)))) for kind in kinds)
             hint = next((text.replace("mean", f"mean the {kind}", 1) for kind, text in hints if text), "")
         return f"no environment {env_id!r}.{hint}{failed} Run 'gem list{f' {namespace}' if colon else ''}'"
 

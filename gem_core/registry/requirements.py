@@ -43,7 +43,7 @@ def find(requirement: str, *, closely: bool = False) -> RequirementStatus:
     word, _, argument = requirement.partition(":")
     if word in _CORE:
         return _CORE[word](argument)
-    record = next((each for each in registry().named(RequirementSpec) if each.name == word), None)
+    record = next((each for each in registry().specs(RequirementSpec) if each.name == word), None)
     if record is None:
         return RequirementStatus("unknown", "not a word that GEM knows")
     probe = load_entry_point(record.entry_point, f"requirement {word!r}")

@@ -221,7 +221,7 @@ def load_agent(name: str, **options: Any) -> Agent:
     """
     head, colon, rest = name.partition(":")
     registry().raise_if_ambiguous("agent", head)
-    registered = [record.name for record in registry().named(AgentSpec)]
+    registered = [record.name for record in registry().specs(AgentSpec)]
     is_of_plugin = bool(registry().install_hint(head, "agent"))  # of one that is not installed
     if head in registered or (is_of_plugin and not rest):
         return as_agent(construct(registry().agent(head), *([rest] if colon else []), **options))
@@ -265,7 +265,7 @@ def load_agents(names: Iterable[str], **options: Any) -> dict[str, Agent]:
 def _takes(name: str, option: str) -> bool:
     """Tell whether what makes an agent has a keyword argument of a name."""
     head, _, rest = name.partition(":")
-    registered = [record.name for record in registry().named(AgentSpec)]
+    registered = [record.name for record in registry().specs(AgentSpec)]
     if head in registered:
         maker: Any = load_entry_point(registry().agent(head).entry_point, f"agent {head!r}")
     else:

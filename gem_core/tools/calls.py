@@ -255,7 +255,7 @@ class _Format:
 
 
 def _formats() -> list[_Format]:
-    return [_Format(record) for record in registry().named(CallFormatSpec)]
+    return [_Format(record) for record in registry().specs(CallFormatSpec)]
 
 
 def format_calls(text: str, tools: Tools) -> list[ToolCall]:

@@ -46,7 +46,7 @@ from gem_core.registry import registry
 from gem_core.registry.specs import CallFormatSpec
 from gem_core.tools.env import ToolEnv
 
-FORMATS = [record for record in registry().named(CallFormatSpec) if "gem_tools" in str(record.entry_point)]
+FORMATS = [record for record in registry().specs(CallFormatSpec) if "gem_tools" in str(record.entry_point)]
 PRINTED = [
     "print('</tool_call>')",
     "print('</parameter>')\nprint('</function>')",

@@ -51,7 +51,7 @@ def code_of_agent(agent: Any) -> Code | None:
     """Return the code of an agent, given as an object or by name."""
     if isinstance(agent, str):
         name = agent.partition(":")[0]
-        if any(record.name == name for record in registry().named(AgentSpec)):
+        if any(record.name == name for record in registry().specs(AgentSpec)):
             agent = registry().agent(name).entry_point
     return code_of([agent])
 
