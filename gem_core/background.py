@@ -29,7 +29,7 @@ _plain = threading.local()
 
 _lock = threading.Lock()
 _loop: asyncio.AbstractEventLoop | None = None
-_started: set[asyncio.Future[Any]] = set()
+_scheduled: set[asyncio.Future[Any]] = set()
 """Tasks without a waiter; a loop keeps only weak references to its own."""
 
 _parent_loops: list[object] = []
@@ -99,31 +99,31 @@ def _in_plain_code() -> bool:
     return loop is None or loop is getattr(_plain, "loop", None)
 
 
-def finish_or_start(awaitable: Awaitable[object]) -> None:
-    """Wait in plain code for a coroutine; on the library's loop itself, start it there without waiting.
+def run_or_schedule(awaitable: Awaitable[object]) -> None:
+    """Run a coroutine to its end in plain code; on the library's loop itself, schedule it without waiting.
 
     For cleaning up, which may be called anywhere: the garbage collector runs in any thread.
     """
     if _running_loop() is background_loop():
         task = asyncio.ensure_future(awaitable)
-        _started.add(task)
-        task.add_done_callback(_started.discard)
+        _scheduled.add(task)
+        task.add_done_callback(_scheduled.discard)
     else:
         run_sync(awaitable)
 
 
-def wait_for_started(timeout_s: float) -> None:
-    """Wait in plain code for tasks that ``finish_or_start`` started; on the loop itself, return at once.
+def wait_for_scheduled(timeout_s: float) -> None:
+    """Wait in plain code for tasks that ``run_or_schedule`` scheduled; on the loop itself, return at once.
 
     Args:
         timeout_s: Longest wait, in seconds; what takes longer goes on.
     """
 
     async def ended() -> None:
-        if _started:
-            await asyncio.wait(set(_started), timeout=timeout_s)
+        if _scheduled:
+            await asyncio.wait(set(_scheduled), timeout=timeout_s)
 
-    if _started and not on_background_loop():
+    if _scheduled and not on_background_loop():
         run_sync(ended())
 
 
@@ -393,8 +393,8 @@ def _after_fork() -> None:
     # The thread of the loop does not exist in a forked child.
     global _loop, _lock
     _parent_loops.append(_loop)
-    _parent_loops.extend(_started)
-    _started.clear()
+    _parent_loops.extend(_scheduled)
+    _scheduled.clear()
     _loop, _lock = None, threading.Lock()
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 from gem_core.arguments import check_arguments, signature_of
-from gem_core.background import finish_or_start, run_sync
+from gem_core.background import run_or_schedule, run_sync
 from gem_core.errors import AgentError, ArgumentError, UnknownAgentError
 from gem_core.records.episode import Transition
 from gem_core.registry.entry_points import construct, load_entry_point
@@ -193,7 +193,7 @@ def prepare_agent(agent: Agent) -> None:
 
 def close_agent(agent: Agent) -> None:
     """Call the agent's ``aclose()`` or ``close()``, if it has one."""
-    _wait_for(agent, "aclose" if hasattr(agent, "aclose") else "close", finish_or_start)
+    _wait_for(agent, "aclose" if hasattr(agent, "aclose") else "close", run_or_schedule)
 
 
 def _wait_for(agent: Agent, name: str, wait: Callable[[Awaitable[Any]], Any]) -> None:

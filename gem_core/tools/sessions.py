@@ -12,7 +12,7 @@ from collections.abc import Callable, Coroutine, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
-from gem_core.background import finish_or_start, in_thread, run_without_loop
+from gem_core.background import in_thread, run_or_schedule, run_without_loop
 from gem_core.env.spaces import is_part
 from gem_core.tools.tool import Tool, ToolResult
 from gem_core.types import Concurrency
@@ -113,7 +113,7 @@ class ToolSessions:
         def tidy(_: asyncio.Task[ToolResult]) -> None:
             _abandoned_calls[type(tool), tool.name] -= 1
             if attempt.opened:
-                finish_or_start(_close_all({tool.name: tool}, {tool.name: attempt.session}, True, self.timeout_s))
+                run_or_schedule(_close_all({tool.name: tool}, {tool.name: attempt.session}, True, self.timeout_s))
 
         running.add_done_callback(tidy)
         if inspect.iscoroutinefunction(tool.call):
@@ -204,6 +204,6 @@ def _close_now(tools: Mapping[str, Tool], sessions: dict[str, Any], on_loop: boo
     if taken:
         closing = _close_all(tools, taken, on_loop, timeout_s)
         if on_loop:
-            finish_or_start(closing)
+            run_or_schedule(closing)
         else:
             run_without_loop(closing, _WAITED)
