@@ -125,11 +125,16 @@ def takes_keyword(maker: Callable[..., Any], name: str) -> bool:
     return parameter is not None and parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
 
 
-def with_options(given: Any, rule: str, is_one: Callable[[object], bool]) -> tuple[Any, dict[str, Any]]:
-    """Return what was named, and its options: of ``one``, or of ``(one, {option: value})``.
+def parse_choice(given: Any, rule: str, is_one: Callable[[object], bool]) -> tuple[Any, dict[str, Any]]:
+    """Split a choice, ``one`` or ``(one, {option: value})``, into the chosen thing and its options.
+
+    Args:
+        given: The choice.
+        rule: The form of a choice, for the error.
+        is_one: Tells whether an object is a choice without options.
 
     Raises:
-        ArgumentError: It is neither; the message begins with the rule.
+        ArgumentError: It is no choice.
     """
     if is_one(given):
         return given, {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeGuard, cast
 
-from gem_core.arguments import check_arguments, with_options
+from gem_core.arguments import check_arguments, parse_choice
 from gem_core.errors import ArgumentError
 from gem_core.registry.choices import parsed_choices
 from gem_core.registry.entry_points import load_entry_point
@@ -121,7 +121,7 @@ def is_name(target: object) -> TypeGuard[str]:
 
 def _choice(choice: WrapperChoice) -> tuple[Target, dict[str, Any]]:
     rule = "a wrapper is a name, a tool, a callable, or (name, {options})"
-    return with_options(choice, rule, lambda one: isinstance(one, str) or callable(one) or _is_tool(one))
+    return parse_choice(choice, rule, lambda one: isinstance(one, str) or callable(one) or _is_tool(one))
 
 
 def _layer(target: Target, options: dict[str, Any]) -> Layer:

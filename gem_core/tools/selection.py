@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from gem_core.arguments import check_arguments, with_options
+from gem_core.arguments import check_arguments, parse_choice
 from gem_core.errors import ArgumentError
 from gem_core.registry.choices import parsed_choices
 from gem_core.registry.entry_points import construct
@@ -51,7 +51,7 @@ def _resolved(choice: ToolChoice) -> tuple[str, list[Tool]]:
     """Return where tools come from, in words, and the tools."""
     if isinstance(choice, Tool):
         return f"an instance of {type(choice).__name__}", [choice]
-    maker, options = with_options(choice, "a tool is a Tool, a name, or (name, {options})", _is_maker)
+    maker, options = parse_choice(choice, "a tool is a Tool, a name, or (name, {options})", _is_maker)
     if isinstance(maker, type):
         check_arguments(maker, (), options, f"tool {maker.__name__!r}")
         made, origin = maker(**options), f"an instance of {maker.__name__}"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from gem_core.arguments import with_options
+from gem_core.arguments import parse_choice
 from gem_core.errors import ArgumentError
 from gem_core.registry.choices import parsed_choices
 from gem_core.registry.entry_points import construct
@@ -25,7 +25,7 @@ def make_vector(ids: IdOrIds, num_envs: int | None, *, backend: object = "auto",
     if isinstance(backend, str) and ":" in backend:
         backend = parsed_choices(backend, "backend")[0]
     rule = "a backend is a name, as 'process' or 'process:workers=2', or (name, {option: value})"
-    name, backend_options = with_options(backend, rule, lambda one: isinstance(one, str))
+    name, backend_options = parse_choice(backend, rule, lambda one: isinstance(one, str))
     setup = VectorSetup.of(ids, num_envs, **options)
     vector: VectorEnv = construct(registry().backend(name), setup, **backend_options)
     return vector

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, cast, get_args
 
-from gem_core.arguments import with_options
+from gem_core.arguments import parse_choice
 from gem_core.env.wrapper import AnyEnv, concurrency_of
 from gem_core.errors import ArgumentError
 from gem_core.making.environment import check_choices, make_from
@@ -181,4 +181,4 @@ def _is_pair(given: object) -> bool:
 
 
 def _as_pair(given: object) -> IdWithKwargs:
-    return with_options(given, "an environment is an id, or (id, {keyword: value})", lambda one: isinstance(one, str))
+    return parse_choice(given, "an environment is an id, or (id, {keyword: value})", lambda one: isinstance(one, str))
