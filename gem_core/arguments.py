@@ -143,8 +143,8 @@ def parse_choice(given: Any, rule: str, is_one: Callable[[object], bool]) -> tup
     raise ArgumentError(f"{rule}, not {given!r:.200}")
 
 
-def overridden(maker: Callable[..., Any], arguments: Arguments, overrides: Mapping[str, Any]) -> Arguments:
-    """Return arguments with some changed by name, those that were given by position included."""
+def merge_arguments(maker: Callable[..., Any], arguments: Arguments, overrides: Mapping[str, Any]) -> Arguments:
+    """Return arguments with overrides by name; an override also replaces an argument given by position."""
     args, kwargs = arguments
     signature = signature_of(maker)
     names = list(signature.parameters)[: len(args)] if signature else []

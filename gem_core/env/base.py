@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, SupportsIndex, cast
 import gymnasium
 import numpy as np
 
-from gem_core.arguments import RemembersArguments, check_arguments, overridden
+from gem_core.arguments import RemembersArguments, check_arguments, merge_arguments
 from gem_core.background import in_thread, run_sync
 from gem_core.env.seeding import (
     SEED_MAXIMUM,
@@ -245,7 +245,7 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         Raises:
             ArgumentError: The constructor does not take an override; the message names what it takes.
         """
-        args, kwargs = overridden(type(self), self._init_args, overrides)
+        args, kwargs = merge_arguments(type(self), self._init_args, overrides)
         check_arguments(type(self), args, kwargs, f"environment {self.env_id or type(self).__name__!r}")
         sibling = type(self)(*args, **kwargs)
         if self.spec is not None:
