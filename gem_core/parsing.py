@@ -45,7 +45,7 @@ class CodeBlock(NamedTuple):
     """A fenced block of code.
 
     Args:
-        language: First word after the opening fence, in lower case; ``""`` where there is none.
+        language: First word after the opening fence, in lower case; ``""`` if there is none.
         code: What stands between the fences, without the last line break and the indentation of the opening fence.
         start: Index of the opening fence in the text.
         end: Index after the closing fence.
@@ -58,7 +58,7 @@ class CodeBlock(NamedTuple):
 
 
 def without_thinking(action: str, tag: str = "think") -> str:
-    """Return a response without its thinking, in which nothing is answered, and nothing said to others.
+    """Return a response without its thinking, which holds no answer and no word to others.
 
     Templates often open the block in the prompt, so that a response holds only the end of it: all up to the last
     closing tag goes. A block that is never closed goes to the end.
@@ -103,12 +103,12 @@ def thinking_blocks(text: str, tag: str | None = "think") -> tuple[list[tuple[in
     return ([(0, opened_before)] if opened_before else []) + blocks, opened_before > 0
 
 
-def spoken(action: str, tag: str = "think") -> str:
-    """Return what a response says to other agents: its text without thinking, whether or not the block is closed."""
+def visible_text(action: str, tag: str = "think") -> str:
+    """Return the text that other agents see: the response without its thinking, even if the block is not closed."""
     text = without_end_tokens(str.__str__(action))
     thinking = thinking_blocks(text, tag)[0]
     if thinking:
-        text = _LINE_BREAKS.sub("\n\n", blank_out(text, thinking))
+        text = _LINE_BREAKS.sub("\n\n", mask(text, thinking))
     return without_thinking(text, tag).strip()
 
 
@@ -122,8 +122,8 @@ def without_end_tokens(text: str) -> str:
     return text
 
 
-def blank_out(text: str, spans: Iterable[tuple[int, int]]) -> str:
-    """Return the text with line breaks in place of some parts, so that all else stays where it is."""
+def mask(text: str, spans: Iterable[tuple[int, int]]) -> str:
+    """Return the text with each span replaced by line breaks, so that all other offsets stay."""
     pieces, position = [], 0
     for start, end in sorted(spans):
         if end > position:

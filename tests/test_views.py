@@ -12,7 +12,7 @@ from gem_core.env.guard import Guard
 from gem_core.env.observations import join_observations
 from gem_core.errors import ArgumentError
 from gem_core.parsing import without_thinking
-from gem_core.tools import spoken
+from gem_core.tools import visible_text
 from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView
 
 VIEWS = [Latest, Concat, ConcatWithAction]
@@ -153,6 +153,6 @@ def test_views_are_made_by_name_with_arguments() -> None:
         ("secret</think>", ""),
     ],
 )
-def test_thinking_is_not_spoken(response: str, said: str) -> None:
+def test_thinking_is_not_visible(response: str, said: str) -> None:
     """What a response says to others holds nothing of a thinking block, closed or not."""
-    assert spoken(response) == said
+    assert visible_text(response) == said

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gem_core.parsing import blank_out, spoken, thinking_blocks
+from gem_core.parsing import mask, thinking_blocks, visible_text
 from gem_core.tools.calls import (
     CallReader,
     described_call,
@@ -23,14 +23,14 @@ __all__ = [
     "ToolCall",
     "ToolEnv",
     "ToolResult",
-    "blank_out",
     "described_call",
     "find_tool_env",
     "format_calls",
     "json_at",
     "json_call",
+    "mask",
     "native_calls",
-    "spoken",
     "thinking_blocks",
     "unknown_tool",
+    "visible_text",
 ]

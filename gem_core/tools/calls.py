@@ -1,6 +1,6 @@
 """Finds the call of a tool in a response: as JSON, in the tool's own tag or fenced block, or in a plugin's format.
 
-A native call (``Response.tool_calls``) is read by ``native_calls``. In text, ``CallReader`` blanks out what is thought
+A native call (``Response.tool_calls``) is read by ``native_calls``. In text, ``CallReader`` masks what is thought
 or answered, asks each reader for its first call, and takes the one that begins first. The readers are ``json_call``,
 ``Tool.parse``, and those of the formats that plugins offer (see ``CallFormatSpec``).
 
@@ -19,9 +19,9 @@ from dataclasses import replace
 from typing import Any, cast
 
 from gem_core.parsing import (
-    blank_out,
     extract_code_blocks,
     extract_last_boxed_answer,
+    mask,
     thinking_blocks,
     without_end_tokens,
 )
@@ -91,14 +91,14 @@ class CallReader:
         cut_off = getattr(action, "finish_reason", None) == "length"
         action = without_end_tokens(str.__str__(action))
         thinking, opened_before = thinking_blocks(action, self._thinking_tag)
-        said = blank_out(action, thinking)
-        quiet = [*thinking, *self._answers(said)]
-        call = self._visible(action, quiet, said)
+        visible = mask(action, thinking)
+        ignored = [*thinking, *self._answers(visible)]
+        call = self._first_visible(action, ignored, visible)
         for _ in range(_MOST_QUOTED):
-            if call is None or not self._is_quoted(said, call):
+            if call is None or not self._is_quoted(visible, call):
                 break
-            quiet.append((call.start, max(call.end, call.start + 1)))
-            call = self._visible(action, quiet, said)
+            ignored.append((call.start, max(call.end, call.start + 1)))
+            call = self._first_visible(action, ignored, visible)
         else:
             return None
         if call is not None and call.cut:
@@ -107,11 +107,11 @@ class CallReader:
             return call
         if opened_before:
             # What looks like the end of thinking may stand within a call, as in a program that prints it.
-            around = self._visible(action, quiet[1:], said)
+            around = self._first_visible(action, ignored[1:], visible)
             if around is not None and around.error is None and around.end > thinking[0][1]:
                 return around
-        if call is None and thinking and not said.strip():
-            thought = self._first(action, said)
+        if call is None and thinking and not visible.strip():
+            thought = self._first(action, visible)
             if thought is not None:
                 error = (
                     f"it stands in a thinking block, where nothing is called; write it behind </{self._thinking_tag}>"
@@ -129,16 +129,16 @@ class CallReader:
     def _formats(self) -> list[_Format]:
         return _formats()  # not before it is needed, since plugins are loaded for it
 
-    def _visible(self, action: str, quiet: Sequence[tuple[int, int]], said: str) -> ToolCall | None:
-        """Return the first call that does not begin in a quiet part."""
-        seen = blank_out(action, quiet)
-        call = self._first(seen, said)
-        if call is None or not any(call.start < start and (call.error or start < call.end) for start, _ in quiet):
+    def _first_visible(self, action: str, ignored: Sequence[tuple[int, int]], visible: str) -> ToolCall | None:
+        """Return the first call that does not begin in an ignored part."""
+        seen = mask(action, ignored)
+        call = self._first(seen, visible)
+        if call is None or not any(call.start < start and (call.error or start < call.end) for start, _ in ignored):
             return call
-        # A quiet part inside the call belongs to its arguments.
-        return self._first(seen[: call.start] + action[call.start :], said)
+        # An ignored part inside the call belongs to its arguments.
+        return self._first(seen[: call.start] + action[call.start :], visible)
 
-    def _first(self, text: str, said: str) -> ToolCall | None:
+    def _first(self, text: str, visible: str) -> ToolCall | None:
         found: list[ToolCall | None] = []
         for tool in self._tagged:
             found.append(tool.parse(text, fences=not self.leaves_fences_of(tool)))
@@ -147,7 +147,7 @@ class CallReader:
         for form in self._formats:
             call = form.first_call(text, self._tools)
             # What has the shape of an answer is no call where the answer is given beside it.
-            if not (call and form.begins == "anything" and self._answered(said[: call.start], said[call.end :])):
+            if not (call and form.begins == "anything" and self._answered(visible[: call.start], visible[call.end :])):
                 found.append(call)
         found.append(json_call(text, self._tools))
         return first_call(found) or self._misspelt(text) or self._with_attributes(text)
@@ -183,10 +183,10 @@ class CallReader:
         error = f"its tag takes no attributes; what it is given is written between <{tag[1]}> and </{tag[1]}>"
         return ToolCall(tag[1], {}, tag.start(), tag.end(), error)
 
-    # What is answered, and what is only spoken of.
+    # Answers, quotations and mentions.
 
     def _answers(self, text: str) -> list[tuple[int, int]]:
-        """Return the parts that are answers of the task, and the tags that are only spoken of."""
+        """Return the spans of the task's answers and of quoted tags, in which no call begins."""
         found = [quoted.span() for quoted in _QUOTED_TAG.finditer(text)]
         if self._answer_fences:
             found += [(block.start, block.end) for block in extract_code_blocks(text, *self._answer_fences)]

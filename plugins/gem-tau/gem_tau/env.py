@@ -12,7 +12,7 @@ from typing import Any, Self
 from gem_core import Env, MultiAgentEnv, Response, single_agent
 from gem_core.data import chosen_index
 from gem_core.errors import ArgumentError, DatasetError
-from gem_core.tools import CALL_CLOSE, CALL_OPEN, CallReader, Tool, ToolCall, native_calls, spoken
+from gem_core.tools import CALL_CLOSE, CALL_OPEN, CallReader, Tool, ToolCall, native_calls, visible_text
 from gem_core.types import TERMINAL_STATE, Info
 from gem_tau.database import fork
 from gem_tau.folders import TaskSet, read_folder
@@ -115,13 +115,13 @@ class TauEnv(MultiAgentEnv):
     def process_actions(self, actions: dict[str, str]) -> Verdict:
         """Say what the user says, or what the assistant says, or call a tool."""
         if USER in actions:
-            return self._hear_user(spoken(actions[USER]))
+            return self._hear_user(visible_text(actions[USER]))
         response = actions[ASSISTANT]
         self._responses += 1
         calls = self._calls_in(response)
         if calls:
             return self._call(response, calls)
-        words = spoken(response)
+        words = visible_text(response)
         self._said.append(words)
         self._shown[USER] = words or NOTHING_SAID
         return {}, {}, {}, {ASSISTANT: {"parsed_action": words}}

@@ -17,9 +17,9 @@ from gem_core.tools import (
     CALL_CLOSE,
     CALL_OPEN,
     ToolCall,
-    blank_out,
     format_calls,
     json_call,
+    mask,
     native_calls,
     thinking_blocks,
 )
@@ -148,7 +148,7 @@ class _Found(NamedTuple):
 
 def _count(text: str, start: int, thinking: Sequence[tuple[int, int]]) -> int:
     """Return how many complete actions stand behind a place."""
-    text = blank_out(text, [span for span in thinking if span[0] >= start])[start:]
+    text = mask(text, [span for span in thinking if span[0] >= start])[start:]
     for count in range(_MOST_COUNTED):
         found = _first(text, ())
         if found is None or isinstance(found.action, Malformed):
@@ -159,7 +159,7 @@ def _count(text: str, start: int, thinking: Sequence[tuple[int, int]]) -> int:
 
 def _first(text: str, thinking: Sequence[tuple[int, int]]) -> _Found | None:
     """Return the complete action that begins first; without one, the incomplete one that does."""
-    seen = blank_out(text, thinking)
+    seen = mask(text, thinking)
     seen = _QUOTED_TAG.sub(lambda quoted: " " * len(quoted[0]), seen)
     called = _called(text, seen) or _called_bare(text, seen)
     every = [*_tagged(text, seen), _fenced(text, seen), called, _terminus(text, seen), _finished(text, seen)]
@@ -318,7 +318,7 @@ def _terminus(text: str, seen: str) -> _Found | None:
 
 def _unmarked(text: str, thinking: Sequence[tuple[int, int]]) -> _Found | None:
     """Read the only fenced block of a response, if it names no language."""
-    blocks = extract_code_blocks(blank_out(text, thinking))
+    blocks = extract_code_blocks(mask(text, thinking))
     if len(blocks) != 1 or blocks[0].language:
         return None
     return _Found(blocks[0].start, blocks[0].end, _bash(blocks[0].code, {}))
