@@ -101,6 +101,18 @@ def test_slots_without_room_for_a_worker_share_a_living_one() -> None:
     vector.close()
 
 
+def test_a_slot_goes_on_when_its_former_environment_closes_late() -> None:
+    """A slot that changes environments closes the former one aside, which may end after the next one has begun."""
+    setup = VectorSetup.of(INLINE, 1, seed=3)
+    pool = WorkerPool(setup, HereWorker, 1)
+    former, present = pool.make(0, INLINE, {}), pool.make(0, INLINE, {})
+    former.reset(seed=1)
+    present.reset(seed=1)
+    former.close()
+    assert not present.step("a")[2]
+    pool.close()
+
+
 # Death from outside.
 
 

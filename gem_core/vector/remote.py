@@ -7,6 +7,7 @@ asked ``"died"`` or ``"timeout"``, the others ``"collateral"``. The next reset s
 
 from __future__ import annotations
 
+import itertools
 import logging
 import pickle
 import threading
@@ -94,6 +95,7 @@ class WorkerPool:
     def request(
         self,
         slot: int,
+        number: int,
         method: str,
         *args: Any,
         on: Worker | None = None,
@@ -103,6 +105,7 @@ class WorkerPool:
 
         Args:
             slot: Number of the slot.
+            number: Of the environment; a slot's former one may still be closing when the next is made.
             method: Name of the method.
             *args: Its arguments.
             on: The worker in which the slot's episode began; None takes the present worker, or starts one.
@@ -114,7 +117,7 @@ class WorkerPool:
         Raises:
             WorkerFailureError: The method failed, or the worker did.
         """
-        data = _packed_request(slot, method, args)
+        data = _packed_request(number, method, args)
         while True:
             place = self._places[slot % len(self._places)]
             with place.lock:
@@ -201,6 +204,10 @@ class WorkerPool:
         return sum(left)
 
 
+_numbers = itertools.count()
+"""Of the environments in workers."""
+
+
 class RemoteEnv(Env):
     """An environment that lives in a worker: its methods are requests, which block the calling thread.
 
@@ -216,6 +223,7 @@ class RemoteEnv(Env):
     def __init__(self, pool: WorkerPool, slot: int, made_id: str | None, made_kwargs: Mapping[str, Any]) -> None:
         super().__init__()
         self._pool, self._slot, self._made_for = pool, slot, (made_id, dict(made_kwargs))
+        self._number = next(_numbers)
         self._worker: Worker | None = None
         self.described: dict[str, Any] = {}
         """``id``, ``kwargs`` and ``wrappers`` of the environment, once it was reset."""
@@ -247,13 +255,13 @@ class RemoteEnv(Env):
         worker, self._worker = self._worker, None
         if worker is not None:
             try:
-                self._pool.request(self._slot, "close", on=worker)
+                self._pool.request(self._slot, self._number, "close", on=worker)
             except WorkerFailureError:
                 return  # it has ended with its worker
 
     def _request(self, method: str, *args: Any, on: Worker | None = None) -> tuple[Any, Worker]:
         limit = self._pool.setup.step_timeout if method in ("reset", "step") else None
-        return self._pool.request(self._slot, method, *args, on=on, timeout_s=limit)
+        return self._pool.request(self._slot, self._number, method, *args, on=on, timeout_s=limit)
 
     def _record(self) -> bytes | None:
         """Return the record of an id that the setup does not have, as one that a script registered."""
@@ -264,7 +272,7 @@ class RemoteEnv(Env):
         return pack_by_value(record, [record.entry_point])
 
 
-def _packed_request(slot: int, method: str, args: tuple[Any, ...]) -> bytes:
+def _packed_request(number: int, method: str, args: tuple[Any, ...]) -> bytes:
     try:
         content = pickle.dumps(args, protocol=5)
     except Exception:  # noqa: BLE001 - an object's own pickling may raise anything
@@ -274,7 +282,7 @@ def _packed_request(slot: int, method: str, args: tuple[Any, ...]) -> bytes:
             what = "its action" if method == "step" else "what it is made from"
             told = ArgumentError(f"{what} cannot be sent to another process:{why(error)}")
             raise WorkerFailureError(Failure("exception", str(told), told, permanent=method != "step")) from error
-    return pickle.dumps((slot, method, content), protocol=5)
+    return pickle.dumps((number, method, content), protocol=5)
 
 
 def _unpack(reply: bytes) -> Any:

@@ -44,7 +44,7 @@ class WorkerLoop:
 
     def handle(self, request: bytes) -> bytes:
         """Return the reply to a request; what fails is a ``Failure``."""
-        slot, method, content = pickle.loads(request)
+        number, method, content = pickle.loads(request)
         try:
             args = pickle.loads(content)
         except Exception as error:  # noqa: BLE001 - an object's own pickling may raise anything
@@ -55,10 +55,10 @@ class WorkerLoop:
             "step": lambda runner, action: runner.step(action),
             "apply": self._apply,
             "sample_random_action": self._sample,
-            "close": lambda runner: runner.close(),
+            "close": lambda _: self._runners.pop(number).close(),
             "close_all": lambda _: self.close(),
         }
-        value = handlers[method](self._runner(slot), *args)
+        value = handlers[method](self._runner(number), *args)
         try:
             return pickle.dumps(value, protocol=5)
         except Exception as error:  # noqa: BLE001 - as above
@@ -69,10 +69,10 @@ class WorkerLoop:
         close_all([env for runner in self._runners.values() for env in runner.forget()])
         return wait_for_closing(0.0)
 
-    def _runner(self, slot: int) -> EnvRunner:
-        if slot not in self._runners:
-            self._runners[slot] = EnvRunner(self._setup.make)
-        return self._runners[slot]
+    def _runner(self, number: int) -> EnvRunner:
+        if number not in self._runners:
+            self._runners[number] = EnvRunner(self._setup.make)
+        return self._runners[number]
 
     def _reset(
         self,
