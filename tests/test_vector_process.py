@@ -471,3 +471,14 @@ def test_plan_is_covered_when_workers_take_turns_to_die() -> None:
     keys = [(int(one.key), one.error is None) for one in gem.rollout(vector, lambda observation: "a", plan=plan)]
     assert sorted(keys) == [(key, key % 5 != 2) for key in range(20)]
     vector.close()
+
+
+def test_an_environment_that_closes_late_leaves_its_successor_alone() -> None:
+    """The next environment of a slot may have begun by then."""
+    pool = WorkerPool(VectorSetup.of(INLINE, 1, seed=3), HereWorker, 1)
+    first, second = (pool.make(0, INLINE, {}) for _ in range(2))
+    first.reset(seed=1)
+    second.reset(seed=1)
+    first.close()
+    assert not second.step("a")[3]
+    pool.close()
