@@ -101,8 +101,7 @@ class VectorSetup:
         for env_id, kwargs in distinct:
             record = registry().env(env_id)
             arguments, own_wrappers = _split({**setup.kwargs, **kwargs})
-            check_choices(record, arguments, setup.wrappers)
-            check_choices(record, {}, own_wrappers)
+            check_choices(record, arguments, setup.wrappers, own_wrappers)
         return setup
 
     @property
@@ -138,11 +137,11 @@ class VectorSetup:
 
         If the classes do not declare it, an environment is made with the arguments that come with its id, and closed.
         """
-        by_class = self.task_concurrency(env_id)
-        if by_class == "process" or any(map(_needs_process, self._stacks(env_id))):
+        by_class, stacks = self.task_concurrency(env_id), self._stacks(env_id)
+        if by_class == "process" or any(map(_needs_process, stacks)):
             return "process"
         # Wrappers may need a thread, which matters only for an inline task with a step_timeout.
-        decided = by_class != "inline" or not any(self._stacks(env_id)) or self.step_timeout is None
+        decided = by_class != "inline" or not any(stacks) or self.step_timeout is None
         if by_class is not None and decided:
             return by_class
         env = self.make(env_id, next(kwargs for each, kwargs in self.entries if each == env_id))
@@ -154,7 +153,7 @@ class VectorSetup:
     def _stacks(self, env_id: str) -> list[Wrappers]:
         """Return the wrappers of all environments, and those of the entries of one id."""
         own = [_split({**self.kwargs, **kwargs})[1] for each, kwargs in self.entries if each == env_id]
-        return [self.wrappers, *own]
+        return [stack for stack in [self.wrappers, *own] if stack != ()]
 
 
 def _needs_process(wrappers: Wrappers) -> bool:
