@@ -18,10 +18,12 @@ ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "docs" / "reference"
 MODULES = ("gem_core.errors", "gem_core.types", "gem_core.parsing", "gem_core.registry.hookspecs")
 """Modules that are public as a whole."""
-FROM_ELSEWHERE = {"commands.md"}
+FROM_ELSEWHERE = {"commands.md", "glossary.md"}
+"""Pages that other scripts write, or people."""
 INDEX = """# Reference
 
-[Commands](commands.md) shows what each command of `gem` offers. The other pages describe what can be imported.
+[Commands](commands.md) shows what each command of `gem` offers, the [glossary](glossary.md) what our words mean. The
+other pages describe what can be imported.
 
 ## The core
 
