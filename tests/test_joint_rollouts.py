@@ -347,7 +347,7 @@ def test_wrong_agents_are_refused() -> None:
         list(rollout(CountdownEnv(), take_one, episodes=1))
     with pytest.raises(AgentError, match=r"^an agent is a callable"):
         list(rollout(CountdownEnv(), agents=[1, 2], episodes=1))
-    with pytest.raises(ArgumentError, match=r"^give either agent, who acts alone, or agents, where several act$"):
+    with pytest.raises(ArgumentError, match=r"^give either agent, for one agent, or agents, for several$"):
         list(rollout(CountdownEnv(), None, episodes=1))
 
 

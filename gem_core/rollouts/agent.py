@@ -24,23 +24,23 @@ from gem_core.types import Info, Observation, Response
 
 @dataclass
 class Context:
-    """What an agent is given besides the observation.
+    """The second argument of an agent: what it may know besides the observation.
 
     Args:
         episode: Id of the episode in its run: the item's place in the plan and the repeat, as ``"12.0"``.
         env_id: Id of the environment.
         group: Name that episodes with one start share; None outside groups.
         turn: Number of turns taken so far.
-        info: What came with the observation.
+        info: The info that came with the observation.
         tools: Schemas of the tools, as the OpenAI chat API takes them.
         transitions: The turns so far, oldest first.
         deadline: Time on ``time.monotonic()`` by which the answer is wanted; None for none.
         system: System text: the agent's own, or else the task's; None for none.
-        draw_action: What ``sample_random_action`` calls.
-        read_messages: What ``messages`` calls.
-        seat: Name of the agent's seat among several; None where it is alone.
-        read_observation: What ``observation`` calls.
-        view: Name of the view that shows the agent what it is sent; None for none.
+        draw_action: Function that ``sample_random_action`` calls.
+        read_messages: Function that ``messages`` calls.
+        seat: Name of the agent's seat among several; None if it is the only agent.
+        read_observation: Function that ``observation`` calls.
+        view: Name of the view that the agent is sent; None for none.
     """
 
     episode: str
@@ -62,14 +62,14 @@ class Context:
     def messages(self) -> list[dict[str, Any]]:
         """The conversation so far as chat messages, whatever the view; the agent may change the list.
 
-        The system text comes first, where there is one; tool calls and their results have their ids. A later list
-        begins with the earlier one.
+        The system text comes first, if there is one; tool calls and their results have their ids. A later list begins
+        with the earlier one.
         """
         return self.read_messages()
 
     @property
     def observation(self) -> Observation:
-        """What the environment returned last, whatever the agent is sent of it."""
+        """The last observation of the environment, whatever part of it the agent is sent."""
         return self.read_observation()
 
     @property
@@ -86,16 +86,16 @@ Answer = str | Awaitable[str]
 Agent = Callable[[Observation, Context], Answer]
 """Returns a response; plain or a coroutine function. One agent serves many episodes at once.
 
-It raises ``RequestError`` where it failed and only that episode is lost, as when a server does not answer, and
-``ContextOverflowError`` where the history is too long for its model. It may have:
+It raises ``RequestError`` if it fails and only that episode is lost, as when a server does not answer, and
+``ContextOverflowError`` if the history is too long for its model. It may have:
 
-- ``prepare()``, called before the first episode, perhaps more than once, which raises what would fail in every episode;
+- ``prepare()``, called before the first episode, perhaps more than once, to raise errors that every episode would meet;
   and ``close()`` or ``aclose()``. Each is plain or a coroutine function.
 - ``max_concurrency``: how many episodes keep it busy. ``interactive``: whether it answers one episode at a time.
-- ``reads``: what it is sent. ``"messages"`` is the conversation so far as chat messages, ``"observation"`` what the
-  environment returned. Without it, an agent is sent the observation; but in an environment with tools, whose
+- ``reads``: what it is sent. ``"messages"`` is the conversation so far as chat messages, ``"observation"`` the
+  environment's observation. Without it, an agent is sent the observation; but in an environment with tools, whose
   observations are the results of single calls, the conversation so far as text, as ``concat_with_action`` shows it.
-  Where a view was named, every agent is sent what the view shows.
+  If a view was named, every agent is sent the view.
 - ``system``: system text of its own.
 - ``native_tools``: whether it offers the model the schemas of ``context.tools``, so that no text has to explain them.
 """
@@ -159,7 +159,7 @@ def _wants_context(signature: inspect.Signature) -> bool:
 
 
 _ATTRIBUTES = ("prepare", "close", "aclose", "interactive", "max_concurrency", *AgentTraits._fields)
-"""What an agent may have besides being called; see ``Agent``."""
+"""The attributes that an agent may have; see ``Agent``."""
 
 
 class _ObservationAgent:
@@ -197,7 +197,7 @@ def close_agent(agent: Agent) -> None:
 
 
 def _wait_for(agent: Agent, name: str, wait: Callable[[Awaitable[Any]], Any]) -> None:
-    """Call a method of an agent, if it has it, and wait for what is to be awaited."""
+    """Call a method of an agent, if it has it; wait for the result if it is awaitable."""
     method = getattr(agent, name, None)
     if callable(method):
         waited = method()
@@ -208,15 +208,15 @@ def _wait_for(agent: Agent, name: str, wait: Callable[[Awaitable[Any]], Any]) ->
 def load_agent(name: str, **options: Any) -> Agent:
     """Return the agent of a name: a registered one, or ``MODULE:CALLABLE``.
 
-    What follows the colon is the argument of a registered agent. Modules are also looked for in the current folder,
-    which is in ``sys.path`` only while they are imported.
+    A registered agent takes the text after the colon as its argument. Modules are also searched in the current folder,
+    which is in ``sys.path`` only during the import.
 
     Args:
         name: As in ``"random"``, ``"openai:MODEL"``, ``"my_module:MyAgent"``.
-        options: Keyword arguments for what makes the agent: a registered entry point, or a class.
+        options: Keyword arguments for the registered entry point or the class that makes the agent.
 
     Raises:
-        ArgumentError: It does not take these options; the message says what it takes.
+        ArgumentError: The maker does not take these options; the message names the ones that it takes.
         UnknownAgentError: There is no such agent, module or callable.
     """
     head, colon, rest = name.partition(":")
@@ -242,11 +242,11 @@ def load_agent(name: str, **options: Any) -> Agent:
 
 
 def load_agents(names: Iterable[str], **options: Any) -> dict[str, Agent]:
-    """Return the agents of some names, each made once, with those of the options that it takes.
+    """Return agents by name, each made once, with the options that it takes.
 
     Args:
         names: See ``load_agent``.
-        options: Keyword arguments for those that take them.
+        options: Keyword arguments; each goes to the agents that take it.
 
     Raises:
         ArgumentError: No agent takes one of the options.
@@ -273,7 +273,7 @@ def _takes(name: str, option: str) -> bool:
             with current_folder_importable():
                 maker = _import_target(name, head, rest, registered)
         except UnknownAgentError:
-            load_agent(name)  # raises an error that says what to install, where it is of a plugin
+            load_agent(name)  # raises; for an agent of a plugin, the error says what to install
             raise
         if not isinstance(maker, type):
             return False

@@ -76,37 +76,34 @@ def rollout(
 ) -> Iterator[Any]:
     """Let an agent act, or several agents together, and yield each episode as it finishes.
 
-    The episodes are fixed before they start: the same plan and seed give the same ones, whatever the number of slots,
-    the backend, and the order in which they finish.
-    A plain agent is asked for one slot after another; an asynchronous one for each slot and seat as soon as it is
-    ready, so that a slow answer or a slow environment delays only its own slot. No slot takes another step until the
-    caller asks for the next episode.
+    The plan and the seed fix the episodes, whatever the number of slots, the backend, and the order of completion.
+
+    A plain agent is asked for one slot after another. An asynchronous agent is asked for each slot and seat as soon as
+    it is ready, so that a slow answer or a slow environment delays only its own slot. While the caller looks at an
+    episode, slots finish at most the episode that they are in.
 
     Args:
-        env: A vector environment, an environment, an id or several. What was made here is closed at the end; what was
-            given is left open.
+        env: A vector environment, an environment, an id or several. An environment that is given stays open at the end.
         agent: Called as ``agent(observation, context)``, or with the observation alone; plain or a coroutine function.
             It returns a ``str`` or a ``Response``. Or the name of an agent, as ``load_agent`` takes it, ``"random"`` or
             ``"openai:MODEL"``, which is then closed at the end. Or several, ``{name: agent}``, each for the items of
             the plan that name it (``PlanItem.agent``): models compared in one run.
-        agents: Instead of ``agent``, for environments in which several agents act: ``{seat: agent}``; or a list of as
-            many agents as there are seats, which move on by one seat from item to item of the plan, so that each begins
-            as often as the others; or one agent for all seats, as in self-play; or a ``League``. Each may be given
-            by name, as ``agent`` may.
-        plan: What episodes start from; see ``gem_core.records.plans``.
+        agents: Instead of ``agent``, for environments of several agents: ``{seat: agent}``; or a list of one agent for
+            each seat, which move on by one seat from item to item of the plan, so that each begins equally often; or
+            one agent for all seats, as in self-play; or a ``League``. Each may be given by name, as ``agent`` may.
+        plan: Items that episodes start from; see ``gem_core.records.plans``.
         episodes: Instead of a plan, the number of episodes for each environment; a data set gives its first rows. With
-            neither, the vector environment's own plan is taken from the beginning; where it has none, each row of a
-            data set once, and ten episodes of an environment without rows.
+            neither, the run takes the vector environment's own plan from the beginning. If there is none, it plays each
+            row of a data set once, and ten episodes of an environment without rows.
         seed: Seed of the run; None takes the vector environment's, or draws one.
-        num_envs: Where ids are given, how many environments run at once; None for as many as the agent may be asked at
-            once: ``max_requests``, or else its ``max_concurrency``, or else 64 for an asynchronous one, and one for
-            each id where the agent is plain. Of several agents, the one that may be asked most decides.
-        backend: Where ids are given, where environments live; see ``make_vec``.
-        max_requests: Questions to asynchronous agents that are open at once; None for as many as there are.
-        resume: Episodes of this run that are there already, or the file that holds them, to which new ones are then
-            appended: they are left out, but for those that ended in an error, which are run again. The seed is theirs;
-            a file that is not there yet holds none.
-        progress: Show how far the run is, on standard error; or a callable that does.
+        num_envs: With ids, how many environments run at once. By default, as many as the agent takes questions at
+            once: ``max_requests``, else its ``max_concurrency``, else 64 for an asynchronous agent and one for each id
+            for a plain one. Of several agents, the largest number decides.
+        backend: With ids, the place that environments run in; see ``make_vec``.
+        max_requests: Largest number of open questions to asynchronous agents; None for no limit.
+        resume: Finished episodes of this run, or their file, to which new ones are appended. They are not played again,
+            except episodes that ended in an error. Their seed is the run's. The file need not exist yet.
+        progress: Show the run's progress on standard error; or a callable that does.
 
     Yields:
         Episodes in order of completion: an ``Episode``, or with ``agents`` a ``JointEpisode``, which holds the episode
@@ -114,15 +111,15 @@ def rollout(
 
     Raises:
         AgentError: An agent cannot be called, or does not return text.
-        ArgumentError: Both a plan and a number of episodes are given, or ``num_envs`` for environments that are there
-            already; or what is to be resumed is another run; or ``agents`` do not fit the seats of an environment.
+        ArgumentError: Both a plan and a number of episodes are given, or ``num_envs`` without ids; or ``resume`` holds
+            another run; or ``agents`` do not fit the seats of an environment.
         EnvFaultError: An environment failed, and the vector environment has ``on_error="raise"``.
         FaultBudgetError: Environments fail again and again, or an agent does.
 
-    What stops a run is raised after the episodes that had finished by then.
+    An error that stops a run is raised after the episodes that finished before it.
     """
-    acting, loaded = _who_acts(agent, agents)
-    return _drive(_Run(env, acting, loaded, plan, episodes, seed, num_envs, backend, max_requests, resume, progress))
+    players, loaded = _players(agent, agents)
+    return _drive(_Run(env, players, loaded, plan, episodes, seed, num_envs, backend, max_requests, resume, progress))
 
 
 @overload
@@ -147,25 +144,26 @@ def arollout(
 
     It is used as ``async for episode in arollout(…)``, and does what ``rollout`` does.
 
-    The agents' coroutines run on the caller's loop, beside everything else that does; environments run where their
-    backend puts them, and block no loop, those of the backend ``sync`` apart. While the caller does something else
-    between two episodes, requests that are open go on, and no slot takes another step.
+    The agents' coroutines run on the caller's loop. Environments run in the place of their backend; only the backend
+    ``sync`` blocks the loop. While the caller looks at an episode, slots finish at most the episode that they are in.
 
     Args:
-        env: See ``rollout``, as for all that follows.
+        env: See ``rollout``, also for the other arguments.
         agent: Plain or a coroutine function; a plain one blocks the loop while it answers.
-        agents: Instead of ``agent``, where several agents act.
-        plan: What episodes start from.
+        agents: Instead of ``agent``, if several agents act.
+        plan: Items that episodes start from.
         episodes: Number of episodes for each environment.
         seed: Seed of the run.
-        num_envs: How many environments run at once.
-        backend: Where environments live.
-        max_requests: Questions that are open at once.
-        resume: Episodes of this run that are there already.
-        progress: Show how far the run is.
+        num_envs: Number of environments that run at once.
+        backend: Place that environments run in.
+        max_requests: Largest number of open questions.
+        resume: Finished episodes of this run.
+        progress: Show the run's progress.
     """
-    acting, loaded = _who_acts(agent, agents)
-    return _episodes(_Run(env, acting, loaded, plan, episodes, seed, num_envs, backend, max_requests, resume, progress))
+    players, loaded = _players(agent, agents)
+    return _episodes(
+        _Run(env, players, loaded, plan, episodes, seed, num_envs, backend, max_requests, resume, progress)
+    )
 
 
 def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[PlanItem]:
@@ -188,7 +186,7 @@ class _Run:
     """The arguments of one call of ``rollout``."""
 
     env: Environments
-    acting: Players
+    players: Players
     loaded: list[Agent]
     """Agents that act alone and were given by name, which are closed at the end."""
     plan: Iterable[PlanItem] | None
@@ -211,16 +209,16 @@ class _Run:
     @property
     def agents(self) -> list[Agent]:
         """Every agent that may act, as far as known, each once."""
-        if isinstance(self.acting, Seating):
-            agents = self.acting.agents()
+        if isinstance(self.players, Seating):
+            agents = self.players.agents()
         else:
-            agents = [self.acting.agent] if isinstance(self.acting, Seated) else self.acting.values()
+            agents = [self.players.agent] if isinstance(self.players, Seated) else self.players.values()
         return list({id(agent): agent for agent in agents}.values())
 
     def close_loaded(self) -> None:
-        """Close the agents that were given by name, those that a league was given meanwhile included."""
+        """Close the agents that were given by name, also the ones that a league got during the run."""
         with ExitStack() as closing:
-            for agent in (*self.loaded, *(self.acting.loaded if isinstance(self.acting, Seating) else ())):
+            for agent in (*self.loaded, *(self.players.loaded if isinstance(self.players, Seating) else ())):
                 closing.callback(close_agent, agent)
 
     def vector(self, *, plain: bool) -> VectorEnv:
@@ -233,9 +231,9 @@ class _Run:
             num_envs = _asked_at_once(self.agents, self.max_requests) if self.num_envs is None else self.num_envs
             return make_vector(self.env, num_envs, backend=self.backend, seed=self.seed)
         if self.num_envs is not None:
-            raise ArgumentError("num_envs goes with an id: what is made already has its number of environments")
+            raise ArgumentError("num_envs goes with an id: an environment that is made already has its number of slots")
         if self.backend != "auto":
-            raise ArgumentError("backend goes with an id: what is made already lives somewhere")
+            raise ArgumentError("backend goes with an id: an environment that is made already has its place")
         if isinstance(self.env, VectorEnv):
             return self.env
         if not isinstance(self.env, gymnasium.Env):
@@ -308,7 +306,7 @@ async def _episodes(run: _Run, door: Door | None = None) -> AsyncGenerator[Recor
         count = at_end.enter_context(run.counting(queue, finished))
         await vector.begin_rollout()
         plain = door is not None and not any(map(is_asynchronous, run.agents))
-        playing = run_slots(Run(vector, queue, run.acting, run.max_requests, here, plain))
+        playing = run_slots(Run(vector, queue, run.players, run.max_requests, here, plain))
         at_end.push_async_callback(playing.aclose)
         async for episode in playing:
             count()
@@ -321,10 +319,10 @@ async def _soon(function: Callable[..., T], *args: Any) -> T:
     return function(*args)
 
 
-def _who_acts(agent: Any, agents: Any) -> tuple[Players, list[Agent]]:
-    """Return who acts, and those of them that were given by name."""
+def _players(agent: Any, agents: Any) -> tuple[Players, list[Agent]]:
+    """Return the players, and the agents among them that were given by name."""
     if (agent is None) == (agents is None):
-        raise ArgumentError("give either agent, who acts alone, or agents, where several act")
+        raise ArgumentError("give either agent, for one agent, or agents, for several")
     if isinstance(agent, str):
         one = seated(agent)
         return one, [one.agent]

@@ -41,7 +41,7 @@ from gem_core.vector.vector_env import VectorEnv
 T = TypeVar("T")
 
 Players = Seated | Mapping[str, Agent] | Seating
-"""The agent that acts alone; several by name, of which each item of the plan names one; or who sits where."""
+"""One agent; several by name, of which each item of the plan names one; or a rule for the seats."""
 
 _CANCELLING_S = 5.0
 """Seconds that agents and environments may take to end when a run is left."""
@@ -49,13 +49,13 @@ _CANCELLING_S = 5.0
 
 @dataclass
 class Run:
-    """What the episodes of one rollout share.
+    """The state that all episodes of one rollout share.
 
     Args:
-        vector: Where they are played.
-        queue: What they start from.
-        players: Who acts.
-        max_requests: Questions to agents that are open at once; None for no limit.
+        vector: The vector environment whose slots play them.
+        queue: The starts of episodes, in the order of the plan.
+        players: The agents.
+        max_requests: Largest number of agents' calls at once; None for no limit.
         here: Calls plain code in the thread of the caller.
         is_plain: Whether no agent is a coroutine function.
     """
@@ -69,16 +69,16 @@ class Run:
 
     def __post_init__(self) -> None:
         self.finished: asyncio.Queue[Record | None] = asyncio.Queue()
-        """Episodes that the caller has not taken; None where a slot is done."""
+        """Finished episodes that the caller has not taken; None when all slots are done."""
         self._asynchronous: dict[int, bool] = {}
         limit = self.max_requests
         self.requests: AbstractAsyncContextManager[Any] = nullcontext() if limit is None else asyncio.Semaphore(limit)
         self.room = asyncio.Semaphore(self.vector.num_envs)
-        """Room for further finished episodes: a slot goes on when the caller takes those that there are."""
+        """Room for finished episodes: a slot waits for it, until the caller takes one."""
 
     @cached_property
     def at_once(self) -> Run:
-        """The same for the caller's thread, where nothing waits."""
+        """The same run for episodes that the caller's thread plays without waiting."""
         return replace(self, here=_at_once)
 
     def is_asynchronous(self, agent: Agent) -> bool:
@@ -88,17 +88,17 @@ class Run:
         return self._asynchronous[id(agent)]
 
     async def in_slot(self, in_place: bool, work: Callable[..., Coroutine[Any, Any, T]], *args: Any) -> T:
-        """Await work of a slot's environment; some run in place in the thread of the caller alone."""
+        """Await work of a slot's environment, in the caller's thread if it must run there."""
         if in_place and self.vector.config.in_place is ALL_IN_PLACE:
             return cast("T", await self.here(lambda: run_without_loop(work(*args))))
         return await work(*args)
 
     async def prepare(self, slot: Slot, start: EpisodeStart) -> Failure | None:
-        """Make the environment of a slot that an episode needs."""
+        """Make the environment that an episode needs, in its slot; return the failure, if any."""
         return await self.in_slot(slot.prepares_in_place(start), slot.prepare, start)
 
     def player_of(self, start: EpisodeStart) -> Seated:
-        """Return who acts alone in an episode."""
+        """Return the only agent of an episode."""
         if isinstance(self.players, Seated):
             return self.players
         agents, name = dict(self.players.items() if isinstance(self.players, Mapping) else ()), start.item.agent
@@ -150,7 +150,7 @@ async def play_joint(run: Run, slot: Slot, start: EpisodeStart) -> JointEpisode:
     _check_seats(described["id"], info, alone=False)
     shared = SharedEpisode(slot, described, start, observations, info, cast("Seating", run.players))
     while True:
-        # Ask all who act.
+        # Ask all agents that act.
         try:
             responses = await ask_all(run, shared)
         except NoAnswerError as nobody:
@@ -168,10 +168,10 @@ async def play_joint(run: Run, slot: Slot, start: EpisodeStart) -> JointEpisode:
 
 
 async def ask_all(run: Run, shared: SharedEpisode) -> dict[str, Response]:
-    """Ask all who act now, asynchronous agents side by side.
+    """Ask all agents that act now, asynchronous ones side by side.
 
     Raises:
-        NoAnswerError: The first who has no answer; the others are not waited for.
+        NoAnswerError: An agent has no answer; the others are cancelled.
     """
 
     async def answer(seat: str) -> Response:
@@ -204,11 +204,11 @@ async def ask(run: Run, agent: Agent, seat: RunningSeat) -> Response:
     Raises:
         AgentError: The agent returned something else than text, or cancelled its own task.
         RequestError: The agent failed, and only this episode is lost.
-        EpisodeLimitError: A limit of the agent is reached, as the context of its model.
-        EnvFaultError: The environment failed, which should have sampled an action.
+        EpisodeLimitError: A limit of the agent is reached, such as the context of its model.
+        EnvFaultError: The environment failed when the agent asked it for a random action.
     """
     if not run.is_plain:
-        await asyncio.sleep(0)  # the turn of the other slots, also where the agent need not wait
+        await asyncio.sleep(0)  # let other slots go on, even if the agent never waits
     async with run.requests:
         seen = seat.conversation.sent(), seat.context
         answer: Any = agent(*seen) if run.is_asynchronous(agent) else await run.here(agent, *seen)
@@ -218,7 +218,7 @@ async def ask(run: Run, agent: Agent, seat: RunningSeat) -> Response:
 
 
 def why_no_answer(slot: Slot, failure: GemError) -> Info:
-    """Return what the record says of an agent that has no answer; a limit that it has reached is no fault."""
+    """Return the last info of an episode whose agent has no answer; a limit of the agent is no fault."""
     if isinstance(failure, EpisodeLimitError):
         overflow = {"context_overflow": True} if isinstance(failure, ContextOverflowError) else {}
         return {"cut_off": failure.limit, **overflow}
@@ -245,7 +245,7 @@ async def play_slot(run: Run, slot: Slot) -> None:
         if failure is not None:
             record: Record = failed_record(run, slot, start, slot.fault(failure))
         elif run.is_plain and slot.in_place:
-            # Nothing has to be waited for: the caller's thread plays the episode in one go.
+            # Nothing waits: the caller's thread plays the whole episode.
             record = await run.here(_play_at_once, playing, run.at_once, slot, start)
         else:
             record = await playing(run, slot, start)
@@ -257,8 +257,8 @@ async def play_slot(run: Run, slot: Slot) -> None:
 async def run_slots(run: Run) -> AsyncGenerator[Record]:
     """Play the episodes of a plan in all slots, and yield each as it finishes.
 
-    What stops the run is raised after the episodes that had finished by then. When the caller leaves, agents and
-    environments that are at work are cancelled.
+    An error that stops the run is raised after the episodes that finished before it. When the caller leaves, working
+    agents and environments are cancelled.
     """
     tasks = [asyncio.create_task(play_slot(run, slot)) for slot in run.vector.slots]
     ended = asyncio.gather(*tasks)
@@ -306,7 +306,7 @@ async def _at_once(function: Callable[..., T], *args: Any) -> T:
 
 
 def _check_seats(env_id: str, info: Info, *, alone: bool) -> None:
-    """Refuse one agent where several act, and several where one does."""
+    """Raise if one agent is given for several seats, or several agents for one."""
     if alone and "possible_agents" in info:
         seats = ", ".join(map(repr, info["possible_agents"]))
         raise ArgumentError(

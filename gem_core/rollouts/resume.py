@@ -15,13 +15,13 @@ from gem_core.records.plans import EpisodeQueue, EpisodeStart
 
 
 class _StartRecord(NamedTuple):
-    """What a finished episode started from, as far as its record tells.
+    """The start of a finished episode, as far as its record tells.
 
     Args:
         id: Id of its environment.
         seed: Its seed.
-        options: What ``reset`` got, as plain JSON.
-        agent: Name of who acted, where an item of the plan names one.
+        options: The options of ``reset``, as plain JSON.
+        agent: Name of the agent, if the plan's item names one.
     """
 
     id: str
@@ -31,7 +31,7 @@ class _StartRecord(NamedTuple):
 
 
 class FinishedEpisodes:
-    """The episodes of a run that need not be run again: those that are there, without those that ended in an error."""
+    """The finished episodes of a run: all that its file holds, except episodes that ended in an error."""
 
     def __init__(self) -> None:
         self.run_seeds: set[int] = set()
@@ -59,13 +59,13 @@ class FinishedEpisodes:
             repeat: Which of the item's episodes it is.
             env_id: Id of its environment.
             seed: Its seed.
-            options: What ``reset`` got.
-            agent: Name of who acted, where the item names one.
+            options: The options of ``reset``.
+            agent: Name of the agent, if the item names one.
         """
         self._starts[key, repeat] = _StartRecord(env_id, seed, to_plain(options) or None, agent)
 
     def run_seed(self, given: int | None) -> int | None:
-        """Return the seed of the run that goes on, or the one given where there is no episode.
+        """Return the seed of the resumed run, or the one given if there is no episode.
 
         Raises:
             ArgumentError: The episodes belong to several runs, or to a run with another seed than the one given.
@@ -99,7 +99,7 @@ class FinishedEpisodes:
         queue.leave_out(self._includes)
 
     def _includes(self, start: EpisodeStart) -> bool:
-        """Tell whether an episode of the plan is finished, and raise where it started from something else."""
+        """Tell whether an episode of the plan is finished; raise if the finished one has another start."""
         started = self._starts.get((start.key, start.repeat))
         if started is None:
             return False
@@ -125,7 +125,7 @@ def _other_run(key: str, difference: str) -> ArgumentError:
 def finished_episodes(resume: str | Path | Iterable[Record] | FinishedEpisodes | None) -> FinishedEpisodes:
     """Return the finished episodes of a file, which may not be there yet, or of an iterable of episodes.
 
-    What is then written to that file is appended to it.
+    New episodes are appended to that file.
 
     Raises:
         ArgumentError: Something in the iterable is no episode.

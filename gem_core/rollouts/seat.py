@@ -1,4 +1,4 @@
-"""``RunningSeat``: an episode under way as one agent lives it: its record, its conversation and its context."""
+"""``RunningSeat``: one agent's side of a running episode: its record, its conversation and its context."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class RunningSeat:
         self.episode.native_tools = traits.native_tools and bool(info.get("tools"))
         self.conversation = Conversation(episode)
         self.response = Response()
-        """What was sent to the environment last."""
+        """The last response that the environment was sent."""
         self.context = Context(
             episode=f"{episode.key}.{episode.repeat}",
             env_id=episode.id,
@@ -91,7 +91,7 @@ class RunningSeat:
 
 
 def _what_to_read(traits: AgentTraits, info: Info) -> str:
-    """Return what an agent is sent in an episode that begins: what it reads, unless a view was named."""
+    """Return the ``reads`` of an episode: the agent's own, unless a view was named."""
     if info.get("view") is not None:
         return "observation"
     if traits.reads is not None:
@@ -100,13 +100,13 @@ def _what_to_read(traits: AgentTraits, info: Info) -> str:
 
 
 def new_episode(described: Mapping[str, Any], start: EpisodeStart, observation: Observation, info: Info) -> Episode:
-    """Return the record of an episode that begins, of an agent that reads observations.
+    """Return the record of an episode that begins, for an agent that reads observations.
 
     Args:
         described: ``id``, ``kwargs``, ``wrappers`` and, if it has one, ``return_range`` of its environment.
-        start: What it starts from.
-        observation: What ``reset`` returned.
-        info: What ``reset`` returned with it.
+        start: The episode's start.
+        observation: The observation that ``reset`` returned.
+        info: The info that ``reset`` returned.
     """
     tools = [tool["function"]["name"] for tool in info.get("tools", [])]
     return Episode(
@@ -122,7 +122,7 @@ def new_episode(described: Mapping[str, Any], start: EpisodeStart, observation: 
 
 
 def common_fields(described: Mapping[str, Any], start: EpisodeStart) -> dict[str, Any]:
-    """Return what the record of an episode that begins says of it, for one agent as for several."""
+    """Return the fields that the records of one agent and of several have in common."""
     return {
         "id": described["id"],
         "seed": start.seed,

@@ -19,10 +19,10 @@ class SharedEpisode:
     """An episode of several agents, each at its seat.
 
     Args:
-        slot: Where it is played.
+        slot: The slot that plays it.
         described: ``id``, ``kwargs`` and ``wrappers`` of its environment.
-        start: What it starts from.
-        observations: What the environment was reset to, by seat.
+        start: The episode's start.
+        observations: The first observations, by seat.
         info: The info of that reset.
         seating: Says which agent has which seat.
     """

@@ -20,7 +20,7 @@ class VectorStep(NamedTuple):
     """Results of the slots that were stepped, in the order in which the caller named them.
 
     Args:
-        observations: One for each slot; ``{agent: observation}`` where several agents act.
+        observations: One for each slot; ``{agent: observation}`` if several agents act.
         rewards: float64, (slots,). If several agents act in a slot: a list, with ``{agent: reward}`` for that slot.
         terminated: bool, (slots,).
         truncated: bool, (slots,).

@@ -24,7 +24,7 @@ _OWN_METHODS = ("close", "reset", "reset_async", "step", "step_async")
 class VectorAttributes:
     """Attributes and methods of the environments in the slots; the base of ``VectorEnv``.
 
-    They make an environment where a slot has none yet, and need slots that are not under way. In a worker process a
+    They make an environment if a slot has none yet, and need slots that are not under way. In a worker process a
     value is a copy, and has to be one that can be pickled.
 
     Source: ``VectorEnv`` of Gymnasium, https://gymnasium.farama.org/api/vector/.
@@ -70,17 +70,17 @@ class VectorAttributes:
 
     @property
     def spec(self) -> MadeSpec | None:
-        """What the first slot's environment was made from; its ``make`` makes another."""
+        """The spec of the first slot's environment; its ``make`` makes another."""
         return cast("MadeSpec | None", self._first("spec"))
 
     @property
     def single_observation_space(self) -> spaces.Space[Any]:
-        """Space of one slot's observations: the first slot's, where they differ; by agent, where several act."""
+        """Space of one slot's observations: the first slot's, if they differ; by agent, if several act."""
         return cast("spaces.Space[Any]", self._first("observation_space", _space))
 
     @property
     def single_action_space(self) -> spaces.Space[Any]:
-        """Space of one slot's actions: the first slot's, where they differ; by agent, where several act."""
+        """Space of one slot's actions: the first slot's, if they differ; by agent, if several act."""
         return cast("spaces.Space[Any]", self._first("action_space", _space))
 
     @property
@@ -132,7 +132,7 @@ class VectorAttributes:
         a keyword argument of ``make_vec``.
 
         Args:
-            name: Of the attribute; where no wrapper has it, the task's is set.
+            name: Name of the attribute; it is set on the task if no wrapper has it.
             values: A list or tuple with one for each slot; or one value for all.
 
         Raises:
@@ -150,13 +150,13 @@ class VectorAttributes:
         return self._ask(range(self.num_envs), function, *args)
 
     def _ask(self, indices: Sequence[int], function: Callable[..., Any], *args: Any) -> tuple[Any, ...]:
-        """Apply a function where the environments of some slots live."""
+        """Apply a function to the environments of some slots, each in its own process."""
         self._check_open()
         self._refuse_busy(indices)
         return tuple(self._asked(self.slots[index], None, _apply, index, function, *args) for index in indices)
 
 
-# Applied to an environment where it lives, which may be another process.
+# Applied to an environment in its own process.
 
 
 def _apply(env: AnyEnv, slot: int, function: Callable[..., Any], name: str, *args: Any) -> Any:

@@ -51,7 +51,7 @@ def asynchronous(setup: VectorSetup) -> VectorEnv:
     """Step ``inline`` environments in place, ``async`` ones on the library's loop, and all others in threads.
 
     Raises:
-        ArgumentError: There is a ``step_timeout``, and an environment runs in place, where it cannot be enforced.
+        ArgumentError: ``step_timeout`` is given, and an environment runs in place, so that it cannot be enforced.
     """
     if setup.step_timeout is not None:
         for env_id in setup.all_ids:

@@ -1,4 +1,4 @@
-"""``Failure``: what is kept of an exception, a hang or a death, as plain data that can be sent to another process."""
+"""``Failure``: an exception, a hang or a death as plain data that can be sent to another process."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class Failure:
 
     Args:
         kind: ``"exception"``, ``"timeout"``, ``"died"`` or ``"collateral"``.
-        message: What happened, as ``info["error"]`` says it.
+        message: The text of ``info["error"]["message"]``.
         error: The exception, if there is one and it can be pickled.
         details: Its traceback, if it comes from another process.
         permanent: Whether another attempt, or another episode, would fail the same way.
-        frames: Where the exception passed through the author's code; see ``author_frames``.
+        frames: Lines of the author's code that the exception passed through; see ``author_frames``.
     """
 
     kind: str
@@ -87,7 +87,7 @@ class WorkerFailureError(GemError):
     """An environment in a worker failed, or its worker did.
 
     Args:
-        failure: What happened.
+        failure: The failure.
     """
 
     def __init__(self, failure: Failure) -> None:

@@ -55,7 +55,7 @@ def check_joint_action(slot: int, action: object, observation: object) -> None:
     """Refuse an action that does not fit the last observation of a slot.
 
     Raises:
-        ArgumentError: It is of one agent where several act, or the other way round; or an agent's action is missing,
+        ArgumentError: One action is given and several agents act, or the other way round; or an action is missing,
             unwanted, or no text.
     """
     if not isinstance(observation, dict):

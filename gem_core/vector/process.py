@@ -30,7 +30,9 @@ _COMMAND_S = 1.0
 """Seconds that a worker may take to notice that the program hangs up."""
 
 _LOOKING_S = 0.5
-"""How often a thread that waits for a reply looks whether the process lives: its children may hold the socket open."""
+"""Seconds between two checks that the process lives while a thread waits for its reply.
+
+Its children may hold the socket open."""
 
 _workers: weakref.WeakSet[ProcessWorker] = weakref.WeakSet()
 
@@ -121,7 +123,7 @@ class ProcessWorker(Worker):
         _shut(self._connection)
 
     def finish(self, since: float) -> None:
-        """Wait for the end of a worker that was hung up on at a time; kill it if that takes too long."""
+        """Wait for the end of a worker whose connection was shut at a time; kill it if that takes too long."""
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(max(0.0, since + _COMMAND_S + CLOSING_S - time.monotonic()))
         self.kill()

@@ -35,11 +35,11 @@ class WorkerDiedError(Exception):
 
 
 class NoRoomError(GemError):
-    """There is no room for another worker: its slots share a living one, or, if none lives, the run ends with this."""
+    """There is no room for another worker: its slots share a living one; if none lives, the run ends with this."""
 
 
 class Worker(ABC):
-    """A worker as the program sees it. In it runs a ``WorkerLoop``."""
+    """The program's end of a worker, which runs a ``WorkerLoop``."""
 
     @abstractmethod
     def request(self, data: bytes, timeout_s: float | None) -> bytes:
@@ -52,15 +52,15 @@ class Worker(ABC):
 
     @abstractmethod
     def is_alive(self) -> bool:
-        """Tell whether it has not ended, as far as is known."""
+        """Tell whether the worker is alive, as far as is known."""
 
     @abstractmethod
     def kill(self) -> None:
-        """End the worker and all that it started, at once; calling it again does nothing."""
+        """End the worker and every process that it started, at once; calling it again does nothing."""
 
 
 class _Place:
-    """One worker of a pool, and who waits for it."""
+    """One worker of a pool, and the requests that wait for it."""
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
@@ -69,10 +69,10 @@ class _Place:
 
 
 class WorkerPool:
-    """Starts workers when they are needed, and replaces those that died.
+    """Starts workers when they are needed, and replaces dead ones.
 
     Args:
-        setup: What environments are made from.
+        setup: Arguments that environments are made from.
         start: Starts a worker from the pickled setup; it may raise ``NoRoomError``.
         count: Number of workers; slots are assigned to them in turn.
 
@@ -85,7 +85,7 @@ class WorkerPool:
         self._start = start
         self._packed = _pack_setup(setup)
         self._places = [_Place() for _ in range(count)]
-        """Where the slots live, in turn; a place that has no room for a worker is replaced by a living one."""
+        """The place of each slot's worker, in turn; a place with no room for a worker gives way to a living one."""
         self._closed = False
 
     def make(self, slot: int, env_id: str | None, kwargs: Mapping[str, Any]) -> RemoteEnv:
@@ -176,12 +176,12 @@ class WorkerPool:
         return bool(living)
 
     def close(self) -> int:
-        """End all workers at once; each closes its environments first. Return how many of these had not ended."""
+        """End all workers at once; each closes its environments first. Return how many environments had not closed."""
         self._closed = True
         left: list[int] = []
 
         def end(place: _Place) -> None:
-            # A worker that is busy with a request is not asked to close: it would not hear it.
+            # A worker that is busy with a request is not asked to close: it would not read the message.
             if place.worker is None:
                 return
             if place.lock.acquire(timeout=1.0):

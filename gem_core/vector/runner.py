@@ -46,7 +46,7 @@ class EnvRunner:
         """Concurrency of the environment with its wrappers; None while there is no environment."""
         self.borrowed = borrowed
         self.abandoned = False
-        """Whether nobody waits for it any more."""
+        """Whether the caller has stopped waiting for it."""
         self._make = make
         self._made_for: tuple[str | None, Mapping[str, Any]] | None = None
         self._made_in = os.getpid()
@@ -156,7 +156,7 @@ class EnvRunner:
         return described if declared is None else {**described, "return_range": declared}
 
     def apply(self, function: Callable[..., Any], *args: Any) -> Any:
-        """Return ``function(env, *args)``, called where the environment lives."""
+        """Return ``function(env, *args)``, called in the environment's process."""
         env = self.env
         return env.apply(function, *args) if isinstance(env, RemoteEnv) else function(env, *args)
 

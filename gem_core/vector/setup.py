@@ -34,7 +34,7 @@ IdOrIds = str | IdWithKwargs | Sequence[str | IdWithKwargs]
 
 @dataclass
 class VectorSetup:
-    """The arguments that a vector environment is made from; ``make_vec`` passes them to a backend.
+    """The arguments of a vector environment; ``make_vec`` passes them to a backend.
 
     Args:
         ids: Id of each slot's own environment; None for one without an id.
@@ -43,7 +43,7 @@ class VectorSetup:
         wrappers: Wrappers of each environment.
         kwargs: Keyword arguments for every environment.
         seed: Seed of the run; None draws one.
-        plan: What episodes start from.
+        plan: Items that episodes start from.
         autoreset: ``"same_step"``, ``"next_step"`` or ``"disabled"``.
         step_timeout: Seconds that a step or a reset may take; None for no limit.
         on_error: ``"truncate"`` or ``"raise"``.
@@ -133,7 +133,7 @@ class VectorSetup:
         return cast("Concurrency", concurrency) if isinstance(concurrency, str) else None
 
     def concurrency(self, env_id: str) -> Concurrency:
-        """Return the concurrency of an environment with its wrappers, as far as it decides where the environment lives.
+        """Return the concurrency of an environment with its wrappers, as far as it decides the environment's process.
 
         If the classes do not declare it, an environment is made with the arguments that come with its id, and closed.
         """
@@ -151,7 +151,7 @@ class VectorSetup:
             env.close()
 
     def _stacks(self, env_id: str) -> list[Wrappers]:
-        """Return the wrappers of all environments, and those of the entries of one id."""
+        """Return the wrappers of all environments, and the wrappers of the entries of one id."""
         own = [_split({**self.kwargs, **kwargs})[1] for each, kwargs in self.entries if each == env_id]
         return [stack for stack in [self.wrappers, *own] if stack != ()]
 

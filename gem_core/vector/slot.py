@@ -67,7 +67,7 @@ class FaultBudget:
         self.total += 1
         self._in_a_row += 1
         if self._in_a_row > self.limit:
-            advice = "Mend the environment; each episode says where it failed in episode.error['frames']"
+            advice = "Mend the environment; episode.error['frames'] of each episode shows the lines that failed"
             if told.get("kind") == "agent":
                 advice = "It is the agent that fails, or the server that it asks, not the environment"
             where = f" ({told['frames'][-1]})" if told.get("frames") else ""
@@ -79,7 +79,7 @@ class FaultBudget:
 
 @dataclass
 class VectorConfig:
-    """What all slots of a vector environment share.
+    """The settings that all slots of a vector environment share.
 
     Args:
         make: Makes the environment of a slot: called with its number, the id and the keyword arguments.
@@ -107,14 +107,14 @@ class VectorConfig:
 class Slot:
     """Holds one environment at a time; ``reset`` makes it, and makes another when it has failed.
 
-    What an environment raises, and a step that takes too long, come back as a ``Failure``. The coroutines run on any
-    event loop. Where ``in_place`` is true they never wait, so that plain code finishes them at once.
+    An exception of the environment, or a step that takes too long, comes back as a ``Failure``. The coroutines run on
+    any event loop. If ``in_place`` is true, they never wait, so that plain code finishes them at once.
 
     Args:
         index: Number of the slot.
         env_id: Id of the environment if the plan names none; None for an environment without an id.
         kwargs: Keyword arguments of that environment, which override those of the run.
-        config: What all slots share.
+        config: Settings that all slots share.
         borrowed: An environment that the caller owns and closes.
     """
 
@@ -128,7 +128,7 @@ class Slot:
     ) -> None:
         self.index, self.env_id, self.kwargs, self.config, self.borrowed = index, env_id, kwargs, config, borrowed
         self.start: EpisodeStart | None = None
-        """What the present episode started from."""
+        """The start of the present episode."""
         self.is_joint = False
         """Whether several agents act in the present episode."""
         self.cause: BaseException | None = None
@@ -166,11 +166,11 @@ class Slot:
         return await self._limited(self._make(env_id, kwargs))
 
     async def reset(self, start: EpisodeStart, options: Mapping[str, Any] | None = None) -> ResetResult | Failure:
-        """Begin an episode, in a new environment where the present one is not for it.
+        """Begin an episode, in a new environment if the present one was made for another id or other arguments.
 
         Args:
-            start: What the episode starts from.
-            options: For ``reset``, below those of the plan's item.
+            start: Start of the episode.
+            options: For ``reset``; options of the plan's item override them.
         """
         env_id, kwargs = self.target(start)
         self.start = start
@@ -199,7 +199,7 @@ class Slot:
         return await self._limited(self._step(action))
 
     def sample_random_action(self, agent: str | None = None) -> str:
-        """Return a valid action for the present state; an empty one where there is no environment yet.
+        """Return a valid action for the present state; an empty one before the first reset.
 
         Raises:
             SamplingNotSupported: The environment cannot sample actions.
@@ -219,12 +219,12 @@ class Slot:
             raise EnvFaultError(f"{self.name()}: {what}") from error
 
     def abandon_if_busy(self) -> None:
-        """Give up the environment if a thread is in it."""
+        """Abandon the environment if a thread is in it."""
         if self.runner in self.config.busy:
             self._abandon(self.runner)
 
     async def release(self) -> None:
-        """Close an environment that is not needed any more; the caller's stays for the next run."""
+        """Close the environment, which is no longer needed; the caller's own stays for the next run."""
         if self.runner.env is None or self.runner.env is self.borrowed:
             return
         if self.in_place:
@@ -293,7 +293,7 @@ class Slot:
         return await asyncio.wrap_future(future)
 
     def _abandon(self, runner: EnvRunner) -> None:
-        """Give up an environment that does not answer; the thread that is in it closes it when it comes back."""
+        """Abandon an environment that does not answer; its thread closes it when it comes back."""
         with self.config.lock:
             runner.abandoned = True
             busy = runner in self.config.busy

@@ -43,7 +43,7 @@ T = TypeVar("T")
 Future = concurrent.futures.Future
 
 Work = Generator[tuple[Future[Any], float | None], None, T]
-"""The work of a method, for plain code and for coroutines: it yields what is to be waited for, and how long at most."""
+"""The work of a method, for plain code and for coroutines: it yields futures to wait for, each with a time limit."""
 
 NEW, LIVE, ENDED, IDLE, BROKEN = "new", "live", "ended", "idle", "broken"
 """Phases of a slot: before the first episode; in an episode; after one, before the next begins; without an episode,
@@ -52,11 +52,11 @@ since the plan is exhausted; without an environment, since an error was raised."
 
 @dataclass
 class _State:
-    """How far a slot is.
+    """The state of a slot.
 
     Args:
-        phase: See above.
-        sent: Whether it was sent something whose result ``recv`` has not returned.
+        phase: One of the phases above.
+        sent: Whether a result is due that ``recv`` has not returned.
         working: Whether its environment is at work.
         result: The five values of a step, or an exception.
         ended: The last step of an episode, while the next begins.
@@ -82,8 +82,8 @@ class VectorEnv(VectorAttributes):
     replaced. When a plan is exhausted, a slot is idle: its observation is ``TERMINAL_STATE``, its flags are false,
     ``info["idle"]`` is true, and its actions are ignored.
 
-    Where several agents act in a slot, its observation, reward and action are dictionaries by agent, and its flags are
-    of the whole episode; ``info["agents"]`` holds each agent's info, ``info["terminations"]`` and
+    If several agents act in a slot, its observation, reward and action are dictionaries by agent. Its flags tell of the
+    whole episode; ``info["agents"]`` holds each agent's info, ``info["terminations"]`` and
     ``info["truncations"]`` each agent's flags.
 
     ``step`` waits for all slots that it stepped; ``send`` does not wait, and ``recv`` returns results as they come.
@@ -91,10 +91,10 @@ class VectorEnv(VectorAttributes):
     notebooks and servers. An interrupt (Ctrl-C) inside a method closes the vector environment.
 
     Args:
-        setup: Arguments that it is made from; see ``make_vec``.
+        setup: The arguments of ``make_vec``, checked.
         in_place: Values of ``concurrency`` that run in the caller's thread.
         pool: Workers for environments that live in other processes.
-        in_pool: Tells of an id whether its environment lives in the pool; by default all do, where there is a pool.
+        in_pool: Tells whether the environment of an id lives in the pool; by default all do if there is a pool.
         borrowed: The environment of the only slot, which the caller owns and closes.
     """
 
@@ -187,16 +187,16 @@ class VectorEnv(VectorAttributes):
 
     @property
     def plan(self) -> EpisodeQueue:
-        """Queue of its own episodes, from the plan and seed that it was made with; see ``rollout``."""
+        """Queue of episodes of the plan and seed that were given to ``make_vec``; see ``rollout``."""
         return self._plan
 
     @property
     def under_way(self) -> int:
-        """Number of slots that were sent an action or a reset and have not been received."""
+        """Number of slots with an action or a reset whose result has not been received."""
         return sum(state.sent for state in self._states)
 
     def start_of(self, slot: int) -> EpisodeStart | None:
-        """Return what the present episode of a slot started from; None when it is idle."""
+        """Return the start of a slot's present episode; None when the slot is idle."""
         return self.slots[slot].start
 
     def describe(self, slot: int) -> dict[str, Any]:
@@ -209,7 +209,7 @@ class VectorEnv(VectorAttributes):
     def num_tasks(self, env_id: str | None, kwargs: Mapping[str, Any] = MappingProxyType({})) -> int | None:
         """Return the number of tasks of an environment that has a data set; None for any other.
 
-        Call it before the first ``reset``: the environment may be made in a slot, and replace the one that is there.
+        Call it before the first ``reset``: it may make the environment in a slot, in place of the present one.
         """
         return cast("int | None", self._tasks(env_id, kwargs)[0])
 
@@ -223,13 +223,13 @@ class VectorEnv(VectorAttributes):
         return self._asked(slot, (env_id or slot.env_id, dict(kwargs)), _num_tasks)
 
     def _asked(self, slot: Slot, target: tuple[Any, Any] | None, function: Callable[..., T], *args: Any) -> T:
-        """Return what a function of the environment in a slot returns.
+        """Call a function with the environment in a slot, and return its result.
 
         Args:
             slot: The slot.
-            target: Id and keyword arguments of the environment, which is made unless it is there; None takes the one
-                that is there, or makes the slot's own.
-            function: Called with the environment, where that lives.
+            target: Id and keyword arguments of the environment, which is made if it is not present; None takes the
+                present one, or makes the slot's own.
+            function: Called with the environment, in the process that the environment lives in.
             *args: More arguments for it.
         """
         made = slot.runner.env is not None and target is None
@@ -242,11 +242,11 @@ class VectorEnv(VectorAttributes):
         raise failure.error or EnvFaultError(f"{slot.name()}: {failure.message}")
 
     def sample_random_action(self, slot: int, agent: str | None = None) -> str:
-        """Return a valid action for the present state of a slot; an empty one where there is no environment yet.
+        """Return a valid action for the present state of a slot; an empty one before its first reset.
 
         Args:
             slot: Number of the slot.
-            agent: Whose action, where several agents act.
+            agent: Name of the agent that acts, if several do.
 
         Raises:
             ArgumentError: There is no such slot, or several agents act there and none of them is named.
@@ -319,7 +319,7 @@ class VectorEnv(VectorAttributes):
         return observations, [result[4] if index in began else {} for index, result in enumerate(results)]
 
     def step(self, actions: Actions) -> VectorStep:
-        """Step all slots, or those that a mapping names, and wait for them.
+        """Step all slots, or the slots that a mapping names, and wait for them.
 
         Episodes that begin in the same call draw from the plan in the order of the slots, not in the order in which
         environments finish.
@@ -351,7 +351,7 @@ class VectorEnv(VectorAttributes):
         return self._results([index for index, _ in pairs])
 
     def _advance(self, pairs: list[tuple[int, Action]]) -> Work[None]:
-        """Step slots, and then begin what ended."""
+        """Step slots, then begin the next episodes of slots whose episode ended."""
         slots, states = self.slots, self._states
         due: list[int] = []
         elsewhere: list[tuple[int, Action]] = []
@@ -373,7 +373,7 @@ class VectorEnv(VectorAttributes):
     # Methods that do not wait for all slots.
 
     def send(self, actions: Actions) -> None:
-        """Begin to step all slots, or those that a mapping names; ``recv`` returns the results.
+        """Begin to step all slots, or the slots that a mapping names; ``recv`` returns the results.
 
         Raises:
             ArgumentError: The number of actions is not the number of slots, or a slot does not exist or is under way.
@@ -401,7 +401,7 @@ class VectorEnv(VectorAttributes):
 
         Args:
             slot: Number of the slot.
-            error: What failed outside the environment, in the form of ``info["error"]``, counted as a fault; None if
+            error: A failure outside the environment, in the form of ``info["error"]``, counted as a fault; None if
                 nothing failed, as when the history is longer than the model's context.
             cause: The exception, if there was one.
         """
@@ -450,7 +450,7 @@ class VectorEnv(VectorAttributes):
     def close(self) -> None:
         """Close all environments at once, for good; later calls raise ``ClosedError``.
 
-        What does not close within some seconds is left, and a warning says how many.
+        Environments that do not close within some seconds are left, and a warning gives their number.
         """
         if self._closed:
             return
@@ -467,7 +467,7 @@ class VectorEnv(VectorAttributes):
         left += sum(runner.abandoned for runner in self.config.busy)
         self.config.pool.close()
         if left:
-            logger.warning("gem: what had not closed after %g seconds was left; environments: %d", CLOSING_S, left)
+            logger.warning("gem: after %g seconds, environments that had not closed were left: %d", CLOSING_S, left)
 
     def __enter__(self) -> Self:
         return self
@@ -484,10 +484,10 @@ class VectorEnv(VectorAttributes):
             f"VectorEnv({names if len(names) < 200 else names[:200] + '…'}, num_envs={self.num_envs}, seed={self.seed})"
         )
 
-    # What rollout does with it.
+    # For rollout.
 
     async def begin_rollout(self) -> None:
-        """Wait for what is under way, and leave the slots to a rollout; afterwards ``reset`` begins anew."""
+        """Wait for pending work, and hand the slots to a rollout; afterwards ``reset`` begins anew."""
         await self._run_async(self._finish_under_way())
         self.config.budget.note(None, "")
         for slot, state in zip(self.slots, self._states, strict=True):
@@ -496,7 +496,7 @@ class VectorEnv(VectorAttributes):
     # The next episodes.
 
     def _begin(self, indices: Sequence[int], options: dict[str, Any] | None) -> Work[None]:
-        """Begin the next episode of some slots; where a reset fails, the next of the plan, until one begins."""
+        """Begin the next episode of some slots; after a failed reset, try the plan's next, until one begins."""
         while indices:
             starts: list[tuple[int, EpisodeStart]] = []
             for index in indices:  # draws in the order of slots, whichever environment is ready first
@@ -524,14 +524,14 @@ class VectorEnv(VectorAttributes):
         yield from self._all([(index, slot.in_place or slot.runner.env is None, slot.release())])
 
     def _take_reset(self, index: int, start: EpisodeStart, outcome: Any) -> bool:
-        """Take the outcome of a reset; tell whether the next episode has to be tried."""
+        """Store the outcome of a reset; tell whether the next episode of the plan must be tried."""
         state = self._states[index]
         if isinstance(outcome, Failure):
             try:
                 error = self.slots[index].fault(outcome)
                 state.failed_resets.append(_failed_reset(self.slots[index], start, error))
                 self.slots[index].note_end(error)
-            except Exception as raised:  # noqa: BLE001 - raised again where the result is asked for
+            except Exception as raised:  # noqa: BLE001 - raised again when the result is returned
                 state.phase, state.result = BROKEN, raised
                 return False
             return True
@@ -554,7 +554,7 @@ class VectorEnv(VectorAttributes):
             state.result = observation, ended[1], ended[2], ended[3], info
 
     def _take(self, index: int, outcome: Any) -> bool:
-        """Take the outcome of a step; tell whether the next episode begins now."""
+        """Store the outcome of a step; tell whether the next episode begins now."""
         state, config = self._states[index], self.config
         try:
             if isinstance(outcome, BaseException):
@@ -566,7 +566,7 @@ class VectorEnv(VectorAttributes):
                 state.result = outcome
                 return False
             self.slots[index].note_end(outcome[4].get("error"))
-        except Exception as raised:  # noqa: BLE001 - raised again where the result is asked for
+        except Exception as raised:  # noqa: BLE001 - raised again when the result is returned
             state.phase, state.result = BROKEN, raised
             return False
         state.phase, state.result = ENDED, outcome
@@ -577,7 +577,7 @@ class VectorEnv(VectorAttributes):
         return True
 
     def _is_idle(self, index: int) -> bool:
-        """Give an idle slot its result and tell whether it is idle; raise if it cannot be stepped."""
+        """Tell whether a slot is idle, and store its result if so; raise if the slot cannot be stepped."""
         state = self._states[index]
         if state.phase is IDLE:
             state.result = (TERMINAL_STATE, 0.0, False, False, {"idle": True})
@@ -594,16 +594,16 @@ class VectorEnv(VectorAttributes):
             )
         return False
 
-    # Where work is done: in place at once, the rest on the library's own event loop, all side by side.
+    # Doing work: in place at once, the rest on the library's own event loop, side by side.
 
     def _all(self, jobs: list[tuple[int, bool, Coroutine[Any, Any, Any]]]) -> Work[dict[int, Any]]:
-        """Do jobs of slots, given with whether they run in place; return the outcomes, also what is raised, by slot."""
+        """Do jobs, each ``(slot, runs in place, coroutine)``; return results and exceptions by slot."""
         outcomes: dict[int, Any] = {}
         for index, in_place, job in jobs:
             if in_place:
                 try:
                     outcomes[index] = run_without_loop(job)
-                except Exception as error:  # noqa: BLE001 - raised again where the result is asked for
+                except Exception as error:  # noqa: BLE001 - raised again when the result is returned
                     outcomes[index] = error
         elsewhere = [(index, job) for index, in_place, job in jobs if not in_place]
         if elsewhere:
@@ -626,8 +626,8 @@ class VectorEnv(VectorAttributes):
                 future, seconds = next(work)
                 if on_background_loop() and not future.done():
                     raise BridgeError(
-                        "a vector environment was waited for on the library's own event loop, where it would wait for "
-                        "itself; await its step_async, reset_async or recv_async there instead"
+                        "a plain method of a vector environment was called on the library's own event loop, and would "
+                        "wait for itself; await step_async, reset_async or recv_async there instead"
                     )
                 concurrent.futures.wait([future], seconds)
                 self._check_open()
@@ -638,7 +638,7 @@ class VectorEnv(VectorAttributes):
             raise
 
     async def _run_async(self, work: Work[T], indices: Sequence[int] = ()) -> T:
-        """Do the work of a method in a coroutine; if that is cancelled, ``recv`` returns the results of some slots."""
+        """Do the work of a method in a coroutine; if it is cancelled, ``recv`` returns the results of the slots."""
         self._check_open()
         while True:
             try:
@@ -655,14 +655,14 @@ class VectorEnv(VectorAttributes):
             self._check_open()
 
     def _go_on(self, indices: Sequence[int], work: Work[Any]) -> None:
-        """Do work as far as nothing has to be waited for, and the rest later; then ``recv`` has the results."""
+        """Do work until it has to wait, and the rest in callbacks; afterwards ``recv`` has the results."""
         try:
             future, _ = next(work)
         except StopIteration:
             pass
         except concurrent.futures.CancelledError:
             return  # the vector environment was closed
-        except Exception as error:  # noqa: BLE001 - raised again where the result is asked for
+        except Exception as error:  # noqa: BLE001 - raised again when the result is returned
             for index in indices:
                 self._states[index].result = error
         else:
@@ -754,7 +754,7 @@ def _num_tasks(env: AnyEnv) -> tuple[int | None, bool]:
 
 
 def _failed_reset(slot: Slot, start: EpisodeStart, error: dict[str, Any]) -> dict[str, Any]:
-    """Return what ``info["failed_resets"]`` tells of a reset that failed."""
+    """Return the entry of ``info["failed_resets"]`` for one reset that failed."""
     env_id, kwargs = slot.target(start)
     return {
         "id": env_id,

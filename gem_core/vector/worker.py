@@ -43,7 +43,7 @@ class WorkerLoop:
         self._runners: dict[int, EnvRunner] = {}
 
     def handle(self, request: bytes) -> bytes:
-        """Return the reply to a request; what fails is a ``Failure``."""
+        """Return the reply to a request; a ``Failure`` if anything fails."""
         number, method, content = pickle.loads(request)
         try:
             args = pickle.loads(content)
@@ -65,7 +65,7 @@ class WorkerLoop:
             return pickle.dumps(Failure("exception", f"its result cannot be sent to another process:{why(error)}"))
 
     def close(self) -> int:
-        """Close all environments at once; return how many had not ended after some seconds."""
+        """Close all environments at once; return how many had not closed after some seconds."""
         close_all([env for runner in self._runners.values() for env in runner.forget()])
         return wait_for_closing(0.0)
 
@@ -189,7 +189,7 @@ def _read(connection: Connection, requests: queue.SimpleQueue[bytes | None]) -> 
 
 
 def _raise_oom_score() -> None:
-    """Let a machine that runs out of memory kill this process before the one that trains."""
+    """Ask the kernel to kill this process before the program if memory runs out."""
     try:
         with open("/proc/self/oom_score_adj", "w") as file:
             file.write("1000")

@@ -139,7 +139,7 @@ def test_close_closes_environments_and_ends_actors(
     vector.reset()
     vector.close()
     assert len(list(tmp_path.iterdir())) == 3
-    assert "was left; environments: 1" in caplog.text
+    assert "were left: 1" in caplog.text
     assert ray.is_initialized()
     for worker in workers:
         with pytest.raises(ActorDiedError):
