@@ -44,7 +44,7 @@ def make(id: str | EnvSpec | MadeSpec, *, wrappers: Wrappers = (), **kwargs: Any
         id: Id of a registered environment, or its record, or the ``spec`` of one that was made.
         wrappers: Names of wrappers and tools, innermost first, with options behind a colon as on the command line:
             ``"python,concat:max_turns=4"``; or a list: ``["python", ("concat", {"max_turns": 4})]``. They go around
-            those that a ``spec`` has already. Where several agents act, they go around every seat; or around some, as
+            those that a ``spec`` has already. If several agents act, they go around every seat; or around some, as
             in ``{"white": "python,concat"}``.
         **kwargs: Keyword arguments over the registered ones; ``render_mode`` works for every environment.
 

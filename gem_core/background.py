@@ -75,7 +75,7 @@ def run_without_loop(coroutine: Coroutine[Any, Any, T], otherwise: str = "plain 
     ``in_thread``, ``on_library_loop`` and ``side_by_side`` do not wait in it: they return when their work is done.
 
     Args:
-        coroutine: What is run.
+        coroutine: The coroutine.
         otherwise: Message of the error if it waits.
 
     Raises:
@@ -308,7 +308,7 @@ class DaemonPool:
     The threads of ``concurrent.futures`` are joined at exit, so that one hung job would keep the interpreter alive.
 
     Args:
-        name: Of its threads.
+        name: Name of its threads.
         most: Threads at once; further work waits for one.
     """
 

@@ -26,7 +26,7 @@ def close_all(resources: Iterable[Any], limit_s: float = CLOSING_S) -> int:
     ``wait_for_closing`` does.
 
     Args:
-        resources: What is closed, by its method ``close``.
+        resources: Objects with a method ``close``.
         limit_s: Seconds to wait.
 
     Returns:

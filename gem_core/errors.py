@@ -51,7 +51,7 @@ class GemError(Exception):
 
 
 class UsageError(GemError):
-    """What was asked for cannot be right; ask differently."""
+    """The request itself is wrong: a name, an argument or an option."""
 
     exit_code = 2
 
@@ -101,7 +101,7 @@ class PluginError(GemError):
 
 
 class EntryPointError(GemError, ImportError):
-    """What a record points to cannot be imported."""
+    """The entry point of a record cannot be imported."""
 
 
 class MissingRequirementError(GemError):
@@ -145,10 +145,10 @@ class FaultBudgetError(GemError):
 
 
 class RequestError(GemError):
-    """A model server did not answer a request, whatever the answer would have been: an error of that episode.
+    """A model server did not answer a request: the episode ends in an error.
 
     Args:
-        message: What happened.
+        message: The error in words.
         cause: Its kind in a word, as ``"timeout"`` or ``"rate_limit"``, which records keep.
     """
 
@@ -161,7 +161,7 @@ class EpisodeLimitError(RequestError):
     """An agent is not asked again, since a limit is reached: the episode is truncated and scored, and is no error.
 
     Args:
-        message: What happened.
+        message: The error in words.
         limit: Name of the limit, as ``"time"`` or ``"cost"``, which ``Episode.cut_off`` tells.
     """
 

@@ -1,4 +1,4 @@
-"""What is shown to a model that judges, and the verdict in its reply."""
+"""The prompt of a model that judges, and the verdict in its reply."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def read_verdict(reply: str, *verdicts: str) -> str | None:
     Thinking is left out. Case and the marks of Markdown do not count. A reply with two verdicts that differ has none.
 
     Args:
-        reply: Of a model.
+        reply: Text of the model.
         *verdicts: In capitals.
     """
     marks = r"[*_`#>.\s-]*+"

@@ -1,4 +1,4 @@
-r"""What agents write their answers in, ``\boxed{}``, ``<answer>`` tags and fenced code; and what they think before.
+r"""Find answers in responses, in ``\boxed{}``, ``<answer>`` tags and fenced code; and the thinking before them.
 
 Every function here takes any text at all and needs time in proportion to its length.
 """
@@ -21,11 +21,11 @@ THINKING_MARKS = (
     ("<|channel|>analysis<|message|>", "<|end|>"),  # gpt-oss
     ("<|channel>thought", "<channel|>"),  # Gemma 4
 )
-"""What model families write around their thinking; most write ``<think>…</think>``, whose tag callers may replace."""
+"""The marks that model families put around thinking; most use ``<think>…</think>``, whose tag callers may replace."""
 
 _ENDS_OF_ANYTHING = ("<|end|>", "<channel|>")
 
-# What may stand at the end of a response whose server leaves such tokens in, and is no part of it.
+# Tokens that some servers leave at the end of a response; they are no part of it.
 _END_TOKENS = (
     "<end_code>", "<end_of_turn>", "<turn|>", "</s>", "<|im_end|>", "<|eot_id|>", "<|eom_id|>", "<|end|>", "<|return|>",
     "<|endoftext|>", "<|end_of_text|>", "<｜end▁of▁sentence｜>",
@@ -46,7 +46,7 @@ class CodeBlock(NamedTuple):
 
     Args:
         language: First word after the opening fence, in lower case; ``""`` if there is none.
-        code: What stands between the fences, without the last line break and the indentation of the opening fence.
+        code: Text between the fences, without the last line break and the indentation of the opening fence.
         start: Index of the opening fence in the text.
         end: Index after the closing fence.
     """

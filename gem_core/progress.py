@@ -21,7 +21,7 @@ class Progress:
         total: How many there are; None where that is not known.
         title: Shown before the bar.
         quiet: Show nothing, as when a person answers.
-        unit: What is counted, for the lines without a bar.
+        unit: Plural noun of the counted things, for the lines without a bar.
     """
 
     def __init__(self, total: int | None, title: str, *, quiet: bool = False, unit: str = "episodes") -> None:

@@ -30,7 +30,7 @@ class EndOfInput(Exception):
 
 
 class Typed(NamedTuple):
-    """What was typed.
+    """A typed answer.
 
     Args:
         text: The answer, or the name of a command.
@@ -62,7 +62,7 @@ class Terminal:
 
     @property
     def columns(self) -> int | None:
-        """Width for running text; None where there is no terminal."""
+        """Width for running text; None if there is no terminal."""
         if not self.drawn:
             return None
         try:
@@ -131,7 +131,7 @@ class Terminal:
         """Ask until what was typed gives an answer.
 
         Args:
-            prompt: What stands before the answer.
+            prompt: Text before the answer.
             answer_of: Returns the answer, or None for a command that gives none; what is wrong with it is shown.
 
         Raises:

@@ -1,4 +1,4 @@
-"""What passes between agents and environments: observations, responses and results of steps."""
+"""The types that pass between agents and environments: observations, responses and results of steps."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Info = dict[str, Any]
 """Plain JSON, images apart."""
 
 Action = str | Mapping[str, str]
-"""A response; or ``{agent: response}`` where several agents act."""
+"""A response; or ``{agent: response}`` if several agents act."""
 
 StepResult = tuple[Observation, float, bool, bool, Info]
 """``(observation, reward, terminated, truncated, info)``, as in Gymnasium."""
@@ -85,7 +85,7 @@ class Response(str):
             TypeError: The text is none, as a server's message that only calls tools has none: give ``""`` then.
         """
         if not isinstance(text, str):
-            raise TypeError(f"the text of a response is a str, not {type(text).__name__}; give '' where there is none")
+            raise TypeError(f"the text of a response is a str, not {type(text).__name__}; give '' if there is none")
         self = super().__new__(cls, text)
         self.token_ids = None if token_ids is None else list(token_ids)
         self.prompt_token_ids = None if prompt_token_ids is None else list(prompt_token_ids)

@@ -43,7 +43,7 @@ class AnswerForm:
 
     @classmethod
     def of_example(cls, example: str) -> Self:
-        """Return the form of a valid action, such as ``sample_random_action`` gives; none where it calls a tool."""
+        """Return the form of a valid action, such as ``sample_random_action`` gives; none if it calls a tool."""
         if CALL_OPEN in example:
             return cls()
         blocks = extract_code_blocks(example)

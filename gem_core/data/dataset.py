@@ -70,7 +70,7 @@ class DatasetEnv(Env):
             takes.
         dataset_name: Instead of ``rows``: the path of a file (JSON, JSON lines, CSV, Parquet) or folder, or a name on
             the Hugging Face hub; see ``gem_core.data.load_rows``.
-        split: Which split of it, or part of one, as in ``"test[:100]"``; None where there is but one.
+        split: Which split of it, or part of one, as in ``"test[:100]"``; None if there is but one.
         config: Which subset of it.
         revision: Which version on the hub: a branch, a tag or a commit.
         row_filter: Called with each row; those for which it is false are left out. A function, or
@@ -197,11 +197,11 @@ class DatasetEnv(Env):
         return self.gold_response(row) or "\\boxed{}"
 
     def gold_action(self) -> str | None:
-        """Return a right response to the present row; None where it has no answer."""
+        """Return a right response to the present row; None if it has no answer."""
         return self.gold_response(self._row)
 
     def gold_response(self, row: Row) -> str | None:
-        """Return a right response to a row: its answer in a box; None where it has none.
+        """Return a right response to a row: its answer in a box; None if it has none.
 
         Raises:
             GradingError: The answer of the row is malformed.
@@ -232,7 +232,7 @@ class DatasetEnv(Env):
         return first
 
     def _column_at(self, place: re.Match[str]) -> str | None:
-        """Return the column that a place of the template names, or None where it stands for itself."""
+        """Return the column that a place of the template names, or None if it stands for itself."""
         column = self.question_key if place[1] == "question" else place[1]
         # The gold answer is no part of a question, and \boxed{answer} a way to say where it goes.
         return None if column == self.answer_key else column

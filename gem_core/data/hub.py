@@ -23,7 +23,7 @@ def load_with_datasets(source: str | Path, *, split: str | None, config: str | N
 
     Args:
         source: Name on the hub, or the path of a folder or a file.
-        split: Which split; None where there is but one.
+        split: Which split; None if there is but one.
         config: Which subset.
         revision: Version on the hub: a branch, a tag or a commit.
 
@@ -84,7 +84,7 @@ def one_split(loaded: Any, name: str, split: str | None) -> Any:
     Args:
         loaded: A data set, or several by the names of their splits.
         name: What it is called in errors.
-        split: Which split; None where there is but one.
+        split: Which split; None if there is but one.
 
     Raises:
         DatasetError: There is no such split, or several and none was chosen.

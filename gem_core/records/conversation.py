@@ -23,10 +23,10 @@ class Turn:
 
     Args:
         action: The response's text, to the letter.
-        feedback: What happened.
-        suffix: How things stood after it.
+        feedback: The result of the action, without the state.
+        suffix: The state after it.
         tool_calls: Native calls of the response; None without any.
-        messages: What the environment appends to a chat, where it says so in ``info["messages"]``.
+        messages: Chat messages from ``info["messages"]``, if the environment gives any.
     """
 
     action: str
@@ -64,7 +64,7 @@ class History:
     """The task and the turns of an episode, and the forms in which they are shown.
 
     Args:
-        task: What the reset said.
+        task: The first observation.
         suffix: How things stood then.
         system: Text of the system message; None without one.
         turns: Oldest first; a view may leave out the oldest.
@@ -210,7 +210,7 @@ class Conversation:
 
 
 def call_id(call: object, place: int) -> str:
-    """Return the id of a native call, or one by its place where it has none, so that it can be answered."""
+    """Return the id of a native call, or one by its place if it has none, so that it can be answered."""
     given = call.get("id") if isinstance(call, Mapping) else None
     return str(given) if given else f"call_{place}"
 
@@ -230,7 +230,7 @@ def _call_as_text(call: Mapping[str, Any]) -> str:
 
 
 def _in_native_words(observation: Any, text: str, native: str) -> Any:
-    """Return an observation whose explanation of tools is replaced by what native calls need of it."""
+    """Return an observation with its explanation of tools cut down for native calls."""
     if isinstance(observation, str):
         return observation.replace(text, native)
     return [

@@ -24,7 +24,7 @@ class Transition:
     """One turn.
 
     Args:
-        observation: What the environment had returned; ``Episode.sent`` returns what the agent was sent of it.
+        observation: The environment's observation; ``Episode.sent`` returns the part that the agent was sent.
         action: The response, to the letter.
         reward: Reward of this turn.
         terminated: Whether the task was over with it.
@@ -48,28 +48,28 @@ class Episode:
         id: Id of the environment, or the name of its class.
         seed: Seed of the episode.
         observation: The first observation.
-        info: What ``reset`` returned.
-        transitions: The turns in order; none where the reset failed.
-        final_observation: What the last step returned.
-        kwargs: Keyword arguments of the environment over the registered ones. In a file, those that are long, as the
-            rows of a data set, are left out, and secrets blotted out.
+        info: The info that ``reset`` returned.
+        transitions: The turns in order; none if the reset failed.
+        final_observation: The observation of the last step.
+        kwargs: Keyword arguments of the environment, which override the registered ones. A file leaves long ones out,
+            as the rows of a data set, and blots out secrets.
         wrappers: Names and options of its wrappers, innermost first. In a file, secrets are blotted out.
         tools: Names of its tools.
-        options: What was passed to ``reset``.
+        options: The options of ``reset``.
         group: Shared by episodes that started alike.
         key: The item's place in the plan.
         repeat: Which of the item's episodes it is, from 0.
-        reads: What the agent was sent: ``"messages"``, ``"observation"`` or ``"concat_with_action"``; see ``sent``.
-            None where that is not known, as in files of earlier versions.
-        system: System text of the agent's own, which goes before that of the task.
-        native_tools: Whether the agent was offered the tools beside what it was sent, which then explains them no more.
+        reads: Form of the history that the agent was sent: ``"messages"``, ``"observation"`` or
+            ``"concat_with_action"``; see ``sent``. None if unknown, as in files of earlier versions.
+        system: The agent's own system text, which goes before the task's.
+        native_tools: Whether the agent was offered the tools as schemas, so that no text explains them.
         run_seed: Seed of the run.
         versions: Version of each distribution that took part.
-        seat: Name of the agent's seat among several; None where it was alone. See ``JointEpisode``.
-        agent: Name of the agent that acted. None where that is not known, as in files of earlier versions.
-        first_reward: Reward that came with the first observation, for what others had done; 0 for an agent alone.
+        seat: Name of the agent's seat among several; None if it was alone. See ``JointEpisode``.
+        agent: Name of the agent that acted; None if unknown, as in files of earlier versions.
+        first_reward: Reward that came with the first observation, for actions of others; 0 for an agent alone.
         ended_first: Whether the task was over for a seat among several before it ever acted.
-        return_range: The lowest and the highest return that the environment declares; None where it declares none.
+        return_range: The lowest and the highest return that the environment declares; None if it declares none.
         schema_version: Version of this record's form.
     """
 
@@ -134,8 +134,8 @@ class Episode:
     def success(self) -> bool | None:
         """Whether the task was solved, as ``info["correct"]`` says at the end.
 
-        False for an episode that was cut off without a verdict. None, for unknown, after an error, where the task ended
-        and did not say, and where ``reset`` already said ``info["correct"] = None``: this task never tells.
+        False for an episode that was cut off without a verdict. None, for unknown, after an error; if the task ended
+        without a verdict; and if ``reset`` gave ``info["correct"] = None``, as a task does that never has one.
         """
         correct = self.final_info.get("correct")
         if self.error is not None:
@@ -146,11 +146,11 @@ class Episode:
 
     @property
     def cut_off(self) -> str | None:
-        """What cut the episode off; None for one that ended by itself or in an error.
+        """The limit that cut the episode off; None for one that ended by itself or in an error.
 
-        ``"tokens"``: its context overflowed, or its last response stopped at the model's token limit, whatever the task
-        made of that. ``"turns"``: a limit of turns, or any other reason of the environment's. Another limit by its
-        name, as ``"time"`` or ``"cost"``; see ``EpisodeLimitError``.
+        ``"tokens"``: its context overflowed, or its last response stopped at the model's token limit, whether or not
+        the task ended with it. ``"turns"``: a limit of turns, or any other reason of the environment's. Another limit
+        has its name, as ``"time"`` or ``"cost"``; see ``EpisodeLimitError``.
         """
         if self.error is not None:
             return None
@@ -179,7 +179,7 @@ class Episode:
         """Return the episode as plain JSON.
 
         Args:
-            images: Where images are written; None leaves their content out.
+            images: The folder for images; None leaves their content out.
             fold: Write of each observation only what goes beyond the one before, where they have much in common.
         """
         fields = {name: value for name, value in vars(self).items() if name != "transitions"}

@@ -141,7 +141,7 @@ def lock_file(descriptor: int, path: Path) -> None:
     What is no file, as a pipe, is not locked.
 
     Raises:
-        EpisodeFileError: Another writer has it; the message names its process, where the system tells.
+        EpisodeFileError: Another writer has the file; the message names its process, if the system tells.
         OSError: It cannot be locked, or has been replaced since it was opened.
     """
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
@@ -167,7 +167,7 @@ def lock_file(descriptor: int, path: Path) -> None:
 
 
 def lock_holder(descriptor: int) -> str:
-    """Return what to call the process that has locked an open file: by its number, where the system tells."""
+    """Return a name for the process that has locked an open file: its number, if the system tells."""
     number = os.fstat(descriptor).st_ino
     with suppress(OSError, ValueError, IndexError):  # only Linux tells, and not of every file system
         for line in Path("/proc/locks").read_text().splitlines():
@@ -193,7 +193,7 @@ def write_episodes(path: str | Path, episodes: Iterable[Record], *, append: bool
 def read_episodes(path: str | Path, *, images: bool = True) -> Iterator[Episode]:
     """Yield the whole episodes of a file, one at a time; of several agents, the episode of each seat.
 
-    Args and errors are those of ``read_records``.
+    It takes the arguments of ``read_records``, and raises its errors.
     """
     for record in read_records(path, images=images):
         yield from [record] if isinstance(record, Episode) else record
@@ -230,8 +230,8 @@ class EpisodeLine(NamedTuple):
     Args:
         number: From 1.
         text: As it stands there.
-        episode: What it holds; None where it is damaged.
-        damage: What is wrong with it.
+        episode: Its episode; None if the line is damaged.
+        damage: The damage, in words.
     """
 
     number: int

@@ -27,12 +27,12 @@ class JointEpisode:
         id: Id of the environment, or the name of its class.
         seed: Seed of the episode.
         seats: The episode of each seat, in the order of the environment's ``possible_agents``.
-        agents: Name of the agent at each seat; they are there also where the reset failed.
+        agents: Name of the agent at each seat, also if the reset failed.
         order: Who acted in each step, in the order of the steps.
         failure: An error that is in the episode of no seat, as that of a reset; None for none.
         kwargs: Keyword arguments of the environment over the registered ones.
         wrappers: Names and options of its wrappers, innermost first: one list for all seats, or one for each by name.
-        options: What was passed to ``reset``.
+        options: The options of ``reset``.
         group: Shared by episodes that started alike.
         key: The item's place in the plan.
         repeat: Which of the item's episodes it is, from 0.
@@ -98,7 +98,7 @@ class JointEpisode:
         """Return the record as plain JSON; what all seats have in common is written once.
 
         Args:
-            images: Where images are written; None leaves their content out.
+            images: The folder for images; None leaves their content out.
             fold: See ``Episode.to_dict``.
         """
         start = Episode(observation="", info={}, **{name: getattr(self, name) for name in _OF_START})

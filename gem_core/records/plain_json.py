@@ -89,7 +89,7 @@ def to_plain(value: Any, images: ImageFolder | None = None, above: tuple[int, ..
 
     Args:
         value: Anything.
-        images: Where images go; None keeps only their hash.
+        images: The folder for images; None keeps only their hash.
         above: Identities of the containers that it stands in, outermost first.
     """
     # Tuples of types are tried faster than unions, and records are made of this.

@@ -22,20 +22,20 @@ from gem_core.errors import ArgumentError
 
 @dataclass(frozen=True)
 class PlanItem:
-    """What one episode starts from, or a group of them.
+    """The start of one episode, or of a group of episodes.
 
     Args:
         id: Id of the environment; None for the slot's own.
         seed: Seed of the episode; None makes it from the run's seed and the item's place in the plan.
         options: Passed to ``reset``, as ``{"index": 3}`` for a row of a data set.
-        kwargs: Keyword arguments of the environment, over those of the run. ``wrappers`` among them are put around
-            those of the run.
-        group: Name that the episodes of a group share in ``info["group"]``; by default the item's place in the plan
-            where ``repeat`` is over 1.
+        kwargs: Keyword arguments of the environment, which override the run's. Wrappers in ``wrappers`` go around the
+            wrappers of the run.
+        group: Name that the episodes of a group share in ``info["group"]``; by default the item's place in the plan,
+            if ``repeat`` is over 1.
         repeat: Number of episodes that start alike.
-        rotation: Where several agents act, by how many seats they move on from where they were given. With None, agents
-            given by seat stay, and those given as a list move on by one from item to item of the same environment.
-        agent: Name of who acts, where ``rollout`` is given several by name, each for episodes of its own.
+        rotation: If several agents act, the number of seats by which they move on. With None, agents given by seat
+            stay, and agents given as a list move on by one from item to item of the same environment.
+        agent: Name of the agent, if ``rollout`` is given several by name, each for episodes of its own.
     """
 
     id: str | None = None
@@ -49,7 +49,7 @@ class PlanItem:
 
 
 _NO_ITEM = PlanItem()
-"""Takes the place of the item where there is no plan."""
+"""Takes the place of the item if there is no plan."""
 
 
 @dataclass(slots=True)
@@ -57,13 +57,13 @@ class EpisodeStart:
     """One episode of a plan, as a slot draws it.
 
     Args:
-        item: What it starts from, with the group filled in.
+        item: The item of the plan, with the group filled in.
         place: The item's place in the plan; without a plan, the slot and the number of its episode.
         repeat: Which of the item's episodes it is, from 0.
         seed: Seed of the episode, shared by the item's repeats.
         run_seed: Seed of the run.
-        number: How many items of the same environment are before it in the plan, or in the slot where there is none; 0
-            for an episode that was looked up.
+        number: Number of earlier items of the same environment in the plan, or in the slot if there is no plan; 0 for
+            an episode that was looked up.
     """
 
     item: PlanItem
@@ -116,7 +116,7 @@ class EpisodeQueue:
 
     @property
     def total(self) -> int | None:
-        """Number of episodes, those left out included; None where the plan has no length."""
+        """Number of episodes, also of the ones left out; None if the plan has no length."""
         if isinstance(self._plan, LazyPlan):
             return len(self._plan)
         if not isinstance(self._plan, Collection):
@@ -129,7 +129,7 @@ class EpisodeQueue:
         return isinstance(self._plan, Sequence)
 
     def find(self, key: str, repeat: int) -> EpisodeStart | None:
-        """Return what an episode of a searchable plan starts from; None where the plan has no such episode."""
+        """Return the start of an episode of a searchable plan; None if the plan has no such episode."""
         plan = cast("Sequence[PlanItem]", self._plan)
         if not key.isdecimal() or int(key) >= len(plan):
             return None

@@ -12,7 +12,7 @@ from gem_core.records.uncertainty import Range, shared_range, standard_error
 
 @dataclass
 class EnvSummary:
-    """Counts and sums over the episodes of one environment; of several agents, over those of one agent at one seat.
+    """Counts and sums over the episodes of one environment; with several agents, for one agent at one seat.
 
     Episodes with an error count apart, and in nothing else but the tokens, which were spent on them all the same.
 
@@ -22,13 +22,13 @@ class EnvSummary:
         errors: Number of episodes with one.
         judged: Number of episodes of which it is known whether they succeeded. One that was cut off did not, unless its
             task never tells.
-        successes: Number of those that did.
+        successes: Number of solved episodes.
         cut_off_by_turns: Number of episodes that a limit of turns or the environment cut off.
         cut_off_by_tokens: Number of those whose context overflowed, or whose last response stopped at its token limit.
-        cut_off_by_limits: Number of those that another limit cut off, as of time or of cost.
+        cut_off_by_limits: Number of episodes that another limit cut off, as of time or of cost.
         total_return: Sum of the returns.
         turns: Sum of the turns.
-        prompt_tokens: Tokens that the model read, as its server counts them; None where no response says.
+        prompt_tokens: Tokens that the model read, as its server counts them; None if no response says.
         completion_tokens: Tokens that it wrote.
         earlier_turns: Those of the turns that were taken before this session of the run.
         seat: Name of the seat; None for one agent, and for the sum of an agent's seats.
@@ -61,7 +61,7 @@ class EnvSummary:
 
     @property
     def label(self) -> str:
-        """What a table calls it: the environment, and the seat with its agent."""
+        """Name in a table: the environment, and the seat with its agent."""
         seat = "" if self.seat is None else f"{self.seat}="
         return self.id if self.agent is None else f"{self.id} {seat}{self.agent}"
 
@@ -128,7 +128,7 @@ class EnvSummary:
 
     @property
     def return_standard_error(self) -> float | None:
-        """Standard error of the mean return; None where the sample does not tell. See ``standard_error``.
+        """Standard error of the mean return; None if the sample does not tell. See ``standard_error``.
 
         Returns that are 1 for success and else 0 have that of the success rate.
         """
@@ -213,9 +213,9 @@ class RunSummary:
             row.earlier_turns = row.turns
 
     def rows(self) -> list[EnvSummary]:
-        """Return a summary for each environment, and one for all where there are several and each is for one agent.
+        """Return a summary for each environment, and one for all if there are several and each is for one agent.
 
-        Where several agents act, there is one for each agent at each seat, and one for each of several agents that
+        If several agents act, there is one for each agent at each seat, and one for each of several agents that
         changed seats; none mixes the two sides of a game.
         """
         seated = {row.id for row in self.by_seat.values()}

@@ -39,7 +39,7 @@ def effective_size(rows: int, share: float, squares: float) -> float:
 
 
 def standard_error(rows: int, mean: float, squares: float, within: Range | None) -> float | None:
-    """Return the standard error of a mean; None where the sample does not tell.
+    """Return the standard error of a mean; None if the sample does not tell.
 
     Where a range is declared, it is half the width of Wilson's score interval of one standard error, in that range, so
     that neither a single row nor rows that are all alike look certain. Otherwise it comes from the spread, and rows
@@ -49,7 +49,7 @@ def standard_error(rows: int, mean: float, squares: float, within: Range | None)
         rows: Number of rows.
         mean: Their mean.
         squares: Sum of their squared distances from the mean.
-        within: The range that values can have; None where it is not known.
+        within: The range that values can have; None if it is not known.
     """
     if within is not None:
         low, width = within[0], within[1] - within[0]
@@ -61,10 +61,10 @@ def standard_error(rows: int, mean: float, squares: float, within: Range | None)
 
 
 def shared_range(ranges: Iterable[Range | None], lowest: float, highest: float) -> Range | None:
-    """Return the range of values of several environments; None where one declares none, or a value lies outside.
+    """Return the range of values of several environments; None if one declares none, or a value lies outside.
 
     Args:
-        ranges: What each environment declares.
+        ranges: The range that each environment declares.
         lowest: The lowest value seen.
         highest: The highest value seen.
     """

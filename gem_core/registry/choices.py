@@ -27,12 +27,12 @@ _FORMS = {
 def parsed_choices(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
     """Return the tools or wrappers that a text names, each with its options.
 
-    A value of an option is JSON where it can be read as such, commas included, or Python's True, False or None, and
+    A value of an option is JSON if it can be read as such, commas included, or Python's True, False or None, and
     text otherwise.
 
     Args:
         text: As in ``"python,search:top_k=2"``, or JSON.
-        option: What errors call it: ``"--tools"``, ``"wrappers"`` and the like.
+        option: Its name in errors: ``"--tools"``, ``"wrappers"`` and the like.
 
     Raises:
         ArgumentError: It is neither a list of names nor JSON.
@@ -68,7 +68,7 @@ def parsed_choices(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
 
 
 def option_value(text: str) -> Any:
-    """Return the value of one option: JSON where it can be read as such, or Python's True, False or None, or text."""
+    """Return the value of one option: JSON if it can be read as such, or Python's True, False or None, or text."""
     return _value(text, [])
 
 

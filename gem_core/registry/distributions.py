@@ -1,4 +1,4 @@
-"""What is installed, by the metadata of distributions."""
+"""Installed distributions, by their metadata."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _OF_EXTRA = re.compile(r"""([\w.-]+).*;.*\bextra\s*==\s*["']([\w.-]+)["']""")
 
 
 def installed_version(name: str) -> str | None:
-    """Return the version of a distribution, or None where it is not installed."""
+    """Return the version of a distribution, or None if it is not installed."""
     try:
         return importlib.metadata.version(name)
     except (importlib.metadata.PackageNotFoundError, ValueError):
@@ -18,7 +18,7 @@ def installed_version(name: str) -> str | None:
 
 
 def extras_of(distribution: str) -> dict[str, list[str]]:
-    """Return the extras of a distribution, each with the packages that it adds; none where it is not installed."""
+    """Return the extras of a distribution, each with the packages that it adds; none if it is not installed."""
     try:
         lines = importlib.metadata.requires(distribution) or []
     except (importlib.metadata.PackageNotFoundError, ValueError):

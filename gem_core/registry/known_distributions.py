@@ -1,4 +1,4 @@
-"""Which distributions of this project offer what, for the advice in an error message where one is not installed."""
+"""The names that this project's distributions offer, for errors that advise which one to install."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ class Registry:
         """Return the record of an environment.
 
         Raises:
-            UnknownEnvError: There is none; the message names the nearest, or the plugin to install.
+            UnknownEnvError: No environment has this id; the message names the nearest, or the plugin to install.
             RegistrationError: Two plugins claim the id.
         """
         if not isinstance(env_id, str):
@@ -161,7 +161,7 @@ class Registry:
         return [record for name in sorted(records) if isinstance(record := records[name], kind)]
 
     def plugins(self) -> list[Plugin]:
-        """Return what was found installed, failures included."""
+        """Return the installed plugins, also the ones that failed."""
         self.load()
         return list(self._plugins)
 
@@ -278,8 +278,8 @@ class Registry:
         """Return the sentence that says which plugin to install for a name, or which one is disabled.
 
         Args:
-            name: Of a record, or a namespace of environments.
-            kind: Of the record, or ``"namespace"``; None for any.
+            name: Name of a record, or a namespace of environments.
+            kind: Kind of the record, or ``"namespace"``; None for any.
 
         Returns:
             It begins with a space; empty if no distribution of this project has the name, or if it is installed.

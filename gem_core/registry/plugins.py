@@ -36,7 +36,7 @@ RECORD_TYPES: dict[str, type[EnvSpec | NamedSpec]] = {
     for name, hook in vars(hookspecs).items()
     if name.startswith("gem_")
 }
-"""What each hook returns, as its specification says: a new kind of record is a class and a hook, and nothing else."""
+"""The class that each hook returns, read from its specification: a new kind of record is a class and a hook."""
 
 Record = EnvSpec | NamedSpec
 
@@ -45,10 +45,10 @@ _MAX_ERROR_CHARACTERS = 500
 
 @dataclass(frozen=True)
 class PluginFailure:
-    """What went wrong with a plugin, and where.
+    """An error of a plugin.
 
     Args:
-        stage: ``"load"``, ``"hooks"`` or ``"call"``.
+        stage: Stage of loading that failed: ``"load"``, ``"hooks"`` or ``"call"``.
         error: The error in one line.
         traceback: The whole traceback.
     """
@@ -63,14 +63,14 @@ class Plugin:
     """One entry point of the group ``gem.plugins``, and the result of loading it.
 
     Args:
-        entry_point: What it is loaded from.
+        entry_point: Its entry point.
         distribution: Name of the installed distribution.
         version: Its version.
         load_time_s: Seconds from the start of the import to the last record.
-        records: What it offers; empty after a failure.
-        failure: Why it offers nothing, or None.
+        records: The records that it offers; empty after a failure.
+        failure: The failure, if it offers nothing for one.
         disabled: Whether ``GEM_PLUGINS_DISABLE`` names it.
-        conflicts: One line for each id or name of its own that another offers too, and that is made for neither.
+        conflicts: One line for each id or name that another plugin offers too, so that neither can be made.
     """
 
     entry_point: EntryPoint
@@ -89,7 +89,7 @@ class Plugin:
 
     @property
     def is_core(self) -> bool:
-        """Whether this is what the core itself offers."""
+        """Whether this is the core's own plugin."""
         return self.entry_point.value == BUILTIN
 
     def __str__(self) -> str:

@@ -20,12 +20,12 @@ _ON = {"1", "ON", "YES", "TRUE"}
 
 @dataclass(frozen=True)
 class RequirementStatus:
-    """What is known of one requirement.
+    """The status of one requirement.
 
     Args:
         status: ``"met"``, ``"unmet"``, ``"untried"`` (known only in use), or ``"unknown"`` (no probe for this word).
-        detail: What was seen, in a few words; never the value of a key.
-        advice: What to do about it; empty where nothing need be done.
+        detail: The finding in a few words; never the value of a key.
+        advice: The next step; empty if there is none.
     """
 
     status: str
@@ -34,11 +34,11 @@ class RequirementStatus:
 
 
 def find(requirement: str, *, closely: bool = False) -> RequirementStatus:
-    """Return what is known of a requirement.
+    """Return the status of a requirement.
 
     Args:
         requirement: A word such as ``"network"``, or a word and an argument such as ``"key:NAME"``.
-        closely: Whether to try what takes a moment, such as asking a container engine whether it answers.
+        closely: Whether to run slow checks too, such as asking a container engine whether it answers.
     """
     word, _, argument = requirement.partition(":")
     if word in _CORE:
@@ -51,7 +51,7 @@ def find(requirement: str, *, closely: bool = False) -> RequirementStatus:
 
 
 def unmet(requirements: Iterable[str]) -> dict[str, str]:
-    """Return the requirements that are not met, each with what to do about it.
+    """Return the requirements that are not met, each with the next step.
 
     ``"network"`` and ``"hub"`` are not tried here: whether they answer is known only when they are used. Words that
     no plugin offers a probe for are taken as met.

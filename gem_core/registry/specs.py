@@ -17,7 +17,7 @@ EntryPoint = str | Callable[..., Any]
 """``"package.module:Name"``, or the callable itself."""
 
 CallBeginning = Literal["calls", "texts", "anything"]
-"""What begins with the opening of a call format: calls alone, other texts as well, or anything that has no mark."""
+"""Texts that begin with the opening of a call format: calls alone, other texts as well, or anything without a mark."""
 
 _ENV_ID = re.compile(r"(?P<namespace>[A-Za-z0-9][\w.-]*):(?P<name>[A-Za-z0-9][\w.-]*)", re.ASCII)
 _NAME = re.compile(r"[a-z0-9][a-z0-9_.-]*", re.ASCII)
@@ -39,9 +39,9 @@ class EnvSpec:
         tags: Words to search by.
         max_turns: Turns after which an episode is truncated. An environment that takes a keyword of this name is given
             it, so that it can announce its limit; around any other, ``make`` puts a ``TurnLimit``.
-        requires: What must be there to run it, as in ``"network"``, ``"hub"``, ``"key:NAME"``, ``"package:NAME"`` or
+        requires: Requirements to run it: ``"network"``, ``"hub"``, ``"key:NAME"``, ``"package:NAME"`` or
             ``"package:NAME[EXTRA]"``, ``"command:NAME"``, ``"argument:NAME"`` (of ``make``), or ``"never:REASON"``
-            where it cannot run at all; plugins offer more words, such as ``"docker"`` (see ``RequirementSpec``).
+            if it cannot run at all; plugins offer more words, such as ``"docker"`` (see ``RequirementSpec``).
         deterministic: Whether a seed and the actions fix the whole episode.
         folder_markers: Names of files, as ``("task.toml",)``, that make a folder this environment's own: ``gem run``,
             ``gem play`` and ``gem info`` then take the folder, or one that holds such folders, in place of the id.
@@ -103,7 +103,7 @@ class EnvSpec:
 
     @property
     def version(self) -> int | None:
-        """The number after ``-v``, or None where the id has none."""
+        """The number after ``-v``, or None if the id has none."""
         match = _VERSION.search(self.name)
         return int(match.group(1)) if match else None
 
@@ -135,9 +135,9 @@ class NamedSpec:
 
     kind: ClassVar[str] = "record"
     instance_of: ClassVar[str | None] = None
-    """The class of what the entry point names, as ``"package.module:Class"``; None where it is anything callable."""
+    """The class of the entry point's object, as ``"package.module:Class"``; None for any callable."""
     subclass_of: ClassVar[str | None] = None
-    """What the entry point derives from where it is a class."""
+    """The base class of the entry point, if that is a class."""
 
     name: str
     entry_point: EntryPoint
@@ -157,9 +157,9 @@ class ToolSpec(NamedSpec):
     """A tool: the entry point returns a ``Tool``, or a sequence of them, when it is called with the tool's options.
 
     Args:
-        status: What ``gem doctor`` calls to learn what is in force on this machine, such as the level of a sandbox:
-            without arguments, it returns a line of text or a mapping of facts to plain values. Its module should load
-            quickly, and what it says holds no secrets.
+        status: A function that ``gem doctor`` calls to learn the tool's state on this machine, such as the level of a
+            sandbox. It takes no arguments, and returns a line of text or a mapping of facts to plain values. Its module
+            should load quickly, and its result must hold no secrets.
     """
 
     kind: ClassVar[str] = "tool"
@@ -227,7 +227,7 @@ class VectorBackendSpec(NamedSpec):
 class AgentSpec(NamedSpec):
     """A built-in agent: the entry point returns an agent when it is called.
 
-    It gets what stands after the colon of ``--agent name:argument`` as its one positional argument, where there is any,
+    It gets the text after the colon of ``--agent name:argument`` as its one positional argument, if there is any,
     and the options that were given, as ``--temperature``, by keyword.
     """
 

@@ -173,7 +173,7 @@ class SingleAgentEnv(SeatEnv):
         return result
 
     async def _until_own_turn(self, joint: JointStepResult) -> StepResult | None:
-        """Let the others act until the seat acts or has ended; None where the game is over and the seat was not in it.
+        """Let the others act until the seat acts or has ended; None if the game is over and the seat was not in it.
 
         Args:
             joint: The result of the last step.

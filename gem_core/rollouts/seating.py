@@ -203,7 +203,7 @@ def seated(agent: Any) -> Seated:
 
 
 def _rotated(seats: Sequence[str], agents: Sequence[Seated], start: EpisodeStart, places: int) -> dict[str, Seated]:
-    """Return agents by seat, moved on by the item's ``rotation``, or by some places where it has none."""
+    """Return agents by seat, moved on by the item's ``rotation``, or by some places if it has none."""
     places = places if start.item.rotation is None else start.item.rotation
     return {seat: agents[(number - places) % len(seats)] for number, seat in enumerate(seats)}
 

@@ -36,7 +36,7 @@ from gem_core.tools.tool import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, first_cal
 Tools = Mapping[str, Tool]
 
 WELL_KNOWN = ("python", "search")
-"""Tags that models are trained to call tools by: such a tag is a call even where there is no such tool."""
+"""Tags that models are trained to call tools by: such a tag is a call even if there is no such tool."""
 
 _TAG = re.compile(r"<([A-Za-z][\w.-]{0,63}+)>", re.ASCII)
 _MOST_TAGS = 50
@@ -298,7 +298,7 @@ def json_call(action: str, tools: Tools) -> ToolCall | None:
 
 
 def described_call(name: str, given: Any, tools: Tools, start: int, end: int) -> ToolCall:
-    """Return the call of a tool by its name and arguments; with an ``error`` where there is none or they do not fit.
+    """Return the call of a tool by its name and arguments; with an ``error`` if there is none or they do not fit.
 
     Args:
         name: Of the tool.

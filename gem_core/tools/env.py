@@ -298,7 +298,7 @@ def _parsed_action(action: str, call: ToolCall) -> str | None:
 
 
 def find_tool_env(env: AnyEnv) -> ToolEnv | None:
-    """Return the wrapper that gives tools to a task, anywhere in an environment; None where there is none."""
+    """Return the wrapper that gives tools to a task, anywhere in an environment; None if there is none."""
     layer: Any = env
     while isinstance(layer, gymnasium.Wrapper):
         if isinstance(layer, ToolEnv):

@@ -146,7 +146,7 @@ class Tool:
 
     @functools.cached_property
     def text_parameter(self) -> str | None:
-        """The parameter that a tag or a fenced block fills; None where the tool has not exactly one of text."""
+        """The parameter that a tag or a fenced block fills; None if the tool has not exactly one of text."""
         schema = self.parameters_schema()
         properties, required = schema.get("properties"), schema.get("required")
         if not isinstance(properties, Mapping) or not isinstance(required or [], list):
