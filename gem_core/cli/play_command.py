@@ -140,7 +140,7 @@ def _at_one_seat(record: EnvSpec, seat: str | None, agents: tuple[str, ...]) -> 
     Raises:
         ArgumentError: The seat or the agents do not fit the environment.
     """
-    from gem_core.cli.acting import seats_of_others
+    from gem_core.cli.players import seats_of_others
     from gem_core.rollouts.one_seat import single_agent
 
     if not record.seats:

@@ -22,7 +22,7 @@ from gem_core.registry.specs import EnvSpec
 from gem_core.rollouts.resume import FinishedEpisodes
 
 if TYPE_CHECKING:
-    from gem_core.cli.acting import Acting
+    from gem_core.cli.players import Players
     from gem_core.making.environment import MadeSpec
     from gem_core.making.layers import Wrappers
 
@@ -97,19 +97,19 @@ class ResumedRun:
         if BLOT in json.dumps(given, default=str):
             raise ArgumentError(f"--resume: {self.path} does not hold the secrets of {option}: give them again")
 
-    def check(self, acting: Acting, envs: Envs, wrappers: Wrappers) -> None:
+    def check(self, players: Players, envs: Envs, wrappers: Wrappers) -> None:
         """Raise an error if episodes that stay were run in another way than those that are to come.
 
         Raises:
             ArgumentError: It says in what they differ.
         """
-        agents = acting.options.get("agents")
+        agents = players.options.get("agents")
         by_seat = {seat: one.name for seat, one in agents.items()} if isinstance(agents, Mapping) else None
         for episode in self._kept:
             found = _agents_of(episode)
-            if {*found.values()} not in ({*acting.agents}, {None}) or (by_seat is not None and found != by_seat):
+            if {*found.values()} not in ({*players.agents}, {None}) or (by_seat is not None and found != by_seat):
                 self._refuse(
-                    "--agent", found if by_seat else sorted(map(str, found.values())), by_seat or [*acting.agents]
+                    "--agent", found if by_seat else sorted(map(str, found.values())), by_seat or [*players.agents]
                 )
             recorded = {"arguments": episode.kwargs, "wrappers": episode.wrappers}
             now = [_recorded(spec, kwargs, wrappers) for spec, kwargs in envs if spec.id == episode.id]

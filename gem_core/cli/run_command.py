@@ -32,7 +32,7 @@ from gem_core.cli.tool_options import (
 from gem_core.errors import ArgumentError, EpisodeFileError
 
 if TYPE_CHECKING:
-    from gem_core.cli.acting import Acting
+    from gem_core.cli.players import Players
     from gem_core.cli.resumed_run import ResumedRun
     from gem_core.making.layers import Wrappers
     from gem_core.records.summary import RunSummary
@@ -164,16 +164,16 @@ def command(
     ctx.with_resource(current_folder_importable())  # an agent may import what stands beside it when it first acts
     resumed = None if resume is None else _resumed_run(ctx, resume)
     of_agent = {name: value for name, value in options.items() if name not in _WHAT_RUNS}
-    envs, acting, stack = _what_runs(ctx, resumed, given(of_agent))
+    envs, players, stack = _what_runs(ctx, resumed, given(of_agent))
     chosen = [(record.id, kwargs) for record, kwargs in envs]
     run_seed = (seed if resumed is None else resumed.seed) or 0
-    for agent in acting.agents.values():
+    for agent in players.agents.values():
         prepare_agent(agent)  # it says at the start what would fail later
         ctx.call_on_close(partial(close_agent, agent))
     with closing(
         make_vec(
             chosen,
-            _slots(acting, num_envs, len(chosen), episodes),
+            _slots(players, num_envs, len(chosen), episodes),
             seed=run_seed,
             backend=backend,
             wrappers=stack,
@@ -190,10 +190,10 @@ def command(
         stopped_by: BaseException | None = None
         with (
             resumed.writer if resumed else EpisodeWriter(path) as writer,
-            Progress(len(plan), f"seed {vector.seed}", quiet=acting.interactive is not None) as progress,
+            Progress(len(plan), f"seed {vector.seed}", quiet=players.interactive is not None) as progress,
         ):
             try:
-                for episode in rollout(vector, **acting.options, plan=plan, resume=resumed.done if resumed else None):
+                for episode in rollout(vector, **players.options, plan=plan, resume=resumed.done if resumed else None):
                     writer.write(episode)
                     summary.add(episode)
                     progress.advance(summary.episodes, status_of(summary))
@@ -256,9 +256,9 @@ def _stop(ctx: click.Context, stopped_by: BaseException, count: int, total: int,
 
 def _what_runs(
     ctx: click.Context, resumed: ResumedRun | None, agent_options: dict[str, Any]
-) -> tuple[list[tuple[EnvSpec, dict[str, Any]]], Acting, Wrappers]:
+) -> tuple[list[tuple[EnvSpec, dict[str, Any]]], Players, Wrappers]:
     """Return environments with their arguments, agents and wrappers, as said, or as the file of a resumed run says."""
-    from gem_core.cli.acting import load_acting, several_agents
+    from gem_core.cli.players import load_players, several_agents
 
     said = {name for name in ctx.params if ctx.get_parameter_source(name) is not ParameterSource.DEFAULT}
     words = ctx.params
@@ -270,7 +270,7 @@ def _what_runs(
     if resumed is not None and "arguments" not in said:
         arguments = resumed.arguments(found)
     envs = [(record, {**kwargs, **arguments}) for record, kwargs in found]
-    acting = load_acting(agents, [record for record, _ in envs], agent_options, swap_seats=words["swap_seats"])
+    players = load_players(agents, [record for record, _ in envs], agent_options, swap_seats=words["swap_seats"])
     stack: Wrappers
     if resumed is not None and not said & {"wrappers", "tools", "max_tool_uses", "max_turns"}:
         stack = resumed.wrappers()
@@ -278,19 +278,19 @@ def _what_runs(
         limits = words["max_tool_uses"], words["max_turns"]
         stack = wrapper_stacks(words["wrappers"], words["tools"], *limits, envs[0][0])
     if resumed is not None:
-        resumed.check(acting, envs, stack)
-    return envs, acting, stack
+        resumed.check(players, envs, stack)
+    return envs, players, stack
 
 
-def _slots(acting: Acting, num_envs: int | None, ids: int, episodes: int | None) -> int:
+def _slots(players: Players, num_envs: int | None, ids: int, episodes: int | None) -> int:
     """Return how many environments keep agents busy: as many as one answers at once, but no more than episodes."""
-    if acting.interactive is not None and num_envs not in (None, 1):
+    if players.interactive is not None and num_envs not in (None, 1):
         raise ArgumentError(
-            f"the agent {acting.interactive!r} answers one episode at a time; use --num-envs 1, not {num_envs}"
+            f"the agent {players.interactive!r} answers one episode at a time; use --num-envs 1, not {num_envs}"
         )
-    if num_envs is not None or acting.interactive is not None:
+    if num_envs is not None or players.interactive is not None:
         return num_envs or 1
-    wanted: int = max(getattr(agent, "max_concurrency", _DEFAULT_SLOTS) for agent in acting.agents.values())
+    wanted: int = max(getattr(agent, "max_concurrency", _DEFAULT_SLOTS) for agent in players.agents.values())
     return max(ids, wanted if episodes is None else min(wanted, max(_DEFAULT_SLOTS, ids * episodes)))
 
 

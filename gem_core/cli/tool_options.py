@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.core import ParameterSource
 
-from gem_core.cli.acting import check_seats
 from gem_core.cli.completion import TOOLS, WRAPPERS
+from gem_core.cli.players import check_seats
 from gem_core.errors import ArgumentError
 from gem_core.registry.choices import OPTION, option_value, parsed_choices
 from gem_core.registry.lookup import registry

@@ -1,4 +1,4 @@
-"""Who acts in a run: the agents of ``--agent``, alone or at their seats."""
+"""The agents of a run, from ``--agent``, alone or at their seats."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 _AT_SEAT = re.compile(r"([^=:]*)=(.*)", re.DOTALL)
 
 
-class Acting(NamedTuple):
-    """Who acts in a run.
+class Players(NamedTuple):
+    """The agents of a run.
 
     Args:
         agents: Every agent once, by name.
-        options: What ``rollout`` takes: ``agent``, or ``agents`` where several act.
+        options: What ``rollout`` takes: ``agent``, or ``agents`` for several.
     """
 
     agents: Mapping[str, Agent]
@@ -39,9 +39,9 @@ def several_agents(given: Sequence[str]) -> bool:
     return len(given) > 1 or any(map(_AT_SEAT.fullmatch, given))
 
 
-def load_acting(
+def load_players(
     given: Sequence[str], envs: Sequence[EnvSpec], agent_options: Mapping[str, Any], *, swap_seats: bool
-) -> Acting:
+) -> Players:
     """Return the agents that ``--agent`` names, as they act in some environments.
 
     Args:
@@ -63,7 +63,7 @@ def load_acting(
         if swap_seats or len(given) > 1 or any(matches):
             raise ArgumentError(f"{envs[0].id} is registered without seats, as for one agent: give one --agent AGENT")
         agents = load_agents(given, **agent_options)
-        return Acting(agents, {"agent": Seated(given[0], agents[given[0]])})
+        return Players(agents, {"agent": Seated(given[0], agents[given[0]])})
     if alone is not None:
         raise ArgumentError(f"{alone.id} is for one agent, and others have seats: run those of one agent apart")
     by_seat = {match[1]: match[2] for match in matches if match and match[2]}
@@ -78,7 +78,7 @@ def load_acting(
     agents = load_agents(names, **agent_options)
     seated = [Seated(name, agents[name]) for name in names]
     stay = by_seat and not swap_seats
-    return Acting(agents, {"agents": dict(zip(envs[0].seats, seated, strict=True)) if stay else seated})
+    return Players(agents, {"agents": dict(zip(envs[0].seats, seated, strict=True)) if stay else seated})
 
 
 def seats_of_others(given: Sequence[str], seat: str | None, env: EnvSpec) -> tuple[str, dict[str, str]]:
