@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+import copy
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Self
 
 from gymnasium import spaces
+from gymnasium.utils import EzPickle
 from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]
 
 from gem_core.env import Env, MultiAgentEnv, Verdict, join_observations
@@ -20,6 +22,13 @@ Describe = Callable[[str, Any, Info], Observation]
 
 Read = Callable[[str, str], Any]
 """``(agent, response) -> action``: the action in a response; None where there is none."""
+
+
+def _layers(env: Any) -> Iterator[Any]:
+    """Yield an environment of PettingZoo, and those inside it."""
+    while isinstance(env, AECEnv | ParallelEnv):
+        yield env
+        env = next((vars(env)[name] for name in ("env", "aec_env", "par_env") if name in vars(env)), None)
 
 
 class PettingZooEnv(MultiAgentEnv):
@@ -167,6 +176,15 @@ class PettingZooEnv(MultiAgentEnv):
                 'as in from_pettingzoo(lambda: pettingzoo.make("aec", "classic/chess_v6"))'
             )
         return super().spawn(**overrides)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        # Most of PettingZoo's environments are made with EzPickle, by which a copy is a new one that was never reset.
+        originals = [layer for layer in _layers(self.pettingzoo_env) if isinstance(layer, EzPickle)]
+        for layer in originals:
+            memo[id(layer)] = object.__new__(type(layer))
+        for layer in originals:
+            vars(memo[id(layer)]).update(copy.deepcopy(vars(layer), memo))
+        return super().__deepcopy__(memo)
 
     def _begin(self) -> None:
         """Forget the episode before."""
