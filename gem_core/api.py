@@ -44,8 +44,8 @@ def make(id: str | EnvSpec | MadeSpec, *, wrappers: Wrappers = (), **kwargs: Any
         id: Id of a registered environment, or its record, or the ``spec`` of one that was made.
         wrappers: Names of wrappers and tools, innermost first, with options behind a colon as on the command line:
             ``"python,concat:max_turns=4"``; or a list: ``["python", ("concat", {"max_turns": 4})]``. They go around
-            those that a ``spec`` has already. If several agents act, they go around every seat; or around some, as
-            in ``{"white": "python,concat"}``.
+            the wrappers that a ``spec`` has already. If several agents act, they go around every seat; or around some,
+            as in ``{"white": "python,concat"}``.
         **kwargs: Keyword arguments over the registered ones; ``render_mode`` works for every environment.
 
     Raises:
@@ -85,7 +85,7 @@ def make_vec(
             which are put around those for all. Where there are fewer slots than ids, a plan reaches them all, as that
             of ``rollout`` does.
         num_envs: Number of slots; by default one for each id.
-        backend: Where environments live: ``"sync"``, ``"async"``, ``"process"``, one that a plugin brings, or
+        backend: Place that environments run in: ``"sync"``, ``"async"``, ``"process"``, one that a plugin brings, or
             ``"auto"``, which chooses by each environment's ``concurrency``. Its options go along as in
             ``"process:workers=4"`` or ``("process", {"workers": 4})``.
         autoreset: When the next episode begins. ``"same_step"``: in the step that ended the last one, whose end is in
@@ -93,7 +93,7 @@ def make_vec(
             ignored. ``"disabled"``: when ``reset(options={"reset_mask": …})`` says so.
         wrappers: Put around each environment; see ``make``.
         seed: Seed of the run, from which every episode's own is made; None draws one, found as ``vec.seed``.
-        plan: What episodes start from, drawn by all slots; see ``gem_core.records.plans``.
+        plan: Items that episodes start from, drawn by all slots; see ``gem_core.records.plans``.
         step_timeout: Seconds that a step, or a reset with the making of its environment, may take; None for no
             limit. What takes longer is given up as a fault of its slot: its thread is abandoned, or its worker
             killed. What runs in place cannot be given up: it goes to worker processes under ``"auto"``, and is refused
@@ -135,7 +135,7 @@ def spec(id: str) -> EnvSpec:
 
 
 def list_envs(namespace: str | None = None) -> list[str]:
-    """Return the ids of all environments, in order, or those of one namespace (or a glob such as ``game:*-easy``)."""
+    """Return the ids of all environments in order, or of one namespace (or a glob such as ``game:*-easy``)."""
     return [record.id for record in registry().envs(namespace)]
 
 

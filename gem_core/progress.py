@@ -18,7 +18,7 @@ class Progress:
     """Shows how far a run is.
 
     Args:
-        total: How many there are; None where that is not known.
+        total: Number of units; None if unknown.
         title: Shown before the bar.
         quiet: Show nothing, as when a person answers.
         unit: Plural noun of the counted things, for the lines without a bar.

@@ -42,7 +42,7 @@ class Typed(NamedTuple):
 
 
 class Terminal:
-    """Shows text and reads answers, with colours and a prompt only where there is a terminal.
+    """Shows text and reads answers, with colours and a prompt only in a terminal.
 
     Args:
         err: Show on standard error, where standard output is for something else.
@@ -92,7 +92,7 @@ class Terminal:
                 self._echo(printable(piece))
 
     def show_drawing(self, text: str) -> None:
-        """Write what an environment drew, its colours included where there are colours."""
+        """Write an environment's drawing, in colours if the terminal shows colours."""
         self._echo(_CONTROLS_BUT_COLOURS.sub(_visible, text))
 
     def show_exactly(self, text: str) -> None:

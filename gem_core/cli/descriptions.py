@@ -64,7 +64,7 @@ def describe_record(record: Record) -> dict[str, Any]:
 
 
 def page_of(record: EnvSpec) -> str | None:
-    """Return the address of an environment's page in the gallery; None where another project offers it."""
+    """Return the address of an environment's page in the gallery; None if another project offers it."""
     provider = registry().provider(record.id)
     ours = provider is not None and provider.distribution in KNOWN_DISTRIBUTIONS
     return page_url(gallery_page(record.id)) if ours else None

@@ -18,7 +18,7 @@ _ROWS_AHEAD = 1000
 
 
 def output_width() -> int | None:
-    """Return the width of standard output in characters; None where it is no terminal."""
+    """Return the width of standard output in characters; None if it is no terminal."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
@@ -59,7 +59,7 @@ def counted(number: int, noun: str) -> str:
 
 
 def shown(number: float | None, form: str) -> str:
-    """Show a number in a form, and a dash where there is none."""
+    """Show a number in a form, and a dash if there is none."""
     return "-" if number is None else format(number, form)
 
 

@@ -106,7 +106,7 @@ def seats_of_others(given: Sequence[str], seat: str | None, env: EnvSpec) -> tup
 
 
 def check_seats(seats: Iterable[str], env: EnvSpec) -> None:
-    """Raise an error for a seat that an environment does not have, with those that it has."""
+    """Raise an error for a seat that an environment does not have; the message names its seats."""
     for seat in seats:
         if seat not in env.seats:
             hint = did_you_mean(seat, env.seats)

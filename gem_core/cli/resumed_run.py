@@ -1,4 +1,4 @@
-"""``ResumedRun``: the episodes that ``gem run --resume`` keeps, those that it runs again, and how they were run."""
+"""``ResumedRun``: the episodes that ``gem run --resume`` keeps, the ones it runs again, and how they were run."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class ResumedRun:
             raise ArgumentError(f"--resume: {self.path} does not hold the secrets of {option}: give them again")
 
     def check(self, players: Players, envs: Envs, wrappers: Wrappers) -> None:
-        """Raise an error if episodes that stay were run in another way than those that are to come.
+        """Raise an error if the kept episodes were run in another way than the new ones will be.
 
         Raises:
             ArgumentError: It says in what they differ.
@@ -129,7 +129,7 @@ class ResumedRun:
         return self.done.run_seed(None)
 
     def begin(self, source: EpisodeQueue, summary: RunSummary) -> None:
-        """Skip and count the finished episodes, and remove those that are run again from the file.
+        """Skip and count the finished episodes, and remove from the file the ones that are run again.
 
         Args:
             source: What the episodes of the whole run start from.

@@ -91,7 +91,7 @@ def wrapper_stacks(
     max_turns: int | None,
     env: EnvSpec,
 ) -> Wrappers:
-    """Return the wrappers of an environment; where several agents act, by seat if some are given as ``SEAT=NAMES``.
+    """Return the wrappers of an environment; if several agents act, by seat if some are given as ``SEAT=NAMES``.
 
     Those without a seat are for all. See ``wrapper_stack``.
     """

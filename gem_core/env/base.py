@@ -69,7 +69,7 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
     """Tags around answers of this task; a tool of such a name is called in JSON only."""
 
     num_tasks: int | None = None
-    """How many tasks ``reset(options={"index": i})`` chooses from, as the rows of a data set; None where it cannot.
+    """How many tasks ``reset(options={"index": i})`` chooses from, as the rows of a data set; None if it cannot.
 
     Plans then cover the tasks, each once in an epoch.
     """
@@ -78,7 +78,7 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
     """Whether ``options={"index": i}`` also takes numbers from ``num_tasks`` up, for fresh tasks of later epochs."""
 
     return_range: tuple[float, float] | None = None
-    """The lowest and the highest return that an episode can have; None where that is not known.
+    """The lowest and the highest return that an episode can have; None if unknown.
 
     Standard errors and intervals of scores stay within it. A wrapper that changes rewards declares its own.
     """
@@ -112,7 +112,7 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         Args:
             seed: Start the stream of this seed. None draws the next episode of the stream that was started last, or of
                 a fresh one; its own seed is then reported in ``info["seed"]``, and starts the same episode again.
-            options: What the environment lets a caller choose, as ``{"index": 3}`` in a data set.
+            options: Choices that the environment offers, as ``{"index": 3}`` in a data set.
 
         Returns:
             The first observation and an info dictionary of plain JSON.
@@ -165,7 +165,7 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         For audits of the task, which play it and expect success. It is never shown to an agent, and changes nothing.
 
         Returns:
-            A whole response, as an agent would write it; None where no solution is known.
+            A whole response, as an agent would write it; None if no solution is known.
         """
         return None
 
@@ -173,7 +173,7 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         """Return a drawing of the present state as text, over several lines, for people; no agent sees it.
 
         Returns:
-            The text; None where the last observation shows all that there is to see, and without a render mode.
+            The text; None without a render mode, and if the last observation shows the whole state.
         """
         return None
 
@@ -208,7 +208,7 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
 
     @property
     def _np_random(self) -> np.random.Generator | None:
-        """What Gymnasium's own code reads and sets: the generator, or None before the first reset or draw."""
+        """The generator that Gymnasium's own code reads and sets; None before the first reset or draw."""
         return self._generator if self._generator_started else self.np_random
 
     @_np_random.setter

@@ -126,7 +126,7 @@ class MultiAgentEnv(Env):
         It may set ``self.agents`` to some of them, and change the turns by ``agent_selector``.
 
         Args:
-            options: What the caller of ``reset`` chose.
+            options: The options of ``reset``.
 
         Returns:
             Infos for some agents, each given with its first observation; or None.
@@ -142,7 +142,7 @@ class MultiAgentEnv(Env):
 
         Returns:
             ``(rewards, terminations, truncations, infos)``, each for those agents for which there is something to say.
-            The five values of ``step`` are taken as well; observations are then those of ``observe`` all the same.
+            The five values of ``step`` are accepted as well; ``observe`` still gives the observations.
         """
         raise NotImplementedError(f"{type(self).__name__} must define process_actions(self, actions)")
 
@@ -311,7 +311,7 @@ class MultiAgentEnv(Env):
 
 @dataclass
 class _Turns:
-    """What the base class keeps of an episode beside its public attributes.
+    """The private state of an episode that the base class keeps.
 
     Args:
         live: Whether the episode is under way.

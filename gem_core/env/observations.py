@@ -38,7 +38,7 @@ def join_observations(pieces: Sequence[Observation], suffix: Observation = "") -
 
     Args:
         pieces: Oldest first.
-        suffix: What follows the last piece as it is.
+        suffix: Text after the last piece.
     """
     if not isinstance(suffix, str):
         return as_parts(join_observations(pieces)) + suffix

@@ -233,7 +233,7 @@ class SeatWrappers(MultiAgentEnv):
 
     @property
     def acting(self) -> tuple[str, ...]:
-        """Who has to act now: those that have not given a response for the environment."""
+        """The agents that act now: the ones without a response for the environment."""
         return tuple(agent for agent in self.env.acting if self._seats[agent].held is None)
 
     @property

@@ -197,7 +197,7 @@ def _set_render_mode(task: AnyEnv, render_mode: str, record: EnvSpec) -> bool:
 
 
 def wrap(env: AnyEnv, wrappers: Wrappers) -> AnyEnv:
-    """Put wrappers and tools around an environment, innermost first; around each seat, where several agents act.
+    """Put wrappers and tools around an environment, innermost first; around each seat, if several agents act.
 
     Raises:
         ArgumentError: They are named by seat, and the environment has no such seat, or one agent.

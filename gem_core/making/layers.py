@@ -25,7 +25,7 @@ Stack: TypeAlias = "str | Sequence[WrapperChoice]"
 """Innermost first: ``"python,concat:max_turns=4"`` or ``["python", ("concat", {"max_turns": 4})]``."""
 
 Wrappers: TypeAlias = "Stack | Mapping[str, Stack]"
-"""One stack; or, where several agents act, a stack for each of some seats: ``{"white": "python,concat"}``."""
+"""One stack; or, if several agents act, a stack for each of some seats: ``{"white": "python,concat"}``."""
 
 _TOOLS = "tools"
 """Name of the wrapper that gives tools to a task."""

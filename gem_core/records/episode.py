@@ -100,7 +100,7 @@ class Episode:
 
     @property
     def final_info(self) -> Info:
-        """The info of the last step, or of the reset where there was none."""
+        """The info of the last step, or of the reset if there was none."""
         return self.transitions[-1].info if self.transitions else self.info
 
     @property

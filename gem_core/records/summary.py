@@ -110,12 +110,12 @@ class EnvSummary:
 
     @property
     def success_rate(self) -> float | None:
-        """Share of judged episodes that succeeded; None where none was judged."""
+        """Share of the judged episodes that were solved; None if none was judged."""
         return self.successes / self.judged if self.judged else None
 
     @property
     def success_standard_error(self) -> float | None:
-        """Standard error of the success rate, after Wilson; None where none was judged. See ``standard_error``."""
+        """Standard error of the success rate, after Wilson; None if none was judged. See ``standard_error``."""
         if not self.judged:
             return None
         rate = self.successes / self.judged

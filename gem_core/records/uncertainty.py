@@ -49,7 +49,7 @@ def standard_error(rows: int, mean: float, squares: float, within: Range | None)
         rows: Number of rows.
         mean: Their mean.
         squares: Sum of their squared distances from the mean.
-        within: The range that values can have; None if it is not known.
+        within: The range that values can have; None if unknown.
     """
     if within is not None:
         low, width = within[0], within[1] - within[0]

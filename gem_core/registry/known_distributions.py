@@ -25,7 +25,7 @@ KNOWN_DISTRIBUTIONS: dict[str, dict[str, str]] = {
 
 
 def distributions_with(name: str, kind: str | None = None) -> list[str]:
-    """Return the distributions that offer a name, of one kind or of any; none where nobody here does."""
+    """Return the distributions that offer a name, of one kind or of any; none if nobody here does."""
     return [
         owner
         for owner, offered in KNOWN_DISTRIBUTIONS.items()

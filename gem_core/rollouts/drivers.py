@@ -40,7 +40,7 @@ Resume = str | Path | Iterable[Record] | FinishedEpisodes | None
 """A file of episodes, or the episodes; or what ``finished_episodes`` found there."""
 
 OnProgress = Callable[[int, int | None], None]
-"""Called with the number of finished episodes, and the number of all or None where that is not known."""
+"""Called with the number of finished episodes, and the number of all or None if unknown."""
 
 
 class RolloutOptions(TypedDict, total=False):

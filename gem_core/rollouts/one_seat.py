@@ -54,7 +54,7 @@ class SingleAgentEnv(SeatEnv):
         others: Who plays the other seats: an agent, or the name of one, as in ``"random"`` or ``"openai:MODEL"``; a
             list of these, of which one is drawn for each episode by its seed; or a mapping of these by seat, where
             seats that are left out are played by ``"random"``. With an asynchronous agent among them the environment
-            is asynchronous, and those that act at once are asked side by side; plain ones are taken to answer at once.
+            is asynchronous, and agents that act at once are asked side by side; plain ones are taken to answer at once.
         max_other_turns: Steps without the seat after which an episode counts as failed.
         **kwargs: Keyword arguments of the environment, where ``env`` is an id.
 

@@ -111,7 +111,7 @@ class League(Seating):
     Args:
         learner: The agent that is trained.
         opponents: Other agents by name.
-        weights: How often each opponent is drawn, relative to the others; 1 for those that are not named.
+        weights: Relative frequency of each opponent; 1 for opponents that are not named.
         latest: Weight of the learner itself, as it is now, among the opponents. In records it is called ``"latest"``.
         name: What records call the learner at its own seat.
 

@@ -84,7 +84,7 @@ def differences(what: str, expected: Sequence[Any], found: Sequence[Any], first_
 
 
 def difference(left: Any, right: Any, path: str = "") -> str | None:
-    """Return where two pieces of plain data first differ, and the values there; None where they are equal."""
+    """Return where two pieces of plain data first differ, and the values there; None if they are equal."""
     if isinstance(left, dict) and isinstance(right, dict):
         for key in left | right:
             if key not in left or key not in right:

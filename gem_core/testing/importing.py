@@ -35,7 +35,7 @@ class Imported:
         packages: Top-level packages that declaring imported, beside the standard library and the core.
         printed: What declaring and importing wrote to standard output.
         records: Of each record the ``name``, the ``module`` of its entry point, the ``summary``, and the ``error``:
-            empty where its entry point can be used, None where that has not been tried.
+            empty where its entry point can be used, None if that has not been tried.
     """
 
     failure: str | None = None

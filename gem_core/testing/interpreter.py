@@ -34,7 +34,7 @@ class ProcessLostError(CallError):
 
     Args:
         message: How it ended.
-        exit_code: None where it hung.
+        exit_code: None if it hung.
     """
 
     def __init__(self, message: str, exit_code: int | None) -> None:

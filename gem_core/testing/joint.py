@@ -65,7 +65,7 @@ def acting(env: AnyEnv) -> tuple[str, ...]:
 
 
 def seats_of(env: AnyEnv) -> tuple[str, ...]:
-    """Return the names of all agents that may take part; one empty name where there is only one."""
+    """Return the names of all agents that may take part; one empty name if there is only one."""
     return tuple(env.get_wrapper_attr("possible_agents")) if is_joint(env) else ("",)
 
 

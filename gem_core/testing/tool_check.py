@@ -36,7 +36,7 @@ def check_tool(
 
     Raises:
         CheckError: Promises are broken; the message names each, with what was seen.
-        ArgumentError: Arguments without a name where there are several tools, or no tool of that name.
+        ArgumentError: Arguments without a name if there are several tools, or no tool of that name.
         GemError: The tool cannot be made, as with an unknown name.
     """
     chosen = tool if isinstance(tool, Tool | str | tuple) else tool()

@@ -64,7 +64,7 @@ class CallReader:
         tools: By name.
         answer_fences: Languages of the blocks in which the task is answered.
         answer_tags: Tags in which the task is answered; a tool of such a name is called in JSON only.
-        thinking_tag: Name of the tag around thinking; None where calls in it count as well.
+        thinking_tag: Name of the tag around thinking; None if calls in it count as well.
     """
 
     def __init__(

@@ -53,7 +53,7 @@ class ToolEnv(Wrapper):
         tool_reward: Added for each call that could be read.
         tool_success_reward: Added for each call that succeeded.
         tool_error_reward: Added for each call that failed or could not be read.
-        max_tool_uses: Calls in an episode, those that could not be read included; after that every response goes to the
+        max_tool_uses: Calls in an episode, unreadable ones included; after that every response goes to the
             task. None for no limit.
         instructions: Whether the first observation ends by explaining the tools; or the text to do so.
         thinking_tag: Name of the tag around thinking; with None, calls in it count as any other.

@@ -18,7 +18,7 @@ from gem_core.types import Observation, ResetResult, StepResult
 
 
 class ObservationView(Wrapper):
-    """Base class of views: remembers the history, and decides what the agent is shown of it next.
+    """Base class of views: remembers the history, and chooses the part that the agent sees next.
 
     A subclass overrides ``show``.
 
