@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from gem_core.tools import Tool, ToolCall, unknown_tool
-from gem_tools.call_formats.values import Raw, loaded, typed
+from gem_tools.call_formats.values import RawText, loaded, typed
 
 Tools = Mapping[str, Tool]
 
@@ -30,9 +30,9 @@ class ParsedCall(NamedTuple):
     """A call that a reader found in a response.
 
     Args:
-        name: Of the tool; empty where the form names none.
-        arguments: An object, as a rule; or text, which is JSON or what the text parameter takes; ``Raw`` text is the
-            latter. Values that are ``Raw`` are typed by the schema.
+        name: Name of the tool; empty if the form names none.
+        arguments: An object, as a rule; or text: ``RawText`` for the text parameter, else JSON. Values that are
+            ``RawText`` are typed by the schema.
         end: Index of the first character after the call.
         takes: In place of a name, the parameter that is given, as ``"code"``.
         problem: Why it cannot be read.
@@ -154,13 +154,13 @@ def _arguments(given: Any, tool: Tool) -> tuple[Any, str | None]:
         if given.lstrip().startswith("{"):
             read = loaded(given)
             of_the_tool = isinstance(read.value, dict) and (parameter is None or parameter in read.value)
-            if of_the_tool or not (parameter and isinstance(given, Raw)):
+            if of_the_tool or not (parameter and isinstance(given, RawText)):
                 return read.value, f"its arguments are no valid JSON: {read.problem}" if read.problem else None
         if parameter is not None:
-            return {parameter: tool.unfenced(given) if isinstance(given, Raw) else given}, None
+            return {parameter: tool.unfenced(given) if isinstance(given, RawText) else given}, None
         read = loaded(given)
         return read.value, f"its arguments are no valid JSON: {read.problem}" if read.problem else None
-    if isinstance(given, dict) and any(isinstance(value, Raw) for value in given.values()):
+    if isinstance(given, dict) and any(isinstance(value, RawText) for value in given.values()):
         schema = tool.parameters_schema()
         return {name: typed(value, name, schema) for name, value in given.items()}, None
     return given, None

@@ -10,7 +10,7 @@ import re
 from typing import Any
 
 from gem_tools.call_formats.found import NO_JSON, ParsedCall, Tools, reads
-from gem_tools.call_formats.values import Raw, loaded, skip_blanks, typed, value_at
+from gem_tools.call_formats.values import RawText, loaded, skip_blanks, typed, value_at
 
 # Some write a name before each tag, as in <steptml:invoke …>, or a mark.
 _MARK = r"(?:[A-Za-z]\w{0,20}+:|｜DSML｜)?"
@@ -59,7 +59,7 @@ def function(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
         return ParsedCall(opening[1], given, _behind(_FUNCTION_END, text, end))
     if _PARAMETER.match(text, at) is None and not _FUNCTION_END.match(text, at):
         ending = _TEXT_END.search(text, at)
-        content = Raw(text[opening.end() : ending.start() if ending else len(text)])
+        content = RawText(text[opening.end() : ending.start() if ending else len(text)])
         return ParsedCall(opening[1], content, ending.end() if ending else len(text), cut=ending is None)
     return _parameters(opening[1], text, at)
 
@@ -81,7 +81,7 @@ def _value(content: str, is_text: str | None) -> Any:
     if is_text == "true":
         return content
     read = loaded(content) if is_text == "false" else None
-    return Raw(content) if read is None or read.problem else read.value
+    return RawText(content) if read is None or read.problem else read.value
 
 
 def keyed(name: str, text: str, at: int) -> ParsedCall | None:
@@ -90,9 +90,9 @@ def keyed(name: str, text: str, at: int) -> ParsedCall | None:
     while key := _KEY.match(text, at):
         ending = _KEYED_END.search(text, key.end())
         if ending is None:
-            given[key[1]] = Raw(_without_line_breaks(text[key.end() :]))
+            given[key[1]] = RawText(_without_line_breaks(text[key.end() :]))
             return ParsedCall(name, given, len(text), cut=True)
-        given[key[1]] = Raw(_without_line_breaks(text[key.end() : ending.start()]))
+        given[key[1]] = RawText(_without_line_breaks(text[key.end() : ending.start()]))
         at = ending.end()
     return ParsedCall(name, given, at) if given else None
 
@@ -119,7 +119,7 @@ def elements(text: str, at: int) -> ParsedCall | None:
         structural = re.compile(rf"{closing}(?=\s*+(?:<\w|</(?:arguments|parameters)>))").search(text, element.end())
         if structural is None:
             return ParsedCall(name, None, 0, problem=f"<{element[1]}> is never closed by {closing}")
-        given[element[1]] = Raw(_without_line_breaks(text[element.end() : structural.start()]))
+        given[element[1]] = RawText(_without_line_breaks(text[element.end() : structural.start()]))
         at = structural.end()
     return ParsedCall(name, given, _behind(_ELEMENTS_END, text, at))
 
@@ -159,7 +159,7 @@ def minimax_m3(text: str, start: int, at: int, tools: Tools) -> ParsedCall | Non
             return ParsedCall(opening[1], _by_schema(given, opening[1], tools), tag.end())
         elif open_elements and open_elements[-1][0] == name:
             _, begin, children = open_elements.pop()
-            value: Any = Raw(_without_line_breaks(text[begin : tag.start()]))
+            value: Any = RawText(_without_line_breaks(text[begin : tag.start()]))
             if children:
                 is_list = all(child == "item" for child, _ in children)
                 value = [child for _, child in children] if is_list else dict(children)
@@ -169,7 +169,7 @@ def minimax_m3(text: str, start: int, at: int, tools: Tools) -> ParsedCall | Non
                 given[name] = value
     if open_elements:  # cut in a value, which is text as far as anybody knows
         name, begin, _ = open_elements[0]
-        given[name] = Raw(_without_line_breaks(text[begin:]))
+        given[name] = RawText(_without_line_breaks(text[begin:]))
     return ParsedCall(opening[1], given, len(text), cut=True)
 
 

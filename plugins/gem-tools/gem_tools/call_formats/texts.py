@@ -9,7 +9,7 @@ from gem_core.parsing import extract_code_blocks, unclosed_code_block
 from gem_tools.call_formats.bodies import body
 from gem_tools.call_formats.found import ParsedCall, Parser, Tools, if_whole, reads, tool_taking
 from gem_tools.call_formats.objects import NAMES, json_call_at, pythonic
-from gem_tools.call_formats.values import Raw, value_at
+from gem_tools.call_formats.values import RawText, value_at
 
 _JSON_FENCE = re.compile(r"\s*+```(?:json)?\s*+(?=[\[{])")
 _NUMBERED = re.compile(r"(?: ?\d{1,3}+)?:")
@@ -114,7 +114,7 @@ def react_action(text: str, start: int, at: int, tools: Tools) -> ParsedCall | N
     bracket = _BRACKET.fullmatch(text, at, line_end if line_end >= 0 else len(text))
     if bracket is not None:
         name = bracket[1] if bracket[1] in tools else bracket[1].lower()
-        return ParsedCall(name, Raw(bracket[2]), bracket.end(2) + 1) if name in tools else None
+        return ParsedCall(name, RawText(bracket[2]), bracket.end(2) + 1) if name in tools else None
     written = pythonic(text, at)
     return written if written is not None and written.problem is None and written.name in tools else None
 
@@ -141,7 +141,7 @@ def _json_or_text(name: str, text: str, at: int, stop: re.Match[str] | None) -> 
     if isinstance(given, dict):
         return ParsedCall(name, given, end)
     if isinstance(given, str) and not text[end : stop.start() if stop else len(text)].strip():
-        return ParsedCall(name, Raw(given), end)
+        return ParsedCall(name, RawText(given), end)
     return _as_text(name, text, at, stop)
 
 
@@ -154,10 +154,10 @@ def _code(text: str, at: int, stop: re.Match[str] | None) -> ParsedCall:
     return _as_text("", text, at, stop)._replace(takes="code")
 
 
-def _text(content: str) -> Raw:
+def _text(content: str) -> RawText:
     """Return text for a parameter: blanks around a single line are no part of it, an indentation of several is."""
     content = content.strip("\r\n")
-    return Raw(content if "\n" in content.strip() else content.strip())
+    return RawText(content if "\n" in content.strip() else content.strip())
 
 
 def _ends_line(text: str, at: int) -> bool:

@@ -14,28 +14,28 @@ _TOO_DEEP = "it is nested too deeply"
 _MOST_DEPTH = 99
 
 
-class Raw(str):
+class RawText(str):
     """Raw text of the response, not JSON; the schema of the tool decides its type."""
 
     __slots__ = ()
 
 
-class Read(NamedTuple):
+class ParseResult(NamedTuple):
     """The result of reading a text: a value, or an error."""
 
     value: Any
     problem: str | None = None
 
 
-def loaded(text: str) -> Read:
+def loaded(text: str) -> ParseResult:
     """Return the one value that a text holds."""
     try:
         value, end = value_at(text, 0)
         if not text[end:].strip():
-            return Read(value)
-        return Read(None, f"Extra data behind {text[:end].strip()[-20:]!r}")
+            return ParseResult(value)
+        return ParseResult(None, f"Extra data behind {text[:end].strip()[-20:]!r}")
     except ValueError as error:
-        return Read(None, str(error)[:200])
+        return ParseResult(None, str(error)[:200])
 
 
 def value_at(text: str, at: int) -> tuple[Any, int]:
@@ -80,7 +80,7 @@ def arguments_at(text: str, at: int) -> tuple[Any, int]:
             alone, end = _literal(text, at, 0)
             if given or not isinstance(alone, str) or _token(text, end)[0] != ")":
                 raise ValueError("arguments are written as name=value")
-            return Raw(alone), _token(text, end)[1]
+            return RawText(alone), _token(text, end)[1]
         at = _behind_comma(text, at, ")")
     return given, token[1]
 
@@ -91,7 +91,7 @@ def typed(value: Any, name: str, schema: Mapping[str, Any]) -> Any:
     It stays text where the parameter may be text, or is not known; otherwise it is JSON or a Python literal, as far as
     it can be read.
     """
-    if not isinstance(value, Raw):
+    if not isinstance(value, RawText):
         return value
     properties = schema.get("properties")
     described = properties.get(name) if isinstance(properties, Mapping) else None
