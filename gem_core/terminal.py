@@ -204,7 +204,7 @@ def _visible(match: re.Match[str]) -> str:
     return "".join(f"\\x{ord(character):02x}" for character in match[0])
 
 
-def whole_command(typed: str, commands: Sequence[str]) -> str:
+def resolve_abbreviation(typed: str, commands: Sequence[str]) -> str:
     """Return the command that was typed, or cut short.
 
     Raises:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from gem_core.agents.answer_form import AnswerForm
 from gem_core.errors import AgentError
 from gem_core.rollouts.agent import Context
-from gem_core.terminal import EndOfInput, Terminal, Typed, observation_text, whole_command
+from gem_core.terminal import EndOfInput, Terminal, Typed, observation_text, resolve_abbreviation
 from gem_core.types import Observation
 
 _HELP = """\
@@ -52,7 +52,7 @@ class HumanAgent:
         if not typed.is_command:
             form = AnswerForm.of_task(observation, context)
             return form.around(typed.text, [tool["function"]["name"] for tool in context.tools])
-        match whole_command(typed.text, ("help", "random", "quit")):
+        match resolve_abbreviation(typed.text, ("help", "random", "quit")):
             case "help":
                 form = AnswerForm.of_task(observation, context)
                 self._terminal.show(f"{_HELP}\n  The form of an answer: {form or 'any text'}")

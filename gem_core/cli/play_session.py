@@ -26,7 +26,7 @@ from gem_core.records.plain_json import ImageFolder
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
 from gem_core.rollouts.agent import Context
 from gem_core.rollouts.drivers import default_plan, rollout
-from gem_core.terminal import BLOCK, EndOfInput, Terminal, Typed, observation_text, printable, whole_command
+from gem_core.terminal import BLOCK, EndOfInput, Terminal, Typed, observation_text, printable, resolve_abbreviation
 from gem_core.types import TERMINAL_STATE, Info, Observation
 from gem_core.vector.vector_env import VectorEnv
 
@@ -175,7 +175,7 @@ class PlaySession:
         """Return the answer that was typed, or that a command gives."""
         if not typed.is_command:
             return typed.text if self.raw else self._form(context).around(typed.text, _tool_names(context))
-        match whole_command(typed.text, ("help", "undo", "random", "restart", "next", "quit")):
+        match resolve_abbreviation(typed.text, ("help", "undo", "random", "restart", "next", "quit")):
             case "help":
                 self._show_help(context)
                 return None
