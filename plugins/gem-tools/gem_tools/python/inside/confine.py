@@ -172,7 +172,7 @@ def _write(proc: int, path: str, text: str) -> None:
         os.close(descriptor)
 
 
-def go_first() -> None:
-    """When the machine runs out of memory, let this process and its children be the first to go."""
+def raise_oom_score() -> None:
+    """Ask the kernel to kill this process and its children first if memory runs out."""
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w", encoding="ascii") as stream:
         stream.write("1000")

@@ -91,7 +91,7 @@ class Forks:
 
     def start(self) -> dict[str, Any]:
         """Import libraries, get ready to be forked, and return what the library should know."""
-        confine.go_first()
+        confine.raise_oom_score()
         found = {"filtered": self.filter.works(), "walled": not self.namespaces and walls.version() > 0}
         self.settings |= found
         walls.readable()  # found out once, ahead of all forks
